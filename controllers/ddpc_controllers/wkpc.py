@@ -1,0 +1,192 @@
+"""Willems-Koopman predictive control, equations (10)-(12)."""
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ddpc_controllers.behavioral import diagnose, hankel_matrix, require_excitation, require_length
+from ddpc_controllers.condensing import Problem
+from ddpc_controllers.dictionaries import Dictionary, ThinPlate
+from ddpc_controllers.published_code import DoubleShift, PublishedThinPlate
+from ddpc_controllers.qp import ParametricQP
+from ddpc_controllers.recorded import (
+    MovingWindow,
+    ParameterVector,
+    matching_recording,
+    padded_with_zeros,
+    resting_input,
+    setpoint_bounds,
+)
+from ddpc_controllers.validation import check_settings_and
+from ddpc_cosim import Action, Controller, FloatArray, Loop, Recording, Sample, Weight, setting, weight_matrix
+
+
+@dataclass(kw_only=True)
+class WKPC(Controller):
+    """Willems-Koopman predictive control, equations (10)-(12).
+
+    The lifted state is ``z = (x, psi_1(x), ..., psi_np(x))`` with x all that is measured. Future lifted states
+    are not known, so the lifted rows cover the past window only. The defaults are those of Table 1;
+    ``zero_padding``, ``redraw_centre``, ``squared_distance`` and ``double_shift`` do what the paper's published
+    program does and (10)-(12) do not.
+    """
+
+    uses_recording: ClassVar[bool] = True
+
+    initial_length: int = setting(2, low=1, doc="samples of the past that fix the initial condition, Tini")
+    horizon: int = setting(5, low=1, doc="prediction horizon N, samples")
+    output_weight: Weight = setting(1.0, low=0.0, doc="Q: predicted outputs off the reference")
+    input_weight: Weight = setting(0.1, above=0.0, doc="R: inputs off the artificial setpoint")
+    lambda_g: float = setting(0.1, above=0.0, doc="weight of |g|^2")
+    setpoint_margin: float = setting(0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoint")
+    dictionary: Dictionary = setting(default_factory=ThinPlate, doc="observables that lift the state")
+    zero_padding: bool = setting(False, doc="append initial_length samples of zero to the recorded u and y")
+    redraw_centre: bool = setting(False, doc="one centre for all functions, drawn at every evaluation")
+    squared_distance: bool = setting(False, doc="square the distance in front of the logarithm of (12)")
+    double_shift: bool = setting(False, doc="append two lifted samples a step to the lifted data")
+
+    def __post_init__(self) -> None:
+        check_settings_and(self, self._faults_between_settings)
+
+    def start(self, loop: Loop) -> None:
+        """Lift the loop's recording and condense the problem on it.
+
+        Raises
+        ------
+        DataError
+            There is no recording, or it is too short or not persistently exciting enough.
+        ConfigError
+            A weight does not fit the number of signals.
+        """
+        recording = matching_recording(loop, "WKPC")
+        # A copy of the stream: another start draws the same centres.
+        rng = copy.deepcopy(loop.rng)
+        self._observables = self._dictionary().draw(recording.measured.shape[1], rng)
+        lifted = self._lift(recording.measured)
+        m, p, past = len(loop.inputs), len(loop.outputs), self.initial_length
+        self._parameters = ParameterVector(
+            {
+                "z_ini": (past, lifted.shape[1]),
+                "u_ini": (past, m),
+                "y_ini": (past, p),
+                "r": (self.horizon, p),
+            }
+        )
+        self._data = self._stack(recording, lifted)
+        self._problem = self._write_down(loop).prepare("u", m)
+        self._qp = ParametricQP(self._problem.condense(self._data), loop.bounds.u_min, loop.bounds.u_max)
+        self._begin(loop, recording, lifted)
+
+    def step(self, sample: Sample) -> FloatArray | Action:
+        """Return the first optimal input of the horizon."""
+        z = self._lift_past(sample)
+        self._reference[...] = sample.reference
+        u, fault = self._qp.solve(self._parameters.array)
+        self._past_u.append(u)
+        self._past_y.append(sample.y)
+        if z is not None:
+            self._past_z.append(z)
+        return Action(u, fault) if fault else u
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """Return order of excitation, rank and smallest singular value of the recording."""
+        return self._diagnostics.as_dict()
+
+    def _faults_between_settings(self) -> list[str]:
+        faults = []
+        if not isinstance(self.dictionary, Dictionary):
+            faults.append(f"WKPC: dictionary = {self.dictionary!r} has no draw(size, rng); for example ThinPlate()")
+        elif (self.redraw_centre or self.squared_distance) and not isinstance(self.dictionary, ThinPlate):
+            faults.append("WKPC: redraw_centre and squared_distance change ThinPlate; the dictionary is another")
+        return faults
+
+    def _dictionary(self) -> Dictionary:
+        if isinstance(self.dictionary, ThinPlate) and (self.redraw_centre or self.squared_distance):
+            return PublishedThinPlate(
+                printed=self.dictionary,
+                redraw_centre=self.redraw_centre,
+                squared_distance=self.squared_distance,
+            )
+        return self.dictionary
+
+    def _lift(self, states: FloatArray) -> FloatArray:
+        """Return z = (x, psi(x)) for states of shape (..., q)."""
+        return np.concatenate([states, self._observables(states)], axis=-1)
+
+    def _stack(self, recording: Recording, lifted: FloatArray) -> FloatArray:
+        """Return M: lifted past, and past and future of inputs and outputs."""
+        u, y = recording.u, recording.y
+        m, p, past, depth = u.shape[1], y.shape[1], self.initial_length, self.initial_length + self.horizon
+        order = lifted.shape[1]
+        require_length(len(u), depth + order, m, "WKPC")
+        if self.zero_padding:
+            u, y = padded_with_zeros(u, past), padded_with_zeros(y, past)
+        z_rows = hankel_matrix(lifted[: -self.horizon], past)
+        u_rows, y_rows = hankel_matrix(u, depth), hankel_matrix(y, depth)
+        stacked = np.vstack([z_rows, u_rows[: past * m], y_rows[: past * p], u_rows[past * m :], y_rows[past * p :]])
+        self._diagnostics = diagnose(stacked, u, depth + order)
+        require_excitation(self._diagnostics, f"depth {depth} + lifted order {order}", "WKPC")
+        return stacked
+
+    def _write_down(self, loop: Loop) -> Problem:
+        """Write down (10) and (11)."""
+        m, p, horizon = len(loop.inputs), len(loop.outputs), self.horizon
+        past = {name: size for name, size in self._parameters.sizes.items() if name.endswith("_ini")}
+        problem = Problem(
+            rows={**past, "u": horizon * m, "y": horizon * p},
+            free={"u_s": m},
+            parameters=self._parameters.sizes,
+        )
+        every_u, every_y, held_u = np.eye(horizon * m), np.eye(horizon * p), np.tile(np.eye(m), (horizon, 1))
+        q = weight_matrix(self.output_weight, p, "output_weight")
+        r = weight_matrix(self.input_weight, m, "input_weight")
+        problem.penalise(q, {"y": every_y}, {"r": every_y})  # |y_k - r_t+k|_Q^2
+        problem.penalise(r, {"u": every_u, "u_s": -held_u}, {})  # |u_k - u_s|_R^2
+        problem.regularise(self.lambda_g)
+
+        for name, size in past.items():
+            problem.equate({name: np.eye(size)}, {name: np.eye(size)})  # (10)
+
+        setpoint = setpoint_bounds(loop.bounds, self.setpoint_margin)
+        problem.bound("u", loop.bounds.u_min, loop.bounds.u_max)
+        problem.bound("y", loop.bounds.y_min, loop.bounds.y_max)
+        problem.bound("u_s", setpoint.u_min, setpoint.u_max)
+        return problem
+
+    def _begin(self, loop: Loop, recording: Recording, lifted: FloatArray) -> None:
+        """Fill the past: with the recording's tail, or with rest."""
+        past, windows = self.initial_length, self._parameters
+        self._reference = windows["r"]
+        self._past_z, self._past_u, self._past_y = (MovingWindow(windows[n]) for n in ("z_ini", "u_ini", "y_ini"))
+        self._resting = not loop.continues_recording
+        self._moving = DoubleShift(lifted, past, self.horizon) if self.double_shift else None
+        self._last_state: FloatArray | None = None
+        windows["z_ini"][...] = lifted[-past:]
+        windows["u_ini"][...] = resting_input(loop) if self._resting else recording.u[-past:]
+        windows["y_ini"][...] = recording.y[-past:]
+
+    def _lift_past(self, sample: Sample) -> FloatArray | None:
+        """Bring the lifted past up to date; return the sample to append to it after the step."""
+        if self._resting:
+            self._parameters["y_ini"][...] = sample.y
+        if self._moving is not None:
+            self._move_lifted_data(self._moving, sample)
+            self._resting = False
+            return None
+        z = self._lift(sample.measured)
+        if self._resting:
+            self._parameters["z_ini"][...] = z
+            self._resting = False
+        return z
+
+    def _move_lifted_data(self, moving: DoubleShift, sample: Sample) -> None:
+        if self._last_state is not None:
+            moving.append(self._lift(self._last_state), self._lift(sample.measured))
+            hankel = moving.hankel
+            self._data[: len(hankel)] = hankel
+            self._parameters["z_ini"][...] = moving.past
+            self._qp.replace(self._problem.condense(self._data))
+        self._last_state = sample.measured.copy()

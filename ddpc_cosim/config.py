@@ -1,0 +1,288 @@
+"""The study file: its sections, keys and ranges. Read and checked by :mod:`ddpc_cosim.study_file`."""
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from ddpc_cosim.signals import Constant, Ramp, Reference, Sine, Steps
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Section(BaseModel):
+    """A section of a study file: unknown keys are faults, values do not change after reading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class PlantSection(Section):
+    """Which plant, and which of its variables take part; exactly one of ``name``, ``fmu``, ``python``."""
+
+    name: str = Field("", description="a plant of `ddpc-cosim list plants`")
+    fmu: str = Field("", description="path of an FMU, relative to the study file")
+    inputs: list[str] = Field([], description="inputs that the controller drives; empty: all")
+    outputs: list[str] = Field([], description="controlled outputs; empty: all")
+    measurements: list[str] = Field(
+        [], description="what the controller may measure; empty: the controlled outputs"
+    )
+    parameters: dict[str, Finite] = Field({}, description="parameters that differ from the plant's defaults")
+
+    @model_validator(mode="after")
+    def _one_plant(self) -> "PlantSection":
+        if bool(self.name) == bool(self.fmu):
+            raise ValueError("needs exactly one of the keys name and fmu")
+        return self
+
+
+class LoopSection(Section):
+    """Timing of the closed loop."""
+
+    sampling_time: Positive = Field(description="time between samples [s]")
+    duration: Positive = Field(description="simulated time of the closed loop [s]")
+    start_time: Finite = Field(0.0, description="time of the first sample [s]")
+    start: Literal["rest", "recording-end"] = Field(
+        "rest", description="start from the plant's initial state, or where the recording ended"
+    )
+
+    @model_validator(mode="after")
+    def _whole_samples(self) -> "LoopSection":
+        steps = self.duration / self.sampling_time
+        if round(steps) < 1 or not math.isclose(steps, round(steps), rel_tol=1e-9):
+            raise ValueError(
+                f"duration ({self.duration:g}) must be a whole multiple of sampling_time ({self.sampling_time:g})"
+            )
+        return self
+
+    @property
+    def steps(self) -> int:
+        """Number of sampling intervals."""
+        return round(self.duration / self.sampling_time)
+
+
+class _Signal(Section):
+    unit: str = Field("", description="unit of the values here; empty: the variable's own")
+
+
+class ConstantReference(_Signal):
+    """One value for all time."""
+
+    kind: Literal["constant"]
+    value: Finite
+
+    def build(self, convert: Any) -> Reference:
+        """Return the signal in the variable's own unit."""
+        return Constant(float(convert(self.value)))
+
+
+class StepsReference(_Signal):
+    """Piecewise constant."""
+
+    kind: Literal["steps"]
+    times: Annotated[list[Finite], Field(min_length=1)]
+    values: Annotated[list[Finite], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _matching(self) -> "StepsReference":
+        if len(self.times) != len(self.values):
+            raise ValueError(
+                f"times ({len(self.times)}) and values ({len(self.values)}) need the same length"
+            )
+        if any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
+            raise ValueError("times must increase")
+        return self
+
+    def build(self, convert: Any) -> Reference:
+        """Return the signal in the variable's own unit."""
+        return Steps(tuple(self.times), tuple(float(convert(value)) for value in self.values))
+
+
+class RampReference(_Signal):
+    """Linear between two instants."""
+
+    kind: Literal["ramp"]
+    from_value: Finite
+    to_value: Finite
+    from_time: Finite
+    to_time: Finite
+
+    @model_validator(mode="after")
+    def _forward(self) -> "RampReference":
+        if self.to_time <= self.from_time:
+            raise ValueError("to_time must be after from_time")
+        return self
+
+    def build(self, convert: Any) -> Reference:
+        """Return the signal in the variable's own unit."""
+        return Ramp(
+            float(convert(self.from_value)), float(convert(self.to_value)), self.from_time, self.to_time
+        )
+
+
+class SineReference(_Signal):
+    """A sine about an offset; frequency in Hz, phase in rad."""
+
+    kind: Literal["sine"]
+    amplitude: Finite
+    frequency: Positive
+    offset: Finite = 0.0
+    phase: Finite = 0.0
+
+    def build(self, convert: Any) -> Reference:
+        """Return the signal in the variable's own unit."""
+        offset = float(convert(self.offset))
+        amplitude = float(convert(self.offset + self.amplitude)) - offset
+        return Sine(amplitude, self.frequency, offset, self.phase)
+
+
+ReferenceSection = Annotated[
+    ConstantReference | StepsReference | RampReference | SineReference, Field(discriminator="kind")
+]
+
+
+class BoundsSection(Section):
+    """Limits of one input or controlled output; a side left out is the plant's own."""
+
+    min: Finite | None = None
+    max: Finite | None = None
+    unit: str = Field("", description="unit of min and max; empty: the variable's own")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "BoundsSection":
+        if self.min is not None and self.max is not None and self.min >= self.max:
+            raise ValueError(f"min ({self.min:g}) must be below max ({self.max:g})")
+        return self
+
+
+class ExcitationSection(Section):
+    """Uniform random excitation of one input."""
+
+    kind: Literal["uniform"] = "uniform"
+    low: Finite
+    high: Finite
+    unit: str = Field("", description="unit of low and high; empty: the input's own")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "ExcitationSection":
+        if self.low >= self.high:
+            raise ValueError(f"low ({self.low:g}) must be below high ({self.high:g})")
+        return self
+
+
+class RecordingSection(Section):
+    """The open-loop experiment that data-driven controllers learn from."""
+
+    samples: Annotated[int, Field(ge=1)] = Field(description="number of samples T")
+    excitation: dict[str, ExcitationSection] = Field(description="one for each input")
+
+
+class EventSection(Section):
+    """Tunable parameters that change during the run."""
+
+    time: Finite
+    parameters: dict[str, Finite]
+
+
+class ScenarioSection(Section):
+    """One condition under which every controller is run."""
+
+    label: str = ""
+    parameters: dict[str, Finite] = Field({}, description="plant parameters in this scenario")
+    noise: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = Field(
+        {}, description="standard deviation of the noise of each measurement, in its unit"
+    )
+    events: list[EventSection] = []
+
+
+class ControllerSection(Section):
+    """One competitor."""
+
+    type: str = Field(description="a controller of `ddpc-cosim list controllers`, or module:Class")
+    label: str = Field("", description="name in reports; empty: the key of the section")
+    note: str = Field("", description="one line about this competitor for the report")
+    settings: dict[str, Any] = Field({}, description="settings that differ from the controller's defaults")
+    bounds: dict[str, BoundsSection] = Field(
+        {}, description="limits that replace the study's for this controller"
+    )
+
+
+class PublishedMethod(Section):
+    """Published figures of one method, and the controllers here that stand for it."""
+
+    label: str
+    printed: str = Field(description="the controller that follows the publication")
+    published_code: str = Field(
+        "", description="the controller that follows the authors' program, if one does"
+    )
+    values: dict[str, Finite] = Field(description="published value of each metric, by its key")
+
+
+class Reproduction(Section):
+    """Published results that the report compares with."""
+
+    source: str
+    metrics: dict[str, str] = Field(description="title of each metric compared, by its key")
+    methods: list[PublishedMethod]
+    notes: list[str] = []
+
+
+class Panel(Section):
+    """One panel of the report's figures."""
+
+    title: str
+    controllers: list[str]
+
+
+class ReportSection(Section):
+    """What the report shows beside what every report shows."""
+
+    panels: list[Panel] = Field([], description="panels of the figures; empty: one with all controllers")
+    limitations: list[str] = Field([], description="what a reader must know to judge the figures fairly")
+    reproduction: Reproduction | None = None
+
+
+class Study(Section):
+    """A study file: one plant, competitors, conditions and seeds."""
+
+    name: Name = Field("study", description="short name; the folder of results is called after it")
+    title: str = ""
+    summary: str = ""
+    source: str = Field("", description="publication that the study follows")
+    seeds: Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=1)] = [0]
+    plant: PlantSection
+    loop: LoopSection
+    reference: Annotated[dict[str, ReferenceSection], Field(min_length=1)]
+    bounds: dict[str, BoundsSection] = {}
+    recording: RecordingSection | None = None
+    controllers: Annotated[dict[Name, ControllerSection], Field(min_length=1)]
+    scenarios: Annotated[dict[Name, ScenarioSection], Field(min_length=1)] = {"nominal": ScenarioSection()}
+    report: ReportSection = ReportSection()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _expand_seeds(cls, data: Any) -> Any:
+        if isinstance(data, dict) and isinstance(data.get("seeds"), str | int | list):
+            return {**data, "seeds": expand_seeds(data["seeds"])}
+        return data
+
+
+def expand_seeds(seeds: Any) -> Any:
+    """Return a list of seeds in which ranges such as ``"0:30"`` are written out, without repetitions."""
+    listed: list[Any] = []
+    for seed in seeds if isinstance(seeds, list) else [seeds]:
+        if isinstance(seed, str) and seed.count(":") == 1:
+            first, last = seed.split(":")
+            if not (
+                first.isdecimal() and last.isdecimal() and int(first) < int(last) <= int(first) + 1_000_000
+            ):
+                raise ValueError(
+                    f"seeds: {seed!r} is not a range; write it as first:last with first < last, e.g. 0:30"
+                )
+            listed.extend(range(int(first), int(last)))
+        elif isinstance(seed, str) and seed.isdecimal():
+            listed.append(int(seed))
+        else:
+            listed.append(seed)
+    return list(dict.fromkeys(listed)) if all(isinstance(seed, int) for seed in listed) else listed

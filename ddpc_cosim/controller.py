@@ -1,0 +1,194 @@
+"""The controller contract: what a plug-in implements, and what the loop tells it."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from ddpc_cosim.errors import DataError
+from ddpc_cosim.settings import check_settings, to_plain
+from ddpc_cosim.variables import FloatArray, Variable
+
+OK = "ok"
+_NO_INFO: Mapping[str, float] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """Limits of inputs and controlled outputs, in their units; infinite where there is none.
+
+    Parameters
+    ----------
+    u_min, u_max : array, shape (m,)
+        Input limits. The master saturates at them.
+    y_min, y_max : array, shape (p,)
+        Output limits: a wish that controllers may honour and metrics measure.
+    """
+
+    u_min: FloatArray
+    u_max: FloatArray
+    y_min: FloatArray
+    y_max: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """An open-loop experiment: row i is measured before ``u[i]`` is applied.
+
+    Parameters
+    ----------
+    u : array, shape (T, m)
+        Inputs, time along axis 0.
+    y : array, shape (T, p)
+        Controlled outputs.
+    measured : array, shape (T, q)
+        All measurements.
+    sampling_time : float
+        Time between rows [s].
+
+    Raises
+    ------
+    DataError
+        The arrays disagree in length, are not two-dimensional, or hold NaN or infinity.
+    """
+
+    u: FloatArray
+    y: FloatArray
+    measured: FloatArray
+    sampling_time: float
+
+    def __post_init__(self) -> None:
+        shapes = {name: getattr(self, name).shape for name in ("u", "y", "measured")}
+        if any(len(shape) != 2 for shape in shapes.values()) or len({s[0] for s in shapes.values()}) != 1:
+            raise DataError(f"recording: u, y and measured need shapes (T, m), (T, p), (T, q); got {shapes}")
+        for name in shapes:
+            rows, columns = np.nonzero(~np.isfinite(getattr(self, name)))
+            if rows.size:
+                raise DataError(f"recording: {name}[{rows[0]}, {columns[0]}] is not finite")
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """What a controller learns about the loop before its first sample.
+
+    Parameters
+    ----------
+    sampling_time : float
+        Time between samples [s].
+    inputs, outputs, measurements : tuple of Variable
+        The m inputs, p controlled outputs and q measurements.
+    bounds : Bounds
+        Limits of inputs and controlled outputs.
+    recording : Recording or None
+        The open-loop experiment, where the study has one.
+    rng : numpy.random.Generator
+        The only source of randomness a controller may use: seeded by the case.
+    continues_recording : bool
+        The loop goes on where the recording ended. Otherwise it starts from rest: before the first sample
+        the inputs were at their start values and the measurements as they are at that sample.
+    """
+
+    sampling_time: float
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    measurements: tuple[Variable, ...]
+    bounds: Bounds
+    recording: Recording | None
+    rng: np.random.Generator
+    continues_recording: bool = False
+
+
+class Sample(NamedTuple):
+    """What a controller sees at one sample.
+
+    Parameters
+    ----------
+    k : int
+        Number of the sample, 0 at the start.
+    time : float
+        t0 + k * sampling_time [s].
+    y : array, shape (p,)
+        Controlled outputs, measured now.
+    measured : array, shape (q,)
+        All measurements, taken now.
+    reference : array, shape (horizon, p)
+        Future references r_{k+1} ... r_{k+horizon}, time along axis 0.
+    """
+
+    k: int
+    time: float
+    y: FloatArray
+    measured: FloatArray
+    reference: FloatArray
+
+
+class Action(NamedTuple):
+    """A controller's answer when it has more to say than ``u``.
+
+    Parameters
+    ----------
+    u : array, shape (m,)
+        Inputs to hold until the next sample.
+    status : str
+        ``"ok"``, or in a few words why ``u`` is a fallback. Anything but ``"ok"`` is counted and reported.
+    info : mapping of str to float
+        Figures about this step, for the curious.
+    """
+
+    u: FloatArray
+    status: str = OK
+    info: Mapping[str, float] = _NO_INFO
+
+
+class Controller(ABC):
+    """A sampled controller.
+
+    A subclass is a dataclass with keyword-only fields (``@dataclass(kw_only=True)``) made by
+    :func:`ddpc_cosim.setting`: they are its settings, checked here at construction. ``start`` is called once
+    per run and forgets everything learned before; ``step`` is called at every sample.
+    """
+
+    horizon: int = 1
+    """How many future reference samples ``step`` wants; a subclass may make it a setting."""
+
+    uses_recording: ClassVar[bool] = False
+    """Whether ``start`` needs ``loop.recording``."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @abstractmethod
+    def start(self, loop: Loop) -> None:
+        """Prepare for one run.
+
+        Raises
+        ------
+        DataError
+            The recording cannot serve this controller.
+        ConfigError
+            A setting does not fit the loop.
+        """
+
+    @abstractmethod
+    def step(self, sample: Sample) -> FloatArray | Action:
+        """Return the inputs for this sample, shape (m,), or an ``Action``."""
+
+    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+        """Return the fewest samples of a recording that ``start`` can work with, for so many signals."""
+        return 0
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """Return figures about the data or model of this run (rank, order, ...); valid after ``start``."""
+        return {}
+
+    def settings(self) -> dict[str, Any]:
+        """Return the settings in plain values: what a study file would say."""
+        if not is_dataclass(self):
+            return {}
+        return {field.name: to_plain(getattr(self, field.name)) for field in fields(self) if field.init}

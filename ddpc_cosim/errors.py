@@ -1,0 +1,75 @@
+"""The one exception family: each error says what, where and what to do.
+
+CosimError
+├── ConfigError       a study, a setting or a call is wrong
+├── DataError         a recording cannot serve the purpose
+├── ControllerError   a controller raised, or returned something unusable
+├── PluginError       a plug-in cannot be found or loaded
+├── FMUImportError    an FMU cannot be loaded
+└── FMUStepError      an FMU failed during a run
+"""
+
+from collections.abc import Sequence
+from enum import StrEnum
+
+
+class CosimError(Exception):
+    """Base of every error that ddpc-cosim raises on purpose."""
+
+
+class ConfigError(CosimError):
+    """A study, a setting or a call is wrong; all faults found are in ``faults``."""
+
+    def __init__(self, faults: str | Sequence[str]) -> None:
+        self.faults = (faults,) if isinstance(faults, str) else tuple(faults)
+        super().__init__("\n".join(self.faults))
+
+    def __reduce__(self) -> tuple[type["ConfigError"], tuple[tuple[str, ...]]]:
+        return type(self), (self.faults,)
+
+
+class DataError(CosimError):
+    """A recording is malformed, too short or not persistently exciting enough."""
+
+
+class ControllerError(CosimError):
+    """A controller raised an exception or returned an unusable action."""
+
+
+class PluginError(CosimError):
+    """A plug-in cannot be found or loaded."""
+
+
+class FMUImportError(CosimError):
+    """An FMU cannot be loaded, and why."""
+
+
+class StepStatus(StrEnum):
+    """What an FMU call that did not succeed returned."""
+
+    ERROR = "error"
+    DISCARD = "discard"
+    FATAL = "fatal"
+
+
+class FMUStepError(CosimError):
+    """An FMU call failed during a run.
+
+    Parameters
+    ----------
+    message : str
+        The FMU, the call and the FMU's own words.
+    status : StepStatus
+        What the call returned.
+    time : float
+        Simulation time of the call [s].
+    """
+
+    def __init__(self, message: str, status: StepStatus, time: float) -> None:
+        super().__init__(message)
+        self.message = message
+        self.status = status
+        self.time = time
+
+    def __reduce__(self) -> tuple[type["FMUStepError"], tuple[str, StepStatus, float]]:
+        return type(self), (self.message, self.status, self.time)

@@ -1,0 +1,1 @@
+"""FMUs as plants, through FMPy."""

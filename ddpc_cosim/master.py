@@ -1,0 +1,310 @@
+"""The co-simulation master: one closed loop, sample by sample.
+
+Time is counted in samples: sample k is at ``t0 + k * sampling_time``, computed and never accumulated.
+At every sample the plant is measured, the controller decides, the row is written, and the plant holds the
+inputs until the next sample.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ddpc_cosim.controller import OK, Action, Controller, Loop, Recording, Sample
+from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, FMUStepError, StepStatus
+from ddpc_cosim.plant import Plant
+from ddpc_cosim.signals import Constant, GaussianNoise, ParameterChange, Reference, UniformRandom
+from ddpc_cosim.trace import Outcome, Trace
+from ddpc_cosim.variables import FloatArray, Variable
+from ddpc_cosim.wiring import Sensors, Wiring, check_names, loop_bounds, reference_table, wire
+
+OUTCOME_OF = {
+    StepStatus.ERROR: Outcome.FMU_ERROR,
+    StepStatus.DISCARD: Outcome.FMU_DISCARDED,
+    StepStatus.FATAL: Outcome.FMU_FATAL,
+}
+
+ProgressReport = Callable[[int, int], None]
+"""Called now and then with the samples done and the samples planned."""
+
+
+class _Diverged(Exception):
+    """The plant returned a value that is not finite."""
+
+
+def cosimulate(
+    plant: Plant,
+    controller: Controller,
+    *,
+    sampling_time: float,
+    duration: float,
+    reference: Reference | Mapping[str, Reference],
+    excitation: UniformRandom | None = None,
+    recording: Recording | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    outputs: Sequence[str] | None = None,
+    measurements: Sequence[str] | None = None,
+    parameters: Mapping[str, float] | None = None,
+    noise: GaussianNoise | None = None,
+    events: Sequence[ParameterChange] = (),
+    seed: int = 0,
+    start_time: float = 0.0,
+    continue_recording: bool = False,
+    progress: ProgressReport | None = None,
+) -> Trace:
+    """Run one closed loop of a plant and a controller.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant; it is reset here, and stays open.
+    controller : Controller
+        The controller; it is started here.
+    sampling_time, duration : float
+        Time between samples and simulated time [s]; the duration is a whole number of samples.
+    reference : Reference or mapping of str to Reference
+        Reference of the controlled output, or of each by name, in their units.
+    excitation : UniformRandom, optional
+        The open-loop experiment to record before the loop is closed.
+    recording : Recording, optional
+        A recording made before, in place of ``excitation``.
+    bounds : mapping of str to (float, float), optional
+        Limits of inputs and controlled outputs by name; default: the plant's own min and max.
+    outputs, measurements : sequence of str, optional
+        Which of the plant's outputs are controlled and which are measured; default: all.
+    parameters : mapping of str to float, optional
+        Plant parameters of this run.
+    noise : GaussianNoise, optional
+        Noise of the measurements.
+    events : sequence of ParameterChange, optional
+        Tunable parameters that change during the run.
+    seed : int
+        Seed of the noise and of the controller's random numbers.
+    start_time : float
+        Time of the first sample [s].
+    continue_recording : bool
+        Close the loop where the experiment ended instead of starting from rest.
+    progress : callable, optional
+        Called now and then with the samples done and planned.
+
+    Returns
+    -------
+    trace : Trace
+        The samples of the run, n + 1 rows for n sampling intervals if it completed. A fault of the plant or
+        of the controller during the run ends it: the outcome says how, the reason why and when.
+
+    Raises
+    ------
+    CosimError
+        What can be known before the first sample: settings, signals and data that do not fit, a plant that
+        cannot be initialised.
+    """
+    wiring = wire(plant, outputs, measurements)
+    steps = _whole_steps(duration, sampling_time)
+    limits = loop_bounds(plant, wiring, bounds or {})
+    check_names("noise", noise.standard_deviation if noise else (), wiring.measurements)
+    sensors = Sensors(wiring, noise, np.random.default_rng([seed, 1]))
+    if excitation is not None:
+        recording, last = _record(plant, sensors, excitation, sampling_time, parameters)
+    if continue_recording and excitation is None:
+        raise ConfigError(
+            "continue_recording needs an excitation: the experiment whose end the loop starts from"
+        )
+    y_plant = last if continue_recording else plant.reset(parameters, start_time)
+    if controller.uses_recording and recording is None:
+        raise DataError(
+            f"{type(controller).__name__} learns from a recording; give an excitation or a recording"
+        )
+    loop = Loop(
+        sampling_time=sampling_time,
+        inputs=plant.inputs,
+        outputs=wiring.outputs,
+        measurements=wiring.measurements,
+        bounds=limits,
+        recording=recording,
+        rng=np.random.default_rng([seed, 0]),
+        continues_recording=continue_recording,
+    )
+    _start(controller, loop)
+    time = start_time + np.arange(steps + 1 + controller.horizon, dtype=np.float64) * sampling_time
+    rows = _Rows(time, reference_table(reference, wiring.outputs, time), loop, steps, controller.horizon)
+    outcome, reason = _run(
+        plant, controller, sensors, rows, sorted(events, key=lambda e: e.time), y_plant, progress
+    )
+    return Trace(
+        **rows.written(),
+        inputs=plant.inputs,
+        outputs=wiring.outputs,
+        measurements=wiring.measurements,
+        bounds=limits,
+        sampling_time=sampling_time,
+        planned_samples=steps + 1,
+        outcome=outcome,
+        reason=reason,
+        settings=controller.settings(),
+        diagnostics=dict(controller.diagnostics()),
+        provenance=dict(plant.provenance()),
+    )
+
+
+def record(
+    plant: Plant,
+    excitation: UniformRandom,
+    *,
+    sampling_time: float,
+    outputs: Sequence[str] | None = None,
+    measurements: Sequence[str] | None = None,
+    parameters: Mapping[str, float] | None = None,
+    noise: GaussianNoise | None = None,
+    seed: int = 0,
+) -> Recording:
+    """Run an open-loop experiment from the plant's initial state; parameters as in :func:`cosimulate`."""
+    wiring = wire(plant, outputs, measurements)
+    check_names("noise", noise.standard_deviation if noise else (), wiring.measurements)
+    sensors = Sensors(wiring, noise, np.random.default_rng([seed, 1]))
+    return _record(plant, sensors, excitation, sampling_time, parameters)[0]
+
+
+class _Rows:
+    """The rows of a run, allocated before it."""
+
+    def __init__(self, time: FloatArray, reference: FloatArray, loop: Loop, steps: int, horizon: int) -> None:
+        rows, self.horizon, self.loop = steps + 1, horizon, loop
+        self.time = time[:rows]
+        self.reference = reference
+        self.y = np.empty((rows, len(loop.outputs)))
+        self.measured = np.empty((rows, len(loop.measurements)))
+        self.u = np.full((rows, len(loop.inputs)), np.nan)
+        self.solve_time = np.full(rows, np.nan)
+        self.status = [OK] * rows
+        self.count = 0
+
+    def written(self) -> dict[str, Any]:
+        """Return the rows up to the last one that was written."""
+        n = self.count
+        return {
+            "time": self.time[:n],
+            "reference": self.reference[:n],
+            "y": self.y[:n],
+            "measured": self.measured[:n],
+            "u": self.u[:n],
+            "status": tuple(self.status[:n]),
+            "solve_time": self.solve_time[:n],
+        }
+
+
+def _run(
+    plant: Plant,
+    controller: Controller,
+    sensors: Sensors,
+    rows: _Rows,
+    events: Sequence[ParameterChange],
+    y_plant: FloatArray,
+    progress: ProgressReport | None,
+) -> tuple[Outcome, str]:
+    """Run sample by sample and return how it ended; faults during the run are outcomes, not exceptions."""
+    k, planned = 0, len(rows.time)
+    pending = list(events)
+    h, bounds = rows.loop.sampling_time, rows.loop.bounds
+    try:
+        while True:
+            _require_finite(y_plant, plant.outputs)
+            while pending and pending[0].time <= rows.time[k] + 1e-9 * h:
+                plant.set_parameters(pending.pop(0).parameters)
+            u = _decide(controller, sensors, rows, k, y_plant)
+            np.maximum(u, bounds.u_min, out=u)
+            np.minimum(u, bounds.u_max, out=u)
+            if progress is not None:
+                progress(k, planned - 1)
+            if k + 1 == planned:
+                return Outcome.COMPLETED, ""
+            y_plant = plant.step(u, h)
+            k += 1
+    except FMUStepError as error:
+        return OUTCOME_OF[error.status], str(error)
+    except _Diverged as error:
+        return Outcome.DIVERGED, f"{error} at t = {rows.time[k]:g} s"
+    except (ControllerError, ConfigError) as error:
+        return Outcome.CONTROLLER_ERROR, f"{error} at t = {rows.time[k]:g} s"
+
+
+def _decide(controller: Controller, sensors: Sensors, rows: _Rows, k: int, y_plant: FloatArray) -> FloatArray:
+    """Let the controller decide at sample k, write the row, and return its inputs (a view of the row)."""
+    y, measured = sensors.measure(y_plant)
+    rows.y[k] = sensors.controlled(y_plant)
+    rows.measured[k] = measured
+    rows.count = k + 1
+    sample = Sample(k, float(rows.time[k]), y, measured, rows.reference[k + 1 : k + 1 + rows.horizon])
+    started = perf_counter()
+    try:
+        answer = controller.step(sample)
+    except Exception as error:
+        rows.status[k] = "error"
+        raise ControllerError(
+            f"{type(controller).__name__}.step raised {type(error).__name__}: {error}"
+        ) from error
+    rows.solve_time[k] = perf_counter() - started
+    if isinstance(answer, Action):
+        rows.status[k] = answer.status
+        answer = answer.u
+    row: FloatArray = rows.u[k]
+    answered = np.asarray(answer, dtype=float)
+    if answered.shape != row.shape or not np.isfinite(answered).all():
+        rows.status[k] = "error"
+        raise ControllerError(
+            f"{type(controller).__name__}.step returned {answered.tolist()}, shape {answered.shape}; "
+            f"needed: finite values, shape {row.shape}"
+        )
+    row[:] = answered
+    return row
+
+
+def _record(
+    plant: Plant,
+    sensors: Sensors,
+    excitation: UniformRandom,
+    sampling_time: float,
+    parameters: Mapping[str, float] | None,
+) -> tuple[Recording, FloatArray]:
+    """Run the open-loop experiment; return it and the plant's outputs at its end."""
+    inputs = excitation.draw(len(plant.inputs))
+    y_plant = plant.reset(parameters, 0.0)
+    rows = []
+    for i, u in enumerate(inputs):
+        rows.append(sensors.measure(y_plant))
+        y_plant = plant.step(u, sampling_time)
+        if not np.isfinite(y_plant).all():
+            raise DataError(
+                f"the plant diverged during the open-loop experiment, at t = {(i + 1) * sampling_time:g} s"
+            )
+    y, measured = (np.array(column) for column in zip(*rows, strict=True))
+    return Recording(inputs, y, measured, sampling_time), y_plant
+
+
+def _start(controller: Controller, loop: Loop) -> None:
+    try:
+        controller.start(loop)
+    except CosimError:
+        raise
+    except Exception as error:
+        raise ControllerError(
+            f"{type(controller).__name__}.start raised {type(error).__name__}: {error}"
+        ) from error
+
+
+def _require_finite(y_plant: FloatArray, outputs: Sequence[Variable]) -> None:
+    if not np.isfinite(y_plant).all():
+        bad = int(np.flatnonzero(~np.isfinite(y_plant))[0])
+        raise _Diverged(f"output {outputs[bad].name} is {y_plant[bad]}")
+
+
+def _whole_steps(duration: float, sampling_time: float) -> int:
+    if not (np.isfinite(sampling_time) and sampling_time > 0):
+        raise ConfigError(f"sampling_time = {sampling_time} is not possible; allowed: a number > 0")
+    steps = round(duration / sampling_time) if np.isfinite(duration) else 0
+    if steps < 1 or abs(steps * sampling_time - duration) > 1e-9 * max(duration, sampling_time):
+        raise ConfigError(
+            f"duration = {duration:g} must be a whole multiple of sampling_time = {sampling_time:g}"
+        )
+    return steps

@@ -1,0 +1,153 @@
+"""The results of a study on disk, read back for reports and for people."""
+
+import csv
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ddpc_cosim.config import Study
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.storage import read_run, read_trace
+from ddpc_cosim.trace import Outcome, Trace
+
+STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
+    "study.toml",
+    "provenance.json",
+    "metrics.csv",
+    "cases",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CaseResult:
+    """One case: what it was, how it ended, and its figures.
+
+    Parameters
+    ----------
+    id : str
+        Readable name and hash; the name of its folder.
+    controller, label : str
+        The controller's name in the study and in reports.
+    scenario : str
+        The scenario's name.
+    seed : int
+        The seed.
+    outcome : Outcome
+        How the run ended.
+    reason : str
+        Why it ended early; empty if completed.
+    metrics, diagnostics : dict of str to float
+        Figures of the run, and of the controller's data or model.
+    settings : dict
+        The controller's settings, defaults filled in.
+    folder : Path
+        Where its files are.
+    """
+
+    id: str
+    controller: str
+    label: str
+    scenario: str
+    seed: int
+    outcome: Outcome
+    reason: str
+    metrics: dict[str, float]
+    diagnostics: dict[str, float]
+    settings: dict[str, Any]
+    folder: Path
+
+    def trace(self) -> Trace:
+        """Read the samples of the run."""
+        return read_trace(self.folder)
+
+
+@dataclass(frozen=True, slots=True)
+class StudyResults:
+    """The results of one study.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder of results.
+    study : Study
+        The resolved study.
+    cases : tuple of CaseResult
+        In the study's order: controllers x scenarios x seeds.
+    provenance : dict of str to str
+        Versions, machine, plant, command, date.
+    """
+
+    folder: Path
+    study: Study
+    cases: tuple[CaseResult, ...]
+    provenance: dict[str, str]
+
+
+def load_results(folder: str | Path) -> StudyResults:
+    """Read a folder of results.
+
+    Raises
+    ------
+    ConfigError
+        The folder holds no results, or they cannot be read, and why.
+    """
+    import tomllib
+
+    folder = Path(folder)
+    if not (folder / STUDY_FILE).is_file():
+        raise ConfigError(f"{folder}: no results: {STUDY_FILE} is missing; give the folder that `run` wrote")
+    try:
+        study = Study.model_validate(tomllib.loads((folder / STUDY_FILE).read_text(encoding="utf-8")))
+        provenance = json.loads((folder / PROVENANCE_FILE).read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        raise ConfigError(f"{folder}: results cannot be read: {error}") from error
+    cases = [load_case(folder / CASES_FOLDER / case_id) for case_id in provenance.pop("cases")]
+    return StudyResults(folder, study, tuple(cases), provenance)
+
+
+def load_case(folder: Path) -> CaseResult:
+    """Read one case.
+
+    Raises
+    ------
+    ConfigError
+        Its files are missing or damaged.
+    """
+    try:
+        run = read_run(folder)
+        head = {key: run[key] for key in ("id", "controller", "label", "scenario", "seed", "reason")}
+        figures = {key: run[key] for key in ("metrics", "diagnostics", "settings")}
+        return CaseResult(**head, **figures, outcome=Outcome(run["outcome"]), folder=folder)
+    except (OSError, ValueError, KeyError) as error:
+        raise ConfigError(f"{folder}: this case cannot be read ({error!r}); run the study again") from error
+
+
+def write_results(
+    folder: Path, study: Study, cases: Sequence[CaseResult], provenance: dict[str, str]
+) -> None:
+    """Write ``study.toml``, ``metrics.csv`` and ``provenance.json`` beside the cases."""
+    import tomli_w
+
+    folder.mkdir(parents=True, exist_ok=True)
+    content = study.model_dump(mode="python", exclude_none=True)
+    (folder / STUDY_FILE).write_text(tomli_w.dumps(content), encoding="utf-8")
+    facts: dict[str, Any] = {**provenance, "cases": [case.id for case in cases]}
+    (folder / PROVENANCE_FILE).write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    _write_metrics(folder / METRICS_FILE, study, cases)
+
+
+def _write_metrics(path: Path, study: Study, cases: Sequence[CaseResult]) -> None:
+    keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
+    plant = study.plant.name or Path(study.plant.fmu).name
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["study", "plant", "controller", "scenario", "seed", "outcome", *keys])
+        for case in cases:
+            values = [case.metrics.get(key, math.nan) for key in keys]
+            cells = ["" if math.isnan(value) else repr(value) for value in values]
+            writer.writerow(
+                [study.name, plant, case.controller, case.scenario, case.seed, case.outcome, *cells]
+            )

@@ -1,0 +1,242 @@
+"""Settings of plug-ins: declared once, then checked, listed and documented from the declaration."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+
+from ddpc_cosim.errors import ConfigError, PluginError
+from ddpc_cosim.variables import FloatArray
+
+Weight = float | Sequence[float] | Sequence[Sequence[float]]
+"""A weight: a scalar, one number per signal, or a symmetric matrix."""
+
+
+@dataclass(frozen=True, slots=True)
+class SettingInfo:
+    """What a setting is and which values it takes.
+
+    Parameters
+    ----------
+    doc : str
+        One line for people.
+    low, high : float
+        Range of a number, of each entry where the value is a sequence.
+    above : float
+        The number must be greater than this.
+    choices : tuple
+        The values allowed, if they can be listed.
+    unit : str
+        Unit, where there is one.
+    """
+
+    doc: str
+    low: float = -math.inf
+    high: float = math.inf
+    above: float = -math.inf
+    choices: tuple[Any, ...] = ()
+    unit: str = ""
+
+    @property
+    def allowed(self) -> str:
+        """The allowed values in words."""
+        if self.choices:
+            return "one of " + ", ".join(map(repr, self.choices))
+        limits = []
+        if self.above > -math.inf:
+            limits.append(f"> {self.above:g}")
+        if self.low > -math.inf:
+            limits.append(f">= {self.low:g}")
+        if self.high < math.inf:
+            limits.append(f"<= {self.high:g}")
+        return " and ".join(limits) or "any"
+
+    def admits(self, number: float) -> bool:
+        """Whether a number is finite and in range."""
+        return math.isfinite(number) and number > self.above and self.low <= number <= self.high
+
+
+def setting(
+    default: Any = dataclasses.MISSING,
+    *,
+    doc: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    above: float = -math.inf,
+    choices: Sequence[Any] = (),
+    unit: str = "",
+    default_factory: Any = dataclasses.MISSING,
+) -> Any:
+    """Declare a setting of a plug-in: a dataclass field that knows its range and its meaning.
+
+    Parameters
+    ----------
+    default, default_factory
+        As in :func:`dataclasses.field`; without either the setting is required.
+    doc, low, high, above, choices, unit
+        See :class:`SettingInfo`.
+    """
+    info = SettingInfo(doc, low, high, above, tuple(choices), unit)
+    if default_factory is not dataclasses.MISSING:
+        return dataclasses.field(default_factory=default_factory, metadata={"setting": info})
+    return dataclasses.field(default=default, metadata={"setting": info})
+
+
+def declared_settings(plugin: type[Any]) -> dict[str, SettingInfo]:
+    """Return the settings that a plug-in class declares with :func:`setting`, by name."""
+    if not dataclasses.is_dataclass(plugin):
+        return {}
+    return {f.name: f.metadata["setting"] for f in dataclasses.fields(plugin) if "setting" in f.metadata}
+
+
+def check_settings(plugin: Any) -> None:
+    """Check every declared setting of a plug-in object against its type and range.
+
+    Raises
+    ------
+    ConfigError
+        Every setting that has an impossible value: its name, the value and what is allowed.
+    """
+    faults = []
+    for field in dataclasses.fields(plugin):
+        info = field.metadata.get("setting")
+        value = getattr(plugin, field.name)
+        if info is not None and not _is_possible(value, field.type, info):
+            expected = (
+                f"{_type_words(field.type)}, {info.allowed}" if _type_words(field.type) else info.allowed
+            )
+            faults.append(
+                f"{type(plugin).__name__}: {field.name} = {value!r} is not possible; allowed: {expected}"
+            )
+    if faults:
+        raise ConfigError(faults)
+
+
+def to_plain(value: Any) -> Any:
+    """Return a setting's value as a study file writes it: an object becomes a table of its own settings."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        kind = f"{type(value).__module__}:{type(value).__qualname__}"
+        return {"type": kind} | {
+            f.name: to_plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init
+        }
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [to_plain(item) for item in value]
+    return value
+
+
+def from_plain(plugin: type[Any], name: str, value: Any) -> Any:
+    """Return the value of a plug-in's setting from what a study file says.
+
+    Parameters
+    ----------
+    plugin : type
+        The plug-in class that declares the setting.
+    name : str
+        Name of the setting.
+    value : object
+        What the file says; a table makes an object of the class named by its key ``type`` (``module:Class``), or
+        of the class of the setting's default.
+
+    Raises
+    ------
+    ConfigError
+        The object cannot be made, and why.
+    """
+    if not isinstance(value, dict):
+        return value
+    field = next((f for f in dataclasses.fields(plugin) if f.name == name), None)
+    factory = field.default_factory if field else dataclasses.MISSING
+    kind: Any = None if factory is dataclasses.MISSING else type(factory())
+    entries = dict(value)
+    if "type" in entries:
+        kind = _load_class(str(entries.pop("type")))
+    if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
+        return value
+    try:
+        return kind(**{key: from_plain(kind, key, entry) for key, entry in entries.items()})
+    except TypeError as error:
+        raise ConfigError(f"{name}: {error}") from error
+
+
+def weight_matrix(weight: Weight, size: int, name: str) -> FloatArray:
+    """Return a weight as a matrix.
+
+    Parameters
+    ----------
+    weight : float, sequence or matrix
+        A scalar, one number per signal, or a symmetric positive semidefinite matrix.
+    size : int
+        Number of signals.
+    name : str
+        Name of the setting, for the error.
+
+    Returns
+    -------
+    matrix : array, shape (size, size)
+
+    Raises
+    ------
+    ConfigError
+        The shape does not fit, or the matrix is not symmetric positive semidefinite.
+    """
+    try:
+        array = np.asarray(weight, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{name} = {weight!r} is not a number, a list or a matrix of numbers") from error
+    matrix = array * np.eye(size) if array.ndim == 0 else np.diag(array) if array.ndim == 1 else array
+    if matrix.shape != (size, size):
+        raise ConfigError(
+            f"{name} has shape {array.shape}; needed: a number, {size} numbers, or {size} x {size}"
+        )
+    if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] < -1e-12 * np.abs(matrix).max():
+        raise ConfigError(f"{name} is not symmetric positive semidefinite: {matrix.tolist()}")
+    return matrix
+
+
+def _load_class(target: str) -> Any:
+    from ddpc_cosim.plugins import load_target
+
+    try:
+        return load_target(target, "class")
+    except PluginError as error:
+        raise ConfigError(str(error)) from error
+
+
+def _is_possible(value: Any, kind: Any, info: SettingInfo) -> bool:
+    if info.choices:
+        return value in info.choices
+    if kind in (bool, "bool"):
+        return isinstance(value, bool)
+    if kind in (int, "int"):
+        return isinstance(value, Integral) and not isinstance(value, bool) and info.admits(int(value))
+    if kind in (float, "float"):
+        return isinstance(value, Real) and not isinstance(value, bool) and info.admits(float(value))
+    if kind in (Weight, "Weight"):
+        return _is_possible_weight(value, info)
+    return True
+
+
+def _is_possible_weight(value: Any, info: SettingInfo) -> bool:
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return False
+    entries = array.ravel() if array.ndim < 2 else np.diag(array)
+    return array.ndim <= 2 and all(info.admits(float(entry)) for entry in entries)
+
+
+def _type_words(kind: Any) -> str:
+    words = {
+        bool: "true or false",
+        int: "a whole number",
+        float: "a number",
+        Weight: "a number, list or matrix",
+    }
+    by_name = {"bool": words[bool], "int": words[int], "float": words[float], "Weight": words[Weight]}
+    return by_name.get(kind, "") if isinstance(kind, str) else words.get(kind, "")

@@ -1,0 +1,171 @@
+"""References, excitations, noise and events."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.variables import FloatArray
+
+# A sample time k*Ts can lie one rounding error before the instant it stands for.
+_RELATIVE_TIME_TOLERANCE = 1e-9
+
+
+class Reference(ABC):
+    """A signal of time for one controlled output."""
+
+    @abstractmethod
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at the given times [s]; same shape as ``time``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Constant(Reference):
+    """One value for all time."""
+
+    value: float = 0.0
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at the given times [s]; same shape as ``time``."""
+        return np.full(time.shape, self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Steps(Reference):
+    """Piecewise constant: ``values[i]`` from ``times[i]`` on; the first value also before.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Increasing instants [s].
+    values : sequence of float
+        One value for each instant.
+
+    Raises
+    ------
+    ConfigError
+        Different lengths, nothing at all, or times that do not increase.
+    """
+
+    times: Sequence[float]
+    values: Sequence[float]
+
+    def __post_init__(self) -> None:
+        if len(self.times) != len(self.values) or not self.times:
+            raise ConfigError(
+                f"steps: times ({len(self.times)}) and values ({len(self.values)}) need the same length, at least 1"
+            )
+        if np.any(np.diff(self.times) <= 0):
+            raise ConfigError(f"steps: times must increase, got {list(self.times)}")
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at the given times [s]; same shape as ``time``."""
+        late = time + _RELATIVE_TIME_TOLERANCE * np.maximum(1.0, np.abs(time))
+        index = np.searchsorted(self.times, late, side="right") - 1
+        return np.asarray(self.values, dtype=float)[np.maximum(index, 0)]
+
+
+@dataclass(frozen=True, slots=True)
+class Ramp(Reference):
+    """Linear from ``start`` to ``stop`` between two instants, constant outside them."""
+
+    start: float
+    stop: float
+    start_time: float
+    stop_time: float
+
+    def __post_init__(self) -> None:
+        if self.stop_time <= self.start_time:
+            raise ConfigError(
+                f"ramp: stop_time ({self.stop_time:g}) must be after start_time ({self.start_time:g})"
+            )
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at the given times [s]; same shape as ``time``."""
+        return np.interp(time, (self.start_time, self.stop_time), (self.start, self.stop))
+
+
+@dataclass(frozen=True, slots=True)
+class Sine(Reference):
+    """``offset + amplitude * sin(2 pi frequency t + phase)``; frequency in Hz, phase in rad."""
+
+    amplitude: float
+    frequency: float
+    offset: float = 0.0
+    phase: float = 0.0
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at the given times [s]; same shape as ``time``."""
+        return self.offset + self.amplitude * np.sin(2 * np.pi * self.frequency * time + self.phase)
+
+
+@dataclass(frozen=True, slots=True)
+class UniformRandom:
+    """An excitation: independent uniform samples, one stream of ``numpy.random.RandomState`` for all inputs.
+
+    Sample by sample the stream serves the inputs in their order, so that one input's data of a seed equal
+    MATLAB's ``rng(seed); rand(1, T)``.
+
+    Parameters
+    ----------
+    low, high : float or sequence of float
+        Range, for all inputs or one for each, in their units.
+    samples : int
+        Number of samples T.
+    seed : int
+        Seed of the stream; a study replaces it by the seed of the case.
+    """
+
+    low: float | Sequence[float]
+    high: float | Sequence[float]
+    samples: int
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        faults = []
+        if self.samples < 1:
+            faults.append(f"uniform excitation: samples = {self.samples} is not possible; allowed: >= 1")
+        if np.any(np.asarray(self.low) >= np.asarray(self.high)):
+            faults.append(f"uniform excitation: low ({self.low}) must be below high ({self.high})")
+        if faults:
+            raise ConfigError(faults)
+
+    def draw(self, inputs: int) -> FloatArray:
+        """Return the excitation of all inputs, shape (samples, inputs)."""
+        unit = np.random.RandomState(self.seed).random_sample((self.samples, inputs))  # noqa: NPY002 - the paper's stream
+        low, high = np.asarray(self.low, dtype=float), np.asarray(self.high, dtype=float)
+        # Twice the centred half range, in the order of the authors' program, gives its data to the last bit.
+        drawn: FloatArray = (low + high) / 2 + (high - low) / 2 * (2 * unit - 1)
+        return drawn
+
+
+@dataclass(frozen=True, slots=True)
+class GaussianNoise:
+    """Measurement noise: independent, normal, zero mean.
+
+    Parameters
+    ----------
+    standard_deviation : mapping of str to float
+        For each noisy measurement by name, in its unit.
+    """
+
+    standard_deviation: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        faults = [
+            f"noise: standard deviation of {name} = {value} is not possible; allowed: >= 0"
+            for name, value in self.standard_deviation.items()
+            if not (np.isfinite(value) and value >= 0)
+        ]
+        if faults:
+            raise ConfigError(faults)
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterChange:
+    """An event: tunable parameters that take new values at the first sample at or after ``time`` [s]."""
+
+    time: float
+    parameters: Mapping[str, float] = field(default_factory=dict)

@@ -1,0 +1,240 @@
+"""The cases of a study: what decides each of them, and how one is run."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from fnmatch import fnmatch
+from typing import Any
+
+import numpy as np
+
+from ddpc_cosim.config import ControllerSection, ScenarioSection
+from ddpc_cosim.controller import Bounds
+from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError, FMUStepError
+from ddpc_cosim.master import OUTCOME_OF, ProgressReport, cosimulate
+from ddpc_cosim.plants import PlantTarget
+from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference, UniformRandom
+from ddpc_cosim.study_file import CheckedStudy, converter, excitation_range, limits, make_controller
+from ddpc_cosim.trace import Outcome, Trace
+from ddpc_cosim.variables import Variable, names
+from ddpc_cosim.version import code_version
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One run of a study: everything that decides its result, ready to be sent to a worker.
+
+    Parameters
+    ----------
+    controller, scenario : str
+        Their names in the study.
+    seed : int
+        Seed of excitation, noise and the controller's random numbers.
+    label : str
+        Name of the controller in reports.
+    section : dict
+        The controller's type and settings.
+    plant : PlantTarget
+        The plant.
+    inputs, outputs, measurements : tuple of Variable
+        The signals that take part.
+    sampling_time, duration, start_time : float
+        Timing [s].
+    continue_recording : bool
+        The loop starts where the recording ended.
+    reference : dict of str to Reference
+        Of each controlled output, in its own unit.
+    bounds : dict of str to (float, float)
+        Limits in the variables' own units.
+    excitation : UniformRandom or None
+        The open-loop experiment.
+    parameters : dict of str to float
+        Plant parameters.
+    noise : dict of str to float
+        Standard deviations of measurement noise.
+    events : tuple of ParameterChange
+        Parameter changes during the run.
+    """
+
+    controller: str
+    scenario: str
+    seed: int
+    label: str
+    section: dict[str, Any]
+    plant: PlantTarget
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    measurements: tuple[Variable, ...]
+    sampling_time: float
+    duration: float
+    start_time: float
+    continue_recording: bool
+    reference: dict[str, Reference]
+    bounds: dict[str, tuple[float, float]]
+    excitation: UniformRandom | None
+    parameters: dict[str, float]
+    noise: dict[str, float]
+    events: tuple[ParameterChange, ...] = field(default=())
+
+    @property
+    def name(self) -> str:
+        """Readable name: controller, scenario where there are several in play, seed."""
+        scenario = "" if self.scenario == "nominal" else f"_{self.scenario}"
+        return f"{self.controller}{scenario}_seed{self.seed}"
+
+    @property
+    def id(self) -> str:
+        """Readable name and a hash of everything that decides the result, code version included."""
+        decisive = asdict(self) | {"code": code_version(self.section["type"])}
+        del decisive["label"]
+        decisive["plant"] = self.plant.content
+        decisive |= {key: names(getattr(self, key)) for key in ("inputs", "outputs", "measurements")}
+        decisive["reference"] = {name: repr(reference) for name, reference in self.reference.items()}
+        text = json.dumps(decisive, sort_keys=True, default=repr)
+        return f"{self.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
+
+    def head(self) -> dict[str, Any]:
+        """Return what identifies the case in its ``run.json``."""
+        keys = ("id", "controller", "label", "scenario", "seed")
+        return {key: getattr(self, key) for key in keys}
+
+
+def cases_of(
+    checked: CheckedStudy, target: PlantTarget, seeds: list[int] | None = None, only: str = "*"
+) -> list[Case]:
+    """Return the cases of a study: controllers x scenarios x seeds.
+
+    Parameters
+    ----------
+    checked : CheckedStudy
+        The study.
+    target : PlantTarget
+        Its plant, ready to run.
+    seeds : list of int, optional
+        In place of the study's.
+    only : str
+        Glob pattern that the readable name of a case must match.
+
+    Raises
+    ------
+    ConfigError
+        No case matches.
+    """
+    cases = list(_all_cases(checked, target, seeds or checked.study.seeds))
+    chosen = [case for case in cases if fnmatch(case.name, only) or fnmatch(case.controller, only)]
+    if not chosen:
+        raise ConfigError(
+            f"--only {only}: no case matches; there are {', '.join(c.name for c in cases[:8])}, ..."
+        )
+    return chosen
+
+
+def run_case(case: Case, progress: ProgressReport | None = None) -> Trace:
+    """Run one case; whatever goes wrong is in the trace's outcome and reason."""
+    inputs, outputs, measurements = map(names, (case.inputs, case.outputs, case.measurements))
+    try:
+        plant = case.plant.open(inputs, tuple(dict.fromkeys((*outputs, *measurements))))
+    except CosimError as error:
+        return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
+    try:
+        return cosimulate(
+            plant,
+            make_controller(ControllerSection(**case.section)),
+            sampling_time=case.sampling_time,
+            duration=case.duration,
+            reference=case.reference,
+            excitation=case.excitation,
+            bounds=case.bounds,
+            outputs=outputs,
+            measurements=measurements,
+            parameters=case.parameters,
+            noise=GaussianNoise(case.noise) if case.noise else None,
+            events=case.events,
+            seed=case.seed,
+            start_time=case.start_time,
+            continue_recording=case.continue_recording,
+            progress=progress,
+        )
+    except CosimError as error:
+        return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
+    finally:
+        plant.close()
+
+
+def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
+    """Return the trace of a case that failed before its first sample."""
+    u_limits, y_limits = (
+        np.array([case.bounds[v.name] for v in variables]).reshape(-1, 2)
+        for variables in (case.inputs, case.outputs)
+    )
+    return Trace(
+        time=np.empty(0),
+        reference=np.empty((0, len(case.outputs))),
+        y=np.empty((0, len(case.outputs))),
+        measured=np.empty((0, len(case.measurements))),
+        u=np.empty((0, len(case.inputs))),
+        status=(),
+        solve_time=np.empty(0),
+        inputs=case.inputs,
+        outputs=case.outputs,
+        measurements=case.measurements,
+        bounds=Bounds(u_limits[:, 0], u_limits[:, 1], y_limits[:, 0], y_limits[:, 1]),
+        sampling_time=case.sampling_time,
+        planned_samples=round(case.duration / case.sampling_time) + 1,
+        outcome=outcome,
+        reason=reason,
+        settings=dict(case.section["settings"]),
+    )
+
+
+def _outcome_of(error: CosimError) -> Outcome:
+    if isinstance(error, FMUStepError):
+        return OUTCOME_OF[error.status]
+    return Outcome.FMU_ERROR if isinstance(error, FMUImportError) else Outcome.CONTROLLER_ERROR
+
+
+def _all_cases(checked: CheckedStudy, target: PlantTarget, seeds: list[int]) -> Iterator[Case]:
+    study = checked.study
+    variables = {**checked.signals.inputs, **checked.signals.outputs}
+    reference = {
+        name: section.build(converter(variables[name], section.unit))
+        for name, section in study.reference.items()
+    }
+    for controller, section in study.controllers.items():
+        bounds = limits({**study.bounds, **section.bounds}, variables, (*checked.inputs, *checked.outputs))
+        for name, scenario in study.scenarios.items():
+            for seed in seeds:
+                yield Case(
+                    controller=controller,
+                    scenario=name,
+                    seed=seed,
+                    label=section.label or controller,
+                    section={"type": section.type, "settings": section.settings},
+                    plant=target,
+                    inputs=tuple(variables[name] for name in checked.inputs),
+                    outputs=tuple(variables[name] for name in checked.outputs),
+                    measurements=tuple(variables[name] for name in checked.measurements),
+                    sampling_time=study.loop.sampling_time,
+                    duration=study.loop.duration,
+                    start_time=study.loop.start_time,
+                    continue_recording=study.loop.start == "recording-end",
+                    reference=reference,
+                    bounds=bounds,
+                    excitation=_excitation(checked, seed),
+                    parameters={**study.plant.parameters, **scenario.parameters},
+                    noise=dict(scenario.noise),
+                    events=_events(scenario),
+                )
+
+
+def _excitation(checked: CheckedStudy, seed: int) -> UniformRandom | None:
+    span = excitation_range(checked)
+    recording = checked.study.recording
+    if span is None or recording is None:
+        return None
+    return UniformRandom(tuple(span[0].tolist()), tuple(span[1].tolist()), recording.samples, seed)
+
+
+def _events(scenario: ScenarioSection) -> tuple[ParameterChange, ...]:
+    return tuple(ParameterChange(event.time, dict(event.parameters)) for event in scenario.events)

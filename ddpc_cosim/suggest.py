@@ -1,0 +1,20 @@
+"""Suggestions for names that do not exist."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+_MOST_LISTED = 12
+
+
+def did_you_mean(name: str, options: Iterable[str]) -> str:
+    """Return the part of an error message that helps with an unknown name: the nearest one, or all."""
+    known = sorted(set(options))
+    close = get_close_matches(name, known, n=1, cutoff=0.6)
+    if close:
+        return f'did you mean "{close[0]}"?'
+    if not known:
+        return "there are none"
+    listed = ", ".join(known[:_MOST_LISTED])
+    return f"there are: {listed}" + (
+        f" and {len(known) - _MOST_LISTED} more" if len(known) > _MOST_LISTED else ""
+    )

@@ -1,0 +1,138 @@
+"""What one run leaves behind."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ddpc_cosim.controller import OK, Bounds
+from ddpc_cosim.variables import FloatArray, Variable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Outcome(StrEnum):
+    """How a run ended. Only ``completed`` runs reached their last sample."""
+
+    COMPLETED = "completed"
+    DIVERGED = "diverged"
+    FMU_ERROR = "fmu-error"
+    FMU_DISCARDED = "fmu-discarded"
+    FMU_FATAL = "fmu-fatal"
+    CRASHED = "crashed"
+    TIMED_OUT = "timed-out"
+    CONTROLLER_ERROR = "controller-error"
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """The samples of one run, how it ended, and what it was made from.
+
+    Row k holds what was measured and decided at ``time[k]``; the inputs of the last row of a completed run
+    were decided but not applied any more. A run that ended early keeps its samples up to the fault.
+
+    Parameters
+    ----------
+    time : array, shape (K,)
+        t0 + k * sampling_time [s].
+    reference, y : array, shape (K, p)
+        References and controlled outputs at ``time``, in the outputs' units.
+    measured : array, shape (K, q)
+        All measurements as the controller saw them.
+    u : array, shape (K, m)
+        Inputs held from ``time[k]`` on, in their units; NaN where the controller failed.
+    status : tuple of str
+        The controller's status per row, ``"ok"`` or why ``u`` is a fallback.
+    solve_time : array, shape (K,)
+        Wall-clock time of ``controller.step`` [s].
+    inputs, outputs, measurements : tuple of Variable
+        What the columns are.
+    bounds : Bounds
+        Limits of inputs and controlled outputs.
+    sampling_time : float
+        Time between rows [s].
+    planned_samples : int
+        Rows of a completed run.
+    outcome : Outcome
+        How the run ended.
+    reason : str
+        Why it ended early, with the time; empty if completed.
+    settings : dict
+        Settings of the controller.
+    diagnostics : dict
+        What the controller says about its data or model.
+    provenance : dict
+        What the plant and the controller are: classes, versions, hashes.
+    """
+
+    time: FloatArray
+    reference: FloatArray
+    y: FloatArray
+    measured: FloatArray
+    u: FloatArray
+    status: tuple[str, ...]
+    solve_time: FloatArray
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    measurements: tuple[Variable, ...]
+    bounds: Bounds
+    sampling_time: float
+    planned_samples: int
+    outcome: Outcome = Outcome.COMPLETED
+    reason: str = ""
+    settings: dict[str, Any] = field(default_factory=dict)
+    diagnostics: dict[str, float] = field(default_factory=dict)
+    provenance: dict[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def completed(self) -> bool:
+        """Whether the run reached its last sample."""
+        return self.outcome is Outcome.COMPLETED
+
+    @property
+    def held(self) -> int:
+        """Number of rows whose inputs were held over the sampling interval that follows."""
+        undecided = len(self) > 0 and not np.isfinite(self.u[-1]).all()
+        return len(self) - 1 if self.completed or undecided else len(self)
+
+    @property
+    def failures(self) -> int:
+        """Number of samples at which the controller returned a fallback."""
+        return sum(status != OK for status in self.status)
+
+    def metrics(self) -> dict[str, float]:
+        """Return the figures of :mod:`ddpc_cosim.metrics`, in the variables' display units."""
+        from ddpc_cosim.metrics import metrics
+
+        return metrics(self)
+
+    def columns(self) -> dict[str, FloatArray]:
+        """Return the numeric columns under the headers of ``signals.csv``, each of shape (K,).
+
+        Headers are ``name [unit]``. A reference is prefixed with ``reference``; a measurement that differs from
+        the controlled output of its name (by noise) with ``measured``, and left out where it is the same.
+        """
+        table = {"time [s]": self.time}
+        for i, output in enumerate(self.outputs):
+            table[f"reference {output.header}"] = self.reference[:, i]
+            table[output.header] = self.y[:, i]
+        for i, variable in enumerate(self.measurements):
+            if variable.header not in table:
+                table[variable.header] = self.measured[:, i]
+            elif not np.array_equal(table[variable.header], self.measured[:, i]):
+                table[f"measured {variable.header}"] = self.measured[:, i]
+        for i, variable in enumerate(self.inputs):
+            table[variable.header] = self.u[:, i]
+        table["solve_time [s]"] = self.solve_time
+        return table
+
+    def frame(self) -> "pd.DataFrame":
+        """Return the samples as a DataFrame: ``columns`` and ``status``, one row per sample."""
+        import pandas as pd
+
+        return pd.DataFrame({**self.columns(), "status": np.asarray(self.status, dtype=object)})

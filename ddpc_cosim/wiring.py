@@ -1,0 +1,117 @@
+"""How a plant is wired into a loop: controlled outputs, measurements and their noise, limits, references."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddpc_cosim.controller import Bounds
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.plant import Plant
+from ddpc_cosim.signals import GaussianNoise, Reference
+from ddpc_cosim.suggest import did_you_mean
+from ddpc_cosim.variables import FloatArray, Variable, names
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """Which of the plant's outputs are controlled and which are measured.
+
+    Parameters
+    ----------
+    outputs, measurements : tuple of Variable
+        The p controlled outputs and the q measurements, in the controller's order.
+    output_index, measured_index : array of int, shape (p,), (q,)
+        Where they stand among the plant's outputs.
+    """
+
+    outputs: tuple[Variable, ...]
+    measurements: tuple[Variable, ...]
+    output_index: NDArray[np.intp]
+    measured_index: NDArray[np.intp]
+
+
+def wire(plant: Plant, outputs: Sequence[str] | None, measurements: Sequence[str] | None) -> Wiring:
+    """Choose controlled outputs (default: all of the plant's) and measurements (default: all).
+
+    Raises
+    ------
+    ConfigError
+        Names that the plant does not have among its outputs.
+    """
+    available = names(plant.outputs)
+    controlled = tuple(outputs) if outputs else available
+    measured = tuple(measurements) if measurements else available
+    check_names("outputs and measurements", dict.fromkeys((*controlled, *measured)), plant.outputs)
+    output_index = np.array([available.index(name) for name in controlled], dtype=np.intp)
+    measured_index = np.array([available.index(name) for name in measured], dtype=np.intp)
+    return Wiring(
+        tuple(plant.outputs[i] for i in output_index),
+        tuple(plant.outputs[i] for i in measured_index),
+        output_index,
+        measured_index,
+    )
+
+
+class Sensors:
+    """What the controller sees of the plant's outputs."""
+
+    def __init__(self, wiring: Wiring, noise: GaussianNoise | None, rng: np.random.Generator) -> None:
+        self._outputs, self._measured = wiring.output_index, wiring.measured_index
+        self._rng = rng
+        deviations = noise.standard_deviation if noise else {}
+        plant_outputs = int(max(wiring.output_index.max(), wiring.measured_index.max())) + 1
+        self._deviation = np.zeros(plant_outputs)
+        for index, variable in zip(wiring.measured_index, wiring.measurements, strict=True):
+            self._deviation[index] = deviations.get(variable.name, 0.0)
+        self._noisy = bool(self._deviation.any())
+
+    def controlled(self, y_plant: FloatArray) -> FloatArray:
+        """Return the controlled outputs without noise, shape (p,)."""
+        return y_plant[self._outputs]
+
+    def measure(self, y_plant: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return controlled outputs and measurements with noise, shapes (p,) and (q,)."""
+        if self._noisy:
+            n = len(self._deviation)
+            y_plant = y_plant.copy()
+            y_plant[:n] += self._deviation * self._rng.standard_normal(n)
+        return y_plant[self._outputs], y_plant[self._measured]
+
+
+def loop_bounds(plant: Plant, wiring: Wiring, given: Mapping[str, tuple[float, float]]) -> Bounds:
+    """Return the limits of inputs and controlled outputs: those given, else the plant's own."""
+    check_names("bounds", given, (*plant.inputs, *wiring.outputs))
+    limits = [
+        np.array([given.get(v.name, (v.min, v.max)) for v in variables], dtype=float).reshape(-1, 2)
+        for variables in (plant.inputs, wiring.outputs)
+    ]
+    for name, (low, high) in given.items():
+        if not low < high:
+            raise ConfigError(f"bounds of {name}: {low:g} must be below {high:g}")
+    return Bounds(limits[0][:, 0], limits[0][:, 1], limits[1][:, 0], limits[1][:, 1])
+
+
+def reference_table(
+    reference: Reference | Mapping[str, Reference], outputs: Sequence[Variable], time: FloatArray
+) -> FloatArray:
+    """Return the references of all outputs at all times, shape (len(time), p)."""
+    if isinstance(reference, Reference):
+        if len(outputs) != 1:
+            raise ConfigError(f"reference: give one for each output: {', '.join(names(outputs))}")
+        reference = {outputs[0].name: reference}
+    check_names("reference", reference, outputs)
+    missing = [name for name in names(outputs) if name not in reference]
+    if missing:
+        raise ConfigError(f"reference: none for {', '.join(missing)}")
+    return np.column_stack([reference[name].at(time) for name in names(outputs)])
+
+
+def check_names(what: str, given: Iterable[str], known: Sequence[Variable]) -> None:
+    """Raise ConfigError for every given name that is not among the known variables."""
+    unknown = [name for name in given if name not in names(known)]
+    if unknown:
+        raise ConfigError(
+            [f'{what}: no signal "{name}"; {did_you_mean(name, names(known))}' for name in unknown]
+        )

@@ -1,0 +1,146 @@
+"""C code of a plant: `model.c`, which fills the interface of `runtime/model.h`."""
+
+import re
+from collections.abc import Mapping, Sequence
+from math import inf
+
+import sympy
+from sympy.codegen.rewriting import create_expand_pow_optimization
+from sympy.printing.c import C99CodePrinter
+from sympy.printing.codeprinter import PrintMethodNotImplementedError
+
+from fmu_plants.errors import ModelError
+from fmu_plants.layout import Scalar, scalars
+from fmu_plants.model import PlantModel, Variable
+from fmu_plants.symbolic import SymbolicModel
+from fmu_plants.validation import TIME
+
+LARGEST_WRITTEN_OUT_POWER = 4  # x*x*x*x is faster than pow(x, 4) and just as exact
+
+
+class _CPrinter(C99CodePrinter):  # type: ignore[misc]  # SymPy has no types
+    """Prints expressions of doubles, with the variables of the model as elements of arrays."""
+
+    def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
+        super().__init__({"strict": True, "math_macros": {}})
+        self._names = names
+
+    def _print_Symbol(self, expr: sympy.Symbol) -> str:  # noqa: N802 (names are SymPy's)
+        return self._names.get(expr, expr.name)
+
+    def _print_Integer(self, expr: sympy.Integer) -> str:  # noqa: N802
+        return f"{expr.p}.0"  # an int would overflow, or divide as one
+
+    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802
+        return repr(float(expr))
+
+    def _print_NumberSymbol(self, expr: sympy.NumberSymbol) -> str:  # noqa: N802
+        return repr(float(expr))
+
+    def _print_Mod(self, expr: sympy.Mod) -> str:  # noqa: N802
+        # SymPy's remainder has the sign of the divisor, that of C's fmod the sign of the dividend.
+        dividend, divisor = (self._print(argument) for argument in expr.args)
+        return f"(({dividend}) - ({divisor})*floor(({dividend})/({divisor})))"
+
+
+def model_source(
+    model: PlantModel,
+    symbolic: SymbolicModel,
+    *,
+    guid: str,
+    relative_tolerance: float,
+    absolute_tolerance: float,
+) -> str:
+    """Return the text of `model.c`.
+
+    Raises
+    ------
+    ModelError
+        An expression has no C counterpart.
+    """
+    layout = scalars(model)
+    return "\n".join(
+        [
+            f"/* {model.name}: generated from its equations. */",
+            '#include "model.h"',
+            "",
+            "#include <math.h>",
+            "",
+            _variable_table(layout),
+            "",
+            _function(model, "derivatives", model.states, symbolic.derivatives),
+            "",
+            _function(model, "outputs", model.computed_outputs, symbolic.outputs),
+            "",
+            "const Model model = {",
+            f'    .identifier = "{model.name}",',
+            f'    .guid = "{guid}",',
+            f"    .n_variables = {len(layout)},",
+            f"    .n_states = {len(model.states)},",
+            f"    .n_inputs = {len(model.inputs)},",
+            f"    .n_outputs = {len(model.computed_outputs)},",
+            "    .variables = variables,",
+            f"    .relative_tolerance = {_number(relative_tolerance)},",
+            f"    .absolute_tolerance = {_number(absolute_tolerance)},",
+            "    .derivatives = derivatives,",
+            "    .outputs = outputs,",
+            "};",
+            "",
+        ]
+    )
+
+
+def _number(value: float) -> str:
+    if value in (inf, -inf):
+        return "INFINITY" if value > 0 else "-INFINITY"
+    return repr(float(value))
+
+
+def _variable_table(layout: Sequence[Scalar]) -> str:
+    rows = [
+        f'    {{"{v.name}", {scalar.kind.value}, {_number(v.start)}, {_number(v.min)}, {_number(v.max)}, '
+        f"{_number(v.nominal)}}},"
+        for scalar in layout
+        for v in [scalar.variable]
+    ]
+    return "\n".join(["static const Variable variables[] = {", *rows, "};"])
+
+
+def _element_names(model: PlantModel) -> dict[sympy.Symbol, str]:
+    arrays = {"x": model.states, "u": model.inputs, "p": model.parameters}
+    elements = {
+        sympy.Symbol(variable.name, real=True): f"{array}[{index}]"
+        for array, variables in arrays.items()
+        for index, variable in enumerate(variables)
+    }
+    return elements | {sympy.Symbol(TIME, real=True): TIME}
+
+
+def _function(
+    model: PlantModel, name: str, results: Sequence[Variable], expressions: Sequence[sympy.Expr]
+) -> str:
+    """Return a function that evaluates the expressions, common subexpressions once."""
+    printer = _CPrinter(_element_names(model))
+    expand_powers = create_expand_pow_optimization(LARGEST_WRITTEN_OUT_POWER)
+    # Their numbers cannot meet a variable's name: the variables are printed as elements of arrays.
+    common, reduced = sympy.cse(list(expressions), symbols=sympy.numbered_symbols("t"), list=True)
+
+    def c_text(expression: sympy.Expr, where: str) -> str:
+        try:
+            text: str = printer.doprint(expand_powers(expression))
+        except PrintMethodNotImplementedError as error:
+            raise ModelError(
+                f"model {model.name!r}: {where} uses a function that C does not have: {expression}"
+            ) from error
+        return text
+
+    lines = [f"    const double {symbol} = {c_text(part, name)};" for symbol, part in common]
+    lines += [
+        f"    result[{index}] = {c_text(expression, repr(variable.name))}; /* {variable.name} */"
+        for index, (variable, expression) in enumerate(zip(results, reduced, strict=True))
+    ]
+    body = "\n".join(lines)
+    arguments = ("time", "x", "u", "p", "result")
+    unused = [f"    (void){name};" for name in arguments if not re.search(rf"\b{name}\b", body)]
+    signature = "double time, const double x[], const double u[], const double p[], double result[]"
+    return "\n".join([f"static void {name}({signature})", "{", *unused, *lines, "}"])

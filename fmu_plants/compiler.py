@@ -1,0 +1,179 @@
+"""Finding a C compiler and making a shared library with it."""
+
+import importlib.metadata
+import importlib.util
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from platformdirs import user_cache_dir
+
+from fmu_plants.errors import ExportError
+
+_SYSTEM_COMPILERS = ("cc", "gcc", "clang")
+_NO_COMPILER = (
+    "no C compiler was found (looked for $CC, {names} on PATH, and the Python package ziglang).\n"
+    "Install one of them: `pip install ziglang` works everywhere; Debian/Ubuntu: `apt install gcc`; "
+    "macOS: `xcode-select --install`; or set CC to the compiler's command."
+)
+
+# Results must be the same on every machine: no -ffast-math, no fused operations, nothing of the host's
+# processor.
+FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared")
+_LIBRARY_SUFFIXES = {"win32": ".dll", "darwin": ".dylib"}
+
+_EXPORT_CHECK = """
+import ctypes, sys
+library = ctypes.CDLL(sys.argv[1])
+print(*[name for name in sys.argv[2:] if not hasattr(library, name)])
+"""
+
+
+def cache_dir() -> Path:
+    """Return the folder for what can be rebuilt: ``$DDPC_COSIM_CACHE``, else the user's cache folder."""
+    return Path(os.environ.get("DDPC_COSIM_CACHE") or user_cache_dir("ddpc-cosim", appauthor=False))
+
+
+def library_suffix() -> str:
+    """Return the file name extension of shared libraries here."""
+    return _LIBRARY_SUFFIXES.get(sys.platform, ".so")
+
+
+@dataclass(frozen=True, slots=True)
+class Compiler:
+    """A C compiler.
+
+    Parameters
+    ----------
+    command : tuple of str
+        How it is called, up to its arguments.
+    identity : str
+        Differs between two compilers that may give different code.
+    """
+
+    command: tuple[str, ...]
+    identity: str
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """The arguments for a shared library, without files."""
+        if sys.platform == "win32":
+            return FLAGS  # code is always position independent there, and the maths is in the C library
+        strip = ("-s",) if sys.platform.startswith("linux") else ()
+        return (*FLAGS, "-fPIC", *strip)
+
+    @property
+    def libraries(self) -> tuple[str, ...]:
+        """The arguments that come after the files."""
+        return () if sys.platform == "win32" else ("-lm",)
+
+
+def find_compiler() -> Compiler:
+    """Return ``$CC``, the system's compiler, or that of the ziglang package, whichever is there first.
+
+    Raises
+    ------
+    ExportError
+        There is none, or ``$CC`` cannot be run.
+    """
+    if command := os.environ.get("CC"):
+        return _from_environment(command)
+    for name in _SYSTEM_COMPILERS:
+        if path := shutil.which(name):
+            return Compiler((path,), _identity(path))
+    if importlib.util.find_spec("ziglang"):
+        version = importlib.metadata.version("ziglang")
+        return Compiler((sys.executable, "-m", "ziglang", "cc"), f"ziglang {version}")
+    raise ExportError(_NO_COMPILER.format(names=", ".join(_SYSTEM_COMPILERS)))
+
+
+def _from_environment(command: str) -> Compiler:
+    """Read ``$CC``: a path, or a command with arguments."""
+    if whole := shutil.which(command):  # a path with spaces is not to be split
+        return Compiler((whole,), _identity(whole))
+    program, *arguments = shlex.split(command, posix=os.name == "posix") or [""]
+    path = shutil.which(program)
+    if path is None:
+        raise ExportError(f"the C compiler of the environment variable CC was not found: {command!r}")
+    return Compiler((path, *arguments), " ".join([_identity(path), *arguments]))
+
+
+def _identity(path: str) -> str:
+    """Tell compilers apart without running them: an update changes size and date."""
+    program = Path(path).resolve()
+    status = program.stat()
+    return f"{program} {status.st_size} {status.st_mtime_ns}"
+
+
+def compile_library(
+    compiler: Compiler, files: Mapping[str, str], required: Sequence[str], extra_flags: Sequence[str] = ()
+) -> bytes:
+    """Compile and link C files to a shared library.
+
+    Parameters
+    ----------
+    compiler : Compiler
+    files : mapping of str to str
+        Text of sources and headers by file name.
+    required : sequence of str
+        Names of the functions that the library must export.
+    extra_flags : sequence of str
+        Further arguments, for example stricter warnings.
+
+    Raises
+    ------
+    ExportError
+        The compiler fails, or the library does not load or export what it must.
+    """
+    with tempfile.TemporaryDirectory(prefix="fmu-plants-") as folder:
+        # Everything is named relative to one folder: nothing depends on how its path is spelt.
+        for name, text in files.items():
+            Path(folder, name).write_text(text, encoding="utf-8", newline="\n")
+        library = f"library{library_suffix()}"
+        sources = sorted(name for name in files if name.endswith(".c"))
+        arguments = [*compiler.flags, *extra_flags, "-I.", "-o", library, *sources, *compiler.libraries]
+        _run([*compiler.command, *arguments], folder)
+        missing = _missing_exports(Path(folder, library), required)
+        if missing:
+            names = ", ".join(missing)
+            raise ExportError(f"the library built by {compiler.command[0]} does not export: {names}")
+        return Path(folder, library).read_bytes()
+
+
+def _capture(
+    command: Sequence[str], cwd: str | None = None, env: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a command for its output, which may be in any encoding."""
+    return subprocess.run(
+        command, cwd=cwd, env=env, capture_output=True, text=True, encoding="utf-8", errors="replace"
+    )
+
+
+def _run(command: Sequence[str], folder: str) -> None:
+    zig_cache = str(cache_dir() / "zig")
+    environment = {"ZIG_GLOBAL_CACHE_DIR": zig_cache, "ZIG_LOCAL_CACHE_DIR": zig_cache} | os.environ
+    try:
+        done = _capture(command, cwd=folder, env=environment)
+    except OSError as error:
+        reason = f"the C compiler {command[0]} cannot be run: {error}; set CC to another one"
+        raise ExportError(reason) from error
+    if done.returncode != 0:
+        output = (done.stderr or done.stdout).strip()
+        call = shlex.join(command)
+        raise ExportError(f"the C compiler failed (exit code {done.returncode}).\n{call}\n{output}")
+
+
+def _missing_exports(library: Path, required: Sequence[str]) -> list[str]:
+    """Ask a process of its own: a defective library may bring it down, and the file stays free to delete."""
+    command = [sys.executable, "-I", "-S", "-c", _EXPORT_CHECK, str(library), *required]
+    done = _capture(command)
+    if done.returncode != 0:
+        reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        raise ExportError(f"the library that was built cannot be loaded: {reason}")
+    return done.stdout.split()

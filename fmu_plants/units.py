@@ -1,0 +1,168 @@
+"""Unit names to exponents of the SI base units, as FMI wants them declared.
+
+A unit is a product of unit symbols with integer exponents: ``N.m``, ``kg.m2/s3``, ``J/(kg.K)``, ``1/s``.
+A slash divides by the one factor behind it; parentheses group. SI prefixes are understood (``mm``, ``kW``).
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from math import pi
+
+_TOKEN = re.compile(r"\s*(?:(?P<symbol>[A-Za-z%°µ]+)(?P<power>[-+]?\d+)?|(?P<one>1)|(?P<mark>[./*()]))")
+
+
+@dataclass(frozen=True, slots=True)
+class SIUnit:
+    """A unit in terms of the SI: ``value in SI = factor * value + offset``.
+
+    Parameters
+    ----------
+    exponents : mapping of str to int
+        Exponents of the base units kg, m, s, A, K, mol, cd and rad; those that are 0 are left out.
+    factor, offset : float
+        Conversion to the coherent SI unit.
+    """
+
+    exponents: Mapping[str, int] = field(default_factory=dict)
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def __mul__(self, other: "SIUnit") -> "SIUnit":
+        """Return the product of two units."""
+        names = [*self.exponents, *(name for name in other.exponents if name not in self.exponents)]
+        total = {name: self.exponents.get(name, 0) + other.exponents.get(name, 0) for name in names}
+        return SIUnit({name: power for name, power in total.items() if power}, self.factor * other.factor)
+
+    def __pow__(self, power: int) -> "SIUnit":
+        """Return an integer power of the unit."""
+        exponents = {name: power * own for name, own in self.exponents.items() if power}
+        return SIUnit(exponents, self.factor**power)
+
+
+_PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "n": 1e-9}
+
+# Symbols that take a prefix. The gram is here for the kilogram's sake.
+_PREFIXED = {
+    "m": SIUnit({"m": 1}),
+    "g": SIUnit({"kg": 1}, 1e-3),
+    "s": SIUnit({"s": 1}),
+    "A": SIUnit({"A": 1}),
+    "K": SIUnit({"K": 1}),
+    "mol": SIUnit({"mol": 1}),
+    "cd": SIUnit({"cd": 1}),
+    "rad": SIUnit({"rad": 1}),
+    "N": SIUnit({"kg": 1, "m": 1, "s": -2}),
+    "Pa": SIUnit({"kg": 1, "m": -1, "s": -2}),
+    "J": SIUnit({"kg": 1, "m": 2, "s": -2}),
+    "W": SIUnit({"kg": 1, "m": 2, "s": -3}),
+    "V": SIUnit({"kg": 1, "m": 2, "s": -3, "A": -1}),
+    "C": SIUnit({"A": 1, "s": 1}),
+    "F": SIUnit({"kg": -1, "m": -2, "s": 4, "A": 2}),
+    "Ohm": SIUnit({"kg": 1, "m": 2, "s": -3, "A": -2}),
+    "S": SIUnit({"kg": -1, "m": -2, "s": 3, "A": 2}),
+    "H": SIUnit({"kg": 1, "m": 2, "s": -2, "A": -2}),
+    "Wb": SIUnit({"kg": 1, "m": 2, "s": -2, "A": -1}),
+    "T": SIUnit({"kg": 1, "s": -2, "A": -1}),
+    "Hz": SIUnit({"s": -1}),
+    "bar": SIUnit({"kg": 1, "m": -1, "s": -2}, 1e5),
+    "l": SIUnit({"m": 3}, 1e-3),
+    "L": SIUnit({"m": 3}, 1e-3),
+    "t": SIUnit({"kg": 1}, 1e3),
+    "eV": SIUnit({"kg": 1, "m": 2, "s": -2}, 1.602176634e-19),
+}
+
+_PLAIN = {
+    "deg": SIUnit({"rad": 1}, pi / 180),
+    "rev": SIUnit({"rad": 1}, 2 * pi),
+    "rpm": SIUnit({"rad": 1, "s": -1}, 2 * pi / 60),
+    "min": SIUnit({"s": 1}, 60.0),
+    "h": SIUnit({"s": 1}, 3600.0),
+    "d": SIUnit({"s": 1}, 86400.0),
+    "degC": SIUnit({"K": 1}, 1.0, 273.15),
+    "degF": SIUnit({"K": 1}, 5 / 9, 459.67 * 5 / 9),
+    "%": SIUnit({}, 1e-2),
+}
+
+
+def known_symbols() -> tuple[str, ...]:
+    """Return the unit symbols that `parse_unit` knows, without prefixes."""
+    return tuple(sorted([*_PREFIXED, *_PLAIN], key=str.lower))
+
+
+def parse_unit(text: str) -> SIUnit:
+    """Return the unit as a combination of SI base units.
+
+    Parameters
+    ----------
+    text : str
+        For example ``"N.m"``; empty or ``"1"`` for a dimensionless variable.
+
+    Raises
+    ------
+    ValueError
+        The text is not a unit, or names a symbol that is not known.
+    """
+    if not text:
+        return SIUnit()
+    tokens = _tokens(text)
+    unit = _product(text, tokens)
+    if tokens:
+        raise ValueError(f"unit {text!r} cannot be read from {tokens[0][0]!r} on")
+    return unit
+
+
+def _tokens(text: str) -> list[tuple[str, int]]:
+    """Split into symbols with their exponents and marks (exponent 0)."""
+    return list(_scan(text.strip()))
+
+
+def _scan(text: str) -> Iterator[tuple[str, int]]:
+    position = 0
+    while position < len(text):
+        match = _TOKEN.match(text, position)
+        if match is None:
+            raise ValueError(f"unit {text!r} cannot be read from {text[position:]!r} on")
+        position = match.end()
+        if match["symbol"]:
+            yield match["symbol"], int(match["power"] or 1)
+        else:
+            yield match["one"] or match["mark"], 0
+
+
+def _product(text: str, tokens: list[tuple[str, int]]) -> SIUnit:
+    """Read factors up to the end or a closing parenthesis."""
+    unit = _factor(text, tokens)
+    while tokens and tokens[0][0] in "./*":
+        mark, _ = tokens.pop(0)
+        factor = _factor(text, tokens)
+        if unit.offset or factor.offset:
+            raise ValueError(f"unit {text!r}: a unit with an offset has no products (use K for differences)")
+        unit = unit * factor ** (-1 if mark == "/" else 1)
+    return unit
+
+
+def _factor(text: str, tokens: list[tuple[str, int]]) -> SIUnit:
+    if not tokens:
+        raise ValueError(f"unit {text!r} ends where a unit symbol is missing")
+    symbol, power = tokens.pop(0)
+    if symbol == "(":
+        unit = _product(text, tokens)
+        if not tokens or tokens.pop(0)[0] != ")":
+            raise ValueError(f"unit {text!r} lacks a closing parenthesis")
+        return unit
+    if symbol == "1":
+        return SIUnit()
+    unit = _lookup(symbol)
+    return unit if power == 1 else unit**power
+
+
+def _lookup(symbol: str) -> SIUnit:
+    known = _PREFIXED | _PLAIN
+    if symbol in known:
+        return known[symbol]
+    prefix, rest = symbol[0], symbol[1:]
+    if prefix in _PREFIXES and rest in _PREFIXED:
+        return SIUnit({}, _PREFIXES[prefix]) * _PREFIXED[rest]
+    known_text = ", ".join(known_symbols())
+    raise ValueError(f"unknown unit symbol {symbol!r}; known: {known_text}, and SI prefixes of them")

@@ -1,0 +1,234 @@
+"""Vega-Lite specifications of the figures, through Altair.
+
+Colours are CSS variables of the page (``var(--c0)``), so that one specification serves light, dark and print.
+Four parameters are driven by the script of the page: ``span`` (the time shown), ``band`` (the time being
+chosen), ``at`` (the sample under the pointer) and ``hidden`` (the controllers that the reader hid).
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import altair as alt
+
+from ddpc_reports.samples import Signal
+
+DASHES: tuple[tuple[float, ...], ...] = ((1, 0), (7, 2.5), (2, 2), (8, 2, 2, 2), (12, 3), (4, 1.5), (8, 2, 2, 2, 2, 2))
+COLOURS = 7
+
+CONFIG: dict[str, Any] = {
+    "background": None,
+    "font": "system-ui, -apple-system, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif",
+    "aria": False,
+    "view": {"stroke": "var(--rule)", "fill": None},
+    "axis": {
+        "domain": False,
+        "gridColor": "var(--grid)",
+        "tickColor": "var(--rule)",
+        "tickSize": 4,
+        "labelColor": "var(--ink-soft)",
+        "labelFontSize": 11,
+        "labelPadding": 4,
+        "titleColor": "var(--ink)",
+        "titleFontSize": 12,
+        "titleFontWeight": "normal",
+        "titlePadding": 6,
+    },
+    "axisY": {"minExtent": 34, "maxExtent": 34, "tickCount": 5},
+}
+
+
+def colour(index: int) -> str:
+    """Return the colour of a competitor as a CSS variable."""
+    return f"var(--c{index % COLOURS})"
+
+
+def time_chart(signal: Signal, names: Sequence[str], dashes: dict[str, int], sampling_time: float, last: bool) -> Any:
+    """Return the chart of one signal over time, for the competitors of one panel.
+
+    Parameters
+    ----------
+    signal : Signal
+        What is drawn.
+    names : sequence of str
+        Columns of the competitors in this panel.
+    dashes : dict
+        Number of the dash pattern of every column.
+    sampling_time : float
+        Time between samples [s].
+    last : bool
+        Whether this is the lowest chart of the figure, which carries the title of the time axis.
+    """
+    x = alt.X("t:Q").title("time / s" if last else None).scale(
+        domain=list(signal.end), domainRaw=alt.ExprRef("span"), nice=False
+    ).axis(tickCount=8, grid=False)
+    samples = alt.Chart(alt.NamedData(signal.id))
+    layers = [
+        *_limits(signal),
+        _band(x),
+        *([_reference(samples, x, sampling_time)] if signal.has_reference else []),
+        _lines(samples, signal, names, dashes, x, sampling_time),
+        _extent(samples, signal, sampling_time),
+        *_reading(samples, signal, names, x),
+    ]
+    parameters = [alt.param(name=name, value=None) for name in ("span", "band", "at")]
+    parameters.append(alt.param(name="hidden", value=[]))
+    return alt.layer(*layers).add_params(*parameters)
+
+
+def _y(signal: Signal, field: str = "value:Q") -> alt.Y:
+    return alt.Y(field).title(signal.title).scale(zero=False, nice=True)
+
+
+def _within(sampling_time: float) -> str:
+    """Filter for the time shown, one sample more on both sides so that lines reach the edge."""
+    margin = 1.01 * sampling_time
+    return f"span == null || (datum.t >= span[0] - {margin:g} && datum.t <= span[1] + {margin:g})"
+
+
+def _folded(samples: alt.Chart, names: Sequence[str]) -> alt.Chart:
+    folded = samples.transform_fold(list(names), as_=["key", "value"])
+    return folded.transform_filter("isValid(datum.value) && indexof(hidden, datum.key) < 0")
+
+
+def _colours(names: Sequence[str]) -> alt.Color:
+    return alt.Color("key:N").legend(None).scale(domain=list(names), range=[colour(int(name[1:])) for name in names])
+
+
+def _lines(
+    samples: alt.Chart, signal: Signal, names: Sequence[str], dashes: dict[str, int], x: alt.X, sampling_time: float
+) -> alt.Chart:
+    dash = alt.StrokeDash("key:N").legend(None).scale(
+        domain=list(names), range=[list(DASHES[dashes[name] % len(DASHES)]) for name in names]
+    )
+    return (
+        _folded(samples, names)
+        .transform_filter(_within(sampling_time))
+        .mark_line(clip=True, strokeWidth=1.6, interpolate="step-after" if signal.held else "linear")
+        .encode(x=x, y=_y(signal), color=_colours(names), strokeDash=dash)
+    )
+
+
+def _reference(samples: alt.Chart, x: alt.X, sampling_time: float) -> alt.Chart:
+    return (
+        samples.transform_filter(_within(sampling_time))
+        .mark_line(clip=True, strokeWidth=1, interpolate="step-after", color="var(--ink)", opacity=0.75)
+        .encode(x=x, y=alt.Y("r:Q"))
+    )
+
+
+def _limits(signal: Signal) -> list[alt.Chart]:
+    if not signal.limits:
+        return []
+    rows = alt.InlineData(values=[{"value": limit} for limit in signal.limits])
+    return [alt.Chart(rows).mark_rule(color="var(--limit)", strokeDash=[3, 3]).encode(y=_y(signal))]
+
+
+def _band(x: alt.X) -> alt.Chart:
+    chosen = alt.Chart(alt.InlineData(values=[{"chosen": 1}])).transform_filter("band != null")
+    placed = chosen.transform_calculate(t="band[0]", to="band[1]")
+    return placed.mark_rect(clip=True, color="var(--accent)", opacity=0.15).encode(x=x, x2=alt.X2("to:Q"))
+
+
+def _extent(samples: alt.Chart, signal: Signal, sampling_time: float) -> alt.Chart:
+    """Give all panels of a signal one range: that of every competitor shown, without the runs that ended early."""
+    everybody = list(signal.completed) or [name for name in signal.columns if name.startswith("c")]
+    return (
+        _folded(samples, everybody)
+        .transform_filter(_within(sampling_time))
+        .transform_aggregate(low="min(value)", high="max(value)")
+        .transform_fold(["low", "high"], as_=["edge", "value"])
+        .mark_point(opacity=0)
+        .encode(y=_y(signal))
+    )
+
+
+def _reading(samples: alt.Chart, signal: Signal, names: Sequence[str], x: alt.X) -> list[alt.Chart]:
+    rule = samples.transform_filter("datum.t === at").mark_rule(clip=True, color="var(--ink-soft)").encode(x=x)
+    dots = (
+        _folded(samples.transform_filter("datum.t === at"), names)
+        .mark_point(clip=True, filled=True, size=36, opacity=1)
+        .encode(x=x, y=_y(signal), color=_colours(names))
+    )
+    return [rule, dots]
+
+
+def spread_chart(rows: list[dict[str, Any]], title: str, logarithmic: bool) -> Any:
+    """Return a strip of one point per seed for each competitor, its median and the first seed marked.
+
+    Parameters
+    ----------
+    rows : list of dict
+        ``label``, ``key``, ``seed``, ``value``, ``first`` (bool), in the order of the competitors.
+    title : str
+        Metric and unit.
+    logarithmic : bool
+        Whether the range asks for a logarithmic axis.
+    """
+    labels, colours = _labels_and_colours(rows)
+    scale = alt.Scale(type="log", nice=True) if logarithmic else alt.Scale(zero=False, nice=True)
+    x = alt.X("value:Q").title(title).scale(scale).axis(tickCount=6, labelExpr="format(datum.value, ',~g')")
+    y = alt.Y("label:N", sort=labels).title(None).axis(_row_axis())
+    hue = alt.Color("label:N").legend(None).scale(domain=labels, range=colours)
+    shown = alt.Chart(alt.InlineData(values=rows)).transform_filter("indexof(hidden, datum.key) < 0")
+    seeds = shown.mark_circle(size=34, opacity=0.5).encode(x=x, y=y, color=hue)
+    middle = (
+        shown.transform_aggregate(value="median(value)", groupby=["label"])
+        .mark_tick(thickness=2.5, size=22, color="var(--ink)")
+        .encode(x=x, y=y)
+    )
+    first = (
+        shown.transform_filter("datum.first")
+        .mark_point(shape="diamond", size=90, filled=False, strokeWidth=1.8, color="var(--ink)")
+        .encode(x=x, y=y)
+    )
+    return _rows_of(alt.layer(seeds, middle, first), len(labels))
+
+
+def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Any:
+    """Return median, 95 %, 99 % and longest step time of each competitor, and the sampling time.
+
+    Parameters
+    ----------
+    rows : list of dict
+        ``label``, ``key``, ``figure`` (its name), ``value`` [s], in the order of the competitors.
+    sampling_time : float
+        Time between samples [s].
+    """
+    labels, colours = _labels_and_colours(rows)
+    figures = list(dict.fromkeys(row["figure"] for row in rows))
+    words = (
+        "datum.value < 1e-6 ? format(datum.value * 1e9, '~g') + ' ns' : datum.value < 1e-3 ? "
+        "format(datum.value * 1e6, '~g') + ' µs' : datum.value < 1 ? format(datum.value * 1e3, '~g') + ' ms' : "
+        "format(datum.value, '~g') + ' s'"
+    )
+    x = alt.X("value:Q").title("time of one step").scale(type="log", nice=True).axis(tickCount=5, labelExpr=words)
+    y = alt.Y("label:N", sort=labels).title(None).axis(_row_axis())
+    hue = alt.Color("label:N").legend(None).scale(domain=labels, range=colours)
+    shape = alt.Shape("figure:N").legend(None).scale(domain=figures, range=["circle", "triangle-up", "diamond", "cross"])
+    shown = alt.Chart(alt.InlineData(values=rows)).transform_filter("indexof(hidden, datum.key) < 0")
+    line = (
+        shown.transform_aggregate(low="min(value)", high="max(value)", groupby=["label"])
+        .mark_rule(strokeWidth=1.2)
+        .encode(x=alt.X("low:Q"), x2=alt.X2("high:Q"), y=y, color=hue)
+    )
+    points = shown.mark_point(filled=True, size=55, opacity=1).encode(x=x, y=y, color=hue, shape=shape)
+    limit = alt.InlineData(values=[{"value": sampling_time}])
+    deadline = alt.Chart(limit).mark_rule(color="var(--limit)", strokeDash=[4, 3], strokeWidth=1.5).encode(x=x)
+    return _rows_of(alt.layer(deadline, line, points), len(labels))
+
+
+def _labels_and_colours(rows: list[dict[str, Any]]) -> tuple[list[str], list[str]]:
+    indices = {row["label"]: int(row["key"][1:]) for row in rows}
+    return list(indices), [colour(index) for index in indices.values()]
+
+
+def _row_axis() -> alt.Axis:
+    """Set the label of a row above its marks, so that long labels cost no width."""
+    return alt.Axis(
+        labelAlign="left", labelPadding=-4, labelOffset=-17, labelBaseline="middle", labelLimit=600, labelFontSize=12,
+        labelColor="var(--ink)", ticks=False, grid=True, minExtent=0, maxExtent=0,
+    )
+
+
+def _rows_of(chart: alt.LayerChart, rows: int) -> Any:
+    return chart.add_params(alt.param(name="hidden", value=[])).properties(height=46 * rows + 10)

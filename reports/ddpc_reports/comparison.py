@@ -1,0 +1,167 @@
+"""The results of a study seen by competitor: cases gathered, metrics summed up over seeds."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from statistics import median
+from typing import NamedTuple
+
+from ddpc_cosim import CaseResult, Outcome, StudyResults
+from ddpc_cosim.metrics import METRICS, split_key
+from ddpc_reports.numbers import unit_symbol
+
+TRACKING = "sum_abs_error"
+
+
+class Spread(NamedTuple):
+    """Median and range of a figure over the cases that have it; NaN if none has."""
+
+    median: float
+    low: float
+    high: float
+    count: int
+
+    @property
+    def varies(self) -> bool:
+        """Whether the cases differ by more than rounding."""
+        return self.count > 1 and not math.isclose(self.low, self.high, rel_tol=1e-9)
+
+
+def spread(values: Iterable[float]) -> Spread:
+    """Sum up a figure over cases; values that do not exist are left out."""
+    known = [value for value in values if not math.isnan(value)]
+    if not known:
+        return Spread(math.nan, math.nan, math.nan, 0)
+    return Spread(median(known), min(known), max(known), len(known))
+
+
+STEP_TIMES: dict[str, tuple[str, Callable[[Spread], float]]] = {
+    "median": ("solve_time_median [s]", lambda s: s.median),
+    "95 %": ("solve_time_p95 [s]", lambda s: s.median),
+    "99 %": ("solve_time_p99 [s]", lambda s: s.median),
+    "longest": ("solve_time_max [s]", lambda s: s.high),
+}
+"""Figures of the step time: the metric, and how the cases are summed up."""
+
+
+
+@dataclass(frozen=True)
+class Competitor:
+    """One controller under one condition, with its cases in the order of the seeds."""
+
+    key: str
+    label: str
+    index: int
+    cases: tuple[CaseResult, ...]
+    first_seed: int
+
+    @cached_property
+    def completed(self) -> tuple[CaseResult, ...]:
+        """The cases that reached their last sample."""
+        return tuple(case for case in self.cases if case.outcome is Outcome.COMPLETED)
+
+    @property
+    def completed_first(self) -> bool:
+        """Whether the case of the first seed is there and reached its last sample."""
+        return any(case.seed == self.first_seed for case in self.completed)
+
+    @property
+    def completed_all(self) -> bool:
+        """Whether every case reached its last sample."""
+        return len(self.completed) == len(self.cases)
+
+    def by_seed(self, key: str) -> dict[int, float]:
+        """Return a metric of the completed cases that have it, by seed."""
+        figures = {case.seed: case.metrics.get(key, math.nan) for case in self.completed}
+        return {seed: value for seed, value in figures.items() if not math.isnan(value)}
+
+    def at_first(self, key: str) -> float:
+        """Return a metric of the first seed; NaN where that case did not complete."""
+        return self.by_seed(key).get(self.first_seed, math.nan)
+
+    def over_seeds(self, key: str) -> Spread:
+        """Sum up a metric over the completed cases."""
+        return spread(self.by_seed(key).values())
+
+    def total(self, key: str) -> float:
+        """Return the sum of a count over all cases, completed or not."""
+        return sum(value for case in self.cases if not math.isnan(value := case.metrics.get(key, math.nan)))
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One scenario of a study: all competitors under the same conditions."""
+
+    results: StudyResults
+    scenario: str
+    competitors: tuple[Competitor, ...]
+
+    @property
+    def label(self) -> str:
+        """The scenario's name for people."""
+        section = self.results.study.scenarios.get(self.scenario)
+        return (section.label if section else "") or self.scenario
+
+    @cached_property
+    def seeds(self) -> tuple[int, ...]:
+        """Seeds of the cases here, in the study's order."""
+        return tuple(dict.fromkeys(case.seed for one in self.competitors for case in one.cases))
+
+    @cached_property
+    def cases(self) -> tuple[CaseResult, ...]:
+        """All cases of this condition."""
+        return tuple(case for competitor in self.competitors for case in competitor.cases)
+
+    @cached_property
+    def _keys(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(key for case in self.cases for key in case.metrics))
+
+    def keys(self, name: str) -> tuple[str, ...]:
+        """Return the keys of a metric: one for each signal that has it."""
+        return tuple(key for key in self._keys if split_key(key)[0] == name)
+
+
+def conditions(results: StudyResults) -> tuple[Condition, ...]:
+    """Return one condition for each scenario that has cases, in the study's order."""
+    scenarios = dict.fromkeys(case.scenario for case in results.cases)
+    return tuple(Condition(results, scenario, _competitors(results, scenario)) for scenario in scenarios)
+
+
+def _competitors(results: StudyResults, scenario: str) -> tuple[Competitor, ...]:
+    cases = [case for case in results.cases if case.scenario == scenario]
+    order = list(dict.fromkeys(case.controller for case in results.cases))
+    gathered = {key: tuple(case for case in cases if case.controller == key) for key in order}
+    labels = [own[0].label for own in gathered.values() if own]
+    return tuple(
+        Competitor(key, _distinct(own[0].label, key, labels), index, own, cases[0].seed)
+        for index, (key, own) in enumerate(gathered.items())
+        if own
+    )
+
+
+def _distinct(label: str, key: str, labels: Sequence[str]) -> str:
+    """Add the key to a label that two controllers share."""
+    return f"{label} ({key})" if labels.count(label) > 1 else label
+
+
+def metric_label(key: str) -> str:
+    """Return the name of a metric for people, without signal and unit."""
+    name = split_key(key)[0]
+    return METRICS[name].label if name in METRICS else name.replace("_", " ")
+
+
+def metric_unit(key: str) -> str:
+    """Return the unit symbol of a metric; empty for counts and ratios."""
+    return unit_symbol(split_key(key)[2])
+
+
+def metric_signal(key: str) -> str:
+    """Return the signal that a metric is about; empty for figures of the whole run."""
+    return split_key(key)[1]
+
+
+def ranked(competitors: Sequence[Competitor], figures: Sequence[float]) -> list[tuple[float, Competitor]]:
+    """Return the competitors whose figure exists, smallest first; equal ones in the study's order."""
+    pairs = [(value, one) for value, one in zip(figures, competitors, strict=True) if not math.isnan(value)]
+    return sorted(pairs, key=lambda pair: pair[0])

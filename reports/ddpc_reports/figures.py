@@ -1,0 +1,241 @@
+"""The figures of a study: which panels, which lines, their legend and caption."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ddpc_cosim import CaseResult
+from ddpc_reports.charts import COLOURS, DASHES, spread_chart, step_time_chart, time_chart
+from ddpc_reports.comparison import (
+    STEP_TIMES,
+    TRACKING,
+    Competitor,
+    Condition,
+    metric_label,
+    metric_signal,
+    metric_unit,
+)
+from ddpc_reports.numbers import duration, significant, with_unit
+from ddpc_reports.samples import Column, FirstSeed, Signal, column_name, first_seed
+from ddpc_reports.static import static_svg
+
+_LOGARITHMIC_FROM = 8.0
+_PANEL_HEIGHT = 168
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of a legend."""
+
+    name: str
+    label: str
+    colour: int
+    dashes: str
+    completed: bool
+
+
+@dataclass(frozen=True)
+class View:
+    """One chart of a figure, as an interactive specification and as a static drawing."""
+
+    id: str
+    title: str
+    description: str
+    spec: dict[str, Any]
+    svg: str
+    data: str = ""
+    names: tuple[str, ...] = ()
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure: charts below each other, a caption, and a legend where the charts need one."""
+
+    id: str
+    title: str
+    caption: str
+    views: tuple[View, ...]
+    legend: tuple[Entry, ...] = ()
+    reference: bool = False
+
+
+@dataclass(frozen=True)
+class _Panel:
+    title: str
+    members: tuple[Competitor, ...]
+
+
+def time_figures(condition: Condition, prefix: str) -> tuple[list[Figure], dict[str, dict[str, Column]]]:
+    """Return responses, control signals and their changes at the first seed, and the data they draw."""
+    seen = first_seed(condition, prefix)
+    panels = _panels(condition)
+    kinds = {
+        "Responses": (seen.outputs, "controlled output and reference (thin solid line)"),
+        "Control signals": (seen.inputs, "control signal, drawn as it is held from sample to sample"),
+        "Change of control signals": (seen.changes, "change of the control signal from one sample to the next"),
+    }
+    figures = [
+        _time_figure(condition, panels, signals, title, what, f"{prefix}{_slug(title)}")
+        for title, (signals, what) in kinds.items()
+        if signals
+    ]
+    return figures, {signal.id: signal.columns for signal in _signals(seen)}
+
+
+def _signals(seen: FirstSeed) -> list[Signal]:
+    return [*seen.outputs, *seen.inputs, *seen.changes]
+
+
+def _panels(condition: Condition) -> list[_Panel]:
+    """Return the study's panels that have competitors here; one with all of them where it names none."""
+    by_key = {one.key: one for one in condition.competitors}
+    asked = condition.results.study.report.panels
+    panels = [_Panel(one.title, tuple(by_key[key] for key in one.controllers if key in by_key)) for one in asked]
+    return [panel for panel in panels if panel.members] or [_Panel("", condition.competitors)]
+
+
+def dash_numbers(panels: Sequence[Sequence[str]], names: Sequence[str]) -> dict[str, int]:
+    """Give every name the first dash pattern that no earlier name in a panel of its own has."""
+    numbers: dict[str, int] = {}
+    for name in names:
+        rivals = {other for panel in panels if name in panel for other in panel}
+        taken = {numbers[other] for other in rivals if other in numbers}
+        numbers[name] = next(number for number in range(len(names)) if number not in taken)
+    return numbers
+
+
+def _time_figure(
+    condition: Condition, panels: Sequence[_Panel], signals: Sequence[Signal], title: str, what: str, identifier: str
+) -> Figure:
+    names = [column_name(one) for one in condition.competitors]
+    dashes = dash_numbers([[column_name(one) for one in panel.members] for panel in panels], names)
+    places = [(panel, signal) for panel in panels for signal in signals]
+    views = tuple(
+        _time_view(condition, place, dashes, f"{identifier}-{number}", last=number == len(places))
+        for number, place in enumerate(places, start=1)
+    )
+    shown = {one for panel in panels for one in panel.members}
+    legend = tuple(_entry(one, dashes) for one in condition.competitors if one in shown)
+    return Figure(
+        identifier,
+        title,
+        f"{title} at seed {condition.seeds[0]}: {what}." + _limits_words(signals),
+        views,
+        legend,
+        reference=any(signal.has_reference for signal in signals),
+    )
+
+
+def _limits_words(signals: Sequence[Signal]) -> str:
+    return " Faint dashed lines: limits." if any(signal.limits for signal in signals) else ""
+
+
+def _entry(one: Competitor, dashes: Mapping[str, int]) -> Entry:
+    name = column_name(one)
+    pattern = DASHES[dashes[name] % len(DASHES)]
+    return Entry(name, one.label, one.index % COLOURS, " ".join(f"{dash:g}" for dash in pattern), one.completed_first)
+
+
+def _time_view(
+    condition: Condition, place: tuple[_Panel, Signal], dashes: dict[str, int], identifier: str, *, last: bool
+) -> View:
+    panel, signal = place
+    names = [column_name(one) for one in panel.members if column_name(one) in signal.columns]
+    sampling_time = condition.results.study.loop.sampling_time
+    chart = time_chart(signal, names, dashes, sampling_time, last).properties(height=_PANEL_HEIGHT)
+    who = ", ".join(one.label for one in panel.members)
+    description = f"{signal.title} over time of {who}"
+    spec = _specification(chart)
+    svg = static_svg(spec, identifier, description, {signal.id: signal.columns})
+    return View(identifier, panel.title, description, spec, svg, signal.id, tuple(names), signal.unit)
+
+
+def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
+    """Return one strip plot over the seeds for each controlled output; none for a single seed."""
+    if len(condition.seeds) < 2:
+        return []
+    return [_spread_figure(condition, key, f"{prefix}spread-{i}") for i, key in enumerate(condition.keys(TRACKING))]
+
+
+def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure:
+    what = " of ".join(filter(None, (metric_label(key), metric_signal(key))))
+    axis = f"{what} / {metric_unit(key)}" if metric_unit(key) else what
+    rows = [_spread_row(condition, one, case.seed, key) for one, case in _done(condition)]
+    rows = [row for row in rows if math.isfinite(row["value"])]
+    values = [row["value"] for row in rows]
+    logarithmic = bool(values) and min(values) > 0 and max(values) / min(values) > _LOGARITHMIC_FROM
+    caption = (
+        f"{what} over {len(condition.seeds)} seeds, completed cases only; one dot per seed, upright line: median, "
+        f"diamond: seed {condition.seeds[0]}." + (" Logarithmic axis." if logarithmic else "")
+    )
+    if not rows:
+        return Figure(identifier, "Spread over seeds", f"{caption} No case completed.", ())
+    spec = _specification(spread_chart(rows, axis, logarithmic))
+    view = View(identifier + "-1", "", caption, spec, static_svg(spec, identifier + "-1", caption))
+    return Figure(identifier, "Spread over seeds", caption, (view,))
+
+
+def _done(condition: Condition) -> list[tuple[Competitor, CaseResult]]:
+    return [(one, case) for one in condition.competitors for case in one.completed]
+
+
+def _spread_row(condition: Condition, one: Competitor, seed: int, key: str) -> dict[str, Any]:
+    value = one.by_seed(key).get(seed, math.nan)
+    shown = with_unit(significant(value), metric_unit(key))
+    first = seed == condition.seeds[0]
+    return {
+        "label": one.label,
+        "key": column_name(one),
+        "value": _short(value),
+        "first": first,
+        "text": f"{one.label}, seed {seed}: {shown}",
+    }
+
+
+def step_time_figure(condition: Condition, prefix: str) -> Figure | None:
+    """Return the step times of all competitors on a logarithmic axis; None if nothing was timed."""
+    rows = [
+        _step_time_row(one, words, figure(one.over_seeds(key)))
+        for one in condition.competitors
+        for words, (key, figure) in STEP_TIMES.items()
+    ]
+    rows = [row for row in rows if math.isfinite(row["value"]) and row["value"] > 0]
+    if not rows:
+        return None
+    sampling_time = condition.results.study.loop.sampling_time
+    caption = (
+        "Time of one controller step: median (circle), 95 % (triangle), 99 % (diamond) and longest (cross). "
+        f"Dashed line: the sampling time, {duration(sampling_time)}. Logarithmic axis."
+    )
+    identifier = f"{prefix}step-time"
+    spec = _specification(step_time_chart(rows, sampling_time))
+    view = View(identifier + "-1", "", caption, spec, static_svg(spec, identifier + "-1", caption))
+    return Figure(identifier, "Step time", caption, (view,))
+
+
+
+
+def _step_time_row(one: Competitor, words: str, seconds: float) -> dict[str, Any]:
+    return {
+        "label": one.label,
+        "key": column_name(one),
+        "figure": words,
+        "value": _short(seconds),
+        "text": f"{one.label}, {words}: {duration(seconds)}",
+    }
+
+
+def _specification(chart: Any) -> dict[str, Any]:
+    """Return a chart without what the page sets for all of them."""
+    spec: dict[str, Any] = chart.to_dict()
+    return {key: value for key, value in spec.items() if key not in ("$schema", "config")}
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def _slug(title: str) -> str:
+    return title.lower().replace(" ", "-")

@@ -1,0 +1,145 @@
+"""Numbers and units as people read them in print."""
+
+import math
+from collections.abc import Iterable, Sequence
+from statistics import median
+from typing import NamedTuple
+
+MISSING = "–"
+MINUS = "−"
+_FIGURE_SPACE = "\u2007"
+_PUNCTUATION_SPACE = "\u2008"
+_NARROW_SPACE = "\u202f"
+_SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+_LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-4
+
+_UNIT_SYMBOLS = {"deg": "°", "degC": "°C", "Ohm": "Ω", "us": "µs", "1": "", "percent": "%"}
+
+
+class Scale(NamedTuple):
+    """A unit for a column of values, and the factor that brings the values to it."""
+
+    unit: str
+    factor: float
+
+
+_TIME_SCALES = (Scale("ns", 1e9), Scale("µs", 1e6), Scale("ms", 1e3), Scale("s", 1.0))
+
+
+def unit_symbol(unit: str) -> str:
+    """Return a unit of an FMU in print: ``N.m`` becomes ``N·m``, ``deg`` ``°``, ``m/s2`` ``m/s²``."""
+    numerator, slash, denominator = unit.partition("/")
+    return _factors(numerator) + slash + _factors(denominator)
+
+
+def _factors(product: str) -> str:
+    return "·".join(_factor(factor) for factor in product.split("."))
+
+
+def _factor(factor: str) -> str:
+    base = factor.rstrip("-0123456789")
+    power = factor[len(base) :]
+    return _UNIT_SYMBOLS.get(factor, _UNIT_SYMBOLS.get(base, base) + power.translate(_SUPERSCRIPT))
+
+
+def with_unit(number: str, unit: str) -> str:
+    """Join a number and a unit symbol: a narrow space between them, none before a degree sign alone."""
+    if not unit or number == MISSING:
+        return number
+    return f"{number}°" if unit == "°" else f"{number}\u00a0{unit}"
+
+
+def significant(value: float, digits: int = 4) -> str:
+    """Write a number with a count of significant digits; very large and small ones with a power of ten."""
+    if math.isnan(value):
+        return MISSING
+    if math.isinf(value):
+        return "∞" if value > 0 else f"{MINUS}∞"
+    if value == 0:
+        return "0"
+    rounded = float(f"{value:.{digits - 1}e}")
+    if not _SMALLEST_PLAIN <= abs(rounded) < _LARGEST_PLAIN:
+        return _scientific(rounded, digits)
+    return fixed(value, max(digits - 1 - _exponent(rounded), 0))
+
+
+def fixed(value: float, decimals: int) -> str:
+    """Write a finite number with a count of decimals, thousands apart, and a true minus sign."""
+    text = f"{value:,.{decimals}f}".replace(",", _NARROW_SPACE)
+    return text.replace("-", MINUS) if float(f"{value:.{decimals}f}") != 0 else text.lstrip("-")
+
+
+def as_given(value: float) -> str:
+    """Write a number with the digits it was given with, as a publication prints it."""
+    shortest = f"{value:.15g}"
+    mantissa = shortest.partition("e")[0].replace(".", "").replace("-", "").lstrip("0")
+    return significant(value, max(len(mantissa), 1))
+
+
+def integer(value: float) -> str:
+    """Write a count; a value that does not exist as a dash."""
+    return MISSING if math.isnan(value) else fixed(value, 0)
+
+
+def percent(ratio: float) -> str:
+    """Write a deviation given as a ratio in percent, with its sign."""
+    if not math.isfinite(ratio):
+        return MISSING
+    value = 100 * ratio
+    text = fixed(abs(value), 1 if abs(value) < 99.95 else 0)
+    sign = "" if float(text.replace(_NARROW_SPACE, "")) == 0 else MINUS if value < 0 else "+"
+    return f"{sign}{text}\u00a0%"
+
+
+def time_scale(seconds: Iterable[float]) -> Scale:
+    """Choose the unit in which most of the given times [s] are between 1 and 1000."""
+    known = [value for value in seconds if math.isfinite(value) and value > 0]
+    typical = median(known) if known else 1.0
+    return next((scale for scale in _TIME_SCALES if typical * scale.factor < 1000), _TIME_SCALES[-1])
+
+
+def duration(seconds: float, digits: int = 3) -> str:
+    """Write one time with the unit that suits it: ``65.5 µs``."""
+    if math.isnan(seconds):
+        return MISSING
+    scale = time_scale([seconds])
+    return with_unit(significant(seconds * scale.factor, digits), scale.unit)
+
+
+def column(values: Sequence[float], digits: int = 4) -> list[str]:
+    """Write a column of numbers with the same decimals, padded so that decimal points stand in line.
+
+    The typical value gets ``digits`` significant digits. A value that would be written as zero gets its own.
+    """
+    sizes = [abs(value) for value in values if math.isfinite(value) and value != 0]
+    decimals = min(max(digits - 1 - _exponent(median(sizes)), 0), 6) if sizes else 0
+    return align([_in_column(value, decimals) for value in values])
+
+
+def _in_column(value: float, decimals: int) -> str:
+    if not math.isfinite(value) or value == 0 or abs(value) >= _LARGEST_PLAIN:
+        return significant(value)
+    return fixed(value, decimals) if abs(value) >= 10.0**-decimals else significant(value, 2)
+
+
+def align(numbers: Sequence[str]) -> list[str]:
+    """Pad numbers on the right so that, set flush right in tabular figures, their points stand in line."""
+    tails = ["" if "×" in number else number.partition(".")[2] for number in numbers]
+    longest = max(map(len, tails), default=0)
+    return [_pad(number, len(tail), longest) for number, tail in zip(numbers, tails, strict=True)]
+
+
+def _pad(number: str, decimals: int, longest: int) -> str:
+    if not longest or "×" in number:
+        return number
+    point = "" if decimals else _PUNCTUATION_SPACE
+    return number + point + _FIGURE_SPACE * (longest - decimals)
+
+
+def _exponent(value: float) -> int:
+    return math.floor(math.log10(abs(value)))
+
+
+def _scientific(value: float, digits: int) -> str:
+    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    return f"{mantissa}\u202f×\u202f10{str(int(exponent)).translate(_SUPERSCRIPT)}".replace("-", MINUS)

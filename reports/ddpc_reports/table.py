@@ -1,0 +1,116 @@
+"""A table of the page: what stands in its cells, which are best, and the same as CSV."""
+
+import csv
+import io
+import math
+from base64 import b64encode
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from ddpc_reports.comparison import Spread
+from ddpc_reports.numbers import MISSING, column
+
+Raw = float | int | str
+
+
+@dataclass(frozen=True)
+class Heading:
+    """The head of a column: its title, a second line in small print, and whether numbers stand below it."""
+
+    title: str
+    detail: str = ""
+    numeric: bool = True
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell: the text to show, the value behind it, and how it stands out."""
+
+    text: str
+    raw: Raw = ""
+    best: bool = False
+    failed: bool = False
+    differs: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row: its header, the competitor whose colour it carries, and its cells."""
+
+    header: str
+    cells: tuple[Cell, ...]
+    key: str = ""
+    colour: int | None = None
+    group: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with its caption, ready to be set."""
+
+    id: str
+    caption: str
+    headings: tuple[Heading, ...]
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...] = ()
+    sortable: bool = False
+    kind: str = ""
+    download: str = field(default="")
+
+    @property
+    def csv_name(self) -> str:
+        """Name of the file that a reader saves."""
+        return self.download or f"{self.id}.csv"
+
+    @property
+    def csv_uri(self) -> str:
+        """The table as CSV in a data URI: values in full, no links to anything outside the page."""
+        buffer = io.StringIO(newline="")
+        writer = csv.writer(buffer, lineterminator="\n")
+        grouped = any(row.group for row in self.rows)
+        heads = [" ".join(filter(None, (h.title, h.detail and f"({h.detail})"))) for h in self.headings]
+        writer.writerow(["group", *heads] if grouped else heads)
+        for row in self.rows:
+            values = [row.header, *(_csv_value(cell) for cell in row.cells)]
+            writer.writerow([row.group, *values] if grouped else values)
+        return "data:text/csv;charset=utf-8;base64," + b64encode(buffer.getvalue().encode()).decode("ascii")
+
+
+def _csv_value(cell: Cell) -> str:
+    if isinstance(cell.raw, float):
+        return "" if math.isnan(cell.raw) else repr(cell.raw)
+    return str(cell.raw) if cell.raw != "" else cell.text
+
+
+def number_cells(
+    values: Sequence[float], *, eligible: Iterable[bool] = (), digits: int = 4
+) -> list[Cell]:
+    """Return a column of cells with decimal points in line; the smallest eligible value is the best.
+
+    Values that read alike share the mark. Where all of them read alike nobody is best.
+    """
+    texts = column(values, digits)
+    able = list(eligible) or [False] * len(values)
+    best = _best(values, texts, able)
+    return [
+        Cell(text, value, best=ok and text in best) for text, value, ok in zip(texts, values, able, strict=True)
+    ]
+
+def range_texts(spreads: Sequence[Spread]) -> list[str]:
+    """Write the ranges of a column with common decimals; a dash where there is no range."""
+    lows = column([s.low for s in spreads])
+    highs = column([s.high for s in spreads])
+    return [
+        f"{low.strip()} … {high.strip()}" if s.varies else MISSING
+        for s, low, high in zip(spreads, lows, highs, strict=True)
+    ]
+
+
+
+def _best(values: Sequence[float], texts: Sequence[str], able: Sequence[bool]) -> set[str]:
+    able_ones = [
+        (value, text) for value, text, ok in zip(values, texts, able, strict=True) if ok and not math.isnan(value)
+    ]
+    if len({text for _, text in able_ones}) < 2:
+        return set()
+    return {min(able_ones)[1]}

@@ -1,0 +1,166 @@
+"""FMUs built once per session, and instances of them at the level of the standard's functions."""
+
+import ctypes
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import fmpy.fmi2 as fmi2
+import numpy as np
+import pytest
+
+from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable, export_fmu
+from fmu_plants.pendulum import MODEL
+
+class Library:
+    """The shared library of an extracted FMU."""
+
+    def __init__(self, fmu: Path, folder: Path) -> None:
+        with zipfile.ZipFile(fmu) as archive:
+            archive.extractall(folder)
+        self.description = fmpy.read_model_description(str(fmu))
+        self.references = {v.name: v.valueReference for v in self.description.modelVariables}
+        name = self.description.coSimulation.modelIdentifier + fmpy.sharedLibraryExtension
+        self.functions = ctypes.CDLL(str(folder / "binaries" / fmpy.platform / name))
+        self.functions.fmi2Instantiate.restype = ctypes.c_void_p
+
+
+class Instance:
+    """One instance; every call returns the status of the standard, and messages are kept."""
+
+    def __init__(self, library: Library, *, logging: bool = True, guid: str | None = None, kind: int = fmi2.fmi2CoSimulation) -> None:
+        self.library = library
+        self.messages: list[tuple[int, str, str]] = []
+
+        def log(_: object, __: bytes, status: int, category: bytes, message: bytes) -> None:
+            self.messages.append((status, category.decode(), message.decode()))
+
+        self.callbacks = fmi2.fmi2CallbackFunctions(logger=fmi2.fmi2CallbackLoggerTYPE(log))
+        self.component = library.functions.fmi2Instantiate(
+            b"plant",
+            kind,
+            (guid or library.description.guid).encode(),
+            b"",
+            ctypes.byref(self.callbacks),
+            0,
+            int(logging),
+        )
+
+    def call(self, name: str, *arguments: Any) -> int:
+        return int(getattr(self.library.functions, name)(ctypes.c_void_p(self.component), *arguments))
+
+    def setup(self, *, tolerance: float | None = None, start: float = 0.0, stop: float | None = None) -> int:
+        return self.call(
+            "fmi2SetupExperiment",
+            int(tolerance is not None),
+            ctypes.c_double(tolerance or 0.0),
+            ctypes.c_double(start),
+            int(stop is not None),
+            ctypes.c_double(stop or 0.0),
+        )
+
+    def start(self, values: dict[str, float] | None = None, **experiment: float) -> "Instance":
+        """Bring the instance to its first communication point."""
+        assert self.setup(**experiment) == fmi2.fmi2OK
+        assert self.set(values or {}) == fmi2.fmi2OK
+        assert self.call("fmi2EnterInitializationMode") == fmi2.fmi2OK
+        assert self.call("fmi2ExitInitializationMode") == fmi2.fmi2OK
+        return self
+
+    def set(self, values: dict[str, float]) -> int:
+        return self.set_references([self.library.references[name] for name in values], list(values.values()))
+
+    def set_references(self, references: Sequence[int], values: Sequence[float]) -> int:
+        n = len(references)
+        references_, values_ = (ctypes.c_uint * n)(*references), (ctypes.c_double * n)(*values)
+        return self.call("fmi2SetReal", references_, ctypes.c_size_t(n), values_)
+
+    def get_with_status(self, *names: str) -> tuple[int, np.ndarray]:
+        n = len(names)
+        references = (ctypes.c_uint * n)(*(self.library.references[name] for name in names))
+        values = (ctypes.c_double * n)()
+        return self.call("fmi2GetReal", references, ctypes.c_size_t(n), values), np.array(values)
+
+    def get(self, *names: str) -> np.ndarray:
+        status, values = self.get_with_status(*names)
+        assert status == fmi2.fmi2OK, self.messages
+        return values
+
+    def step(self, time: float, size: float) -> int:
+        return self.call("fmi2DoStep", ctypes.c_double(time), ctypes.c_double(size), 1)
+
+    def last_successful_time(self) -> float:
+        value = ctypes.c_double()
+        assert self.call("fmi2GetRealStatus", fmi2.fmi2LastSuccessfulTime, ctypes.byref(value)) == fmi2.fmi2OK
+        return value.value
+
+    def run(self, inputs: np.ndarray, names: Sequence[str], size: float = 0.1, first: int = 0) -> np.ndarray:
+        """Hold each row of the inputs, shape (T, m), for one step; return the outputs after it, shape (T, p)."""
+        rows = []
+        for k, row in enumerate(inputs, first):
+            assert self.set(dict(zip(names, row, strict=True))) == fmi2.fmi2OK
+            assert self.step(k * size, size) == fmi2.fmi2OK, self.messages
+            rows.append(self.get(*self.outputs()))
+        return np.array(rows)
+
+    def outputs(self) -> list[str]:
+        return [unknown.variable.name for unknown in self.library.description.outputs]
+
+    def free(self) -> None:
+        self.library.functions.fmi2FreeInstance(ctypes.c_void_p(self.component))
+
+
+@pytest.fixture(scope="session")
+def pendulum_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_fmu(MODEL, tmp_path_factory.mktemp("fmu") / "pendulum.fmu")
+
+
+@pytest.fixture(scope="session")
+def pendulum_library(pendulum_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Library:
+    return Library(pendulum_fmu, tmp_path_factory.mktemp("pendulum"))
+
+
+@pytest.fixture
+def pendulum(pendulum_library: Library) -> Iterator[Callable[..., Instance]]:
+    """Open instances of the pendulum that are freed after the test."""
+    instances: list[Instance] = []
+
+    def open_instance(**options: Any) -> Instance:
+        instances.append(Instance(pendulum_library, **options))
+        return instances[-1]
+
+    yield open_instance
+    for instance in instances:
+        instance.free()
+
+
+def _escape_equations(v: Symbols) -> Equations:
+    from sympy import sqrt
+
+    return Equations({"x": v.gain * v.x**2}, {"root": sqrt(v.x), "held": v.push})
+
+
+ESCAPE = PlantModel(
+    name="escape",
+    description="x' = gain x^2: leaves every bound at t = 1 from x = 1",
+    states=(Variable("x", start=1.0),),
+    inputs=(Variable("push", min=-1.0, max=1.0),),
+    outputs=(Variable("root"), Variable("held")),
+    parameters=(Parameter("gain", min=0.0, max=10.0, start=1.0),),
+    equations=_escape_equations,
+)
+
+
+@pytest.fixture(scope="session")
+def escape_library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    folder = tmp_path_factory.mktemp("escape")
+    return Library(export_fmu(ESCAPE, folder / "escape.fmu"), folder / "extracted")
+
+
+@pytest.fixture
+def escape(escape_library: Library) -> Iterator[Instance]:
+    instance = Instance(escape_library)
+    yield instance
+    instance.free()
