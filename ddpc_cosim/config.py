@@ -51,9 +51,8 @@ class LoopSection(Section):
     def _whole_samples(self) -> "LoopSection":
         steps = self.duration / self.sampling_time
         if round(steps) < 1 or not math.isclose(steps, round(steps), rel_tol=1e-9):
-            raise ValueError(
-                f"duration ({self.duration:g}) must be a whole multiple of sampling_time ({self.sampling_time:g})"
-            )
+            whole = f"a whole multiple of sampling_time ({self.sampling_time:g})"
+            raise ValueError(f"duration ({self.duration:g}) must be {whole}")
         return self
 
     @property

@@ -76,7 +76,7 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
 
 
 def _context() -> BaseContext:
-    """Return the quickest way to start workers that inherit nothing: a preloaded fork server where there is one."""
+    """Return the quickest way to start clean workers: a preloaded fork server where there is one."""
     if sys.platform == "win32" or sys.platform == "darwin":
         return get_context("spawn")
     context = get_context("forkserver")

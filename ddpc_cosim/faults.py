@@ -66,10 +66,8 @@ def _in_data(data: Any, location: Location) -> Location:
     """Drop from a location what is no key of the data: the tags of a choice between sections."""
     place: list[int | str] = []
     for key in location:
-        if isinstance(data, dict) and key in data:
-            place.append(key)
-            data = data[key]
-        elif isinstance(data, list) and isinstance(key, int) and key < len(data):
+        in_list = isinstance(data, list) and isinstance(key, int) and key < len(data)
+        if in_list or (isinstance(data, dict) and key in data):
             place.append(key)
             data = data[key]
     return tuple(place)
@@ -92,7 +90,8 @@ def _in_words(model: type[BaseModel], fault: Any) -> str:
     if kind == "value_error":
         return str(context["error"])
     if kind in ("literal_error", "union_tag_invalid"):
-        return f"must be one of {context.get('expected') or context.get('expected_tags')}, got {_got(value, context)}"
+        allowed = context.get("expected") or context.get("expected_tags")
+        return f"must be one of {allowed}, got {_got(value, context)}"
     if kind == "union_tag_not_found":
         return 'required key "kind" is missing'
     if kind == "too_short":

@@ -14,10 +14,10 @@ import numpy as np
 from ddpc_cosim.controller import OK, Action, Controller, Loop, Recording, Sample
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, FMUStepError, StepStatus
 from ddpc_cosim.plant import Plant
-from ddpc_cosim.signals import Constant, GaussianNoise, ParameterChange, Reference, UniformRandom
+from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference, UniformRandom
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import FloatArray, Variable
-from ddpc_cosim.wiring import Sensors, Wiring, check_names, loop_bounds, reference_table, wire
+from ddpc_cosim.wiring import Sensors, check_names, loop_bounds, reference_table, wire
 
 OUTCOME_OF = {
     StepStatus.ERROR: Outcome.FMU_ERROR,
@@ -29,7 +29,7 @@ ProgressReport = Callable[[int, int], None]
 """Called now and then with the samples done and the samples planned."""
 
 
-class _Diverged(Exception):
+class _DivergedError(Exception):
     """The plant returned a value that is not finite."""
 
 
@@ -223,7 +223,7 @@ def _run(
             k += 1
     except FMUStepError as error:
         return OUTCOME_OF[error.status], str(error)
-    except _Diverged as error:
+    except _DivergedError as error:
         return Outcome.DIVERGED, f"{error} at t = {rows.time[k]:g} s"
     except (ControllerError, ConfigError) as error:
         return Outcome.CONTROLLER_ERROR, f"{error} at t = {rows.time[k]:g} s"
@@ -296,7 +296,7 @@ def _start(controller: Controller, loop: Loop) -> None:
 def _require_finite(y_plant: FloatArray, outputs: Sequence[Variable]) -> None:
     if not np.isfinite(y_plant).all():
         bad = int(np.flatnonzero(~np.isfinite(y_plant))[0])
-        raise _Diverged(f"output {outputs[bad].name} is {y_plant[bad]}")
+        raise _DivergedError(f"output {outputs[bad].name} is {y_plant[bad]}")
 
 
 def _whole_steps(duration: float, sampling_time: float) -> int:

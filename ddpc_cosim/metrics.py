@@ -6,6 +6,7 @@ sample of a completed run, at which the run ends, is left out). Keys read ``name
 
 import math
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -180,7 +181,7 @@ class _Step(NamedTuple):
 def _stretches(reference: FloatArray) -> Iterator[tuple[int, int]]:
     """Yield first and end row of every stretch of constant reference."""
     edges = [0, *(np.flatnonzero(np.diff(reference)) + 1), len(reference)]
-    for first, end in zip(edges[:-1], edges[1:], strict=True):
+    for first, end in pairwise(edges):
         if end > first:
             yield int(first), int(end)
 

@@ -76,7 +76,7 @@ class Plant(ABC):
 
             raise ConfigError(f"{type(self).__name__}: no tunable parameters ({', '.join(parameters)})")
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - most plants hold nothing
         """Release everything; the plant is not used afterwards."""
 
     def provenance(self) -> Mapping[str, str]:

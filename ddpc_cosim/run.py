@@ -64,8 +64,8 @@ class Selection:
 def run_study(checked: CheckedStudy, folder: Path, selection: Selection, progress: Progress) -> StudyResults:
     """Run a study's cases into a folder and return the results.
 
-    Cases that are there from an earlier run and whose settings, FMU, seed and code are the same are kept. If the
-    run is interrupted, the cases that were finished stay; the same call goes on from there.
+    Cases that are there from an earlier run and whose settings, FMU, seed and code are the same are kept. If
+    the run is interrupted, the cases that were finished stay; the same call goes on from there.
 
     Raises
     ------

@@ -140,8 +140,8 @@ def from_plain(plugin: type[Any], name: str, value: Any) -> Any:
     name : str
         Name of the setting.
     value : object
-        What the file says; a table makes an object of the class named by its key ``type`` (``module:Class``), or
-        of the class of the setting's default.
+        What the file says; a table makes an object of the class named by its key ``type`` (``module:Class``),
+        or of the class of the setting's default.
 
     Raises
     ------

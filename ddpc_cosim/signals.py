@@ -54,9 +54,8 @@ class Steps(Reference):
 
     def __post_init__(self) -> None:
         if len(self.times) != len(self.values) or not self.times:
-            raise ConfigError(
-                f"steps: times ({len(self.times)}) and values ({len(self.values)}) need the same length, at least 1"
-            )
+            lengths = f"times ({len(self.times)}) and values ({len(self.values)})"
+            raise ConfigError(f"steps: {lengths} need the same length, at least 1")
         if np.any(np.diff(self.times) <= 0):
             raise ConfigError(f"steps: times must increase, got {list(self.times)}")
 
@@ -134,7 +133,7 @@ class UniformRandom:
 
     def draw(self, inputs: int) -> FloatArray:
         """Return the excitation of all inputs, shape (samples, inputs)."""
-        unit = np.random.RandomState(self.seed).random_sample((self.samples, inputs))  # noqa: NPY002 - the paper's stream
+        unit = np.random.RandomState(self.seed).random_sample((self.samples, inputs))
         low, high = np.asarray(self.low, dtype=float), np.asarray(self.high, dtype=float)
         # Twice the centred half range, in the order of the authors' program, gives its data to the last bit.
         drawn: FloatArray = (low + high) / 2 + (high - low) / 2 * (2 * unit - 1)

@@ -121,7 +121,7 @@ def _variable(stored: dict[str, Any]) -> Variable:
 
 
 def _finite(value: Any) -> Any:
-    """Return JSON's version of a value: infinities and NaN, which JSON has not, as text that ``float`` reads."""
+    """Return JSON's version of a value: infinity and NaN, which JSON lacks, as text that ``float`` reads."""
     if isinstance(value, dict):
         return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -114,8 +114,8 @@ class Trace:
     def columns(self) -> dict[str, FloatArray]:
         """Return the numeric columns under the headers of ``signals.csv``, each of shape (K,).
 
-        Headers are ``name [unit]``. A reference is prefixed with ``reference``; a measurement that differs from
-        the controlled output of its name (by noise) with ``measured``, and left out where it is the same.
+        Headers are ``name [unit]``. A reference is prefixed with ``reference``; a measurement that differs
+        from the controlled output of its name (by noise) with ``measured``, and is left out where it is equal.
         """
         table = {"time [s]": self.time}
         for i, output in enumerate(self.outputs):

@@ -149,7 +149,7 @@ def fmu_source(
 
 def _write(path: Path, source: FMUSource, fmi_version: str, compiler: Compiler) -> Path:
     front_end = _FRONT_ENDS[fmi_version]
-    all_files = {**source.sources, **_headers(front_end.HEADERS)}
+    all_files = {**source.sources, **fmi_headers(front_end.HEADERS)}
     library = compile_library(compiler, all_files, front_end.FUNCTIONS)
     files = {f"sources/{name}": text.encode() for name, text in source.sources.items()}
     files["modelDescription.xml"] = source.description.encode()
@@ -161,7 +161,7 @@ def _write(path: Path, source: FMUSource, fmi_version: str, compiler: Compiler) 
     return path
 
 
-def _headers(names: Sequence[str]) -> dict[str, str]:
+def fmi_headers(names: Sequence[str]) -> dict[str, str]:
     """Read the standard's headers where FMPy keeps them, without the cost of its import."""
     package = importlib.util.find_spec("fmpy")
     if package is None or not package.submodule_search_locations:

@@ -5,8 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ddpc_cosim import DataError
-from ddpc_cosim.variables import FloatArray
+from ddpc_cosim import DataError, FloatArray
 
 RANK_TOLERANCE = 1e-10
 """A singular value below this fraction of the largest counts as zero."""
@@ -68,14 +67,17 @@ def hankel_matrix(w: FloatArray, depth: int) -> FloatArray:
     """
     length, width = w.shape
     if not 1 <= depth <= length:
-        raise DataError(f"a Hankel matrix of depth {depth} needs at least {max(depth, 1)} samples; there are {length}")
+        raise DataError(
+            f"a Hankel matrix of depth {depth} needs at least {max(depth, 1)} samples; there are {length}"
+        )
     windows = sliding_window_view(w, depth, axis=0)  # (T - depth + 1, d, depth)
     return windows.transpose(2, 1, 0).reshape(depth * width, length - depth + 1)
 
 
 def numerical_rank(matrix: FloatArray, tolerance: float = RANK_TOLERANCE) -> int:
     """Return the number of singular values above ``tolerance`` times the largest."""
-    return _count_nonzero(np.linalg.svd(matrix, compute_uv=False), tolerance)
+    values: FloatArray = np.linalg.svd(matrix, compute_uv=False)
+    return _count_nonzero(values, tolerance)
 
 
 def persistency_of_excitation(
@@ -107,9 +109,9 @@ def persistency_of_excitation(
     return _last_full_rank_depth(u / scale, highest, tolerance)
 
 
-def longest_needed(depth: int, inputs: int) -> int:
-    """Return the least number of samples that can excite ``inputs`` signals up to order ``depth``."""
-    return (inputs + 1) * depth - 1
+def least_samples(order: int, inputs: int) -> int:
+    """Return the least number of samples with which ``inputs`` signals can excite up to an order."""
+    return (inputs + 1) * order - 1
 
 
 def diagnose(stacked: FloatArray, u: FloatArray, order_needed: int) -> DataDiagnostics:
@@ -124,7 +126,7 @@ def diagnose(stacked: FloatArray, u: FloatArray, order_needed: int) -> DataDiagn
     order_needed : int
         Order of persistency of excitation that the controller needs.
     """
-    values = np.linalg.svd(stacked, compute_uv=False)
+    values: FloatArray = np.linalg.svd(stacked, compute_uv=False)
     rank = _count_nonzero(values, RANK_TOLERANCE)
     smallest = float(values[rank - 1]) if rank else 0.0
     look_up_to = max(order_needed, _LARGEST_HANKEL // u.shape[1])
@@ -147,11 +149,11 @@ def require_length(samples: int, order_needed: int, inputs: int, who: str) -> No
     DataError
         The lengths there and needed.
     """
-    needed = longest_needed(order_needed, inputs)
+    needed = least_samples(order_needed, inputs)
     if samples < needed:
         raise DataError(
-            f"{who}: the recording has {samples} samples; persistency of excitation of order {order_needed} "
-            f"with {inputs} input(s) takes at least {needed}: record longer, or shorten horizon or initial_length"
+            f"{who}: the recording has {samples} samples; persistency of excitation of order {order_needed} with "
+            f"{inputs} input(s) takes at least {needed}: record longer, or shorten horizon or initial_length"
         )
 
 
@@ -166,8 +168,8 @@ def require_excitation(diagnostics: DataDiagnostics, why: str, who: str) -> None
     reached, needed = diagnostics.pe_order, diagnostics.pe_order_needed
     if reached < needed:
         raise DataError(
-            f"{who}: the recorded input is persistently exciting of order {reached}, needed {needed} ({why}): "
-            "record more samples or use a richer input"
+            f"{who}: the recorded input is persistently exciting of order {reached}, needed {needed} "
+            f"({why}): record more samples or use a richer input"
         )
 
 

@@ -1,22 +1,20 @@
 """From a data-driven tracking problem as printed to the few variables that matter online.
 
-A problem is written in named variables: the rows ``h = M g`` of the data (u_ini, y_ini, u, y), the combination
-``g`` itself and artificial setpoints; and in named parameters: whatever changes from sample to sample. With the
-orthogonal factorisation ``M' = V B'`` and ``g = V v`` the rows are ``h = B v`` and ``|g| = |v|``: the recording's
-length is gone, whatever the rank of M, and nothing is inverted. What remains is
+With a rank-revealing orthogonal factorisation ``M = B V'`` of the stacked data and ``g = V v``, the data rows are
+``h = B v`` and ``|g| = |v|``: the length of the recording is gone, nothing is inverted, and data without full row
+rank (noise-free, lifted) are no special case. What remains is, p being the parameters,
 
-    minimise |G z - T p|^2   subject to   E z = E_p p,   lower <= C z <= upper,   z = (v, setpoints),
+    minimise |G z - T p|^2   subject to   E z = E_p p,   lower <= C z <= upper,   z = (v, setpoints).
 
-p being the parameters. The equalities are eliminated through a null space that reveals their rank. A triangular
-factor of what remains of G measures the distance t from the unconstrained optimum in units of the cost, so that
+The equalities are eliminated through a null space that reveals their rank. A triangular factor of what is left
+of G measures the distance t from the unconstrained optimum in units of the cost, and so
 
     minimise |t|^2   subject to   e_0(p) + L t <= 0
 
 is left of the problem, ``e`` being by how much each bound is exceeded in parts of its range.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
@@ -24,18 +22,15 @@ from scipy.linalg import qr, solve_triangular
 from ddpc_cosim import ConfigError, FloatArray
 
 EQUALITY_TOLERANCE = 1e-10
-"""Equality rows that others repeat to within this fraction are redundant."""
+"""An equality that others repeat to within this fraction is redundant."""
 
-_SAME_DIRECTION = 1e-14
 _INSIGNIFICANT = 1e-12
-
-Blocks = Mapping[str, FloatArray]
-"""Coefficient blocks by the name of the variable or parameter that they multiply."""
+_SAME_DIRECTION = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
 class CondensedProblem:
-    """Minimise |t|^2 subject to ``excess_law @ p + excess_gain @ t <= 0``; the control move is affine in p and t.
+    """Minimise ``|t|^2`` subject to ``excess_law @ p + excess_gain @ t <= 0``.
 
     Parameters
     ----------
@@ -46,7 +41,7 @@ class CondensedProblem:
     move_law, move_gain : arrays, shapes (m, parameters) and (m, k)
         The inputs to apply now, likewise, in their units.
     conflict_law : array, shape (c, parameters)
-        Must vanish: the part of the past that no combination of the recorded windows explains.
+        What must vanish: the part of the past that no combination of the recorded windows has.
     """
 
     excess_law: FloatArray
@@ -56,75 +51,27 @@ class CondensedProblem:
     conflict_law: FloatArray
 
 
-@dataclass
-class Problem:
-    """A quadratic problem in named variables, affine in named parameters.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Condenser:
+    """A tracking problem over (h, setpoints), ready to meet its data.
 
     Parameters
     ----------
-    rows : mapping of str to int
-        Sizes of the data rows ``h = M g``, stacked in this order in M.
-    free : mapping of str to int
-        Sizes of the other variables, the combination ``g`` excepted.
-    parameters : mapping of str to int
-        Sizes of the parameters, stacked in this order in p.
+    row_count : int
+        Number of data rows h.
+    regularisation : float
+        Weight of |g|^2.
+    residual, target : arrays, shapes (r, variables) and (r, parameters)
+        The cost ``|residual @ x - target @ p|^2``.
+    equality, equality_target : arrays, shapes (e, variables) and (e, parameters)
+        ``equality @ x = equality_target @ p``.
+    bounded : array, shape (b, variables)
+        The quantities with limits.
+    lower, upper : array, shape (b,)
+        The limits, infinite where there is none.
+    move : array, shape (m, variables)
+        The inputs to apply now.
     """
-
-    rows: Mapping[str, int]
-    free: Mapping[str, int]
-    parameters: Mapping[str, int]
-    _costs: list[tuple[FloatArray, Blocks, Blocks]] = field(default_factory=list, init=False, repr=False)
-    _equalities: list[tuple[Blocks, Blocks]] = field(default_factory=list, init=False, repr=False)
-    _bounds: list[tuple[str, FloatArray, FloatArray]] = field(default_factory=list, init=False, repr=False)
-    _regularisation: float = field(default=0.0, init=False, repr=False)
-
-    def regularise(self, weight: float) -> None:
-        """Add ``weight |g|^2`` to the cost."""
-        self._regularisation += weight
-
-    def penalise(self, weight: FloatArray, variables: Blocks, target: Blocks) -> None:
-        """Add ``|sum variables - sum target|^2_W`` to the cost; ``weight`` is W or one block of a repeated one."""
-        repeats = _row_count(variables) // len(weight)
-        self._costs.append((np.kron(np.eye(repeats), _square_root(weight)), variables, target))
-
-    def equate(self, variables: Blocks, target: Blocks) -> None:
-        """Require ``sum variables = sum target``."""
-        self._equalities.append((variables, target))
-
-    def bound(self, variable: str, lower: FloatArray, upper: FloatArray) -> None:
-        """Keep a variable within bounds, repeated along the horizon; infinite where there is none."""
-        repeats = {**self.rows, **self.free}[variable] // len(lower)
-        self._bounds.append((variable, np.tile(lower, repeats), np.tile(upper, repeats)))
-
-    def prepare(self, move: str, inputs: int) -> "PreparedProblem":
-        """Assemble what does not depend on the data; the first ``inputs`` entries of ``move`` are applied."""
-        variables = _offsets({**self.rows, **self.free})
-        parameters = _offsets(self.parameters)
-
-        def matrices(left: Blocks, right: Blocks) -> tuple[FloatArray, FloatArray]:
-            rows = _row_count(left)
-            return _assemble(left, variables, rows), _assemble(right, parameters, rows)
-
-        costs = [tuple(root @ matrix for matrix in matrices(v, t)) for root, v, t in self._costs]
-        equalities = [matrices(v, t) for v, t in self._equalities]
-        bounds = [(_rows(name, variables), low, high) for name, low, high in self._bounds]
-        return PreparedProblem(
-            row_count=sum(self.rows.values()),
-            regularisation=self._regularisation,
-            residual=_stack([v for v, _ in costs], variables),
-            target=_stack([t for _, t in costs], parameters),
-            equality=_stack([v for v, _ in equalities], variables),
-            equality_target=_stack([t for _, t in equalities], parameters),
-            bounded=_stack([v for v, _, _ in bounds], variables),
-            lower=np.concatenate([low for _, low, _ in bounds]),
-            upper=np.concatenate([high for _, _, high in bounds]),
-            move=_rows(move, variables)[:inputs],
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class PreparedProblem:
-    """A :class:`Problem` as matrices over (h, free variables), ready to meet its data."""
 
     row_count: int
     regularisation: float
@@ -142,7 +89,7 @@ class PreparedProblem:
 
         Parameters
         ----------
-        data : array, shape (rows, columns)
+        data : array, shape (row_count, columns)
             The stacked Hankel matrices M.
 
         Raises
@@ -151,7 +98,8 @@ class PreparedProblem:
             The weights leave the optimum undetermined.
         """
         basis = _row_space_factor(data)
-        particular, null_space, conflict = _eliminate(self._in_z(self.equality, basis), self.equality_target)
+        equality = self._in_z(self.equality, basis)
+        particular, null_space, conflict = _eliminate(equality, self.equality_target)
         law, gain = self._unconstrained_optimum(basis, particular, null_space)
 
         bounded, move = self._in_z(self.bounded, basis), self._in_z(self.move, basis)
@@ -159,22 +107,22 @@ class PreparedProblem:
         return CondensedProblem(excess_law, excess_gain, move @ law, move @ gain, conflict)
 
     def _in_z(self, matrix: FloatArray, basis: FloatArray) -> FloatArray:
-        """Rewrite rows over (h, free variables) as rows over z = (v, free variables)."""
+        """Rewrite rows over (h, setpoints) as rows over z = (v, setpoints)."""
         return np.hstack([matrix[:, : self.row_count] @ basis, matrix[:, self.row_count :]])
 
     def _unconstrained_optimum(
         self, basis: FloatArray, particular: FloatArray, null_space: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return ``z = law p + gain t`` such that the cost is |t|^2 and a constant."""
-        ridge = np.zeros((basis.shape[1], particular.shape[0]))
+        ridge = np.zeros((basis.shape[1], len(particular)))
         np.fill_diagonal(ridge, np.sqrt(self.regularisation))
         residual = np.vstack([self._in_z(self.residual, basis), ridge])
         offset = residual @ particular
         offset[: len(self.target)] -= self.target
 
         size = null_space.shape[1]
-        # Factorised together: R beside Q' offset, without Q.
-        factor = np.linalg.qr(np.hstack([residual @ null_space, offset]), mode="r")[:size]
+        # Factorised side by side: R and Q' offset, without Q.
+        factor = np.asarray(np.linalg.qr(np.hstack([residual @ null_space, offset]), mode="r"))[:size]
         triangular, projected = factor[:, :size], factor[:, size:]
         diagonal = np.abs(np.diag(triangular))
         if size and diagonal.min() <= _INSIGNIFICANT * diagonal.max():
@@ -184,13 +132,13 @@ class PreparedProblem:
 
     def _excess(self, law: FloatArray, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Turn ``lower <= law p + gain t <= upper`` into normalised rows that must not be positive."""
+        above, below = np.isfinite(self.upper), np.isfinite(self.lower)
         span = self.upper - self.lower
         size = np.where(np.isfinite(span) & (span > 0.0), span, 1.0)
-        above, below = np.isfinite(self.upper), np.isfinite(self.lower)
+        scale = np.concatenate([size[above], size[below]])[:, np.newaxis]
         law = np.vstack([law[above], -law[below]])
-        law[:, -1] -= np.concatenate([self.upper[above], -self.lower[below]])
-        size = np.concatenate([size[above], size[below]])[:, np.newaxis]
-        return _tightest(law / size, np.vstack([gain[above], -gain[below]]) / size)
+        law[:, -1] -= np.concatenate([self.upper[above], -self.lower[below]])  # the last parameter is 1
+        return _tightest(law / scale, np.vstack([gain[above], -gain[below]]) / scale)
 
 
 def _row_space_factor(data: FloatArray) -> FloatArray:
@@ -204,20 +152,20 @@ def _row_space_factor(data: FloatArray) -> FloatArray:
 
 
 def _eliminate(equality: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Solve ``E z = E_p p`` for ``z = particular p + null_space w``; return also what p must satisfy for it."""
+    """Solve ``E z = E_p p`` by ``z = particular p + null_space w``; return also what p must satisfy for that."""
     scale = np.linalg.norm(equality, axis=1, keepdims=True)
     scale[scale == 0.0] = 1.0
     left, values, right = np.linalg.svd(equality / scale)
     rank = int(np.count_nonzero(values > EQUALITY_TOLERANCE * values[:1]))
-    in_rows = left.T @ (target / scale)
-    particular = right[:rank].T @ (in_rows[:rank] / values[:rank, np.newaxis])
-    conflict = in_rows[rank:]
-    significant = np.linalg.norm(conflict, axis=1) > _INSIGNIFICANT * np.linalg.norm(in_rows)
+    rotated = left.T @ (target / scale)
+    particular = right[:rank].T @ (rotated[:rank] / values[:rank, np.newaxis])
+    conflict = rotated[rank:]
+    significant = np.linalg.norm(conflict, axis=1) > _INSIGNIFICANT * np.linalg.norm(rotated)
     return particular, right[rank:].T, conflict[significant]
 
 
 def _tightest(law: FloatArray, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Of rows that bound the same quantity, keep the tightest: the last parameter is the constant 1."""
+    """Of rows that bound the same quantity, keep the tightest."""
     rows = np.hstack([law[:, :-1], gain])
     size = np.linalg.norm(rows, axis=1)
     size[size == 0.0] = 1.0
@@ -226,46 +174,7 @@ def _tightest(law: FloatArray, gain: FloatArray) -> tuple[FloatArray, FloatArray
     if np.count_nonzero(same) == len(rows):
         return law, gain
     limits = law[:, -1] / size
-    # A row goes where another of the same direction is tighter, or as tight and earlier.
-    tighter = limits[np.newaxis, :] > limits[:, np.newaxis]
-    earlier = (limits[np.newaxis, :] == limits[:, np.newaxis]) & np.tri(len(rows), k=-1, dtype=bool)
-    kept = ~np.any(same & (tighter | earlier), axis=1)
+    tighter = limits > limits[:, np.newaxis]
+    as_tight_and_earlier = (limits == limits[:, np.newaxis]) & np.tri(len(rows), k=-1, dtype=bool)
+    kept = ~np.any(same & (tighter | as_tight_and_earlier), axis=1)
     return law[kept], gain[kept]
-
-
-def _square_root(weight: FloatArray) -> FloatArray:
-    """Return F with F'F = W."""
-    values, vectors = np.linalg.eigh(weight)
-    return np.sqrt(np.maximum(values, 0.0))[:, np.newaxis] * vectors.T
-
-
-def _offsets(sizes: Mapping[str, int]) -> dict[str, slice]:
-    """Return where each named block stands in the stacked vector."""
-    ends = np.cumsum(list(sizes.values()))
-    return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
-
-
-def _width(places: Mapping[str, slice]) -> int:
-    return max(place.stop for place in places.values())
-
-
-def _row_count(blocks: Blocks) -> int:
-    return next(iter(blocks.values())).shape[0]
-
-
-def _assemble(blocks: Blocks, places: Mapping[str, slice], rows: int) -> FloatArray:
-    """Write named blocks side by side, zero elsewhere."""
-    matrix = np.zeros((rows, _width(places)))
-    for name, block in blocks.items():
-        matrix[:, places[name]] += block
-    return matrix
-
-
-def _stack(matrices: list[FloatArray], places: Mapping[str, slice]) -> FloatArray:
-    return np.vstack([np.zeros((0, _width(places))), *matrices])
-
-
-def _rows(name: str, places: Mapping[str, slice]) -> FloatArray:
-    """Return the selection of one variable."""
-    place = places[name]
-    return np.eye(_width(places))[place]

@@ -12,7 +12,7 @@ from ddpc_controllers.behavioral import (
     require_excitation,
     require_length,
 )
-from ddpc_controllers.condensing import Problem
+from ddpc_controllers.problem import Problem
 from ddpc_controllers.qp import ParametricQP
 from ddpc_controllers.recorded import (
     MovingWindow,
@@ -32,8 +32,8 @@ AffineSum = Literal["none", "all", "first-horizon"]
 class DeePC(Controller):
     """Data-enabled predictive control, equation (8).
 
-    The defaults are those of Table 1. ``affine_sum = "first-horizon"`` and ``zero_padding`` do what the paper's
-    published program does and equation (8) does not.
+    The defaults are those of Table 1. ``affine_sum = "first-horizon"`` and ``zero_padding`` do what the
+    paper's published program does and equation (8) does not.
     """
 
     uses_recording: ClassVar[bool] = True
@@ -45,7 +45,9 @@ class DeePC(Controller):
     input_weight: Weight = setting(10.0, low=0.0, doc="R: inputs off the artificial setpoint")
     lambda_g: float = setting(50.0, above=0.0, doc="weight of |g|^2")
     lambda_sigma: float = setting(1e7, above=0.0, doc="weight of |sigma_y|^2, the misfit of the past outputs")
-    setpoint_margin: float = setting(0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoint")
+    setpoint_margin: float = setting(
+        0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoint"
+    )
     affine_sum: AffineSum = setting(
         "none", choices=("none", "all", "first-horizon"), doc="which entries of g sum to 1"
     )

@@ -106,7 +106,9 @@ class FullDeePC:
         if settings.affine_sum != "none":
             self._right[-1] = 1.0
         self._past = past * (m + p)
-        self._solver = _set_up(2.0 * hessian, equality, np.concatenate(lower), np.concatenate(upper), tolerance)
+        self._solver = _set_up(
+            2.0 * hessian, equality, np.concatenate(lower), np.concatenate(upper), tolerance
+        )
 
     def solve(self, u_ini: FloatArray, y_ini: FloatArray, reference: FloatArray) -> FullSolution:
         """Return the optimum for one past and one reference; time along axis 0 of each."""
@@ -149,7 +151,11 @@ class FullWKPC:
         self._shape = (columns, n, m, p)
         r = weight_matrix(settings.input_weight, m, "input_weight")
         self._q = weight_matrix(settings.output_weight, p, "output_weight")
-        each_r, each_q, tie_r = np.kron(np.eye(n), r), np.kron(np.eye(n), self._q), -np.kron(np.ones((n, 1)), r)
+        each_r, each_q, tie_r = (
+            np.kron(np.eye(n), r),
+            np.kron(np.eye(n), self._q),
+            -np.kron(np.ones((n, 1)), r),
+        )
         hessian = sp.bmat(
             [
                 [settings.lambda_g * sp.eye(columns), None, None, None],
@@ -174,7 +180,9 @@ class FullWKPC:
         upper = [endless, np.tile(bounds.u_max, n), np.tile(bounds.y_max, n), us_max]
         self._linear = np.zeros(hessian.shape[0])
         self._right = np.zeros(equality.shape[0])
-        self._solver = _set_up(2.0 * hessian, equality, np.concatenate(lower), np.concatenate(upper), tolerance)
+        self._solver = _set_up(
+            2.0 * hessian, equality, np.concatenate(lower), np.concatenate(upper), tolerance
+        )
 
     def solve(
         self, z_ini: FloatArray, u_ini: FloatArray, y_ini: FloatArray, reference: FloatArray

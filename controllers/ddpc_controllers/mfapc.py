@@ -15,8 +15,9 @@ from ddpc_cosim import ConfigError, Controller, FloatArray, Loop, Sample, Weight
 class MFAPC(Controller):
     """Model-free adaptive predictive control, compact form (CFDL), equations (14)-(21).
 
-    Needs no recording: it estimates how the outputs follow the inputs while it controls. The defaults are those
-    of Table 2. With several inputs or outputs every entry of the pseudo-Jacobian is reset and forecast by itself.
+    Needs no recording: it estimates how the outputs follow the inputs while it controls. The defaults are
+    those of Table 2. With several inputs or outputs every entry of the pseudo-Jacobian is reset and forecast
+    by itself.
     """
 
     uses_recording: ClassVar[bool] = False
@@ -45,7 +46,7 @@ class MFAPC(Controller):
         m, p = len(loop.inputs), len(loop.outputs)
         self._bounds = loop.bounds
         self._jacobian = PseudoJacobian(self._gradient_matrix(p, m).tolist(), self._constants())
-        self._predictor = np.zeros((self.horizon, p, self.horizon, m))
+        self._causal = np.tri(self.horizon)[:, np.newaxis, :, np.newaxis]  # predicted, output, changed, input
         self._ridge = self.lambda_u * np.eye(self.horizon * m)
         self._u, self._du = resting_input(loop), np.zeros(m)
         self._y: FloatArray | None = None
@@ -68,14 +69,9 @@ class MFAPC(Controller):
         return u.copy()
 
     def _prediction_matrix(self) -> FloatArray:
-        """Return A of ``Y = E y_k + A dU``, shape (N p, N m): block column l is Phi_k+l from block row l down."""
-        for output, row in enumerate(self._jacobian.forecast(self.horizon)):
-            for input_, gradients in enumerate(row):
-                column = self._predictor[:, output, :, input_]
-                for later, gradient in enumerate(gradients):
-                    column[later:, later] = gradient
-        n, p, _, m = self._predictor.shape
-        return self._predictor.reshape(n * p, n * m)
+        """Return A of ``Y = E y_k + A dU``, shape (N p, N m): block column l holds Phi_k+l from row l down."""
+        gradients = np.array(self._jacobian.forecast(self.horizon)).transpose(0, 2, 1)  # output, later, input
+        return (self._causal * gradients).reshape(-1, len(self._ridge))
 
     def _constants(self) -> Estimation:
         return Estimation(

@@ -1,8 +1,9 @@
-"""The pseudo-Jacobian of the compact-form dynamic linearisation (14): estimated (16)-(17) and forecast (18)."""
+"""The pseudo-Jacobian of compact-form dynamic linearisation (14): estimated (16)-(17), forecast (18)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
+from operator import mul
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +43,7 @@ class PseudoPartialDerivative:
     Parameters
     ----------
     initial : float
-        phi_1. Where it is 0 the direction of control is unknown, and neither sign nor size is held against it.
+        phi_1. Where it is 0 the direction of control is unknown, and no sign or size is held against it.
     constants : Estimation
         See there.
     """
@@ -51,25 +52,31 @@ class PseudoPartialDerivative:
         self._initial = initial
         self._constants = constants
         self._theta = [constants.theta_0] * constants.n_m
-        self._past = [initial] * constants.n_m  # phi_k-1 ... phi_k-nm at the next update
-        self.value = initial
+        self._newest_first = [initial] * (constants.n_m + 1)
+
+    @property
+    def value(self) -> float:
+        """The estimate phi_k."""
+        return self._newest_first[0]
 
     def update(self, correction: float, excited: bool) -> None:
         """Take the projection's correction, reset where (17) says so, and adapt the forecast (18)."""
-        phi = self._believable(self.value + correction) if excited else self._initial
-        self._past.insert(0, self.value)
-        self._past.pop()
-        self.value = phi
-        self._adapt_forecast(phi)
+        constants, theta, past = self._constants, self._theta, self._newest_first[:-1]
+        phi = self._believable(past[0] + correction) if excited else self._initial
+        self._newest_first = [phi, *past]
+
+        step = (phi - _dot(theta, past)) / (constants.delta + _dot(past, past))
+        theta = [t + step * old for t, old in zip(theta, past, strict=True)]  # (18)
+        if _dot(theta, theta) >= constants.theta_limit**2:
+            theta = [constants.theta_0] * constants.n_m
+        self._theta = theta
 
     def forecast(self, steps: int) -> list[float]:
         """Return phi_k, ..., phi_k+steps-1."""
-        recent = [*reversed(self._past[:-1]), self.value]
+        theta, newest_first = self._theta, self._newest_first.copy()
         for _ in range(steps - 1):
-            newest_first = recent[: -len(self._theta) - 1 : -1]
-            predicted = sum([t * phi for t, phi in zip(self._theta, newest_first, strict=True)])
-            recent.append(self._believable(predicted))
-        return recent[-steps:]
+            newest_first.insert(0, self._believable(_dot(theta, newest_first)))
+        return newest_first[steps - 1 :: -1]
 
     def _believable(self, phi: float) -> float:
         """Reset a gradient that is too small or has changed its sign (17)."""
@@ -77,14 +84,6 @@ class PseudoPartialDerivative:
         if initial == 0.0 or (phi * initial > 0.0 and abs(phi) >= self._constants.epsilon):
             return phi
         return initial
-
-    def _adapt_forecast(self, phi: float) -> None:
-        past, theta, constants = self._past, self._theta, self._constants
-        error = phi - sum([t * old for t, old in zip(theta, past, strict=True)])
-        step = error / (constants.delta + sum([old * old for old in past]))
-        theta = [t + step * old for t, old in zip(theta, past, strict=True)]  # (18)
-        too_long = sqrt(sum([t * t for t in theta])) >= constants.theta_limit
-        self._theta = [constants.theta_0] * constants.n_m if too_long else theta
 
 
 class PseudoJacobian:
@@ -105,14 +104,19 @@ class PseudoJacobian:
     def update(self, dy: Sequence[float], du: Sequence[float]) -> None:
         """Learn from the last change of the outputs and the change of the inputs before it (16)-(17)."""
         constants = self._constants
-        squared = sum([change * change for change in du])
+        squared = _dot(du, du)
         excited = sqrt(squared) > constants.epsilon
         gain = constants.eta / (constants.mu + squared)
         for change, row in zip(dy, self._entries, strict=True):
-            error = gain * (change - sum([entry.value * d for entry, d in zip(row, du, strict=True)]))
+            error = gain * (change - _dot([entry.value for entry in row], du))
             for entry, d in zip(row, du, strict=True):
                 entry.update(error * d, excited)  # (16)
 
     def forecast(self, steps: int) -> list[list[list[float]]]:
-        """Return every entry's phi_k, ..., phi_k+steps-1; lists of shape (p, m, steps)."""
+        """Return phi_k, ..., phi_k+steps-1 of every entry; lists of shape (p, m, steps)."""
         return [[entry.forecast(steps) for entry in row] for row in self._entries]
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    """Return the inner product over the shorter of two sequences."""
+    return float(sum(map(mul, a, b)))

@@ -45,8 +45,8 @@ class PublishedThinPlate:
 class DoubleShift:
     """A lifted memory that grows by two samples a step, while the input and output data stay.
 
-    It starts as the lifted recording. At every sample the last state and the new one are appended, each lifted
-    anew, and the lifted Hankel matrix is rebuilt from the last T samples but the last N.
+    It starts as the lifted recording. At every sample the last state and the new one are appended, each
+    lifted anew, and the lifted Hankel matrix is rebuilt from the last T samples but the last N.
 
     Parameters
     ----------

@@ -5,7 +5,7 @@ With e the normalised excess over every bound and S = L L', the optimality condi
 
     e = e_0 - S mu,   e <= 0,   mu >= 0,   e' mu = 0.
 
-For a given active set they are linear in e_0, so that one small product and one comparison prove its law optimal.
+For a given active set they are linear in e_0: one small product and one comparison prove its law optimal.
 """
 
 from typing import Any, NamedTuple
@@ -90,7 +90,9 @@ class ParametricQP:
         size = float(np.abs(self._problem.conflict_law @ parameters).max())
         if size <= _NO_CONFLICT * float(np.abs(parameters).max()):
             return ""
-        return f"no combination of the recorded windows has this past (off by {size:.1e}); the nearest is used"
+        return (
+            f"no combination of the recorded windows has this past (off by {size:.1e}); the nearest is used"
+        )
 
     def _respect_bounds(self, excess: FloatArray, u: FloatArray) -> str:
         """Correct the unconstrained optimum ``u`` in place."""
@@ -118,7 +120,7 @@ class ParametricQP:
         return True
 
     def _derive_law(self, active: ActiveSet) -> FloatArray | None:
-        """Return the map from e_0 to (e where inactive and -mu where active, change of u); None if degenerate."""
+        """Return the map from e_0 to (e where inactive, -mu where active; change of u), None if degenerate."""
         rows = list(active)
         gain = self._problem.excess_gain[rows]
         curvature = gain @ gain.T
@@ -133,7 +135,8 @@ class ParametricQP:
     def _solve_with_piqp(self, excess: FloatArray, u: FloatArray, pattern: ActiveSet) -> str:
         """Solve, read off the active set, and prefer its exact law to the solver's digits."""
         if not np.isfinite(excess).all():
-            return "a measurement or a reference is not finite"
+            u[...] = 0.0
+            return "a measurement or a reference is not finite: inputs at zero, or at the limit nearest to it"
         self._piqp = self._piqp or self._set_up_piqp()
         solver, directions = self._piqp
         solver.update(h_u=-excess)

@@ -17,11 +17,15 @@ def matching_recording(loop: Loop, who: str) -> Recording:
     """
     recording = loop.recording
     if recording is None:
-        raise DataError(f"{who} predicts with an open-loop recording: give the loop an excitation or a recording")
+        raise DataError(
+            f"{who} predicts with an open-loop recording: give the loop an excitation or a recording"
+        )
     found = (recording.u.shape[1], recording.y.shape[1], recording.measured.shape[1])
     wanted = (len(loop.inputs), len(loop.outputs), len(loop.measurements))
     if found != wanted:
-        raise DataError(f"{who}: the recording has (inputs, outputs, measurements) = {found}, the loop has {wanted}")
+        raise DataError(
+            f"{who}: the recording has (inputs, outputs, measurements) = {found}, the loop has {wanted}"
+        )
     if not np.isclose(recording.sampling_time, loop.sampling_time, rtol=1e-9):
         raise DataError(
             f"{who}: the recording was sampled every {recording.sampling_time:g} s, the loop runs every "
@@ -31,23 +35,25 @@ def matching_recording(loop: Loop, who: str) -> Recording:
 
 
 def padded_with_zeros(signal: FloatArray, samples: int) -> FloatArray:
-    """Append samples of zero and drop as many at the front, as the published programs do; time along axis 0."""
+    """Append samples of zero and drop as many in front, as the published programs do; time along axis 0."""
     return np.vstack([signal, np.zeros((samples, signal.shape[1]))])[samples:]
 
 
 def resting_input(loop: Loop) -> FloatArray:
     """Return the inputs before the first sample of a loop that starts from rest, shape (m,)."""
     start = np.array([variable.start for variable in loop.inputs])
-    return np.clip(start, loop.bounds.u_min, loop.bounds.u_max)
+    return np.asarray(np.clip(start, loop.bounds.u_min, loop.bounds.u_max))
 
 
 def setpoint_bounds(bounds: Bounds, margin: float) -> Bounds:
-    """Draw two-sided limits together about their middle, so that artificial setpoints stay off the limits."""
-    return Bounds(*_drawn_in(bounds.u_min, bounds.u_max, margin), *_drawn_in(bounds.y_min, bounds.y_max, margin))
+    """Draw two-sided limits together about their middle: artificial setpoints stay off the limits."""
+    return Bounds(
+        *_drawn_in(bounds.u_min, bounds.u_max, margin), *_drawn_in(bounds.y_min, bounds.y_max, margin)
+    )
 
 
 class ParameterVector:
-    """The parameters of a condensed problem: named windows of signals in one array that ends with a constant 1.
+    """The parameters of a condensed problem: named windows of signals in one array, then a constant 1.
 
     Parameters
     ----------
@@ -97,6 +103,7 @@ class MovingWindow:
 
 def _drawn_in(low: FloatArray, high: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
     bounded = np.isfinite(low) & np.isfinite(high)
-    middle = np.where(bounded, low / 2 + high / 2, 0.0)
+    middle = np.zeros_like(low)
+    np.add(low / 2, high / 2, out=middle, where=bounded)
     shrink = np.where(bounded, margin, 1.0)
     return middle + shrink * (low - middle), middle + shrink * (high - middle)

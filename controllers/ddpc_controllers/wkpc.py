@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from ddpc_controllers.behavioral import diagnose, hankel_matrix, require_excitation, require_length
-from ddpc_controllers.condensing import Problem
 from ddpc_controllers.dictionaries import Dictionary, ThinPlate
+from ddpc_controllers.problem import Problem
 from ddpc_controllers.published_code import DoubleShift, PublishedThinPlate
 from ddpc_controllers.qp import ParametricQP
 from ddpc_controllers.recorded import (
@@ -28,10 +28,10 @@ from ddpc_cosim import Action, Controller, FloatArray, Loop, Recording, Sample, 
 class WKPC(Controller):
     """Willems-Koopman predictive control, equations (10)-(12).
 
-    The lifted state is ``z = (x, psi_1(x), ..., psi_np(x))`` with x all that is measured. Future lifted states
-    are not known, so the lifted rows cover the past window only. The defaults are those of Table 1;
-    ``zero_padding``, ``redraw_centre``, ``squared_distance`` and ``double_shift`` do what the paper's published
-    program does and (10)-(12) do not.
+    The lifted state is ``z = (x, psi_1(x), ..., psi_np(x))`` with x all that is measured. Future lifted
+    states are not known, so the lifted rows cover the past window only. The defaults are those of Table 1.
+    ``zero_padding``, ``redraw_centre``, ``squared_distance`` and ``double_shift`` do what the paper's
+    published program does and (10)-(12) do not.
     """
 
     uses_recording: ClassVar[bool] = True
@@ -41,7 +41,9 @@ class WKPC(Controller):
     output_weight: Weight = setting(1.0, low=0.0, doc="Q: predicted outputs off the reference")
     input_weight: Weight = setting(0.1, above=0.0, doc="R: inputs off the artificial setpoint")
     lambda_g: float = setting(0.1, above=0.0, doc="weight of |g|^2")
-    setpoint_margin: float = setting(0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoint")
+    setpoint_margin: float = setting(
+        0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoint"
+    )
     dictionary: Dictionary = setting(default_factory=ThinPlate, doc="observables that lift the state")
     zero_padding: bool = setting(False, doc="append initial_length samples of zero to the recorded u and y")
     redraw_centre: bool = setting(False, doc="one centre for all functions, drawn at every evaluation")
@@ -98,9 +100,13 @@ class WKPC(Controller):
     def _faults_between_settings(self) -> list[str]:
         faults = []
         if not isinstance(self.dictionary, Dictionary):
-            faults.append(f"WKPC: dictionary = {self.dictionary!r} has no draw(size, rng); for example ThinPlate()")
+            faults.append(
+                f"WKPC: dictionary = {self.dictionary!r} has no draw(size, rng); for example ThinPlate()"
+            )
         elif (self.redraw_centre or self.squared_distance) and not isinstance(self.dictionary, ThinPlate):
-            faults.append("WKPC: redraw_centre and squared_distance change ThinPlate; the dictionary is another")
+            faults.append(
+                "WKPC: redraw_centre and squared_distance change ThinPlate; the dictionary is another"
+            )
         return faults
 
     def _dictionary(self) -> Dictionary:
@@ -126,7 +132,9 @@ class WKPC(Controller):
             u, y = padded_with_zeros(u, past), padded_with_zeros(y, past)
         z_rows = hankel_matrix(lifted[: -self.horizon], past)
         u_rows, y_rows = hankel_matrix(u, depth), hankel_matrix(y, depth)
-        stacked = np.vstack([z_rows, u_rows[: past * m], y_rows[: past * p], u_rows[past * m :], y_rows[past * p :]])
+        stacked = np.vstack(
+            [z_rows, u_rows[: past * m], y_rows[: past * p], u_rows[past * m :], y_rows[past * p :]]
+        )
         self._diagnostics = diagnose(stacked, u, depth + order)
         require_excitation(self._diagnostics, f"depth {depth} + lifted order {order}", "WKPC")
         return stacked
@@ -160,7 +168,9 @@ class WKPC(Controller):
         """Fill the past: with the recording's tail, or with rest."""
         past, windows = self.initial_length, self._parameters
         self._reference = windows["r"]
-        self._past_z, self._past_u, self._past_y = (MovingWindow(windows[n]) for n in ("z_ini", "u_ini", "y_ini"))
+        self._past_z, self._past_u, self._past_y = (
+            MovingWindow(windows[n]) for n in ("z_ini", "u_ini", "y_ini")
+        )
         self._resting = not loop.continues_recording
         self._moving = DoubleShift(lifted, past, self.horizon) if self.double_shift else None
         self._last_state: FloatArray | None = None

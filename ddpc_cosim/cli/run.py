@@ -31,9 +31,8 @@ def run_command(
     progress = TerminalProgress(console) if console.is_terminal else LineProgress(sys.stderr)
     with progress:
         results = run_study(checked, folder, selection, progress)
-    out_console = Console()
     # Where nobody's window limits it, the table takes the width it needs.
-    out_console.print(summary_table(results), width=None if out_console.is_terminal else _WIDE)
+    Console(width=None if sys.stdout.isatty() else _WIDE).print(summary_table(results))
     if report:
         print(write_report([results], folder / REPORT_FILE))
     failed = [case for case in results.cases if case.outcome is not Outcome.COMPLETED]

@@ -15,7 +15,7 @@ _SHOWN = {"sum_abs_error": "sum |error|", "settled_error": "settled", "max_abs_i
 
 
 def summary_table(results: StudyResults) -> Table:
-    """Return a table with one row per controller and scenario: the first seed, and the range over the seeds."""
+    """Return a table with one row per controller and scenario: the first seed, and the range over all."""
     first = results.cases[0]
     keys = [key for key in first.metrics if split_key(key)[0] in _SHOWN]
     several = len({case.scenario for case in results.cases}) > 1

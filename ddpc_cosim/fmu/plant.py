@@ -2,6 +2,7 @@
 
 import ctypes
 import hashlib
+import shutil
 import tempfile
 import weakref
 import zipfile
@@ -60,15 +61,16 @@ class FMUPlant(Plant):
         self, path: str | Path, *, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None
     ) -> None:
         self.path = Path(path)
-        self._folder = tempfile.TemporaryDirectory(prefix="ddpc-cosim-", ignore_cleanup_errors=True)
+        self._folder = Path(tempfile.mkdtemp(prefix="ddpc-cosim-"))
+        self._remove_folder = weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
         self._slave: fmpy_api.Fmi2Slave | None = None
         try:
             self._unpack()
-            self.description = read_description(Path(self._folder.name), self.path.name)
+            self.description = read_description(self._folder, self.path.name)
             chosen = _choose(self.description, self.path.name, inputs, outputs)
             self._check_binary()
         except Exception:
-            self._folder.cleanup()
+            self._remove_folder()
             raise
         self.inputs = tuple(v.variable for v in chosen[0])
         self.outputs = tuple(v.variable for v in chosen[1])
@@ -120,7 +122,7 @@ class FMUPlant(Plant):
     def close(self) -> None:
         """Terminate and free the FMU and remove its temporary folder."""
         self._free()
-        self._folder.cleanup()
+        self._remove_folder()
 
     @property
     def time(self) -> float:
@@ -150,7 +152,7 @@ class FMUPlant(Plant):
         if not self.path.is_file():
             raise FMUImportError(f"{self.path}: no such file")
         try:
-            fmpy_api.extract(self.path, Path(self._folder.name))
+            fmpy_api.extract(self.path, self._folder)
         except zipfile.BadZipFile as error:
             raise FMUImportError(f"{self.path.name}: not an FMU: {error}") from error
         except Exception as error:  # FMPy raises plain exceptions for illegal names
@@ -158,7 +160,7 @@ class FMUPlant(Plant):
 
     def _check_binary(self) -> None:
         platform = fmpy_api.platform()
-        binaries = Path(self._folder.name, "binaries")
+        binaries = self._folder / "binaries"
         name = self.description.model_identifier + fmpy_api.library_extension()
         if not (binaries / platform / name).is_file():
             present = sorted(p.name for p in binaries.iterdir() if p.is_dir()) if binaries.is_dir() else []
@@ -173,7 +175,7 @@ class FMUPlant(Plant):
             slave = fmpy_api.Fmi2Slave(
                 description.guid,
                 description.model_identifier,
-                Path(self._folder.name),
+                self._folder,
                 description.model_name,
             )
         except Exception as error:  # FMPy raises plain exceptions for whatever the loader or the FMU says
@@ -224,7 +226,8 @@ class FMUPlant(Plant):
         details = "".join(f"; {line}" for line in list(slave.log)[-3:]) if slave else ""
         if status == fmpy_api.DISCARD and self._asks_to_terminate():
             details = f"; the FMU asks to terminate{details}"
-        message = f"{self.path.name}: {function} returned {fmpy_api.status_word(status)} at t = {self.time:g} s{details}"
+        word = fmpy_api.status_word(status)
+        message = f"{self.path.name}: {function} returned {word} at t = {self.time:g} s{details}"
         if status == fmpy_api.FATAL:
             self._abandon()
         return FMUStepError(message, _STATUS.get(status, StepStatus.ERROR), self.time)

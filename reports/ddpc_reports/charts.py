@@ -12,8 +12,22 @@ import altair as alt
 
 from ddpc_reports.samples import Signal
 
-DASHES: tuple[tuple[float, ...], ...] = ((1, 0), (7, 2.5), (2, 2), (8, 2, 2, 2), (12, 3), (4, 1.5), (8, 2, 2, 2, 2, 2))
+DASHES: tuple[tuple[float, ...], ...] = (
+    (1, 0),
+    (7, 2.5),
+    (2, 2),
+    (8, 2, 2, 2),
+    (12, 3),
+    (4, 1.5),
+    (8, 2, 2, 2, 2, 2),
+)
 COLOURS = 7
+
+_TIME_LABELS = (
+    "datum.value < 1e-6 ? format(datum.value * 1e9, '~g') + ' ns' : "
+    "datum.value < 1e-3 ? format(datum.value * 1e6, '~g') + ' µs' : "
+    "datum.value < 1 ? format(datum.value * 1e3, '~g') + ' ms' : format(datum.value, '~g') + ' s'"
+)
 
 CONFIG: dict[str, Any] = {
     "background": None,
@@ -42,7 +56,9 @@ def colour(index: int) -> str:
     return f"var(--c{index % COLOURS})"
 
 
-def time_chart(signal: Signal, names: Sequence[str], dashes: dict[str, int], sampling_time: float, last: bool) -> Any:
+def time_chart(
+    signal: Signal, names: Sequence[str], dashes: dict[str, int], sampling_time: float, last: bool
+) -> Any:
     """Return the chart of one signal over time, for the competitors of one panel.
 
     Parameters
@@ -58,9 +74,12 @@ def time_chart(signal: Signal, names: Sequence[str], dashes: dict[str, int], sam
     last : bool
         Whether this is the lowest chart of the figure, which carries the title of the time axis.
     """
-    x = alt.X("t:Q").title("time / s" if last else None).scale(
-        domain=list(signal.end), domainRaw=alt.ExprRef("span"), nice=False
-    ).axis(tickCount=8, grid=False)
+    x = (
+        alt.X("t:Q")
+        .title("time / s" if last else None)
+        .scale(domain=list(signal.end), domainRaw=alt.ExprRef("span"), nice=False)
+        .axis(tickCount=8, grid=False)
+    )
     samples = alt.Chart(alt.NamedData(signal.id))
     layers = [
         *_limits(signal),
@@ -85,20 +104,31 @@ def _within(sampling_time: float) -> str:
     return f"span == null || (datum.t >= span[0] - {margin:g} && datum.t <= span[1] + {margin:g})"
 
 
-def _folded(samples: alt.Chart, names: Sequence[str]) -> alt.Chart:
+def _folded(samples: alt.Chart, names: Sequence[str]) -> Any:
     folded = samples.transform_fold(list(names), as_=["key", "value"])
     return folded.transform_filter("isValid(datum.value) && indexof(hidden, datum.key) < 0")
 
 
 def _colours(names: Sequence[str]) -> alt.Color:
-    return alt.Color("key:N").legend(None).scale(domain=list(names), range=[colour(int(name[1:])) for name in names])
+    return (
+        alt.Color("key:N")
+        .legend(None)
+        .scale(domain=list(names), range=[colour(int(name[1:])) for name in names])
+    )
 
 
 def _lines(
-    samples: alt.Chart, signal: Signal, names: Sequence[str], dashes: dict[str, int], x: alt.X, sampling_time: float
-) -> alt.Chart:
-    dash = alt.StrokeDash("key:N").legend(None).scale(
-        domain=list(names), range=[list(DASHES[dashes[name] % len(DASHES)]) for name in names]
+    samples: alt.Chart,
+    signal: Signal,
+    names: Sequence[str],
+    dashes: dict[str, int],
+    x: alt.X,
+    sampling_time: float,
+) -> Any:
+    dash = (
+        alt.StrokeDash("key:N")
+        .legend(None)
+        .scale(domain=list(names), range=[list(DASHES[dashes[name] % len(DASHES)]) for name in names])
     )
     return (
         _folded(samples, names)
@@ -108,7 +138,7 @@ def _lines(
     )
 
 
-def _reference(samples: alt.Chart, x: alt.X, sampling_time: float) -> alt.Chart:
+def _reference(samples: alt.Chart, x: alt.X, sampling_time: float) -> Any:
     return (
         samples.transform_filter(_within(sampling_time))
         .mark_line(clip=True, strokeWidth=1, interpolate="step-after", color="var(--ink)", opacity=0.75)
@@ -116,21 +146,21 @@ def _reference(samples: alt.Chart, x: alt.X, sampling_time: float) -> alt.Chart:
     )
 
 
-def _limits(signal: Signal) -> list[alt.Chart]:
+def _limits(signal: Signal) -> list[Any]:
     if not signal.limits:
         return []
     rows = alt.InlineData(values=[{"value": limit} for limit in signal.limits])
     return [alt.Chart(rows).mark_rule(color="var(--limit)", strokeDash=[3, 3]).encode(y=_y(signal))]
 
 
-def _band(x: alt.X) -> alt.Chart:
+def _band(x: alt.X) -> Any:
     chosen = alt.Chart(alt.InlineData(values=[{"chosen": 1}])).transform_filter("band != null")
     placed = chosen.transform_calculate(t="band[0]", to="band[1]")
     return placed.mark_rect(clip=True, color="var(--accent)", opacity=0.15).encode(x=x, x2=alt.X2("to:Q"))
 
 
-def _extent(samples: alt.Chart, signal: Signal, sampling_time: float) -> alt.Chart:
-    """Give all panels of a signal one range: that of every competitor shown, without the runs that ended early."""
+def _extent(samples: alt.Chart, signal: Signal, sampling_time: float) -> Any:
+    """Give all panels of a signal one range: of every competitor shown, save the runs that ended early."""
     everybody = list(signal.completed) or [name for name in signal.columns if name.startswith("c")]
     return (
         _folded(samples, everybody)
@@ -142,8 +172,10 @@ def _extent(samples: alt.Chart, signal: Signal, sampling_time: float) -> alt.Cha
     )
 
 
-def _reading(samples: alt.Chart, signal: Signal, names: Sequence[str], x: alt.X) -> list[alt.Chart]:
-    rule = samples.transform_filter("datum.t === at").mark_rule(clip=True, color="var(--ink-soft)").encode(x=x)
+def _reading(samples: alt.Chart, signal: Signal, names: Sequence[str], x: alt.X) -> list[Any]:
+    rule = (
+        samples.transform_filter("datum.t === at").mark_rule(clip=True, color="var(--ink-soft)").encode(x=x)
+    )
     dots = (
         _folded(samples.transform_filter("datum.t === at"), names)
         .mark_point(clip=True, filled=True, size=36, opacity=1)
@@ -196,15 +228,19 @@ def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Any:
     """
     labels, colours = _labels_and_colours(rows)
     figures = list(dict.fromkeys(row["figure"] for row in rows))
-    words = (
-        "datum.value < 1e-6 ? format(datum.value * 1e9, '~g') + ' ns' : datum.value < 1e-3 ? "
-        "format(datum.value * 1e6, '~g') + ' µs' : datum.value < 1 ? format(datum.value * 1e3, '~g') + ' ms' : "
-        "format(datum.value, '~g') + ' s'"
+    x = (
+        alt.X("value:Q")
+        .title("time of one step")
+        .scale(type="log", nice=True)
+        .axis(tickCount=5, labelExpr=_TIME_LABELS)
     )
-    x = alt.X("value:Q").title("time of one step").scale(type="log", nice=True).axis(tickCount=5, labelExpr=words)
     y = alt.Y("label:N", sort=labels).title(None).axis(_row_axis())
     hue = alt.Color("label:N").legend(None).scale(domain=labels, range=colours)
-    shape = alt.Shape("figure:N").legend(None).scale(domain=figures, range=["circle", "triangle-up", "diamond", "cross"])
+    shape = (
+        alt.Shape("figure:N")
+        .legend(None)
+        .scale(domain=figures, range=["circle", "triangle-up", "diamond", "cross"])
+    )
     shown = alt.Chart(alt.InlineData(values=rows)).transform_filter("indexof(hidden, datum.key) < 0")
     line = (
         shown.transform_aggregate(low="min(value)", high="max(value)", groupby=["label"])
@@ -213,7 +249,9 @@ def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Any:
     )
     points = shown.mark_point(filled=True, size=55, opacity=1).encode(x=x, y=y, color=hue, shape=shape)
     limit = alt.InlineData(values=[{"value": sampling_time}])
-    deadline = alt.Chart(limit).mark_rule(color="var(--limit)", strokeDash=[4, 3], strokeWidth=1.5).encode(x=x)
+    deadline = (
+        alt.Chart(limit).mark_rule(color="var(--limit)", strokeDash=[4, 3], strokeWidth=1.5).encode(x=x)
+    )
     return _rows_of(alt.layer(deadline, line, points), len(labels))
 
 
@@ -225,10 +263,19 @@ def _labels_and_colours(rows: list[dict[str, Any]]) -> tuple[list[str], list[str
 def _row_axis() -> alt.Axis:
     """Set the label of a row above its marks, so that long labels cost no width."""
     return alt.Axis(
-        labelAlign="left", labelPadding=-4, labelOffset=-17, labelBaseline="middle", labelLimit=600, labelFontSize=12,
-        labelColor="var(--ink)", ticks=False, grid=True, minExtent=0, maxExtent=0,
+        labelAlign="left",
+        labelPadding=-4,
+        labelOffset=-17,
+        labelBaseline="middle",
+        labelLimit=600,
+        labelFontSize=12,
+        labelColor="var(--ink)",
+        ticks=False,
+        grid=True,
+        minExtent=0,
+        maxExtent=0,
     )
 
 
-def _rows_of(chart: alt.LayerChart, rows: int) -> Any:
+def _rows_of(chart: Any, rows: int) -> Any:
     return chart.add_params(alt.param(name="hidden", value=[])).properties(height=46 * rows + 10)

@@ -20,12 +20,12 @@ class Spread(NamedTuple):
     median: float
     low: float
     high: float
-    count: int
+    known: int
 
     @property
     def varies(self) -> bool:
         """Whether the cases differ by more than rounding."""
-        return self.count > 1 and not math.isclose(self.low, self.high, rel_tol=1e-9)
+        return self.known > 1 and not math.isclose(self.low, self.high, rel_tol=1e-9)
 
 
 def spread(values: Iterable[float]) -> Spread:
@@ -45,8 +45,7 @@ STEP_TIMES: dict[str, tuple[str, Callable[[Spread], float]]] = {
 """Figures of the step time: the metric, and how the cases are summed up."""
 
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Competitor:
     """One controller under one condition, with its cases in the order of the seeds."""
 
@@ -89,7 +88,7 @@ class Competitor:
         return sum(value for case in self.cases if not math.isnan(value := case.metrics.get(key, math.nan)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Condition:
     """One scenario of a study: all competitors under the same conditions."""
 

@@ -74,7 +74,10 @@ def time_figures(condition: Condition, prefix: str) -> tuple[list[Figure], dict[
     kinds = {
         "Responses": (seen.outputs, "controlled output and reference (thin solid line)"),
         "Control signals": (seen.inputs, "control signal, drawn as it is held from sample to sample"),
-        "Change of control signals": (seen.changes, "change of the control signal from one sample to the next"),
+        "Change of control signals": (
+            seen.changes,
+            "change of the control signal from one sample to the next",
+        ),
     }
     figures = [
         _time_figure(condition, panels, signals, title, what, f"{prefix}{_slug(title)}")
@@ -92,7 +95,9 @@ def _panels(condition: Condition) -> list[_Panel]:
     """Return the study's panels that have competitors here; one with all of them where it names none."""
     by_key = {one.key: one for one in condition.competitors}
     asked = condition.results.study.report.panels
-    panels = [_Panel(one.title, tuple(by_key[key] for key in one.controllers if key in by_key)) for one in asked]
+    panels = [
+        _Panel(one.title, tuple(by_key[key] for key in one.controllers if key in by_key)) for one in asked
+    ]
     return [panel for panel in panels if panel.members] or [_Panel("", condition.competitors)]
 
 
@@ -107,7 +112,12 @@ def dash_numbers(panels: Sequence[Sequence[str]], names: Sequence[str]) -> dict[
 
 
 def _time_figure(
-    condition: Condition, panels: Sequence[_Panel], signals: Sequence[Signal], title: str, what: str, identifier: str
+    condition: Condition,
+    panels: Sequence[_Panel],
+    signals: Sequence[Signal],
+    title: str,
+    what: str,
+    identifier: str,
 ) -> Figure:
     names = [column_name(one) for one in condition.competitors]
     dashes = dash_numbers([[column_name(one) for one in panel.members] for panel in panels], names)
@@ -135,7 +145,9 @@ def _limits_words(signals: Sequence[Signal]) -> str:
 def _entry(one: Competitor, dashes: Mapping[str, int]) -> Entry:
     name = column_name(one)
     pattern = DASHES[dashes[name] % len(DASHES)]
-    return Entry(name, one.label, one.index % COLOURS, " ".join(f"{dash:g}" for dash in pattern), one.completed_first)
+    return Entry(
+        name, one.label, one.index % COLOURS, " ".join(f"{dash:g}" for dash in pattern), one.completed_first
+    )
 
 
 def _time_view(
@@ -156,7 +168,10 @@ def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
     """Return one strip plot over the seeds for each controlled output; none for a single seed."""
     if len(condition.seeds) < 2:
         return []
-    return [_spread_figure(condition, key, f"{prefix}spread-{i}") for i, key in enumerate(condition.keys(TRACKING))]
+    return [
+        _spread_figure(condition, key, f"{prefix}spread-{i}")
+        for i, key in enumerate(condition.keys(TRACKING))
+    ]
 
 
 def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure:
@@ -167,8 +182,9 @@ def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure:
     values = [row["value"] for row in rows]
     logarithmic = bool(values) and min(values) > 0 and max(values) / min(values) > _LOGARITHMIC_FROM
     caption = (
-        f"{what} over {len(condition.seeds)} seeds, completed cases only; one dot per seed, upright line: median, "
-        f"diamond: seed {condition.seeds[0]}." + (" Logarithmic axis." if logarithmic else "")
+        f"{what} over {len(condition.seeds)} seeds, completed cases only; one dot per seed, "
+        f"upright line: median, diamond: seed {condition.seeds[0]}."
+        + (" Logarithmic axis." if logarithmic else "")
     )
     if not rows:
         return Figure(identifier, "Spread over seeds", f"{caption} No case completed.", ())
@@ -213,8 +229,6 @@ def step_time_figure(condition: Condition, prefix: str) -> Figure | None:
     spec = _specification(step_time_chart(rows, sampling_time))
     view = View(identifier + "-1", "", caption, spec, static_svg(spec, identifier + "-1", caption))
     return Figure(identifier, "Step time", caption, (view,))
-
-
 
 
 def _step_time_row(one: Competitor, words: str, seconds: float) -> dict[str, Any]:

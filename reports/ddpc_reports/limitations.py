@@ -17,8 +17,8 @@ def limitations(conditions: tuple[Condition, ...], drawn: int) -> list[str]:
     found += _of_cases(conditions) + _of_seeds(conditions) + _of_drawing(conditions, drawn)
     if conditions:
         found.append(
-            "Step times are wall-clock times of one machine under the load it had; they rank implementations, "
-            "not methods."
+            "Step times are wall-clock times of one machine under the load it had; they rank "
+            "implementations, not methods."
         )
     return found
 
@@ -29,8 +29,8 @@ def _of_cases(conditions: tuple[Condition, ...]) -> list[str]:
         for one in condition.competitors:
             lost[one.label] += len(one.cases) - len(one.completed)
     return [
-        f"{label}: {count} {'case' if count == 1 else 'cases'} did not complete; its medians and ranges are those "
-        "of the others, which may be the easier ones."
+        f"{label}: {count} {'case' if count == 1 else 'cases'} did not complete; its medians and ranges are "
+        "those of the others, which may be the easier ones."
         for label, count in lost.items()
         if count
     ]
@@ -47,5 +47,3 @@ def _of_drawing(conditions: tuple[Condition, ...], drawn: int) -> list[str]:
     if not left_out:
         return []
     return [f"To keep the page small, these scenarios have no figures over time: {', '.join(left_out)}."]
-
-

@@ -5,8 +5,9 @@ from collections.abc import Iterable, Sequence
 from statistics import median
 from typing import NamedTuple
 
-MISSING = "–"
-MINUS = "−"
+MISSING = "\N{EN DASH}"
+MINUS = "\N{MINUS SIGN}"
+TIMES = "\N{MULTIPLICATION SIGN}"
 _FIGURE_SPACE = "\u2007"
 _PUNCTUATION_SPACE = "\u2008"
 _NARROW_SPACE = "\u202f"
@@ -124,13 +125,13 @@ def _in_column(value: float, decimals: int) -> str:
 
 def align(numbers: Sequence[str]) -> list[str]:
     """Pad numbers on the right so that, set flush right in tabular figures, their points stand in line."""
-    tails = ["" if "×" in number else number.partition(".")[2] for number in numbers]
+    tails = ["" if TIMES in number else number.partition(".")[2] for number in numbers]
     longest = max(map(len, tails), default=0)
     return [_pad(number, len(tail), longest) for number, tail in zip(numbers, tails, strict=True)]
 
 
 def _pad(number: str, decimals: int, longest: int) -> str:
-    if not longest or "×" in number:
+    if not longest or TIMES in number:
         return number
     point = "" if decimals else _PUNCTUATION_SPACE
     return number + point + _FIGURE_SPACE * (longest - decimals)
@@ -142,4 +143,4 @@ def _exponent(value: float) -> int:
 
 def _scientific(value: float, digits: int) -> str:
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
-    return f"{mantissa}\u202f×\u202f10{str(int(exponent)).translate(_SUPERSCRIPT)}".replace("-", MINUS)
+    return f"{mantissa}\u202f{TIMES}\u202f10{str(int(exponent)).translate(_SUPERSCRIPT)}".replace("-", MINUS)

@@ -16,9 +16,21 @@ from ddpc_reports.limitations import limitations
 from ddpc_reports.numbers import significant, with_unit
 from ddpc_reports.reproduction import reproduction_table
 from ddpc_reports.samples import Column
-from ddpc_reports.settings_tables import bounds_table, compact_seeds, controllers_table, family_tables, loop_table
+from ddpc_reports.settings_tables import (
+    bounds_table,
+    compact_seeds,
+    controllers_table,
+    family_tables,
+    loop_table,
+)
 from ddpc_reports.table import Table
-from ddpc_reports.tables import cases_table, diagnostics_table, failures_table, provenance_table, step_time_table
+from ddpc_reports.tables import (
+    cases_table,
+    diagnostics_table,
+    failures_table,
+    provenance_table,
+    step_time_table,
+)
 from ddpc_reports.verdict import Statement, verdict
 from ddpc_reports.verdict_table import verdict_table
 
@@ -46,6 +58,7 @@ class StudyPart:
     """What the page shows of one study."""
 
     id: str
+    number: int
     results: StudyResults
     title: str
     facts: dict[str, str]
@@ -90,7 +103,7 @@ def render_page(results: Sequence[StudyResults]) -> str:
     if not results:
         raise ValueError("a report needs the results of at least one study")
     data: dict[str, dict[str, Column]] = {}
-    studies = [_study_part(one, f"s{number}-", data) for number, one in enumerate(results, start=1)]
+    studies = [_study_part(one, number, data) for number, one in enumerate(results, start=1)]
     scripts = [chart_library(), page_script()]
     environment = Environment(
         loader=PackageLoader("ddpc_reports"),
@@ -111,17 +124,20 @@ def render_page(results: Sequence[StudyResults]) -> str:
     )
 
 
-def _study_part(results: StudyResults, prefix: str, data: dict[str, dict[str, Column]]) -> StudyPart:
+def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Column]]) -> StudyPart:
+    prefix = f"s{number}-"
     seen = conditions(results)
     study = results.study
-    parts = []
-    for number, condition in enumerate(seen):
-        parts.append(_condition_part(condition, f"{prefix}{number + 1}-", data, drawn=number < _MOST_DRAWN))
+    parts = [
+        _condition_part(condition, f"{prefix}{place}-", data, drawn=place <= _MOST_DRAWN)
+        for place, condition in enumerate(seen, start=1)
+    ]
     reproduction = study.report.reproduction
     families = family_tables(seen[0], prefix) if seen else []
     settings = [controllers_table(results, prefix), bounds_table(seen[0], prefix) if seen else None]
     return StudyPart(
         id=prefix,
+        number=number,
         results=results,
         title=study.title or study.name,
         facts=_facts(results),

@@ -46,7 +46,7 @@ class _Compared(NamedTuple):
 
 
 def reproduction_table(condition: Condition, reproduction: "Reproduction", prefix: str) -> Table:
-    """Return published values, both variants of each method here, the spread over seeds, and the deviation."""
+    """Return published values, both variants of each method here, spread over seeds, and deviation."""
     competitors = {one.key: one for one in condition.competitors}
     rows = [
         _row(title, key, method, competitors)
@@ -61,8 +61,8 @@ def reproduction_table(condition: Condition, reproduction: "Reproduction", prefi
         _HEADINGS,
         tuple(rows),
         (
-            "Median, range and deviation are those of the published-code variant where there is one, otherwise of "
-            "the method as printed; the deviation is that of the first seed.",
+            "Median, range and deviation are those of the published-code variant where there is one, "
+            "otherwise of the method as printed; the deviation is that of the first seed.",
         ),
         kind="grouped",
         download="reproduction.csv",

@@ -74,7 +74,10 @@ def first_seed(condition: Condition, prefix: str) -> FirstSeed:
     """Read the traces of the first seed and return their signals."""
     seed = condition.seeds[0]
     traces = {
-        column_name(one): case.trace() for one in condition.competitors for case in one.cases if case.seed == seed
+        column_name(one): case.trace()
+        for one in condition.competitors
+        for case in one.cases
+        if case.seed == seed
     }
     traces = {name: trace for name, trace in traces.items() if len(trace)}
     if not traces:
@@ -97,7 +100,9 @@ def _output(traces: dict[str, Trace], longest: Trace, i: int, name: str) -> Sign
 
 def _input(traces: dict[str, Trace], longest: Trace, i: int, name: str) -> Signal:
     variable = longest.inputs[i]
-    columns = {"t": _listed(longest.time)} | {key: _shown(variable, trace.u[:, i]) for key, trace in traces.items()}
+    columns = {"t": _listed(longest.time)} | {
+        key: _shown(variable, trace.u[:, i]) for key, trace in traces.items()
+    }
     limits = (float(longest.bounds.u_min[i]), float(longest.bounds.u_max[i]))
     return _signal(name, variable, _title(variable), columns, traces, limits, held=True)
 
@@ -123,7 +128,9 @@ def _signal(
 ) -> Signal:
     completed = tuple(key for key, trace in traces.items() if trace.completed)
     shown = [float(variable.shown_in.from_unit(np.array(limit))) for limit in limits if math.isfinite(limit)]
-    drawn = [value for key in ("r", *(completed or traces)) for value in columns.get(key, []) if value is not None]
+    drawn = [
+        value for key in ("r", *(completed or traces)) for value in columns.get(key, []) if value is not None
+    ]
     near = tuple(limit for limit in shown if drawn and _is_near(limit, drawn))
     return Signal(name, title, unit_symbol(variable.shown_in.name), columns, completed, near, held)
 

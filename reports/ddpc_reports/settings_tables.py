@@ -74,8 +74,14 @@ def controllers_table(results: StudyResults, prefix: str) -> Table:
         Row(labels[key], (Cell(section.type), Cell(section.note or MISSING)), key, index)
         for index, (key, section) in enumerate(sections.items())
     )
-    headings = (Heading("Controller", numeric=False), Heading("type", numeric=False), Heading("note", numeric=False))
-    return Table(f"{prefix}controllers", "Controllers", headings, rows, download="controllers.csv", kind="facts")
+    headings = (
+        Heading("Controller", numeric=False),
+        Heading("type", numeric=False),
+        Heading("note", numeric=False),
+    )
+    return Table(
+        f"{prefix}controllers", "Controllers", headings, rows, download="controllers.csv", kind="facts"
+    )
 
 
 def bounds_table(condition: Condition, prefix: str) -> Table | None:
@@ -86,11 +92,22 @@ def bounds_table(condition: Condition, prefix: str) -> Table | None:
     if not signals:
         return None
     rows = tuple(
-        Row(one.label, tuple(_limits({**study.bounds, **own[one.key]}.get(name)) for name in signals), one.key, one.index)
+        Row(
+            one.label,
+            tuple(_limits({**study.bounds, **own[one.key]}.get(name)) for name in signals),
+            one.key,
+            one.index,
+        )
         for one in condition.competitors
     )
     headings = (Heading("Controller", numeric=False), *(Heading(name, numeric=False) for name in signals))
-    return Table(f"{prefix}bounds", "Limits of inputs and outputs, per controller", headings, rows, download="limits.csv")
+    return Table(
+        f"{prefix}bounds",
+        "Limits of inputs and outputs, per controller",
+        headings,
+        rows,
+        download="limits.csv",
+    )
 
 
 _NO_SECTION = ControllerSection(type="unknown")
@@ -99,7 +116,7 @@ _NO_SECTION = ControllerSection(type="unknown")
 def _limits(bounds: BoundsSection | None) -> Cell:
     if bounds is None:
         return Cell("as the plant declares")
-    low = "−∞" if bounds.min is None else _number(bounds.min)
+    low = f"{MINUS}∞" if bounds.min is None else _number(bounds.min)
     high = "∞" if bounds.max is None else _number(bounds.max)
     return Cell(with_unit(f"{low} … {high}", unit_symbol(bounds.unit)))
 
@@ -122,7 +139,9 @@ def loop_table(results: StudyResults, prefix: str) -> Table:
     if study.recording:
         facts["recording"] = f"{study.recording.samples} samples"
         facts |= {f"excitation of {name}": _signal(one) for name, one in study.recording.excitation.items()}
-    facts |= {f"scenario {section.label or name}": _scenario(section) for name, section in study.scenarios.items()}
+    facts |= {
+        f"scenario {section.label or name}": _scenario(section) for name, section in study.scenarios.items()
+    }
     facts["seeds"] = compact_seeds(study.seeds)
     return facts_table(f"{prefix}loop", "The loop, the same for all controllers", facts, "loop.csv")
 
@@ -135,14 +154,14 @@ def facts_table(identifier: str, caption: str, facts: Mapping[str, str], downloa
 
 
 def compact_seeds(seeds: Sequence[int]) -> str:
-    """Write seeds with runs as ranges: ``5489, 0–29``."""
+    """Write seeds, runs of them as ranges."""
     runs: list[list[int]] = []
     for seed in seeds:
         if runs and seed == runs[-1][-1] + 1:
             runs[-1].append(seed)
         else:
             runs.append([seed])
-    return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}–{run[-1]}" for run in runs)
+    return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}\N{EN DASH}{run[-1]}" for run in runs)
 
 
 def _signal(section: Any) -> str:

@@ -20,7 +20,10 @@ _NOISE = re.compile(
 
 
 def static_svg(
-    spec: Mapping[str, Any], identifier: str, description: str, data: Mapping[str, dict[str, Column]] | None = None
+    spec: Mapping[str, Any],
+    identifier: str,
+    description: str,
+    data: Mapping[str, dict[str, Column]] | None = None,
 ) -> str:
     """Return a chart as an SVG element that scales with its box.
 

@@ -58,6 +58,14 @@ class Table:
     download: str = field(default="")
 
     @property
+    def groups(self) -> dict[str, list[Row]]:
+        """Rows by group, in the order in which the groups first occur."""
+        groups: dict[str, list[Row]] = {}
+        for row in self.rows:
+            groups.setdefault(row.group, []).append(row)
+        return groups
+
+    @property
     def csv_name(self) -> str:
         """Name of the file that a reader saves."""
         return self.download or f"{self.id}.csv"
@@ -82,9 +90,7 @@ def _csv_value(cell: Cell) -> str:
     return str(cell.raw) if cell.raw != "" else cell.text
 
 
-def number_cells(
-    values: Sequence[float], *, eligible: Iterable[bool] = (), digits: int = 4
-) -> list[Cell]:
+def number_cells(values: Sequence[float], *, eligible: Iterable[bool] = (), digits: int = 4) -> list[Cell]:
     """Return a column of cells with decimal points in line; the smallest eligible value is the best.
 
     Values that read alike share the mark. Where all of them read alike nobody is best.
@@ -93,8 +99,10 @@ def number_cells(
     able = list(eligible) or [False] * len(values)
     best = _best(values, texts, able)
     return [
-        Cell(text, value, best=ok and text in best) for text, value, ok in zip(texts, values, able, strict=True)
+        Cell(text, value, best=ok and text in best)
+        for text, value, ok in zip(texts, values, able, strict=True)
     ]
+
 
 def range_texts(spreads: Sequence[Spread]) -> list[str]:
     """Write the ranges of a column with common decimals; a dash where there is no range."""
@@ -106,10 +114,11 @@ def range_texts(spreads: Sequence[Spread]) -> list[str]:
     ]
 
 
-
 def _best(values: Sequence[float], texts: Sequence[str], able: Sequence[bool]) -> set[str]:
     able_ones = [
-        (value, text) for value, text, ok in zip(values, texts, able, strict=True) if ok and not math.isnan(value)
+        (value, text)
+        for value, text, ok in zip(values, texts, able, strict=True)
+        if ok and not math.isnan(value)
     ]
     if len({text for _, text in able_ones}) < 2:
         return set()

@@ -3,13 +3,22 @@
 import math
 
 from ddpc_cosim import Outcome, StudyResults
-from ddpc_reports.comparison import STEP_TIMES, TRACKING, Condition, Spread, metric_signal, metric_unit, spread
+from ddpc_reports.comparison import (
+    STEP_TIMES,
+    TRACKING,
+    Condition,
+    Spread,
+    metric_signal,
+    metric_unit,
+    spread,
+)
 from ddpc_reports.numbers import MISSING, integer, time_scale
 from ddpc_reports.settings_tables import facts_table
 from ddpc_reports.table import Cell, Heading, Row, Table, number_cells, range_texts
 
+
 def step_time_table(condition: Condition, prefix: str) -> Table:
-    """Return median, 95 %, 99 % and longest step time per controller, and their share of the sampling time."""
+    """Return median, 95 %, 99 % and longest step time per controller, and deadline misses."""
     everybody = condition.competitors
     columns: list[tuple[Heading, list[Cell]]] = []
     for words, (key, figure) in STEP_TIMES.items():
@@ -23,14 +32,18 @@ def step_time_table(condition: Condition, prefix: str) -> Table:
     misses = [one.total("deadline_misses [1]") for one in everybody]
     columns.append((Heading("deadline misses", "steps"), [Cell(integer(n), int(n)) for n in misses]))
     rows = (
-        Row(one.label, tuple(cells[i] for _, cells in columns), one.key, one.index) for i, one in enumerate(everybody)
+        Row(one.label, tuple(cells[i] for _, cells in columns), one.key, one.index)
+        for i, one in enumerate(everybody)
     )
     return Table(
         f"{prefix}step-times",
         "Computation time of one controller step",
         (Heading("Controller", numeric=False), *(heading for heading, _ in columns)),
         tuple(rows),
-        ("Wall-clock times. Median, 95 % and 99 % are medians over the completed cases; longest is of all of them.",),
+        (
+            "Wall-clock times. Median, 95 % and 99 % are medians over the completed cases; "
+            "longest is of all of them.",
+        ),
         download="step-times.csv",
     )
 
@@ -50,10 +63,12 @@ _DIAGNOSTICS = {
 
 
 def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
-    """Return what the controllers say about their data, at the first seed and over the seeds; None if nothing."""
+    """Return what the controllers say about their data, first seed and range; None if they say nothing."""
     talkers = [one for one in condition.competitors if any(case.diagnostics for case in one.cases)]
     names = dict.fromkeys(name for one in talkers for case in one.cases for name in case.diagnostics)
-    ordered = [name for name in _DIAGNOSTICS if name in names] + [name for name in names if name not in _DIAGNOSTICS]
+    ordered = [name for name in _DIAGNOSTICS if name in names] + [
+        name for name in names if name not in _DIAGNOSTICS
+    ]
     if not talkers:
         return None
     columns: list[tuple[Heading, list[Cell]]] = []
@@ -65,13 +80,18 @@ def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
         if any(s.varies for s in spreads):
             texts = _whole_ranges(spreads)
             columns.append((Heading(title, "range over the seeds"), [Cell(text) for text in texts]))
-    rows = (Row(one.label, tuple(c[i] for _, c in columns), one.key, one.index) for i, one in enumerate(talkers))
+    rows = (
+        Row(one.label, tuple(c[i] for _, c in columns), one.key, one.index) for i, one in enumerate(talkers)
+    )
     return Table(
         f"{prefix}diagnostics",
         "Data that the controllers learned from",
         (Heading("Controller", numeric=False), *(heading for heading, _ in columns)),
         tuple(rows),
-        ("PE order: order of persistent excitation of the recorded inputs. Rank and singular value: of the stacked data.",),
+        (
+            "PE order: order of persistent excitation of the recorded inputs. "
+            "Rank and singular value: of the stacked data.",
+        ),
         download="diagnostics.csv",
     )
 
@@ -115,8 +135,10 @@ def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], 
         f"Every case ({len(results.cases)})",
         tuple(headings),
         tuple(rows),
-        ("All metrics of every case are in the file metrics.csv beside the results. Values of cases that did not "
-         "complete cover their samples up to the fault.",),
+        (
+            "All metrics of every case are in the file metrics.csv beside the results. "
+            "Values of cases that did not complete cover their samples up to the fault.",
+        ),
         sortable=True,
         kind="cases",
         download="cases.csv",
@@ -177,7 +199,9 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
         Heading("outcome", numeric=False),
         Heading("reason", numeric=False),
     )
-    return Table(f"{prefix}failures", f"Cases that did not complete ({len(failed)})", headings, rows, kind="failures")
+    return Table(
+        f"{prefix}failures", f"Cases that did not complete ({len(failed)})", headings, rows, kind="failures"
+    )
 
 
 def provenance_table(results: StudyResults, prefix: str) -> Table:

@@ -62,7 +62,11 @@ def _completeness(condition: Condition) -> Markup:
     who = listed([_lost_cases(one) for one in lost])
     head = f"{done} of {total} cases completed" if done else "No case completed, so nothing is ranked"
     text = Markup("{}; not completed: {}.").format(head, who)
-    return text + " Figures of cases that did not complete are not compared with those that did." if done else text
+    return (
+        text + " Figures of cases that did not complete are not compared with those that did."
+        if done
+        else text
+    )
 
 
 def _lost_cases(one: Competitor) -> Markup:
@@ -79,16 +83,18 @@ def _first_seed(condition: Condition, key: str) -> Markup:
     show = _shower(key)
     what = metric_label(key).lower()
     if len(order) == 1:
-        return Markup("On seed {}, <b>{}</b> reaches an {} of {}; no other completed case to compare with.").format(
-            seed, order[0][1].label, what, show(order[0][0])
-        )
+        return Markup(
+            "On seed {}, <b>{}</b> reaches an {} of {}; no other completed case to compare with."
+        ).format(seed, order[0][1].label, what, show(order[0][0]))
     (best, winner), (second, next_one), (worst, last) = order[0], order[1], order[-1]
     if show(best) == show(worst):
         return Markup("On seed {} all controllers track alike: {} {}.").format(seed, what, show(best))
     text = Markup("On seed {}, <b>{}</b> tracks best: {} {}, then {} with {}").format(
         seed, winner.label, what, show(best), next_one.label, show(second)
     )
-    return text + (Markup("; last is {} with {}.").format(last.label, show(worst)) if len(order) > 2 else Markup("."))
+    return text + (
+        Markup("; last is {} with {}.").format(last.label, show(worst)) if len(order) > 2 else Markup(".")
+    )
 
 
 def _over_seeds(condition: Condition, key: str) -> Markup:
@@ -102,7 +108,11 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
     )
     if len(order) > 1:
         text += _duel(winner, order[1][1], key)
-    return text + _overlap(winner, [one for _, one in order[1:]], key) + _constant([one for _, one in order], key)
+    return (
+        text
+        + _overlap(winner, [one for _, one in order[1:]], key)
+        + _constant([one for _, one in order], key)
+    )
 
 
 def _duel(winner: Competitor, rival: Competitor, key: str) -> Markup:
@@ -152,10 +162,21 @@ def _leader(order: Sequence[tuple[float, Competitor]], key: str, claim: str, see
     if show(best) == show(second):
         alike = [one.label for value, one in order if show(value) == show(best)]
         return Markup("{} share the smallest {}: {}.").format(listed(alike), what, show(best))
-    return Markup("<b>{}</b> {}: {} {}, against {} of {} and {} of {}.").format(
-        winner.label, claim, what, show(best), show(second), next_one.label, show(order[-1][0]), order[-1][1].label
-    ) if len(order) > 2 else Markup("<b>{}</b> {}: {} {}, against {} of {}.").format(
-        winner.label, claim, what, show(best), show(second), next_one.label
+    return (
+        Markup("<b>{}</b> {}: {} {}, against {} of {} and {} of {}.").format(
+            winner.label,
+            claim,
+            what,
+            show(best),
+            show(second),
+            next_one.label,
+            show(order[-1][0]),
+            order[-1][1].label,
+        )
+        if len(order) > 2
+        else Markup("<b>{}</b> {}: {} {}, against {} of {}.").format(
+            winner.label, claim, what, show(best), show(second), next_one.label
+        )
     )
 
 
@@ -166,7 +187,9 @@ def _violations(condition: Condition) -> Markup:
             worst = one.over_seeds(key).high
             if worst > 0:
                 offenders.append(
-                    Markup("{} by up to {} ({})").format(one.label, _shower(key, 3)(worst), metric_signal(key))
+                    Markup("{} by up to {} ({})").format(
+                        one.label, _shower(key, 3)(worst), metric_signal(key)
+                    )
                 )
     if not offenders:
         return Markup("No output went beyond its limits in a completed case.")
@@ -190,7 +213,9 @@ def _deadlines(condition: Condition) -> Markup:
     late = [(one.total("deadline_misses [1]"), one.label) for one in condition.competitors]
     missed = [Markup("{} ({} steps)").format(label, integer(count)) for count, label in late if count]
     if missed:
-        return Markup("Steps longer than the sampling time of {}: {}.").format(duration(sampling_time), listed(missed))
+        return Markup("Steps longer than the sampling time of {}: {}.").format(
+            duration(sampling_time), listed(missed)
+        )
     longest = max(_longest_steps(condition.cases), default=math.nan)
     if math.isnan(longest):
         return Markup("No step was timed.")

@@ -12,7 +12,7 @@ from ddpc_reports.comparison import (
     metric_signal,
     metric_unit,
 )
-from ddpc_reports.numbers import integer, time_scale
+from ddpc_reports.numbers import MINUS, integer, time_scale
 from ddpc_reports.table import Cell, Heading, Row, Table, number_cells, range_texts
 
 _Column = tuple[Heading, list[Cell]]
@@ -48,7 +48,12 @@ def _tracking(condition: Condition) -> list[_Column]:
         firsts = [one.at_first(key) for one in condition.competitors]
         eligible = [one.completed_first for one in condition.competitors]
         title = _title(condition, key, "tracking cost")
-        columns.append((Heading(title, _detail(key, f"seed {condition.seeds[0]}")), number_cells(firsts, eligible=eligible)))
+        columns.append(
+            (
+                Heading(title, _detail(key, f"seed {condition.seeds[0]}")),
+                number_cells(firsts, eligible=eligible),
+            )
+        )
         if len(condition.seeds) > 1:
             columns.extend(_spread_columns(condition, key, title))
     return columns
@@ -141,8 +146,12 @@ def _notes(condition: Condition) -> tuple[str, ...]:
     if partly:
         best += ", among controllers that completed every case (for the first seed: that completed it)"
     seeds = len(condition.seeds)
-    over = f" Over {seeds} seeds: median step times are medians of the cases, the longest is of all." if seeds > 1 else ""
+    over = (
+        f" Over {seeds} seeds: median step times are medians of the cases, the longest is of all."
+        if seeds > 1
+        else ""
+    )
     return (
-        f"{best}; where all are equal, nobody is marked. Tracking cost is the sum of |reference − output| over "
-        f"the samples, actuator travel the sum of |change of the input|.{over}",
+        f"{best}; where all are equal, nobody is marked. Tracking cost is the sum of "
+        f"|reference {MINUS} output| over the samples, actuator travel the sum of |change of the input|.{over}",
     )

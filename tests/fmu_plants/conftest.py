@@ -14,6 +14,7 @@ import pytest
 from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable, export_fmu
 from fmu_plants.pendulum import MODEL
 
+
 class Library:
     """The shared library of an extracted FMU."""
 
@@ -30,7 +31,14 @@ class Library:
 class Instance:
     """One instance; every call returns the status of the standard, and messages are kept."""
 
-    def __init__(self, library: Library, *, logging: bool = True, guid: str | None = None, kind: int = fmi2.fmi2CoSimulation) -> None:
+    def __init__(
+        self,
+        library: Library,
+        *,
+        logging: bool = True,
+        guid: str | None = None,
+        kind: int = fmi2.fmi2CoSimulation,
+    ) -> None:
         self.library = library
         self.messages: list[tuple[int, str, str]] = []
 
@@ -97,7 +105,7 @@ class Instance:
         return value.value
 
     def run(self, inputs: np.ndarray, names: Sequence[str], size: float = 0.1, first: int = 0) -> np.ndarray:
-        """Hold each row of the inputs, shape (T, m), for one step; return the outputs after it, shape (T, p)."""
+        """Hold each row of the inputs (T, m) for one step; return the outputs after each, shape (T, p)."""
         rows = []
         for k, row in enumerate(inputs, first):
             assert self.set(dict(zip(names, row, strict=True))) == fmi2.fmi2OK
@@ -110,6 +118,28 @@ class Instance:
 
     def free(self) -> None:
         self.library.functions.fmi2FreeInstance(ctypes.c_void_p(self.component))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Leave the user's cache folder alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DDPC_COSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture
+def open_fmu(tmp_path: Path) -> Iterator[Callable[[Path], Instance]]:
+    """Extract FMUs and open an instance of each, freed after the test."""
+    instances: list[Instance] = []
+
+    def open_instance(fmu: Path) -> Instance:
+        instances.append(Instance(Library(fmu, tmp_path / f"extracted-{len(instances)}")))
+        return instances[-1]
+
+    yield open_instance
+    for instance in instances:
+        instance.free()
 
 
 @pytest.fixture(scope="session")

@@ -70,7 +70,7 @@ def test_starts_from_the_states_it_was_given(pendulum):
     instance = pendulum().start({"angle": 1.0, "angular_velocity": -2.0, "torque": 0.5})
     assert instance.get(*STATES) == pytest.approx([1.0, -2.0], abs=0)
     assert instance.step(0.0, 1.0) == fmi2OK
-    assert instance.get(*STATES) == pytest.approx(exact_step([1.0, -2.0], 0.5, 1.0), abs=1e-9)
+    assert instance.get(*STATES) == pytest.approx(exact_step([1.0, -2.0], 0.5, 1.0), abs=1e-8)
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -95,7 +95,7 @@ def test_huge_and_tiny_communication_steps(pendulum):
     assert instance.get("angular_velocity")[0] == pytest.approx(5.0 * 1e-12, rel=1e-9)
     assert instance.step(1e-12, 1e4) == fmi2OK
     rest = np.arcsin(1.0 / 9.81)  # where gravity balances the torque: sin(angle) = torque / (m g)
-    assert instance.get(*STATES) == pytest.approx([rest, 0.0], abs=1e-9)
+    assert instance.get(*STATES) == pytest.approx([rest, 0.0], abs=1e-8)
 
 
 def test_steps_far_from_time_zero_are_as_accurate(pendulum):

@@ -224,7 +224,7 @@ def test_a_failed_integration_names_its_time_and_leaves_the_last_good_point(esca
     """x' = x^2 from 1 is 1 / (1 - t)."""
     escape.start()
     assert escape.step(0.0, 0.5) == fmi2OK
-    assert_refused(escape, escape.step(0.5, 1.0), "integration failed at time", "0.99999")
+    assert_refused(escape, escape.step(0.5, 1.0), "integration failed at time 1:")
     assert escape.last_successful_time() == 0.5
     assert escape.get("x")[0] == pytest.approx(2.0, abs=1e-8)
     assert_refused(escape, escape.step(0.5, 0.1), "after a failed step")

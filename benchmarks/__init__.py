@@ -1,0 +1,1 @@
+"""What is measured against the obvious alternatives: ``python -m benchmarks NAME``."""

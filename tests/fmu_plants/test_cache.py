@@ -1,0 +1,90 @@
+"""FMUs in the user's cache folder."""
+
+import subprocess
+import sys
+
+import pytest
+from fmpy.validation import validate_fmu
+
+import fmu_plants.export
+from fmu_plants import ExportError, build_fmu
+from fmu_plants.pendulum import MODEL
+
+
+@pytest.fixture
+def cache(monkeypatch, tmp_path):
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("DDPC_COSIM_CACHE", str(folder))
+    return folder
+
+
+@pytest.fixture
+def compilations(monkeypatch):
+    """Count the calls of the compiler."""
+    calls = []
+    original = fmu_plants.export.compile_library
+
+    def counted(*arguments):
+        calls.append(arguments)
+        return original(*arguments)
+
+    monkeypatch.setattr(fmu_plants.export, "compile_library", counted)
+    return calls
+
+
+def test_a_second_build_compiles_nothing(cache, compilations):
+    path = build_fmu(MODEL)
+    assert path.name == "pendulum.fmu"
+    assert cache in path.parents
+    assert validate_fmu(str(path)) == []
+    content = path.read_bytes()
+    assert build_fmu(MODEL) == path
+    assert len(compilations) == 1
+    assert path.read_bytes() == content
+
+
+def test_what_changes_the_fmu_builds_it_anew(cache, compilations):
+    paths = {build_fmu(MODEL), build_fmu(MODEL, relative_tolerance=1e-8)}
+    assert len(paths) == len(compilations) == 2
+
+
+def test_another_compiler_builds_it_anew(cache, compilations, monkeypatch):
+    paths = {build_fmu(MODEL)}
+    monkeypatch.setenv("CC", f"{sys.executable} -m ziglang cc")
+    paths.add(build_fmu(MODEL))
+    assert len(paths) == len(compilations) == 2
+
+
+def test_concurrent_builds_give_one_whole_file(cache):
+    program = (
+        "from fmu_plants import build_fmu; from fmu_plants.pendulum import MODEL; print(build_fmu(MODEL))"
+    )
+    processes = [
+        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) for _ in range(3)
+    ]
+    paths = {process.communicate()[0].strip() for process in processes}
+    assert [process.returncode for process in processes] == [0, 0, 0]
+    assert len(paths) == 1
+    assert validate_fmu(paths.pop()) == []
+    assert len([path for path in cache.rglob("*") if path.is_file()]) == 1
+
+
+def test_a_file_that_another_process_wrote_first_is_used(cache, monkeypatch):
+    path = build_fmu(MODEL)
+    content = path.read_bytes()
+    path.unlink()
+
+    def slower(target, _):
+        target.write_bytes(content)
+        raise PermissionError("the file is being read")
+
+    monkeypatch.setattr(fmu_plants.export, "write_atomically", slower)
+    assert build_fmu(MODEL) == path
+
+
+def test_a_cache_folder_that_cannot_be_made_is_named(monkeypatch, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("", encoding="utf-8")
+    monkeypatch.setenv("DDPC_COSIM_CACHE", str(blocked))
+    with pytest.raises(ExportError, match="DDPC_COSIM_CACHE"):
+        build_fmu(MODEL)

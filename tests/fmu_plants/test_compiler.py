@@ -1,0 +1,110 @@
+"""Which compiler is used, what it must accept, and what is said when it fails."""
+
+import shlex
+import shutil
+import sys
+
+import fmpy
+import pytest
+from fmpy.validation import validate_fmu
+
+from fmu_plants import ExportError, export_fmu, fmi2
+from fmu_plants.compiler import Compiler, compile_library, find_compiler
+from fmu_plants.export import fmi_headers, fmu_source
+from fmu_plants.pendulum import MODEL
+
+STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror")
+ZIG = Compiler((sys.executable, "-m", "ziglang", "cc"), "zig")
+
+
+@pytest.fixture
+def no_system_compiler(monkeypatch, tmp_path):
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+
+
+def pendulum_files():
+    source = fmu_source(MODEL, "2.0", 1e-10, 1e-10)
+    return {**source.sources, **fmi_headers(fmi2.HEADERS)}
+
+
+@pytest.mark.parametrize("compiler", [find_compiler(), ZIG], ids=["system", "zig"])
+def test_the_c_code_gives_no_warning(compiler):
+    assert compile_library(compiler, pendulum_files(), fmi2.FUNCTIONS, STRICT)
+
+
+def test_zig_is_used_when_there_is_no_other(no_system_compiler, tmp_path, pendulum_fmu, open_fmu):
+    assert find_compiler().command == (sys.executable, "-m", "ziglang", "cc")
+    path = export_fmu(MODEL, tmp_path / "pendulum.fmu")
+    assert validate_fmu(str(path)) == []
+    ends = []
+    for fmu in (path, pendulum_fmu):
+        instance = open_fmu(fmu).start({"angle": 2.0, "torque": 1.0})
+        assert instance.step(0.0, 5.0) == 0
+        ends.append(instance.get("angle", "angular_velocity"))
+    assert ends[0] == pytest.approx(ends[1], abs=1e-9)
+
+
+def test_without_any_compiler_it_says_what_to_install(no_system_compiler, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "ziglang", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ExportError, match="pip install ziglang") as error:
+        export_fmu(MODEL, tmp_path / "pendulum.fmu")
+    for word in ("$CC", "gcc", "xcode-select"):
+        assert word in str(error.value)
+
+
+def test_the_environment_chooses_the_compiler(monkeypatch):
+    monkeypatch.setenv("CC", shlex.join([sys.executable, "-m", "ziglang", "cc"]))
+    compiler = find_compiler()
+    assert compiler.command[1:] == ("-m", "ziglang", "cc")
+    monkeypatch.setenv("CC", sys.executable)
+    assert find_compiler().identity != compiler.identity
+
+
+def test_a_compiler_that_is_not_there_is_named(monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler -m64")
+    with pytest.raises(ExportError, match="CC was not found: 'no-such-compiler -m64'"):
+        find_compiler()
+
+
+def test_a_program_that_cannot_run_is_named(tmp_path):
+    with pytest.raises(ExportError, match="cannot be run"):
+        compile_library(Compiler((str(tmp_path / "absent"),), ""), {"a.c": ""}, [])
+
+
+def test_the_compiler_s_own_words_are_passed_on():
+    with pytest.raises(ExportError, match=r"(?s)exit code 1.*a\.c.*nonsense"):
+        compile_library(find_compiler(), {"a.c": "nonsense"}, [])
+
+
+def test_a_library_that_lacks_a_function_is_refused():
+    with pytest.raises(ExportError, match="does not export: fmi2DoStep, hidden"):
+        compile_library(find_compiler(), {"a.c": "int hidden(void) { return 1; }"}, ["fmi2DoStep", "hidden"])
+
+
+def test_a_library_that_does_not_load_is_refused():
+    missing = (
+        'int elsewhere(void); __attribute__((visibility("default"))) int f(void) { return elsewhere(); }'
+    )
+    # Whether the linker or the loader finds out depends on the platform.
+    with pytest.raises(ExportError, match="elsewhere"):
+        compile_library(
+            find_compiler(), {"a.c": missing}, ["f"], ["-Wl,-z,now"] if shutil.which("ld") else []
+        )
+
+
+def test_the_library_exports_the_standard_s_functions_and_nothing_else(pendulum_library):
+    header = (fmi_headers(["fmi2Functions.h"]))["fmi2Functions.h"]
+    declared = {
+        word for word in header.replace("(", " ").replace(";", " ").split() if word.startswith("fmi2")
+    }
+    assert set(fmi2.FUNCTIONS) <= declared
+    for name in fmi2.FUNCTIONS:
+        assert hasattr(pendulum_library.functions, name)
+    for internal in ("simulation_create", "dopri54_integrate", "model", "allowed"):
+        assert not hasattr(pendulum_library.functions, internal)
+
+
+def test_platform_names_are_those_of_fmpy():
+    assert fmi2.platform() == fmpy.platform

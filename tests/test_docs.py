@@ -1,0 +1,61 @@
+"""Every code block of the README and of docs/ runs."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from ddpc_cosim.cli.main import main
+from ddpc_cosim.study_file import read_study
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks(language: str) -> list[object]:
+    return [
+        pytest.param(code, id=f"{page.name}-{number}")
+        for page in PAGES
+        for number, (kind, code) in enumerate(BLOCK.findall(page.read_text(encoding="utf-8")))
+        if kind == language
+    ]
+
+
+@pytest.fixture
+def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("code", blocks("python"))
+def test_python_blocks_run(code: str, empty_folder: Path) -> None:
+    assert CliRunner().invoke(main, ["export", "pendulum"]).exit_code == 0
+    exec(compile(code, "documentation", "exec"), {})
+
+
+@pytest.mark.parametrize("text", blocks("toml"))
+def test_studies_run(text: str, empty_folder: Path) -> None:
+    study = empty_folder / "study.toml"
+    study.write_text(text, encoding="utf-8")
+    assert read_study(str(study)).study.controllers
+    result = CliRunner().invoke(main, ["run", str(study), "--jobs", "1", "--no-report", "--seeds", "0"])
+    assert result.exit_code == 0, result.output
+
+
+def test_every_command_that_the_readme_shows_exists() -> None:
+    """The commands themselves run in the end-to-end tests; here none may be misspelt."""
+    shown = re.findall(r"ddpc-cosim ([a-z]+)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert set(shown) <= set(main.commands)
+    assert {"run", "report", "list", "export"} <= set(shown)
+
+
+def test_the_readme_begins_with_the_two_commands() -> None:
+    shell = blocks("sh")
+    first = shell[0].values[0]  # type: ignore[attr-defined]
+    commands = [shlex.split(line, comments=True) for line in first.splitlines()]
+    assert commands == [
+        ["pip", "install", "uv", "&&", "uv", "run", "ddpc-cosim", "run", "paper"],
+        ["uv", "run", "pytest"],
+    ]
