@@ -68,6 +68,7 @@ def model_source(
             "",
             _variable_table(layout),
             "",
+            *_legend(model),
             _function(model, "derivatives", model.states, symbolic.derivatives),
             "",
             _function(model, "outputs", model.computed_outputs, symbolic.outputs),
@@ -97,13 +98,28 @@ def _number(value: float) -> str:
 
 
 def _variable_table(layout: Sequence[Scalar]) -> str:
-    rows = [
-        f'    {{"{v.name}", {scalar.kind.value}, {_number(v.start)}, {_number(v.min)}, {_number(v.max)}, '
-        f"{_number(v.nominal)}}},"
-        for scalar in layout
-        for v in [scalar.variable]
+    def row(scalar: Scalar) -> str:
+        v = scalar.variable
+        numbers = ", ".join(_number(value) for value in (v.start, v.min, v.max, v.nominal))
+        return f'    {{"{v.name}", {scalar.kind.value}, {numbers}}},'
+
+    return "\n".join(["static const Variable variables[] = {", *map(row, layout), "};"])
+
+
+def _legend(model: PlantModel) -> list[str]:
+    """Say which variable is which array element, for readers of the C code."""
+    groups = {
+        "x": model.states,
+        "u": model.inputs,
+        "p": model.parameters,
+        "result of derivatives": model.states,
+        "result of outputs": model.computed_outputs,
+    }
+    return [
+        f"/* {array}: {', '.join(variable.name for variable in variables)} */"
+        for array, variables in groups.items()
+        if variables
     ]
-    return "\n".join(["static const Variable variables[] = {", *rows, "};"])
 
 
 def _element_names(model: PlantModel) -> dict[sympy.Symbol, str]:
@@ -122,7 +138,7 @@ def _function(
     """Return a function that evaluates the expressions, common subexpressions once."""
     printer = _CPrinter(_element_names(model))
     expand_powers = create_expand_pow_optimization(LARGEST_WRITTEN_OUT_POWER)
-    # Their numbers cannot meet a variable's name: the variables are printed as elements of arrays.
+    # A variable may be called t0, too: variables are printed as elements of arrays, never by name.
     common, reduced = sympy.cse(list(expressions), symbols=sympy.numbered_symbols("t"), list=True)
 
     def c_text(expression: sympy.Expr, where: str) -> str:
@@ -135,12 +151,10 @@ def _function(
         return text
 
     lines = [f"    const double {symbol} = {c_text(part, name)};" for symbol, part in common]
-    lines += [
-        f"    result[{index}] = {c_text(expression, repr(variable.name))}; /* {variable.name} */"
-        for index, (variable, expression) in enumerate(zip(results, reduced, strict=True))
-    ]
+    for index, (variable, expression) in enumerate(zip(results, reduced, strict=True)):
+        lines.append(f"    result[{index}] = {c_text(expression, repr(variable.name))};")
     body = "\n".join(lines)
     arguments = ("time", "x", "u", "p", "result")
-    unused = [f"    (void){name};" for name in arguments if not re.search(rf"\b{name}\b", body)]
+    unused = [f"    (void){argument};" for argument in arguments if not re.search(rf"\b{argument}\b", body)]
     signature = "double time, const double x[], const double u[], const double p[], double result[]"
     return "\n".join([f"static void {name}({signature})", "{", *unused, *lines, "}"])

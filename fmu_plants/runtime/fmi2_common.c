@@ -9,7 +9,7 @@
 
 /* The standard's names (section 2.2.4), also listed in modelDescription.xml. */
 static const char *const LOG_CATEGORIES[] = {"logStatusWarning", "logStatusDiscard", "logStatusError", "logAll"};
-enum { N_LOG_CATEGORIES = 4, ALL_CATEGORIES = (1 << N_LOG_CATEGORIES) - 1 };
+enum { N_LOG_CATEGORIES = 4, ALL_CATEGORIES = (1 << N_LOG_CATEGORIES) - 1, FAULTS = 1 << 1 | 1 << 2 };
 
 static unsigned category_of(fmi2Status status)
 {
@@ -137,7 +137,8 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     Instance *instance = calloc(1, sizeof(Instance));
     if (!instance) return NULL;
     instance->callbacks = *functions;
-    instance->logged_categories = loggingOn ? ALL_CATEGORIES : 0;
+    /* loggingOn is about debugging: why a call failed is said all the same. */
+    instance->logged_categories = loggingOn ? ALL_CATEGORIES : FAULTS;
     instance->name = copy_of(instanceName);
     start_over(instance);
     if (fits(instance, fmuType, fmuGUID)) {

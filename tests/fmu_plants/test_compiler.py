@@ -3,12 +3,13 @@
 import shlex
 import shutil
 import sys
+from dataclasses import replace
 
 import fmpy
 import pytest
 from fmpy.validation import validate_fmu
 
-from fmu_plants import ExportError, export_fmu, fmi2
+from fmu_plants import Equations, ExportError, export_fmu, fmi2
 from fmu_plants.compiler import Compiler, compile_library, find_compiler
 from fmu_plants.export import fmi_headers, fmu_source
 from fmu_plants.pendulum import MODEL
@@ -23,14 +24,19 @@ def no_system_compiler(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
 
 
-def pendulum_files():
-    source = fmu_source(MODEL, "2.0", 1e-10, 1e-10)
+def c_files(model):
+    source = fmu_source(model, "2.0", 1e-10, 1e-10)
     return {**source.sources, **fmi_headers(fmi2.HEADERS)}
 
 
 @pytest.mark.parametrize("compiler", [find_compiler(), ZIG], ids=["system", "zig"])
 def test_the_c_code_gives_no_warning(compiler):
-    assert compile_library(compiler, pendulum_files(), fmi2.FUNCTIONS, STRICT)
+    assert compile_library(compiler, c_files(MODEL), fmi2.FUNCTIONS, STRICT)
+
+
+def test_equations_that_leave_variables_unused_give_no_warning():
+    model = replace(MODEL, equations=lambda v: Equations({"angle": 1, "angular_velocity": v.time}))
+    assert compile_library(find_compiler(), c_files(model), fmi2.FUNCTIONS, STRICT)
 
 
 def test_zig_is_used_when_there_is_no_other(no_system_compiler, tmp_path, pendulum_fmu, open_fmu):
