@@ -1,4 +1,4 @@
-"""Controller steps, as the co-simulation calls them, against what they replace; medians over one closed loop."""
+"""Controller steps, as the co-simulation calls them, against what they replace; medians over one run."""
 
 import platform
 from collections.abc import Callable, Mapping
@@ -58,7 +58,8 @@ class FullStepper:
         self._u[:-1], self._u[-1] = self._u[1:], solution.u[0]
         self._y[:-1], self._y[-1] = self._y[1:], sample.y
         self.active.append(bool((np.abs(solution.u) >= self._margin - _ACTIVE).any()))
-        return solution.u[0]
+        u: FloatArray = solution.u[0]
+        return u
 
 
 def started(controller: Controller, recording: Recording, torque_limit: float) -> Stepper:
@@ -94,7 +95,7 @@ def against_full_problem(torque_limit: float) -> list[Row]:
     """Measure DeePC against the full problem, over all steps and over those with an active bound."""
     recording = experiment(200)
     full = FullStepper(DeePC(), recording, torque_limit)
-    steppers = {"condensed": started(DeePC(), recording, torque_limit), "full": full}
+    steppers: dict[str, Stepper] = {"condensed": started(DeePC(), recording, torque_limit), "full": full}
     times = measure(steppers, DeePC().horizon)
     active = np.array(full.active)
     limit = 20.0 if active.any() else 50.0
@@ -108,7 +109,7 @@ def against_full_problem(torque_limit: float) -> list[Row]:
 
 def against_length() -> list[Row]:
     """Measure DeePC on a long recording against a short one."""
-    steppers = {f"T = {samples}": started(DeePC(), experiment(samples), 3.5) for samples in (200, 5000)}
+    steppers: dict[str, Stepper] = {f"T = {n}": started(DeePC(), experiment(n), 3.5) for n in (200, 5000)}
     times = measure(steppers, DeePC().horizon)
     short, long = np.median(times["T = 200"]), np.median(times["T = 5000"])
     return [

@@ -76,8 +76,7 @@ def hankel_matrix(w: FloatArray, depth: int) -> FloatArray:
 
 def numerical_rank(matrix: FloatArray, tolerance: float = RANK_TOLERANCE) -> int:
     """Return the number of singular values above ``tolerance`` times the largest."""
-    values: FloatArray = np.linalg.svd(matrix, compute_uv=False)
-    return _count_nonzero(values, tolerance)
+    return _count_nonzero(np.linalg.svd(matrix, compute_uv=False).astype(np.float64), tolerance)
 
 
 def persistency_of_excitation(
@@ -126,7 +125,7 @@ def diagnose(stacked: FloatArray, u: FloatArray, order_needed: int) -> DataDiagn
     order_needed : int
         Order of persistency of excitation that the controller needs.
     """
-    values: FloatArray = np.linalg.svd(stacked, compute_uv=False)
+    values = np.linalg.svd(stacked, compute_uv=False).astype(np.float64)
     rank = _count_nonzero(values, RANK_TOLERANCE)
     smallest = float(values[rank - 1]) if rank else 0.0
     look_up_to = max(order_needed, _LARGEST_HANKEL // u.shape[1])
@@ -152,8 +151,9 @@ def require_length(samples: int, order_needed: int, inputs: int, who: str) -> No
     needed = least_samples(order_needed, inputs)
     if samples < needed:
         raise DataError(
-            f"{who}: the recording has {samples} samples; persistency of excitation of order {order_needed} with "
-            f"{inputs} input(s) takes at least {needed}: record longer, or shorten horizon or initial_length"
+            f"{who}: the recording has {samples} samples; persistency of excitation of order {order_needed} "
+            f"with {inputs} input(s) takes at least {needed}: record longer, or shorten horizon or "
+            "initial_length"
         )
 
 

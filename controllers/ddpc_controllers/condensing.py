@@ -1,13 +1,13 @@
 """From a data-driven tracking problem as printed to the few variables that matter online.
 
-With a rank-revealing orthogonal factorisation ``M = B V'`` of the stacked data and ``g = V v``, the data rows are
-``h = B v`` and ``|g| = |v|``: the length of the recording is gone, nothing is inverted, and data without full row
-rank (noise-free, lifted) are no special case. What remains is, p being the parameters,
+With a rank-revealing orthogonal factorisation ``M = B V'`` of the stacked data and ``g = V v``, the data
+rows are ``h = B v`` and ``|g| = |v|``: the length of the recording is gone, nothing is inverted, and data
+without full row rank (noise-free, lifted) are no special case. What remains is, p being the parameters,
 
     minimise |G z - T p|^2   subject to   E z = E_p p,   lower <= C z <= upper,   z = (v, setpoints).
 
-The equalities are eliminated through a null space that reveals their rank. A triangular factor of what is left
-of G measures the distance t from the unconstrained optimum in units of the cost, and so
+The equalities are eliminated through a null space that reveals their rank. A triangular factor of what is
+left of G measures the distance t from the unconstrained optimum in units of the cost, and so
 
     minimise |t|^2   subject to   e_0(p) + L t <= 0
 
@@ -17,7 +17,8 @@ is left of the problem, ``e`` being by how much each bound is exceeded in parts 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import qr
+from scipy.linalg.blas import dtrsm
 
 from ddpc_cosim import ConfigError, FloatArray
 
@@ -121,13 +122,16 @@ class Condenser:
         offset[: len(self.target)] -= self.target
 
         size = null_space.shape[1]
+        if size == 0:
+            return particular, null_space
         # Factorised side by side: R and Q' offset, without Q.
         factor = np.asarray(np.linalg.qr(np.hstack([residual @ null_space, offset]), mode="r"))[:size]
         triangular, projected = factor[:, :size], factor[:, size:]
         diagonal = np.abs(np.diag(triangular))
-        if size and diagonal.min() <= _INSIGNIFICANT * diagonal.max():
+        if diagonal.min() <= _INSIGNIFICANT * diagonal.max():
             raise ConfigError("the weights leave the optimum undetermined: make them positive")
-        gain = solve_triangular(triangular, null_space.T, trans=1, check_finite=False).T
+        # Not solve_triangular: its LAPACK routine starts threads even for a handful of rows.
+        gain = dtrsm(1.0, triangular, null_space, side=1)  # null_space R^-1
         return particular - gain @ projected, gain
 
     def _excess(self, law: FloatArray, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -152,7 +156,7 @@ def _row_space_factor(data: FloatArray) -> FloatArray:
 
 
 def _eliminate(equality: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Solve ``E z = E_p p`` by ``z = particular p + null_space w``; return also what p must satisfy for that."""
+    """Solve ``E z = E_p p`` by ``z = particular p + null_space w``; return also what p must satisfy."""
     scale = np.linalg.norm(equality, axis=1, keepdims=True)
     scale[scale == 0.0] = 1.0
     left, values, right = np.linalg.svd(equality / scale)

@@ -9,21 +9,21 @@ import numpy as np
 from ddpc_controllers.behavioral import (
     diagnose,
     hankel_matrix,
+    least_samples,
     require_excitation,
     require_length,
 )
 from ddpc_controllers.problem import Problem
 from ddpc_controllers.qp import ParametricQP
 from ddpc_controllers.recorded import (
-    MovingWindow,
     ParameterVector,
     matching_recording,
     padded_with_zeros,
     resting_input,
     setpoint_bounds,
 )
-from ddpc_controllers.validation import check_settings_and
-from ddpc_cosim import Action, Controller, FloatArray, Loop, Recording, Sample, Weight, setting, weight_matrix
+from ddpc_controllers.validation import check_settings_and, weight_matrices
+from ddpc_cosim import Action, Controller, FloatArray, Loop, Recording, Sample, Weight, setting
 
 AffineSum = Literal["none", "all", "first-horizon"]
 
@@ -68,6 +68,7 @@ class DeePC(Controller):
             A weight does not fit the number of signals.
         """
         recording = matching_recording(loop, "DeePC")
+        self._resting: bool = not loop.continues_recording
         m, p = len(loop.inputs), len(loop.outputs)
         self._parameters = ParameterVector(
             {"u_ini": (self.initial_length, m), "y_ini": (self.initial_length, p), "r": (self.horizon, p)}
@@ -79,14 +80,19 @@ class DeePC(Controller):
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal input of the horizon."""
+        parameters = self._parameters
         if self._resting:
-            self._y_ini[...] = sample.y
+            parameters.fill("y_ini", sample.y)
             self._resting = False
-        self._reference[...] = sample.reference
-        u, fault = self._qp.solve(self._parameters.array)
-        self._past_u.append(u)
-        self._past_y.append(sample.y)
+        parameters.fill("r", sample.reference)
+        u, fault = self._qp.solve(parameters.array)
+        parameters.append("u_ini", u)
+        parameters.append("y_ini", sample.y)
         return Action(u, fault) if fault else u
+
+    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+        """Return the fewest samples that can excite the inputs up to the order needed."""
+        return least_samples(self._order_needed(outputs), inputs)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
@@ -100,18 +106,22 @@ class DeePC(Controller):
             "the terminal condition holds over the last initial_length samples of the horizon"
         ]
 
+    def _order_needed(self, outputs: int) -> int:
+        """Return the order of excitation of Assumption 2: depth of the data and order of the plant."""
+        return self.initial_length + self.horizon + (self.assumed_order or self.initial_length * outputs)
+
     def _data(self, recording: Recording) -> FloatArray:
         """Return M: the past and future Hankel blocks, and the row that sums g where one is asked for."""
         u, y = recording.u, recording.y
         if self.zero_padding:
             u, y = padded_with_zeros(u, self.initial_length), padded_with_zeros(y, self.initial_length)
         m, p, past, depth = u.shape[1], y.shape[1], self.initial_length, self.initial_length + self.horizon
-        order = self.assumed_order or past * p
-        require_length(len(u), depth + order, m, "DeePC")
+        order = self._order_needed(p)
+        require_length(len(u), order, m, "DeePC")
         u_rows, y_rows = hankel_matrix(u, depth), hankel_matrix(y, depth)
         stacked = np.vstack([u_rows[: past * m], y_rows[: past * p], u_rows[past * m :], y_rows[past * p :]])
-        self._diagnostics = diagnose(stacked, u, depth + order)
-        require_excitation(self._diagnostics, f"depth {depth} + assumed order {order}", "DeePC")
+        self._diagnostics = diagnose(stacked, u, order)
+        require_excitation(self._diagnostics, f"depth {depth} + assumed order {order - depth}", "DeePC")
         if self.affine_sum == "none":
             return stacked
         summed = stacked.shape[1] if self.affine_sum == "all" else self.horizon
@@ -127,9 +137,11 @@ class DeePC(Controller):
 
         every_u, every_y = np.eye(horizon * m), np.eye(horizon * p)
         held_u, held_y = np.tile(np.eye(m), (horizon, 1)), np.tile(np.eye(p), (horizon, 1))
-        q = weight_matrix(self.output_weight, p, "output_weight")
-        s = weight_matrix(self.setpoint_weight, p, "setpoint_weight")
-        r = weight_matrix(self.input_weight, m, "input_weight")
+        q, s, r = weight_matrices(
+            output_weight=(self.output_weight, p),
+            setpoint_weight=(self.setpoint_weight, p),
+            input_weight=(self.input_weight, m),
+        )
         past_y = np.eye(past * p)
         problem.penalise(q, {"y": every_y, "y_s": -held_y}, {})  # |y_k - y_s|_Q^2
         problem.penalise(s, {"y_s": held_y}, {"r": every_y})  # |r_t+k - y_s|_S^2
@@ -151,14 +163,7 @@ class DeePC(Controller):
         return problem
 
     def _begin(self, loop: Loop, recording: Recording) -> None:
-        """Fill the past: with the recording's tail, or with rest."""
-        self._y_ini = self._parameters["y_ini"]
-        self._reference = self._parameters["r"]
-        self._past_u = MovingWindow(self._parameters["u_ini"])
-        self._past_y = MovingWindow(self._y_ini)
-        self._resting = not loop.continues_recording
-        if loop.continues_recording:
-            self._parameters["u_ini"][...] = recording.u[-self.initial_length :]
-            self._y_ini[...] = recording.y[-self.initial_length :]
-        else:
-            self._parameters["u_ini"][...] = resting_input(loop)
+        """Fill the past: with the recording's tail, or with rest as far as it is known yet."""
+        past = slice(-self.initial_length, None)
+        self._parameters.fill("u_ini", resting_input(loop) if self._resting else recording.u[past])
+        self._parameters.fill("y_ini", recording.y[past])

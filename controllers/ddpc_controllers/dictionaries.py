@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ddpc_cosim import FloatArray, check_settings, setting
+from ddpc_cosim import ConfigError, FloatArray, check_settings, setting
 
 Lift = Callable[[FloatArray], FloatArray]
 """From states, shape (..., q), to observables, shape (..., n_p)."""
@@ -15,6 +15,9 @@ Lift = Callable[[FloatArray], FloatArray]
 @runtime_checkable
 class Dictionary(Protocol):
     """Observables to lift a state of any size with."""
+
+    def functions(self, size: int) -> int:
+        """Return the number of observables n_p for states of one size."""
 
     def draw(self, size: int, rng: np.random.Generator) -> Lift:
         """Return the observables for states of one size.
@@ -41,26 +44,41 @@ class ThinPlate:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.low > self.high:
+            raise ConfigError(f"ThinPlate: low = {self.low:g} is above high = {self.high:g}")
+
+    def functions(self, size: int) -> int:
+        """Return n_p: it does not depend on the state's size."""
+        return self.count
 
     def draw(self, size: int, rng: np.random.Generator) -> Lift:
         """Draw the centres and return the functions; see :class:`Dictionary`."""
-        centres = rng.uniform(self.low, self.high, (self.count, size))
-
-        def lift(states: FloatArray) -> FloatArray:
-            return thin_plate(np.linalg.norm(states[..., np.newaxis, :] - centres, axis=-1))
-
-        return lift
+        return ThinPlateFunctions(rng.uniform(self.low, self.high, (self.count, size)))
 
 
-def thin_plate(distance: FloatArray, power: int = 1) -> FloatArray:
-    """Return ``distance**power * log10(distance)``, continued by its limit 0 at distance 0.
+@dataclass(frozen=True, eq=False)
+class ThinPlateFunctions:
+    """Thin-plate functions about given centres.
 
     Parameters
     ----------
-    distance : array
-        Distances from a centre.
+    centres : array, shape (n_p, q)
+        The centres c_i.
     power : int
-        1 as printed in (12).
+        Of the distance in front of the logarithm: 1 as printed in (12).
     """
+
+    centres: FloatArray
+    power: int = 1
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        """Return psi_1 ... psi_np for states of shape (..., q)."""
+        return thin_plate(states[..., np.newaxis, :] - self.centres, self.power)
+
+
+def thin_plate(difference: FloatArray, power: int) -> FloatArray:
+    """Return ``d**power * log10(d)`` for the lengths d of differences, shape (..., q); 0 where d = 0."""
+    distance = np.sqrt(np.square(difference).sum(axis=-1))
     logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)
-    return distance**power * logarithm
+    values: FloatArray = distance**power * logarithm
+    return values

@@ -62,16 +62,17 @@ class MFAPC(Controller):
         a = self._prediction_matrix()
         error = (sample.reference - y).ravel()  # Y* - E y_k
         du = dposv(a.T @ a + self._ridge, a.T @ error)[1]  # (20)
-        u = self._u + du[: len(self._u)]  # (21)
+        u: FloatArray = self._u + du[: len(self._u)]  # (21)
         np.maximum(u, self._bounds.u_min, out=u)
         np.minimum(u, self._bounds.u_max, out=u)
         self._du, self._u, self._y = u - self._u, u, y.copy()
         return u.copy()
 
     def _prediction_matrix(self) -> FloatArray:
-        """Return A of ``Y = E y_k + A dU``, shape (N p, N m): block column l holds Phi_k+l from row l down."""
+        """Return A of ``Y = E y_k + A dU``, shape (N p, N m): column l holds Phi_k+l from row l down."""
         gradients = np.array(self._jacobian.forecast(self.horizon)).transpose(0, 2, 1)  # output, later, input
-        return (self._causal * gradients).reshape(-1, len(self._ridge))
+        a: FloatArray = self._causal * gradients
+        return a.reshape(-1, len(self._ridge))
 
     def _constants(self) -> Estimation:
         return Estimation(

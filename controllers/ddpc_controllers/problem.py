@@ -23,7 +23,7 @@ class Problem:
     free : mapping of str to int
         Sizes of the other variables (artificial setpoints); the combination g itself goes without saying.
     parameters : mapping of str to int
-        Sizes of what changes from sample to sample, stacked in this order in p; the last one is the constant 1.
+        Sizes of what changes from sample to sample, stacked in this order in p; the last is the constant 1.
     """
 
     rows: Mapping[str, int]
@@ -41,7 +41,10 @@ class Problem:
     def penalise(self, weight: FloatArray, variables: Blocks, target: Blocks) -> None:
         """Add ``|sum variables - sum target|^2`` to the cost, each sample weighted by ``weight``."""
         samples = _row_count(variables) // len(weight)
-        self._costs.append((np.kron(np.eye(samples), _square_root(weight)), variables, target))
+        roots: FloatArray = np.kron(np.eye(samples, dtype=np.float64), _square_root(weight)).astype(
+            np.float64
+        )
+        self._costs.append((roots, variables, target))
 
     def equate(self, variables: Blocks, target: Blocks) -> None:
         """Require ``sum variables = sum target``."""

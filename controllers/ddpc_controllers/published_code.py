@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddpc_controllers.behavioral import hankel_matrix
-from ddpc_controllers.dictionaries import Lift, ThinPlate, thin_plate
+from ddpc_controllers.dictionaries import Lift, ThinPlate, ThinPlateFunctions, thin_plate
 from ddpc_cosim import FloatArray
 
 
@@ -27,19 +27,33 @@ class PublishedThinPlate:
     redraw_centre: bool
     squared_distance: bool
 
+    def functions(self, size: int) -> int:
+        """Return n_p."""
+        return self.printed.functions(size)
+
     def draw(self, size: int, rng: np.random.Generator) -> Lift:
         """Return the functions; see :class:`~ddpc_controllers.dictionaries.Dictionary`."""
-        box, power = self.printed, 2 if self.squared_distance else 1
-        centres = None if self.redraw_centre else rng.uniform(box.low, box.high, (box.count, size))
+        power = 2 if self.squared_distance else 1
+        if self.redraw_centre:
+            return _RedrawnFunctions(self.printed, power, rng)
+        return ThinPlateFunctions(
+            rng.uniform(self.printed.low, self.printed.high, (self.printed.count, size)), power
+        )
 
-        def lift(states: FloatArray) -> FloatArray:
-            if centres is not None:
-                return thin_plate(np.linalg.norm(states[..., np.newaxis, :] - centres, axis=-1), power)
-            centre = rng.uniform(box.low, box.high, states.shape)
-            values = thin_plate(np.linalg.norm(states - centre, axis=-1), power)
-            return np.repeat(values[..., np.newaxis], box.count, axis=-1)
 
-        return lift
+@dataclass(frozen=True, eq=False)
+class _RedrawnFunctions:
+    """One centre for all functions, drawn anew for every state: not a function of the state at all."""
+
+    printed: ThinPlate
+    power: int
+    rng: np.random.Generator
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        """Return the equal values of all functions for states of shape (..., q)."""
+        centres = self.rng.uniform(self.printed.low, self.printed.high, states.shape)
+        values = thin_plate(states - centres, self.power)
+        return np.repeat(values[..., np.newaxis], self.printed.count, axis=-1)
 
 
 class DoubleShift:
@@ -50,27 +64,30 @@ class DoubleShift:
 
     Parameters
     ----------
+    lift : callable
+        From states to lifted states z.
     recorded : array, shape (T, n_z)
         The lifted recording, time along axis 0.
     initial_length, horizon : int
         Tini and N.
     """
 
-    def __init__(self, recorded: FloatArray, initial_length: int, horizon: int) -> None:
+    def __init__(self, lift: Lift, recorded: FloatArray, initial_length: int, horizon: int) -> None:
+        self._lift = lift
         self._memory = recorded.copy()
         self._initial_length, self._horizon = initial_length, horizon
-
-    def append(self, last: FloatArray, new: FloatArray) -> None:
-        """Append the last state and the new one, lifted, shapes (n_z,)."""
-        self._memory[:-2] = self._memory[2:]
-        self._memory[-2], self._memory[-1] = last, new
+        self._last_state: FloatArray | None = None
 
     @property
     def past(self) -> FloatArray:
-        """The last Tini lifted samples, shape (Tini, n_z): z_ini as the program takes it."""
+        """The last samples of the memory, which the program takes for z_ini; shape (Tini, n_z)."""
         return self._memory[-self._initial_length :]
 
-    @property
-    def hankel(self) -> FloatArray:
-        """The lifted Hankel matrix, shape (Tini * n_z, T - N - Tini + 1)."""
+    def move(self, state: FloatArray) -> FloatArray | None:
+        """Take a new state, shape (q,); return the lifted Hankel matrix if it changed."""
+        last, self._last_state = self._last_state, state.copy()
+        if last is None:
+            return None
+        self._memory[:-2] = self._memory[2:]
+        self._memory[-2], self._memory[-1] = self._lift(last), self._lift(state)
         return hankel_matrix(self._memory[: -self._horizon], self._initial_length)

@@ -120,7 +120,7 @@ class ParametricQP:
         return True
 
     def _derive_law(self, active: ActiveSet) -> FloatArray | None:
-        """Return the map from e_0 to (e where inactive, -mu where active; change of u), None if degenerate."""
+        """Return the map from e_0 to (e inactive, -mu active; change of u), None if degenerate."""
         rows = list(active)
         gain = self._problem.excess_gain[rows]
         curvature = gain @ gain.T
@@ -141,17 +141,20 @@ class ParametricQP:
         solver, directions = self._piqp
         solver.update(h_u=-excess)
         status = solver.solve()
-        if status != piqp.PIQP_SOLVED:
-            return f"QP not solved ({status.name}): unconstrained optimum, clipped at the input limits"
         result = solver.result
         active = tuple(np.flatnonzero(result.z_u > result.s_u).tolist())
+        # Whatever the solver says of itself: a law that satisfies the optimality conditions is the optimum.
         if active and self._apply(active, excess, u):
             self._active = active
             _make_room(self._active_sets)
             self._active_sets[pattern] = active
-        else:
+            return ""
+        if status == piqp.PIQP_SOLVED:
             u += self._problem.move_gain @ (directions @ result.x)
-        return ""
+            return ""
+        return (
+            f"no way to meet all bounds ({status.name}): unconstrained optimum, clipped at the input limits"
+        )
 
     def _set_up_piqp(self) -> tuple[Any, FloatArray]:
         """Return the solver over the independent directions of t, and these directions."""

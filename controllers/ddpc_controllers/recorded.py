@@ -59,6 +59,8 @@ class ParameterVector:
     ----------
     windows : mapping of str to (int, int)
         Length and width of each window.
+    array : array, shape (parameters,), optional
+        Values to begin with.
 
     Attributes
     ----------
@@ -68,37 +70,33 @@ class ParameterVector:
         Number of entries by name, in the order of the array.
     """
 
-    def __init__(self, windows: Mapping[str, tuple[int, int]]) -> None:
+    def __init__(self, windows: Mapping[str, tuple[int, int]], array: FloatArray | None = None) -> None:
+        self._shapes = dict(windows)
         self.sizes = {name: length * width for name, (length, width) in windows.items()} | {"one": 1}
-        self.array = np.zeros(sum(self.sizes.values()))
+        self.array = np.zeros(sum(self.sizes.values())) if array is None else array
         self.array[-1] = 1.0
         self._windows: dict[str, FloatArray] = {}
+        self._moves: dict[str, tuple[FloatArray, FloatArray, FloatArray]] = {}
         start = 0
         for name, shape in windows.items():
-            self._windows[name] = self.array[start : start + self.sizes[name]].reshape(shape)
+            window = self.array[start : start + self.sizes[name]].reshape(shape)
+            self._windows[name] = window
+            self._moves[name] = window[:-1], window[1:], window[-1]
             start += self.sizes[name]
 
-    def __getitem__(self, name: str) -> FloatArray:
-        """Return a window, shape (length, width), time along axis 0: a view, to be written to."""
-        return self._windows[name]
+    def fill(self, name: str, values: FloatArray) -> None:
+        """Set a window, shape (length, width), time along axis 0; a single sample fills all of it."""
+        self._windows[name][...] = values
 
+    def append(self, name: str, sample: FloatArray) -> None:
+        """Forget a window's oldest sample and append one, shape (width,)."""
+        older, newer, newest = self._moves[name]
+        older[...] = newer
+        newest[...] = sample
 
-class MovingWindow:
-    """The last samples of a signal, kept in a window of a :class:`ParameterVector`.
-
-    Parameters
-    ----------
-    window : array, shape (length, width)
-        Where to keep them, the oldest first.
-    """
-
-    def __init__(self, window: FloatArray) -> None:
-        self._kept, self._next, self._newest = window[1:], window[:-1], window[-1]
-
-    def append(self, value: FloatArray) -> None:
-        """Forget the oldest sample and append one, shape (width,)."""
-        self._next[...] = self._kept
-        self._newest[...] = value
+    def __reduce__(self) -> tuple[type["ParameterVector"], tuple[Mapping[str, tuple[int, int]], FloatArray]]:
+        """Copy the array once: its windows are views, which copies would part from it."""
+        return type(self), (self._shapes, self.array)
 
 
 def _drawn_in(low: FloatArray, high: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:

@@ -7,21 +7,26 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.behavioral import diagnose, hankel_matrix, require_excitation, require_length
+from ddpc_controllers.behavioral import (
+    diagnose,
+    hankel_matrix,
+    least_samples,
+    require_excitation,
+    require_length,
+)
 from ddpc_controllers.dictionaries import Dictionary, ThinPlate
 from ddpc_controllers.problem import Problem
 from ddpc_controllers.published_code import DoubleShift, PublishedThinPlate
 from ddpc_controllers.qp import ParametricQP
 from ddpc_controllers.recorded import (
-    MovingWindow,
     ParameterVector,
     matching_recording,
     padded_with_zeros,
     resting_input,
     setpoint_bounds,
 )
-from ddpc_controllers.validation import check_settings_and
-from ddpc_cosim import Action, Controller, FloatArray, Loop, Recording, Sample, Weight, setting, weight_matrix
+from ddpc_controllers.validation import check_settings_and, weight_matrices
+from ddpc_cosim import Action, Controller, FloatArray, Loop, Recording, Sample, Weight, setting
 
 
 @dataclass(kw_only=True)
@@ -84,14 +89,23 @@ class WKPC(Controller):
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal input of the horizon."""
-        z = self._lift_past(sample)
-        self._reference[...] = sample.reference
-        u, fault = self._qp.solve(self._parameters.array)
-        self._past_u.append(u)
-        self._past_y.append(sample.y)
-        if z is not None:
-            self._past_z.append(z)
+        parameters = self._parameters
+        if self._resting:
+            self._rest(sample)
+        if self._double_shift is not None:
+            self._shift_lifted_data(self._double_shift, sample)
+        parameters.fill("r", sample.reference)
+        u, fault = self._qp.solve(parameters.array)
+        parameters.append("u_ini", u)
+        parameters.append("y_ini", sample.y)
+        if self._double_shift is None:
+            parameters.append("z_ini", self._lift(sample.measured))
         return Action(u, fault) if fault else u
+
+    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+        """Return the fewest samples that can excite the inputs up to the order needed."""
+        order = measurements + self.dictionary.functions(measurements)
+        return least_samples(self.initial_length + self.horizon + order, inputs)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
@@ -101,7 +115,8 @@ class WKPC(Controller):
         faults = []
         if not isinstance(self.dictionary, Dictionary):
             faults.append(
-                f"WKPC: dictionary = {self.dictionary!r} has no draw(size, rng); for example ThinPlate()"
+                f"WKPC: dictionary = {self.dictionary!r} lacks draw(size, rng) or functions(size); "
+                "an example is ThinPlate()"
             )
         elif (self.redraw_centre or self.squared_distance) and not isinstance(self.dictionary, ThinPlate):
             faults.append(
@@ -149,8 +164,7 @@ class WKPC(Controller):
             parameters=self._parameters.sizes,
         )
         every_u, every_y, held_u = np.eye(horizon * m), np.eye(horizon * p), np.tile(np.eye(m), (horizon, 1))
-        q = weight_matrix(self.output_weight, p, "output_weight")
-        r = weight_matrix(self.input_weight, m, "input_weight")
+        q, r = weight_matrices(output_weight=(self.output_weight, p), input_weight=(self.input_weight, m))
         problem.penalise(q, {"y": every_y}, {"r": every_y})  # |y_k - r_t+k|_Q^2
         problem.penalise(r, {"u": every_u, "u_s": -held_u}, {})  # |u_k - u_s|_R^2
         problem.regularise(self.lambda_g)
@@ -165,38 +179,26 @@ class WKPC(Controller):
         return problem
 
     def _begin(self, loop: Loop, recording: Recording, lifted: FloatArray) -> None:
-        """Fill the past: with the recording's tail, or with rest."""
-        past, windows = self.initial_length, self._parameters
-        self._reference = windows["r"]
-        self._past_z, self._past_u, self._past_y = (
-            MovingWindow(windows[n]) for n in ("z_ini", "u_ini", "y_ini")
-        )
+        """Fill the past: with the recording's tail, or with rest as far as it is known yet."""
         self._resting = not loop.continues_recording
-        self._moving = DoubleShift(lifted, past, self.horizon) if self.double_shift else None
-        self._last_state: FloatArray | None = None
-        windows["z_ini"][...] = lifted[-past:]
-        windows["u_ini"][...] = resting_input(loop) if self._resting else recording.u[-past:]
-        windows["y_ini"][...] = recording.y[-past:]
+        past = slice(-self.initial_length, None)
+        self._parameters.fill("z_ini", lifted[past])
+        self._parameters.fill("u_ini", resting_input(loop) if self._resting else recording.u[past])
+        self._parameters.fill("y_ini", recording.y[past])
+        self._double_shift: DoubleShift | None = None
+        if self.double_shift:
+            self._double_shift = DoubleShift(self._lift, lifted, self.initial_length, self.horizon)
 
-    def _lift_past(self, sample: Sample) -> FloatArray | None:
-        """Bring the lifted past up to date; return the sample to append to it after the step."""
-        if self._resting:
-            self._parameters["y_ini"][...] = sample.y
-        if self._moving is not None:
-            self._move_lifted_data(self._moving, sample)
-            self._resting = False
-            return None
-        z = self._lift(sample.measured)
-        if self._resting:
-            self._parameters["z_ini"][...] = z
-            self._resting = False
-        return z
+    def _rest(self, sample: Sample) -> None:
+        """Start as if the plant had always been where it is; the double shift starts from the recording."""
+        self._resting = False
+        self._parameters.fill("y_ini", sample.y)
+        if self._double_shift is None:
+            self._parameters.fill("z_ini", self._lift(sample.measured))
 
-    def _move_lifted_data(self, moving: DoubleShift, sample: Sample) -> None:
-        if self._last_state is not None:
-            moving.append(self._lift(self._last_state), self._lift(sample.measured))
-            hankel = moving.hankel
+    def _shift_lifted_data(self, double_shift: DoubleShift, sample: Sample) -> None:
+        hankel = double_shift.move(sample.measured)
+        self._parameters.fill("z_ini", double_shift.past)
+        if hankel is not None:
             self._data[: len(hankel)] = hankel
-            self._parameters["z_ini"][...] = moving.past
             self._qp.replace(self._problem.condense(self._data))
-        self._last_state = sample.measured.copy()

@@ -1,0 +1,161 @@
+"""What holds for all controllers: settings checked at once, runs repeatable, nothing shared."""
+
+import pickle
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from ddpc_controllers import MFAPC, WKPC, DeePC
+
+from ddpc_cosim import Action, ConfigError, Controller, DataError, Loop, Recording, Sample, declared_settings
+
+from .loops import ANGLE, close_loop, make_loop, paper_reference, pendulum_loop, quick_pendulum
+
+ALL: list[Any] = [DeePC, WKPC, MFAPC]
+VARIANTS: list[Any] = [
+    DeePC(),
+    DeePC(affine_sum="first-horizon", zero_padding=True),
+    WKPC(),
+    WKPC(zero_padding=True, redraw_centre=True, squared_distance=True, double_shift=True),
+    MFAPC(),
+]
+IDS = ["deepc", "deepc-published-code", "wkpc", "wkpc-published-code", "mfapc"]
+
+
+@pytest.fixture
+def loop(state_recording: Recording) -> Loop:
+    """The paper's loop with a torque limit that is often reached."""
+    return pendulum_loop(state_recording, torque=2.5, degrees=170.0)
+
+
+def torques(controller: Controller, loop: Loop, steps: int = 120) -> np.ndarray:
+    """Return the torques of a closed loop."""
+    return close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), steps).u
+
+
+def inputs(answer: Any) -> np.ndarray:
+    """Return the inputs of an answer in either form."""
+    return answer.u if isinstance(answer, Action) else answer
+
+
+@pytest.mark.parametrize("controller", VARIANTS, ids=IDS)
+def test_a_second_start_forgets_the_first_run(controller: Controller, loop: Loop) -> None:
+    assert np.array_equal(torques(controller, loop), torques(controller, loop))
+
+
+@pytest.mark.parametrize("controller", VARIANTS, ids=IDS)
+def test_the_input_limits_hold_exactly(controller: Controller, loop: Loop) -> None:
+    assert np.abs(torques(controller, loop)).max() <= 2.5
+
+
+@pytest.mark.parametrize("controller", VARIANTS, ids=IDS)
+def test_a_pickled_controller_goes_on_where_it_was(controller: Controller, loop: Loop) -> None:
+    controller.start(loop)
+    reference = np.full((controller.horizon, 1), 0.3)
+    samples = [Sample(k, 0.1 * k, s[:1], s, reference) for k, s in enumerate(loop.recording.measured[:8])]
+    for sample in samples[:4]:
+        controller.step(sample)
+    twin = pickle.loads(pickle.dumps(controller))
+    for sample in samples[4:]:
+        u, same = controller.step(sample), twin.step(sample)
+        assert np.array_equal(inputs(u), inputs(same))
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_two_controllers_do_not_disturb_each_other(kind: Any, loop: Loop) -> None:
+    alone = torques(kind(), loop, 30)
+    one, other = kind(), kind()
+    one.start(loop)
+    state, together = np.zeros(2), []
+    other.start(pendulum_loop(loop.recording, torque=1.0, degrees=170.0))
+    for k in range(30):
+        future = paper_reference()[k + 1 : k + 1 + one.horizon]
+        other.step(Sample(k, 0.1 * k, np.ones(1), np.ones(2), -future))
+        answer = one.step(Sample(k, 0.1 * k, state[:1], state, future))
+        together.append(inputs(answer))
+        state = quick_pendulum(state, together[-1])
+    assert np.array_equal(alone, np.array(together))
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_every_setting_says_what_it_is(kind: Any) -> None:
+    declared = declared_settings(kind)
+    assert set(declared) == set(kind().settings())
+    assert all(info.doc for info in declared.values())
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"),
+    [
+        (DeePC, {"horizon": 0, "lambda_g": -1.0, "affine_sum": "some", "setpoint_margin": 2.0}),
+        (WKPC, {"initial_length": 1.5, "input_weight": 0.0, "zero_padding": "yes"}),
+        (MFAPC, {"eta": 2.5, "forecast_order": 0, "lambda_u": float("nan")}),
+    ],
+)
+def test_every_impossible_setting_is_named_at_once(kind: Any, settings: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        kind(**settings)
+    assert len(caught.value.faults) == len(settings)
+    for name in settings:
+        assert any(name in fault for fault in caught.value.faults)
+
+
+def test_a_horizon_shorter_than_the_terminal_condition_is_refused() -> None:
+    with pytest.raises(ConfigError, match="horizon = 2 is shorter than initial_length = 3"):
+        DeePC(horizon=2)
+
+
+def test_a_dictionary_that_cannot_draw_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"dictionary = 7 lacks draw"):
+        WKPC(dictionary=7)
+
+
+def test_options_of_the_published_lift_need_that_lift() -> None:
+    class Other:
+        def functions(self, size: int) -> int:
+            return size
+
+        def draw(self, size: int, rng: np.random.Generator) -> Any:
+            return np.square
+
+    with pytest.raises(ConfigError, match="redraw_centre and squared_distance change ThinPlate"):
+        WKPC(dictionary=Other(), redraw_centre=True)
+
+
+@pytest.mark.parametrize("kind", [DeePC, WKPC])
+def test_a_missing_recording_is_an_error_that_says_what_to_give(kind: Any) -> None:
+    with pytest.raises(DataError, match="give the loop an excitation or a recording"):
+        kind().start(make_loop(None, np.ones(1), np.ones(1)))
+
+
+@pytest.mark.parametrize("kind", [DeePC, WKPC])
+def test_a_recording_of_other_signals_is_refused(kind: Any, loop: Loop) -> None:
+    other = Recording(np.zeros((200, 2)), np.zeros((200, 1)), np.zeros((200, 2)), 0.1)
+    with pytest.raises(DataError, match=r"\(2, 1, 2\), the loop has \(1, 1, 2\)"):
+        kind().start(replace(loop, recording=other))
+
+
+@pytest.mark.parametrize("kind", [DeePC, WKPC])
+def test_a_recording_at_another_sampling_time_is_refused(kind: Any, loop: Loop) -> None:
+    with pytest.raises(DataError, match=r"sampled every 0.1 s, the loop runs every 0.2 s"):
+        kind().start(replace(loop, sampling_time=0.2))
+
+
+@pytest.mark.parametrize("kind", [DeePC, WKPC])
+def test_every_weight_of_the_wrong_size_is_named_at_once(kind: Any, loop: Loop) -> None:
+    with pytest.raises(ConfigError) as caught:
+        kind(output_weight=[1.0, 2.0, 3.0], input_weight=[[1.0, 0.0], [0.0, 1.0]]).start(loop)
+    assert [fault.split()[0] for fault in caught.value.faults] == ["output_weight", "input_weight"]
+
+
+@pytest.mark.parametrize("controller", [DeePC(), DeePC(horizon=9, assumed_order=4), WKPC()])
+def test_the_length_it_asks_for_is_the_shortest_it_starts_with(controller: Any) -> None:
+    needed = controller.recording_length(1, 1, 2)
+    rng = np.random.default_rng(3)
+    u, x = rng.uniform(-1.0, 1.0, (needed, 1)), rng.standard_normal((needed, 2))
+    whole = Recording(u, x[:, :1], x, 0.1)
+    controller.start(pendulum_loop(whole))
+    short = Recording(u[:-1], x[:-1, :1], x[:-1], 0.1)
+    with pytest.raises(DataError, match=f"at least {needed}"):
+        controller.start(pendulum_loop(short))
