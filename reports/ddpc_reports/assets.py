@@ -32,6 +32,7 @@ def content_policy(scripts: Sequence[str]) -> str:
     """Return a content security policy: these scripts and no others, nothing fetched from anywhere."""
     rules = (
         "default-src 'none'",
+        "img-src data:",
         "style-src 'unsafe-inline'",
         "script-src " + " ".join(map(_hash_source, scripts)),
         "base-uri 'none'",

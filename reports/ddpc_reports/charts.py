@@ -31,7 +31,7 @@ _TIME_LABELS = (
 
 CONFIG: dict[str, Any] = {
     "background": None,
-    "font": "system-ui, -apple-system, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif",
+    "font": "-apple-system, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif",
     "aria": False,
     "view": {"stroke": "var(--rule)", "fill": None},
     "axis": {
@@ -86,7 +86,7 @@ def time_chart(
         _band(x),
         *([_reference(samples, x, sampling_time)] if signal.has_reference else []),
         _lines(samples, signal, names, dashes, x, sampling_time),
-        _extent(samples, signal, sampling_time),
+        _extent(samples, signal, names, sampling_time),
         *_reading(samples, signal, names, x),
     ]
     parameters = [alt.param(name=name, value=None) for name in ("span", "band", "at")]
@@ -159,11 +159,12 @@ def _band(x: alt.X) -> Any:
     return placed.mark_rect(clip=True, color="var(--accent)", opacity=0.15).encode(x=x, x2=alt.X2("to:Q"))
 
 
-def _extent(samples: alt.Chart, signal: Signal, sampling_time: float) -> Any:
-    """Give all panels of a signal one range: of every competitor shown, save the runs that ended early."""
-    everybody = list(signal.completed) or [name for name in signal.columns if name.startswith("c")]
+def _extent(samples: alt.Chart, signal: Signal, names: Sequence[str], sampling_time: float) -> Any:
+    """Set the range of the axis: by all competitors or those of the panel; by completed runs if any."""
+    asked = names if signal.own_range else [name for name in signal.columns if name.startswith("c")]
+    trusted = [name for name in asked if name in signal.completed]
     return (
-        _folded(samples, everybody)
+        _folded(samples, trusted or asked)
         .transform_filter(_within(sampling_time))
         .transform_aggregate(low="min(value)", high="max(value)")
         .transform_fold(["low", "high"], as_=["edge", "value"])
@@ -278,4 +279,7 @@ def _row_axis() -> alt.Axis:
 
 
 def _rows_of(chart: Any, rows: int) -> Any:
-    return chart.add_params(alt.param(name="hidden", value=[])).properties(height=46 * rows + 10)
+    frameless = alt.ViewBackground(stroke=None)
+    return chart.add_params(alt.param(name="hidden", value=[])).properties(
+        height=46 * rows + 10, view=frameless
+    )

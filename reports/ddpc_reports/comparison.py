@@ -7,7 +7,7 @@ from functools import cached_property
 from statistics import median
 from typing import NamedTuple
 
-from ddpc_cosim import CaseResult, Outcome, StudyResults
+from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
 from ddpc_cosim.metrics import METRICS, split_key
 from ddpc_reports.numbers import unit_symbol
 
@@ -116,6 +116,12 @@ class Condition:
     def _keys(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(key for case in self.cases for key in case.metrics))
 
+    @cached_property
+    def first_traces(self) -> dict[str, Trace]:
+        """Traces of the first seed, by controller; runs without a single sample are left out."""
+        traces = {case.controller: case.trace() for case in self.cases if case.seed == self.seeds[0]}
+        return {key: trace for key, trace in traces.items() if len(trace)}
+
     def keys(self, name: str) -> tuple[str, ...]:
         """Return the keys of a metric: one for each signal that has it."""
         return tuple(key for key in self._keys if split_key(key)[0] == name)
@@ -127,21 +133,20 @@ def conditions(results: StudyResults) -> tuple[Condition, ...]:
     return tuple(Condition(results, scenario, _competitors(results, scenario)) for scenario in scenarios)
 
 
+def labels(results: StudyResults) -> dict[str, str]:
+    """Return a distinct label for every controller, in the study's order."""
+    given = {case.controller: case.label for case in results.cases}
+    shared = list(given.values())
+    return {key: f"{label} ({key})" if shared.count(label) > 1 else label for key, label in given.items()}
+
+
 def _competitors(results: StudyResults, scenario: str) -> tuple[Competitor, ...]:
     cases = [case for case in results.cases if case.scenario == scenario]
-    order = list(dict.fromkeys(case.controller for case in results.cases))
-    gathered = {key: tuple(case for case in cases if case.controller == key) for key in order}
-    labels = [own[0].label for own in gathered.values() if own]
     return tuple(
-        Competitor(key, _distinct(own[0].label, key, labels), index, own, cases[0].seed)
-        for index, (key, own) in enumerate(gathered.items())
-        if own
+        Competitor(key, label, index, own, cases[0].seed)
+        for index, (key, label) in enumerate(labels(results).items())
+        if (own := tuple(case for case in cases if case.controller == key))
     )
-
-
-def _distinct(label: str, key: str, labels: Sequence[str]) -> str:
-    """Add the key to a label that two controllers share."""
-    return f"{label} ({key})" if labels.count(label) > 1 else label
 
 
 def metric_label(key: str) -> str:

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from markupsafe import Markup
+
 from ddpc_cosim import CaseResult
 from ddpc_reports.charts import COLOURS, DASHES, spread_chart, step_time_chart, time_chart
 from ddpc_reports.comparison import (
@@ -43,7 +45,7 @@ class View:
     title: str
     description: str
     spec: dict[str, Any]
-    svg: str
+    svg: Markup
     data: str = ""
     names: tuple[str, ...] = ()
     unit: str = ""
@@ -76,7 +78,7 @@ def time_figures(condition: Condition, prefix: str) -> tuple[list[Figure], dict[
         "Control signals": (seen.inputs, "control signal, drawn as it is held from sample to sample"),
         "Change of control signals": (
             seen.changes,
-            "change of the control signal from one sample to the next",
+            "change of the control signal from one sample to the next; each panel has its own scale",
         ),
     }
     figures = [
@@ -243,7 +245,8 @@ def _step_time_row(one: Competitor, words: str, seconds: float) -> dict[str, Any
 
 def _specification(chart: Any) -> dict[str, Any]:
     """Return a chart without what the page sets for all of them."""
-    spec: dict[str, Any] = chart.to_dict()
+    # Checking against the schema takes longer than drawing; drawing fails on a faulty chart too.
+    spec: dict[str, Any] = chart.to_dict(validate=False)
     return {key: value for key, value in spec.items() if key not in ("$schema", "config")}
 
 

@@ -12,7 +12,7 @@ _FIGURE_SPACE = "\u2007"
 _PUNCTUATION_SPACE = "\u2008"
 _NARROW_SPACE = "\u202f"
 _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
-_LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-4
+_LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-3
 
 _UNIT_SYMBOLS = {"deg": "°", "degC": "°C", "Ohm": "Ω", "us": "µs", "1": "", "percent": "%"}
 
@@ -72,9 +72,24 @@ def fixed(value: float, decimals: int) -> str:
 
 def as_given(value: float) -> str:
     """Write a number with the digits it was given with, as a publication prints it."""
-    shortest = f"{value:.15g}"
-    mantissa = shortest.partition("e")[0].replace(".", "").replace("-", "").lstrip("0")
-    return significant(value, max(len(mantissa), 1))
+    text = significant(value, given_digits(value))
+    # 10^7 says as much as 1 x 10^7.
+    return text.removeprefix(f"1{_NARROW_SPACE}{TIMES}{_NARROW_SPACE}")
+
+
+def given_digits(value: float) -> int:
+    """Return the count of significant digits that a number was given with."""
+    mantissa = f"{value:.15g}".partition("e")[0]
+    return max(len(mantissa.replace(".", "").replace("-", "").strip("0")), 1)
+
+
+def like(value: float, model: float) -> str:
+    """Write a number with the decimals of another; a smaller one that would lose its digits with three."""
+    text = as_given(model)
+    decimals = len(text.partition(".")[2])
+    if TIMES in text or not math.isfinite(value) or abs(value) < 10.0 ** (1 - decimals):
+        return significant(value, given_digits(model) if TIMES in text else 3)
+    return fixed(value, decimals)
 
 
 def integer(value: float) -> str:
@@ -113,7 +128,9 @@ def column(values: Sequence[float], digits: int = 4) -> list[str]:
     The typical value gets ``digits`` significant digits. A value that would be written as zero gets its own.
     """
     sizes = [abs(value) for value in values if math.isfinite(value) and value != 0]
-    decimals = min(max(digits - 1 - _exponent(median(sizes)), 0), 6) if sizes else 0
+    if all(size.is_integer() for size in sizes):
+        return align([_in_column(value, 0) for value in values])
+    decimals = min(max(digits - 1 - _exponent(median(sizes)), 0), 6)
     return align([_in_column(value, decimals) for value in values])
 
 
@@ -124,7 +141,7 @@ def _in_column(value: float, decimals: int) -> str:
 
 
 def align(numbers: Sequence[str]) -> list[str]:
-    """Pad numbers on the right so that, set flush right in tabular figures, their points stand in line."""
+    """Pad numbers on the right so that their points stand in line, flush right in tabular figures."""
     tails = ["" if TIMES in number else number.partition(".")[2] for number in numbers]
     longest = max(map(len, tails), default=0)
     return [_pad(number, len(tail), longest) for number, tail in zip(numbers, tails, strict=True)]
@@ -143,4 +160,5 @@ def _exponent(value: float) -> int:
 
 def _scientific(value: float, digits: int) -> str:
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
-    return f"{mantissa}\u202f{TIMES}\u202f10{str(int(exponent)).translate(_SUPERSCRIPT)}".replace("-", MINUS)
+    power = str(int(exponent)).translate(_SUPERSCRIPT)
+    return f"{mantissa}{_NARROW_SPACE}{TIMES}{_NARROW_SPACE}10{power}".replace("-", MINUS)

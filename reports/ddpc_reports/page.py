@@ -13,7 +13,7 @@ from ddpc_reports.charts import COLOURS, CONFIG
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.figures import Figure, spread_figures, step_time_figure, time_figures
 from ddpc_reports.limitations import limitations
-from ddpc_reports.numbers import significant, with_unit
+from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.reproduction import reproduction_table
 from ddpc_reports.samples import Column
 from ddpc_reports.settings_tables import (
@@ -134,7 +134,12 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
     ]
     reproduction = study.report.reproduction
     families = family_tables(seen[0], prefix) if seen else []
-    settings = [controllers_table(results, prefix), bounds_table(seen[0], prefix) if seen else None]
+    first = seen[0] if seen else None
+    settings = [
+        loop_table(results, first, prefix),
+        controllers_table(results, prefix),
+        bounds_table(first, prefix) if first else None,
+    ]
     return StudyPart(
         id=prefix,
         number=number,
@@ -144,7 +149,7 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
         conditions=parts,
         reproduction=reproduction_table(seen[0], reproduction, prefix) if reproduction and seen else None,
         families=families,
-        settings=[loop_table(results, prefix), *(table for table in settings if table)],
+        settings=[table for table in settings if table],
         limitations=limitations(seen, _MOST_DRAWN),
         failures=failures_table(results, prefix),
         cases=cases_table(results, seen, prefix),
@@ -176,8 +181,8 @@ def _facts(results: StudyResults) -> dict[str, str]:
     done = sum(case.outcome is Outcome.COMPLETED for case in results.cases)
     facts = {
         "Plant": study.plant.name or study.plant.fmu,
-        "Sampling time": with_unit(significant(study.loop.sampling_time), "s"),
-        "Duration": with_unit(significant(study.loop.duration), "s"),
+        "Sampling time": with_unit(as_given(study.loop.sampling_time), "s"),
+        "Duration": with_unit(as_given(study.loop.duration), "s"),
         "Controllers": str(len({case.controller for case in results.cases})),
         "Scenarios": str(len({case.scenario for case in results.cases})),
         "Seeds": compact_seeds(list(dict.fromkeys(case.seed for case in results.cases))),
@@ -205,4 +210,4 @@ def _data(studies: Sequence[StudyPart], data: dict[str, dict[str, Column]]) -> d
                         "lines": {name: labels[name] for name in view.names},
                         "unit": view.unit,
                     }
-    return {"config": CONFIG, "data": data, "views": views}
+    return {"config": CONFIG, "colours": COLOURS, "data": data, "views": views}

@@ -4,7 +4,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from ddpc_reports.comparison import Competitor, Condition, Spread, metric_unit
-from ddpc_reports.numbers import MISSING, as_given, percent, significant, time_scale, unit_symbol
+from ddpc_reports.numbers import MISSING, as_given, like, percent, significant, time_scale, unit_symbol
 from ddpc_reports.table import Cell, Heading, Row, Table
 
 if TYPE_CHECKING:
@@ -14,11 +14,11 @@ _HEADINGS = (
     Heading("Method and metric", numeric=False),
     Heading("unit", numeric=False),
     Heading("published"),
-    Heading("published-code variant", "here, first seed"),
-    Heading("as printed", "here, first seed"),
-    Heading("median", "over the seeds"),
-    Heading("range", "over the seeds"),
-    Heading("published value", "in the range?", numeric=False),
+    Heading("published-code variant", group="here, first seed"),
+    Heading("as printed", group="here, first seed"),
+    Heading("median", group="here, over the seeds"),
+    Heading("range", group="here, over the seeds"),
+    Heading("holds the published", numeric=False, group="here, over the seeds"),
     Heading("deviation", "from published"),
 )
 
@@ -74,10 +74,15 @@ def _row(title: str, key: str, method: "PublishedMethod", competitors: dict[str,
     scale, unit = 1.0, metric_unit(key)
     if unit == "s":
         unit, scale = time_scale([compared.published])
+    # Scaling leaves rounding errors that are no digits of the publication.
+    published = float(f"{compared.published * scale:.12g}")
     cells = (
         Cell(unit or MISSING, unit_symbol(unit)),
-        Cell(as_given(float(f"{compared.published * scale:.12g}")), compared.published * scale),
-        *(_value(value * scale) for value in (compared.code, compared.printed, compared.seeds.median)),
+        Cell(as_given(published), published),
+        *(
+            _value(value * scale, published)
+            for value in (compared.code, compared.printed, compared.seeds.median)
+        ),
         _range(compared.seeds, scale),
         Cell(compared.within, compared.within),
         Cell(percent(compared.deviation), compared.deviation),
@@ -96,8 +101,8 @@ def _compare(key: str, method: "PublishedMethod", competitors: dict[str, Competi
     )
 
 
-def _value(value: float) -> Cell:
-    return Cell(significant(value, 5), value)
+def _value(value: float, published: float) -> Cell:
+    return Cell(like(value, published), value)
 
 
 def _range(seeds: Spread, scale: float) -> Cell:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -34,6 +34,8 @@ class Signal:
         Limits that the axis should show because the samples come near them.
     held : bool
         Values hold until the next sample.
+    own_range : bool
+        Every panel has its own range; otherwise all panels share one, so that they compare.
     """
 
     id: str
@@ -43,6 +45,7 @@ class Signal:
     completed: tuple[str, ...]
     limits: tuple[float, ...] = ()
     held: bool = False
+    own_range: bool = False
 
     @property
     def has_reference(self) -> bool:
@@ -72,14 +75,8 @@ def column_name(competitor: Competitor) -> str:
 
 def first_seed(condition: Condition, prefix: str) -> FirstSeed:
     """Read the traces of the first seed and return their signals."""
-    seed = condition.seeds[0]
-    traces = {
-        column_name(one): case.trace()
-        for one in condition.competitors
-        for case in one.cases
-        if case.seed == seed
-    }
-    traces = {name: trace for name, trace in traces.items() if len(trace)}
+    found = condition.first_traces
+    traces = {column_name(one): found[one.key] for one in condition.competitors if one.key in found}
     if not traces:
         return FirstSeed()
     longest = max(traces.values(), key=len)
@@ -114,7 +111,9 @@ def _change(traces: dict[str, Trace], longest: Trace, i: int, name: str) -> Sign
         # Before the first sample the input stood at its value at rest, as far as the limits allow.
         rest = np.clip(variable.start, trace.bounds.u_min[i], trace.bounds.u_max[i])
         columns[key] = _listed(np.diff(trace.u[:, i], prepend=rest) * variable.shown_in.factor)
-    return _signal(name, variable, _title(variable, "change of "), columns, traces, (), held=True)
+    signal = _signal(name, variable, _title(variable, "change of "), columns, traces, (), held=True)
+    # One jump at the start would flatten every other panel.
+    return replace(signal, own_range=True)
 
 
 def _signal(

@@ -1,13 +1,15 @@
 """What was run: settings of every controller, limits, and the loop."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from ddpc_cosim import CosimError, StudyResults, declared_settings
-from ddpc_cosim.config import BoundsSection, ControllerSection
+import numpy as np
+
+from ddpc_cosim import CosimError, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.plugins import load_plugin
-from ddpc_reports.comparison import Competitor, Condition
-from ddpc_reports.numbers import MINUS, MISSING, significant, unit_symbol, with_unit
+from ddpc_reports.comparison import Competitor, Condition, labels
+from ddpc_reports.numbers import MISSING, as_given, unit_symbol, with_unit
 from ddpc_reports.table import Cell, Heading, Row, Table
 
 
@@ -67,12 +69,11 @@ def _setting_docs(family: str) -> dict[str, str]:
 
 def controllers_table(results: StudyResults, prefix: str) -> Table:
     """Return what each controller is: its type, and the study's word about it."""
-    order = dict.fromkeys(case.controller for case in results.cases)
-    sections = {key: results.study.controllers.get(key, _NO_SECTION) for key in order}
-    labels = {case.controller: case.label for case in results.cases}
+    sections = results.study.controllers
     rows = tuple(
-        Row(labels[key], (Cell(section.type), Cell(section.note or MISSING)), key, index)
-        for index, (key, section) in enumerate(sections.items())
+        Row(label, (Cell(sections[key].type), Cell(sections[key].note or MISSING)), key, index)
+        for index, (key, label) in enumerate(labels(results).items())
+        if key in sections
     )
     headings = (
         Heading("Controller", numeric=False),
@@ -85,45 +86,45 @@ def controllers_table(results: StudyResults, prefix: str) -> Table:
 
 
 def bounds_table(condition: Condition, prefix: str) -> Table | None:
-    """Return the limits that each controller ran with, or None where the study sets none."""
-    study = condition.results.study
-    own = {one.key: study.controllers.get(one.key, _NO_SECTION).bounds for one in condition.competitors}
-    signals = list(dict.fromkeys([*study.bounds, *(name for bounds in own.values() for name in bounds)]))
-    if not signals:
+    """Return the limits that each controller ran with at the first seed, or None if nothing ran."""
+    traces = condition.first_traces
+    if not traces:
         return None
+    names = [variable.name for variable in _bounded(next(iter(traces.values())))]
     rows = tuple(
-        Row(
-            one.label,
-            tuple(_limits({**study.bounds, **own[one.key]}.get(name)) for name in signals),
-            one.key,
-            one.index,
-        )
+        Row(one.label, tuple(map(Cell, _limits(traces[one.key]))), one.key, one.index)
         for one in condition.competitors
+        if one.key in traces
     )
-    headings = (Heading("Controller", numeric=False), *(Heading(name, numeric=False) for name in signals))
-    return Table(
-        f"{prefix}bounds",
-        "Limits of inputs and outputs, per controller",
-        headings,
-        rows,
-        download="limits.csv",
-    )
+    headings = (Heading("Controller", numeric=False), *(Heading(name, numeric=False) for name in names))
+    caption = "Limits of inputs and outputs, per controller"
+    return Table(f"{prefix}bounds", caption, headings, rows, download="limits.csv")
 
 
-_NO_SECTION = ControllerSection(type="unknown")
+def _bounded(trace: Trace) -> tuple[Variable, ...]:
+    return (*trace.inputs, *trace.outputs)
 
 
-def _limits(bounds: BoundsSection | None) -> Cell:
-    if bounds is None:
-        return Cell("as the plant declares")
-    low = f"{MINUS}∞" if bounds.min is None else _number(bounds.min)
-    high = "∞" if bounds.max is None else _number(bounds.max)
-    return Cell(with_unit(f"{low} … {high}", unit_symbol(bounds.unit)))
+def _limits(trace: Trace) -> list[str]:
+    """Write the limits of all inputs, then of all outputs, in display units."""
+    bounds = trace.bounds
+    lows = [*bounds.u_min, *bounds.y_min]
+    highs = [*bounds.u_max, *bounds.y_max]
+    return [_interval(*limits) for limits in zip(_bounded(trace), lows, highs, strict=True)]
 
 
-def loop_table(results: StudyResults, prefix: str) -> Table:
+def _interval(variable: Variable, low: float, high: float) -> str:
+    if math.isinf(low) and math.isinf(high):
+        return "none"
+    # Twelve digits hide the rounding of a conversion to degrees and back.
+    ends = [float(f"{float(variable.shown_in.from_unit(np.array(end))):.12g}") for end in (low, high)]
+    return with_unit(" … ".join(as_given(end) for end in ends), unit_symbol(variable.shown_in.name))
+
+
+def loop_table(results: StudyResults, condition: Condition | None, prefix: str) -> Table:
     """Return plant, timing, references, recording and scenarios as the study sets them."""
     study = results.study
+    units = _own_units(condition)
     plant, loop = study.plant, study.loop
     facts = {
         "plant": plant.name or plant.fmu,
@@ -131,14 +132,20 @@ def loop_table(results: StudyResults, prefix: str) -> Table:
         "controlled outputs": ", ".join(plant.outputs) or "all of the plant",
         "measurements": ", ".join(plant.measurements) or "the controlled outputs",
         "plant parameters changed": _mapping(plant.parameters),
-        "sampling time": with_unit(significant(loop.sampling_time, 6), "s"),
-        "duration": f"{with_unit(significant(loop.duration, 6), 's')}, {loop.steps} samples",
+        "sampling time": with_unit(as_given(loop.sampling_time), "s"),
+        "duration": f"{with_unit(as_given(loop.duration), 's')}, {loop.steps} samples",
         "start": {"rest": "from rest", "recording-end": "where the recording ended"}[loop.start],
     }
-    facts |= {f"reference of {name}": _signal(section) for name, section in study.reference.items()}
+    facts |= {
+        f"reference of {name}": _signal(section, units.get(name, ""))
+        for name, section in study.reference.items()
+    }
     if study.recording:
         facts["recording"] = f"{study.recording.samples} samples"
-        facts |= {f"excitation of {name}": _signal(one) for name, one in study.recording.excitation.items()}
+        facts |= {
+            f"excitation of {name}": _signal(one, units.get(name, ""))
+            for name, one in study.recording.excitation.items()
+        }
     facts |= {
         f"scenario {section.label or name}": _scenario(section) for name, section in study.scenarios.items()
     }
@@ -164,42 +171,43 @@ def compact_seeds(seeds: Sequence[int]) -> str:
     return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}\N{EN DASH}{run[-1]}" for run in runs)
 
 
-def _signal(section: Any) -> str:
-    """Write a signal's section as ``kind: key value, ...``, its unit last."""
+def _own_units(condition: Condition | None) -> dict[str, str]:
+    """Return the units that hold where the study file names none: the variables' own."""
+    traces = condition.first_traces.values() if condition else ()
+    return {variable.name: variable.unit for trace in traces for variable in _bounded(trace)}
+
+
+def _signal(section: Any, own_unit: str) -> str:
+    """Write a signal's section as its kind and its values, with their unit last."""
     values = section.model_dump(exclude={"kind", "unit"})
     words = ", ".join(f"{key.replace('_', ' ')} {_setting_text(value)}" for key, value in values.items())
-    unit = f" ({section.unit})" if section.unit else ""
-    return f"{section.kind}: {words}{unit}"
+    unit = unit_symbol(section.unit or own_unit)
+    return f"{section.kind}: {words}" + (f" (values in {unit})" if unit else "")
 
 
 def _scenario(section: Any) -> str:
     parts = [
         f"parameters {_mapping(section.parameters)}" if section.parameters else "",
         f"noise, standard deviation {_mapping(section.noise)}" if section.noise else "",
-        *(f"at {_number(event.time)} s: {_mapping(event.parameters)}" for event in section.events),
+        *(f"at {as_given(event.time)} s: {_mapping(event.parameters)}" for event in section.events),
     ]
     return "; ".join(filter(None, parts)) or "nothing changed"
 
 
 def _mapping(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {_number(value)}" for name, value in values.items()) or "none"
+    return ", ".join(f"{name} = {as_given(value)}" for name, value in values.items()) or "none"
 
 
 def _setting_text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int | float):
-        return _number(value)
+        return as_given(float(value))
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_setting_text(entry) for entry in value) + "]"
     if isinstance(value, Mapping):
         return ", ".join(f"{key} = {_setting_text(entry)}" for key, entry in value.items())
     return str(value)
-
-
-def _number(value: float) -> str:
-    """Write a setting with every digit that it has."""
-    return f"{value:.12g}".replace("-", MINUS)
 
 
 def _slug(text: str) -> str:

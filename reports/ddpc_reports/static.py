@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import vl_convert
+from markupsafe import Markup
 
 from ddpc_reports.charts import CONFIG
 from ddpc_reports.samples import Column
@@ -13,6 +14,9 @@ from ddpc_reports.samples import Column
 _WIDTH = 800
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{2,}")
 _PATH = re.compile(r' d="[^"]*"')
+_REPEATED_POINT = re.compile(r"(L[^LMZ\"]+)\1+")
+_ID = re.compile(r' id="([^"]+)"')
+_REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _NOISE = re.compile(
     r' (?:aria-[a-z]+|role|pointer-events|class|xmlns:xlink|version|stroke-miterlimit)="[^"]*"|'
     r'<path aria-hidden="true" d="M0,0h0v0h0Z" pointer-events="none"/>'
@@ -24,7 +28,7 @@ def static_svg(
     identifier: str,
     description: str,
     data: Mapping[str, dict[str, Column]] | None = None,
-) -> str:
+) -> Markup:
     """Return a chart as an SVG element that scales with its box.
 
     Parameters
@@ -50,12 +54,22 @@ def rows_of(columns: Mapping[str, Column]) -> list[dict[str, float | None]]:
     return [dict(zip(padded, row, strict=True)) for row in zip(*padded.values(), strict=True)]
 
 
-def _finish(svg: str, identifier: str, description: str) -> str:
+def _finish(svg: str, identifier: str, description: str) -> Markup:
     """Make ids unique in the page, name the drawing, and drop what costs bytes and says nothing."""
-    svg = _NOISE.sub("", svg)
-    svg = _PATH.sub(lambda path: _LONG_NUMBER.sub(lambda number: f"{float(number[0]):.1f}", path[0]), svg)
-    svg = re.sub(r'\bid="', f'id="{identifier}-', svg)
-    svg = re.sub(r"url\(#", f"url(#{identifier}-", svg)
+    svg = _number_ids(_PATH.sub(_short_path, _NOISE.sub("", svg)), identifier)
     size = re.search(r' width="[\d.]+" height="[\d.]+"', svg)
     head = f' class="static" role="img" aria-label="{html.escape(description)}"'
-    return svg.replace(size[0], head, 1) if size else svg
+    return Markup(svg.replace(size[0], head, 1) if size else svg)
+
+
+def _short_path(path: re.Match[str]) -> str:
+    """Round to a tenth of a pixel, and drop points that then fall on the one before."""
+    rounded = _LONG_NUMBER.sub(lambda number: f"{float(number[0]):.1f}", path[0])
+    return _REPEATED_POINT.sub(r"\1", rounded)
+
+
+def _number_ids(svg: str, identifier: str) -> str:
+    """Give every drawing ids of its own, counted from one: Vega counts on from drawing to drawing."""
+    names = {name: f"{identifier}-{number}" for number, name in enumerate(_ID.findall(svg), start=1)}
+    svg = _ID.sub(lambda found: f' id="{names[found[1]]}"', svg)
+    return _REFERENCE.sub(lambda found: f"url(#{names[found[1]]})", svg)

@@ -15,11 +15,29 @@ Raw = float | int | str
 
 @dataclass(frozen=True)
 class Heading:
-    """The head of a column: its title, a second line in small print, and whether numbers stand below it."""
+    """The head of a column.
+
+    Parameters
+    ----------
+    title : str
+        What stands below.
+    detail : str
+        A second line in small print.
+    numeric : bool
+        Whether numbers stand below.
+    group : str
+        Title above this column and its neighbours of the same group.
+    """
 
     title: str
     detail: str = ""
     numeric: bool = True
+    group: str = ""
+
+    @property
+    def words(self) -> str:
+        """All of it in one line."""
+        return " ".join(filter(None, (self.group, self.title, self.detail and f"({self.detail})")))
 
 
 @dataclass(frozen=True)
@@ -58,6 +76,17 @@ class Table:
     download: str = field(default="")
 
     @property
+    def head(self) -> list[tuple[str, list[Heading]]]:
+        """Headings, neighbours of the same group together; those without a group one by one."""
+        spans: list[tuple[str, list[Heading]]] = []
+        for heading in self.headings:
+            if heading.group and spans and spans[-1][0] == heading.group:
+                spans[-1][1].append(heading)
+            else:
+                spans.append((heading.group, [heading]))
+        return spans
+
+    @property
     def groups(self) -> dict[str, list[Row]]:
         """Rows by group, in the order in which the groups first occur."""
         groups: dict[str, list[Row]] = {}
@@ -76,7 +105,7 @@ class Table:
         buffer = io.StringIO(newline="")
         writer = csv.writer(buffer, lineterminator="\n")
         grouped = any(row.group for row in self.rows)
-        heads = [" ".join(filter(None, (h.title, h.detail and f"({h.detail})"))) for h in self.headings]
+        heads = [heading.words for heading in self.headings]
         writer.writerow(["group", *heads] if grouped else heads)
         for row in self.rows:
             values = [row.header, *(_csv_value(cell) for cell in row.cells)]
@@ -93,7 +122,7 @@ def _csv_value(cell: Cell) -> str:
 def number_cells(values: Sequence[float], *, eligible: Iterable[bool] = (), digits: int = 4) -> list[Cell]:
     """Return a column of cells with decimal points in line; the smallest eligible value is the best.
 
-    Values that read alike share the mark. Where all of them read alike nobody is best.
+    Values that read alike share the mark; where more than half of them do, nobody is best.
     """
     texts = column(values, digits)
     able = list(eligible) or [False] * len(values)
@@ -115,11 +144,11 @@ def range_texts(spreads: Sequence[Spread]) -> list[str]:
 
 
 def _best(values: Sequence[float], texts: Sequence[str], able: Sequence[bool]) -> set[str]:
-    able_ones = [
+    known = [
         (value, text)
         for value, text, ok in zip(values, texts, able, strict=True)
         if ok and not math.isnan(value)
     ]
-    if len({text for _, text in able_ones}) < 2:
-        return set()
-    return {min(able_ones)[1]}
+    holders = sum(text == min(known)[1] for _, text in known)
+    # What most of them reach distinguishes nobody.
+    return {min(known)[1]} if len(known) > 1 and 2 * holders <= len(known) else set()

@@ -8,12 +8,13 @@ from ddpc_reports.comparison import (
     TRACKING,
     Condition,
     Spread,
+    labels,
     metric_signal,
     metric_unit,
     spread,
 )
 from ddpc_reports.numbers import MISSING, integer, time_scale
-from ddpc_reports.settings_tables import facts_table
+from ddpc_reports.settings_tables import compact_seeds, facts_table
 from ddpc_reports.table import Cell, Heading, Row, Table, number_cells, range_texts
 
 
@@ -26,7 +27,9 @@ def step_time_table(condition: Condition, prefix: str) -> Table:
         scale = time_scale(seconds)
         shown = [value * scale.factor for value in seconds]
         eligible = [one.completed_all for one in everybody]
-        columns.append((Heading(words, scale.unit), number_cells(shown, eligible=eligible, digits=3)))
+        columns.append(
+            (Heading(words, scale.unit, group="step time"), number_cells(shown, eligible=eligible, digits=3))
+        )
     share = [_share(one.over_seeds("solve_time_max [s]").high, condition.results) for one in everybody]
     columns.append((Heading("longest", "% of the sampling time"), number_cells(share, digits=2)))
     misses = [one.total("deadline_misses [1]") for one in everybody]
@@ -41,7 +44,7 @@ def step_time_table(condition: Condition, prefix: str) -> Table:
         (Heading("Controller", numeric=False), *(heading for heading, _ in columns)),
         tuple(rows),
         (
-            "Wall-clock times. Median, 95 % and 99 % are medians over the completed cases; "
+            "Wall-clock times. Median, 95\u00a0% and 99\u00a0% are medians over the completed cases; "
             "longest is of all of them.",
         ),
         download="step-times.csv",
@@ -76,10 +79,12 @@ def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
         values = [one.cases[0].diagnostics.get(name, math.nan) for one in talkers]
         spreads = [spread(case.diagnostics.get(name, math.nan) for case in one.cases) for one in talkers]
         title = _DIAGNOSTICS.get(name, name.replace("_", " "))
-        columns.append((Heading(title, f"seed {condition.seeds[0]}"), number_cells(values)))
-        if any(s.varies for s in spreads):
+        varies = any(s.varies for s in spreads)
+        first = Heading(f"seed {condition.seeds[0]}", group=title) if varies else Heading(title)
+        columns.append((first, number_cells(values)))
+        if varies:
             texts = _whole_ranges(spreads)
-            columns.append((Heading(title, "range over the seeds"), [Cell(text) for text in texts]))
+            columns.append((Heading("range", group=title), [Cell(text) for text in texts]))
     rows = (
         Row(one.label, tuple(c[i] for _, c in columns), one.key, one.index) for i, one in enumerate(talkers)
     )
@@ -112,7 +117,8 @@ def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], 
         for key, (_, factor) in zip(keys, scales, strict=True)
     ]
     several = len(condition_of_all) > 1
-    order = list(dict.fromkeys(case.controller for case in results.cases))
+    names = labels(results)
+    order = list(names)
     rows = []
     for i, case in enumerate(results.cases):
         done = case.outcome is Outcome.COMPLETED
@@ -122,7 +128,7 @@ def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], 
             Cell(str(case.outcome), str(case.outcome), failed=not done),
             *(cells[i] for cells in columns),
         ]
-        rows.append(Row(case.label, tuple(shown), case.controller, order.index(case.controller)))
+        rows.append(Row(names[case.controller], tuple(shown), case.controller, order.index(case.controller)))
     headings = [
         Heading("Controller", numeric=False),
         *([Heading("scenario", numeric=False)] if several else []),
@@ -177,10 +183,11 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
     failed = [case for case in results.cases if case.outcome is not Outcome.COMPLETED]
     if not failed:
         return None
-    order = list(dict.fromkeys(case.controller for case in results.cases))
+    names = labels(results)
+    order = list(names)
     rows = tuple(
         Row(
-            case.label,
+            names[case.controller],
             (
                 Cell(case.scenario),
                 Cell(str(case.seed), case.seed),
@@ -206,5 +213,13 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
 
 def provenance_table(results: StudyResults, prefix: str) -> Table:
     """Return where the results come from, as the run recorded it."""
-    facts = {name.replace("_", " "): value for name, value in results.provenance.items()}
+    facts = {_spelled(name): value for name, value in results.provenance.items()}
+    facts["seeds"] = compact_seeds(results.study.seeds)
     return facts_table(f"{prefix}provenance", "Provenance of the results", facts, "provenance.csv")
+
+
+_ACRONYMS = {"fmu": "FMU", "fmi": "FMI", "sha256": "SHA-256", "guid": "GUID", "cpu": "CPU", "os": "OS"}
+
+
+def _spelled(name: str) -> str:
+    return " ".join(_ACRONYMS.get(word, word) for word in name.replace("_", " ").split(" "))

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
+from ddpc_cosim.metrics import split_key
 from ddpc_reports.comparison import (
     TRACKING,
     Competitor,
@@ -53,6 +54,11 @@ def listed(parts: Sequence[str | Markup]) -> Markup:
     return Markup("{} and {}").format(Markup(", ").join(head), last) if head else Markup("{}").format(last)
 
 
+def _names(competitors: Sequence[Competitor]) -> list[Markup]:
+    """Set names in italics: a label may itself hold commas."""
+    return [Markup("<i>{}</i>").format(one.label) for one in competitors]
+
+
 def _completeness(condition: Condition) -> Markup:
     lost = [one for one in condition.competitors if not one.completed_all]
     total = len(condition.cases)
@@ -89,11 +95,13 @@ def _first_seed(condition: Condition, key: str) -> Markup:
     (best, winner), (second, next_one), (worst, last) = order[0], order[1], order[-1]
     if show(best) == show(worst):
         return Markup("On seed {} all controllers track alike: {} {}.").format(seed, what, show(best))
-    text = Markup("On seed {}, <b>{}</b> tracks best: {} {}, then {} with {}").format(
+    text = Markup("On seed {}, <b>{}</b> tracks best: {} {}, then <i>{}</i> with {}").format(
         seed, winner.label, what, show(best), next_one.label, show(second)
     )
     return text + (
-        Markup("; last is {} with {}.").format(last.label, show(worst)) if len(order) > 2 else Markup(".")
+        Markup("; last is <i>{}</i> with {}.").format(last.label, show(worst))
+        if len(order) > 2
+        else Markup(".")
     )
 
 
@@ -102,24 +110,23 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
     order = ranked(complete, [one.over_seeds(key).median for one in complete])
     if not order:
         return Markup("No controller completed every seed, so medians over the seeds are not compared.")
-    winner = order[0][1]
+    winner, rest = order[0][1], [one for _, one in order[1:]]
+    figure = _median_and_range(winner.over_seeds(key), key)
+    if not rest:
+        return Markup("Only <b>{}</b> completed every seed: median {}; nothing to compare with.").format(
+            winner.label, figure
+        )
     text = Markup("Over {} seeds, <b>{}</b> has the smallest median: {}.").format(
-        len(condition.seeds), winner.label, _median_and_range(winner.over_seeds(key), key)
+        len(condition.seeds), winner.label, figure
     )
-    if len(order) > 1:
-        text += _duel(winner, order[1][1], key)
-    return (
-        text
-        + _overlap(winner, [one for _, one in order[1:]], key)
-        + _constant([one for _, one in order], key)
-    )
+    return text + _duel(winner, rest[0], key) + _overlap(winner, rest, key) + _constant([winner, *rest], key)
 
 
 def _duel(winner: Competitor, rival: Competitor, key: str) -> Markup:
     mine, theirs = winner.by_seed(key), rival.by_seed(key)
     shared = mine.keys() & theirs.keys()
     wins = sum(mine[seed] < theirs[seed] for seed in shared)
-    return Markup(" Seed by seed it is ahead of the next, {} ({}), on {} of {}.").format(
+    return Markup(" Seed by seed it is ahead of the next, <i>{}</i> ({}), on {} of {}.").format(
         rival.label, _median_and_range(rival.over_seeds(key), key), wins, len(shared)
     )
 
@@ -127,20 +134,18 @@ def _duel(winner: Competitor, rival: Competitor, key: str) -> Markup:
 def _overlap(winner: Competitor, others: Sequence[Competitor], key: str) -> Markup:
     reach = winner.over_seeds(key).high
     inside = [one for one in others if one.over_seeds(key).low <= reach]
-    if not others:
-        return Markup("")
     if not inside:
         return Markup(" Its range lies below that of every other controller.")
     return Markup(" The ranges of {} overlap with its own, so the seed decides who is ahead there.").format(
-        listed([one.label for one in inside]) if len(inside) < 4 else f"{len(inside)} controllers"
+        listed(_names(inside)) if len(inside) < 4 else f"{len(inside)} controllers"
     )
 
 
 def _constant(order: Sequence[Competitor], key: str) -> Markup:
-    same = [one.label for one in order if not one.over_seeds(key).varies]
+    same = [one for one in order if not one.over_seeds(key).varies]
     if not same or len(same) == len(order):
         return Markup(" The seed changes nothing here.") if same else Markup("")
-    return Markup(" The seed changes nothing for {}.").format(listed(same))
+    return Markup(" The seed changes nothing for {}.").format(listed(_names(same)))
 
 
 def _least(condition: Condition, name: str, topic: str, claim: str) -> list[Statement]:
@@ -160,10 +165,10 @@ def _leader(order: Sequence[tuple[float, Competitor]], key: str, claim: str, see
     (best, winner), (second, next_one) = order[0], order[1]
     what = metric_label(key).lower() + (" (median of the seeds)" if seeds > 1 else "")
     if show(best) == show(second):
-        alike = [one.label for value, one in order if show(value) == show(best)]
-        return Markup("{} share the smallest {}: {}.").format(listed(alike), what, show(best))
+        alike = [one for value, one in order if show(value) == show(best)]
+        return Markup("{} share the smallest {}: {}.").format(listed(_names(alike)), what, show(best))
     return (
-        Markup("<b>{}</b> {}: {} {}, against {} of {} and {} of {}.").format(
+        Markup("<b>{}</b> {}: {} {}, against {} of <i>{}</i> and {} of <i>{}</i>.").format(
             winner.label,
             claim,
             what,
@@ -174,7 +179,7 @@ def _leader(order: Sequence[tuple[float, Competitor]], key: str, claim: str, see
             order[-1][1].label,
         )
         if len(order) > 2
-        else Markup("<b>{}</b> {}: {} {}, against {} of {}.").format(
+        else Markup("<b>{}</b> {}: {} {}, against {} of <i>{}</i>.").format(
             winner.label, claim, what, show(best), show(second), next_one.label
         )
     )
@@ -187,7 +192,7 @@ def _violations(condition: Condition) -> Markup:
             worst = one.over_seeds(key).high
             if worst > 0:
                 offenders.append(
-                    Markup("{} by up to {} ({})").format(
+                    Markup("<i>{}</i> by up to {} ({})").format(
                         one.label, _shower(key, 3)(worst), metric_signal(key)
                     )
                 )
@@ -202,7 +207,7 @@ def _times(condition: Condition) -> Markup:
     text = Markup("")
     if len(order) > 1:
         (best, winner), (worst, last) = order[0], order[-1]
-        text = Markup("<b>{}</b> is fastest: median step {}; slowest is {} with {}. ").format(
+        text = Markup("<b>{}</b> is fastest: median step {}; slowest is <i>{}</i> with {}. ").format(
             winner.label, duration(best), last.label, duration(worst)
         )
     return text + _deadlines(condition)
@@ -211,7 +216,9 @@ def _times(condition: Condition) -> Markup:
 def _deadlines(condition: Condition) -> Markup:
     sampling_time = condition.results.study.loop.sampling_time
     late = [(one.total("deadline_misses [1]"), one.label) for one in condition.competitors]
-    missed = [Markup("{} ({} steps)").format(label, integer(count)) for count, label in late if count]
+    missed = [
+        Markup("<i>{}</i> ({})").format(label, _counted(count, "step")) for count, label in late if count
+    ]
     if missed:
         return Markup("Steps longer than the sampling time of {}: {}.").format(
             duration(sampling_time), listed(missed)
@@ -224,6 +231,10 @@ def _deadlines(condition: Condition) -> Markup:
     )
 
 
+def _counted(count: float, noun: str) -> str:
+    return f"{integer(count)} {noun}" if count == 1 else f"{integer(count)} {noun}s"
+
+
 def _longest_steps(cases: Sequence[CaseResult]) -> list[float]:
     values = (case.metrics.get("solve_time_max [s]", math.nan) for case in cases)
     return [value for value in values if not math.isnan(value)]
@@ -231,7 +242,11 @@ def _longest_steps(cases: Sequence[CaseResult]) -> list[float]:
 
 def _fallbacks(condition: Condition) -> Markup:
     counts = [(one.total("failures [1]"), one) for one in condition.competitors]
-    who = [Markup("{} at {} samples").format(one.label, integer(count)) for count, one in counts if count]
+    who = [
+        Markup("<i>{}</i> at {}").format(one.label, _counted(count, "sample"))
+        for count, one in counts
+        if count
+    ]
     if not who:
         return Markup("No controller reported a fallback.")
     return Markup("Controllers fell back on a substitute: {}.").format(listed(who))
@@ -250,5 +265,5 @@ def _shower(key: str, digits: int = 4) -> Callable[[float], str]:
 
 
 def _about(topic: str, condition: Condition, key: str) -> str:
-    several = len(condition.keys(key.partition(".")[0])) > 1
+    several = len(condition.keys(split_key(key)[0])) > 1
     return f"{topic}, {metric_signal(key)}" if several else topic

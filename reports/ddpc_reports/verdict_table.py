@@ -1,18 +1,17 @@
 """The verdict in figures: one row per competitor, the best of each column marked."""
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
+from ddpc_cosim.metrics import split_key
 from ddpc_reports.comparison import (
     STEP_TIMES,
     TRACKING,
-    Competitor,
     Condition,
     Spread,
     metric_signal,
     metric_unit,
 )
-from ddpc_reports.numbers import MINUS, integer, time_scale
+from ddpc_reports.numbers import MINUS, time_scale
 from ddpc_reports.table import Cell, Heading, Row, Table, number_cells, range_texts
 
 _Column = tuple[Heading, list[Cell]]
@@ -45,47 +44,39 @@ def verdict_table(condition: Condition, prefix: str) -> Table:
 def _tracking(condition: Condition) -> list[_Column]:
     columns = []
     for key in condition.keys(TRACKING):
+        group = _title(condition, key, "tracking cost")
         firsts = [one.at_first(key) for one in condition.competitors]
         eligible = [one.completed_first for one in condition.competitors]
-        title = _title(condition, key, "tracking cost")
-        columns.append(
-            (
-                Heading(title, _detail(key, f"seed {condition.seeds[0]}")),
-                number_cells(firsts, eligible=eligible),
-            )
-        )
+        heading = Heading(f"seed {condition.seeds[0]}", group=group)
+        columns.append((heading, number_cells(firsts, eligible=eligible)))
         if len(condition.seeds) > 1:
-            columns.extend(_spread_columns(condition, key, title))
+            columns += _over_seeds(condition, key, group)
     return columns
 
 
-def _spread_columns(condition: Condition, key: str, title: str) -> list[_Column]:
+def _over_seeds(condition: Condition, key: str, group: str) -> list[_Column]:
     spreads = [one.over_seeds(key) for one in condition.competitors]
     medians = number_cells([s.median for s in spreads], eligible=_all_done(condition))
-    ranges = [Cell(text, text) for text in range_texts(spreads)]
     return [
-        (Heading(title, _detail(key, "median of the seeds")), medians),
-        (Heading("range", _detail(key, "over the seeds")), ranges),
+        (Heading("median", group=group), medians),
+        (Heading("range", group=group), [Cell(text) for text in range_texts(spreads)]),
     ]
 
 
 def _medians(condition: Condition, name: str, title: str) -> list[_Column]:
-    return _summed(condition, name, title, lambda s: s.median, "median of the seeds")
+    return _summed(condition, name, title, lambda s: s.median)
 
 
 def _worst(condition: Condition, name: str, title: str) -> list[_Column]:
-    return _summed(condition, name, title, lambda s: s.high, "largest of the seeds")
+    return _summed(condition, name, title, lambda s: s.high)
 
 
-def _summed(
-    condition: Condition, name: str, title: str, figure: Callable[[Spread], float], words: str
-) -> list[_Column]:
-    words = words if len(condition.seeds) > 1 else ""
+def _summed(condition: Condition, name: str, title: str, figure: Callable[[Spread], float]) -> list[_Column]:
     columns = []
     for key in condition.keys(name):
         values = [figure(one.over_seeds(key)) for one in condition.competitors]
         cells = number_cells(values, eligible=_all_done(condition), digits=3)
-        columns.append((Heading(_title(condition, key, title), _detail(key, words)), cells))
+        columns.append((Heading(_title(condition, key, title)), cells))
     return columns
 
 
@@ -97,7 +88,7 @@ def _times(condition: Condition) -> list[_Column]:
         scale = time_scale(seconds)
         shown = [value * scale.factor for value in seconds]
         cells = number_cells(shown, eligible=_all_done(condition), digits=3)
-        columns.append((Heading("step time", f"{words} / {scale.unit}"), cells))
+        columns.append((Heading(words, scale.unit, group="step time"), cells))
     return columns
 
 
@@ -110,18 +101,9 @@ def _counts(condition: Condition) -> list[_Column]:
         for one in everybody
     ]
     return [
-        (Heading("deadline misses", "steps"), _count_cells(condition, misses)),
-        (Heading("fallbacks", "samples"), _count_cells(condition, fallbacks)),
-        (Heading("completed", "cases"), completed),
-    ]
-
-
-def _count_cells(condition: Condition, counts: Sequence[float]) -> list[Cell]:
-    eligible = [value for value, able in zip(counts, _all_done(condition), strict=True) if able]
-    least = min(eligible) if len(set(eligible)) > 1 else math.nan
-    return [
-        Cell(integer(value), int(value), best=able and value == least)
-        for value, able in zip(counts, _all_done(condition), strict=True)
+        (Heading("missed", group="steps"), number_cells(misses, eligible=_all_done(condition))),
+        (Heading("fallback", group="steps"), number_cells(fallbacks, eligible=_all_done(condition))),
+        (Heading("cases completed"), completed),
     ]
 
 
@@ -131,27 +113,26 @@ def _all_done(condition: Condition) -> list[bool]:
 
 
 def _title(condition: Condition, key: str, words: str) -> str:
-    several = len(condition.keys(key.partition(".")[0])) > 1
-    return f"{words}, {metric_signal(key)}" if several else words
-
-
-def _detail(key: str, words: str) -> str:
-    unit = metric_unit(key)
-    return " / ".join(filter(None, (words, unit)))
+    """Return the title of a column: the signal where there are several, and the unit."""
+    several = len(condition.keys(split_key(key)[0])) > 1
+    named = f"{words}, {metric_signal(key)}" if several else words
+    return " / ".join(filter(None, (named, metric_unit(key))))
 
 
 def _notes(condition: Condition) -> tuple[str, ...]:
     best = "Bold and tinted: the smallest of the column"
-    partly: list[Competitor] = [one for one in condition.competitors if not one.completed_all]
-    if partly:
+    if not all(_all_done(condition)):
         best += ", among controllers that completed every case (for the first seed: that completed it)"
-    seeds = len(condition.seeds)
+    meaning = (
+        f"Tracking cost: sum of |reference {MINUS} output| over the samples. Actuator travel: sum of "
+        "|change of the input|. Missed: steps longer than the sampling time. "
+        "Fallback: steps with a substitute for the input."
+    )
     over = (
-        f" Over {seeds} seeds: median step times are medians of the cases, the longest is of all."
-        if seeds > 1
-        else ""
+        f" Over {len(condition.seeds)} seeds, settled error, actuator travel, median and 99\u00a0% step "
+        "time are medians, beyond bounds and longest step time are the largest, steps are summed."
     )
     return (
-        f"{best}; where all are equal, nobody is marked. Tracking cost is the sum of "
-        f"|reference {MINUS} output| over the samples, actuator travel the sum of |change of the input|.{over}",
+        f"{best}; where most are equal, nobody is marked.",
+        meaning + (over if len(condition.seeds) > 1 else ""),
     )

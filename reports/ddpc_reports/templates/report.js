@@ -87,7 +87,7 @@
   }
 
   function colour(name) {
-    return page.data && "var(--c" + (Number(name.slice(1)) % 7) + ")";
+    return "var(--c" + (Number(name.slice(1)) % page.colours) + ")";
   }
 
   function line(note, paint, label, value) {
@@ -125,6 +125,7 @@
       const span = [from, timeAt(chart, event)].sort((a, b) => a - b);
       from = null;
       tell(sameFigure(chart), "band", null);
+      forget(chart);
       zoom(chart, span);
     });
     live.addEventListener("pointerleave", () => forget(chart));
@@ -183,7 +184,7 @@
     if (chart.data) spec.datasets = { ...spec.datasets, [chart.data]: rowsOf(page.data[chart.data]) };
     box.append(chart.live, chart.reading);
     box.classList.add("is-live");
-    const options = { mode: "vega-lite", renderer: "svg", actions: false, ast: true, config: page.config, defaultStyle: false, tooltip: false };
+    const options = { mode: "vega-lite", renderer: "svg", actions: false, ast: true, config: page.config, defaultStyle: false, tooltip: false, logLevel: 1 };
     try {
       chart.view = (await vegaEmbed(chart.live, spec, options)).view;
     } catch (error) {
@@ -191,6 +192,8 @@
       chart.live.remove();
       throw error;
     }
+    // The label of the box says what the drawing shows; its parts say nothing more.
+    chart.live.querySelector("svg").setAttribute("aria-hidden", "true");
     charts.push(chart);
     if (chart.times) listenOverTime(chart);
     else listenToMarks(chart);

@@ -1,0 +1,240 @@
+"""The page in a real browser: what it draws, how it answers, and what it leaves alone."""
+
+import json
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from ddpc_reports import write_report
+from selenium import webdriver
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.remote.webelement import WebElement
+from selenium.webdriver.support.ui import WebDriverWait
+
+from ddpc_cosim import Outcome, Trace
+
+from .synthetic import make_results_in, make_trace
+
+StartBrowser = Callable[[], webdriver.Chrome]
+
+
+def trace_of(key: str, seed: int) -> Trace:
+    if key == "lost":
+        return make_trace(0.6, outcome=Outcome.DIVERGED, reason="angle is NaN at 3 s")
+    return make_trace(0.3 if key == "quick" else 1.0, noise_seed=seed, diagnostics={"data_rank": 9.0})
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the address of a report of three controllers, one of which fails."""
+    folder = tmp_path_factory.mktemp("browser")
+    controllers = {"quick": {"type": "a", "label": "Quick"}, "slow": {"type": "b"}, "lost": {"type": "b"}}
+    results = make_results_in(folder / "results", trace_of, controllers, seeds=[7, 0, 1])
+    return write_report([results], folder / "report.html").as_uri()
+
+
+@pytest.fixture(scope="module")
+def shared_browser(start_browser: StartBrowser) -> webdriver.Chrome:
+    return start_browser()
+
+
+@pytest.fixture
+def browser(shared_browser: webdriver.Chrome, page: str) -> Iterator[webdriver.Chrome]:
+    """Return a browser that has opened the report and drawn its charts."""
+    open_page(shared_browser, page)
+    yield shared_browser
+    shared_browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    shared_browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+
+
+def open_page(browser: webdriver.Chrome, page: str) -> None:
+    browser.get_log("browser")
+    browser.get_log("performance")
+    browser.get(page)
+    wait(browser, lambda: browser.execute_script("return document.documentElement.dataset.ready === 'yes'"))
+
+
+def wait(browser: webdriver.Chrome, condition: Callable[[], Any]) -> Any:
+    return WebDriverWait(browser, 20, poll_frequency=0.05).until(lambda _: condition())
+
+
+def one(browser: webdriver.Chrome, selector: str) -> WebElement:
+    return browser.find_element(By.CSS_SELECTOR, selector)
+
+
+def lines_drawn(browser: webdriver.Chrome) -> int:
+    """Return how many controllers the first chart draws."""
+    lines = one(browser, ".chart .live svg").find_elements(By.CSS_SELECTOR, "path[stroke^='var(--c']")
+    return len(lines)
+
+
+def time_labels(browser: webdriver.Chrome) -> set[str]:
+    """Return the labels of the time axis of the first chart."""
+    script = (
+        "const axis = document.querySelector('.chart .live svg').querySelector('.role-axis-label');"
+        "return [...axis.querySelectorAll('text')].map((text) => text.textContent)"
+    )
+    return set(browser.execute_script(script))
+
+
+def test_it_opens_without_an_error_and_without_a_request(browser: webdriver.Chrome, page: str) -> None:
+    assert browser.get_log("browser") == []
+    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    asked = [m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"]
+    assert [url for url in asked if not url.startswith(("data:", page, "chrome:"))] == []
+
+
+def test_every_chart_is_drawn_and_the_static_one_gives_way(browser: webdriver.Chrome) -> None:
+    counts = browser.execute_script(
+        "const charts = [...document.querySelectorAll('.chart')];"
+        "return [charts.length, charts.filter(c => c.querySelector('.live svg')).length,"
+        " charts.filter(c => getComputedStyle(c.querySelector('.static')).display !== 'none').length]"
+    )
+    assert counts[0] == counts[1] == 5
+    assert counts[2] == 0
+
+
+def test_a_click_on_a_legend_entry_hides_a_controller_and_a_second_shows_it(
+    browser: webdriver.Chrome,
+) -> None:
+    before = lines_drawn(browser)
+    entry = one(browser, "button.entry[data-name=c1]")
+    entry.click()
+    wait(browser, lambda: lines_drawn(browser) == before - 1)
+    pressed = {
+        button.get_attribute("aria-pressed")
+        for button in browser.find_elements(By.CSS_SELECTOR, "[data-name=c1]")
+    }
+    assert pressed == {"false"}
+    entry.click()
+    wait(browser, lambda: lines_drawn(browser) == before)
+
+
+def test_the_legend_says_which_run_did_not_complete(browser: webdriver.Chrome) -> None:
+    assert "(not completed)" in one(browser, "button.entry[data-name=c2]").text
+    assert "(not completed)" not in one(browser, "button.entry[data-name=c0]").text
+
+
+def test_the_pointer_reads_all_controllers_at_the_nearest_sample(browser: webdriver.Chrome) -> None:
+    chart = one(browser, ".chart .live")
+    ActionChains(browser).move_to_element(chart).perform()
+    reading = one(browser, ".chart .reading")
+    wait(browser, reading.is_displayed)
+    first, *lines = reading.text.split("\n")
+    assert first.startswith("t = ")
+    assert {"reference", "Quick", "slow", "lost"} <= set(lines)
+    assert "20°" in lines
+
+
+def test_the_keyboard_reads_values_too(browser: webdriver.Chrome) -> None:
+    chart = one(browser, ".chart .live")
+    chart.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+    wait(browser, lambda: "t = 0.2" in one(browser, ".chart .reading").text)
+
+
+def test_a_drag_zooms_every_chart_and_a_double_click_resets(browser: webdriver.Chrome) -> None:
+    whole = time_labels(browser)
+    chart = one(browser, ".chart .live")
+    actions = ActionChains(browser).move_to_element_with_offset(chart, -50, 0).click_and_hold()
+    actions.move_by_offset(150, 0).release().perform()
+    wait(browser, lambda: time_labels(browser) != whole)
+    ActionChains(browser).double_click(chart).perform()
+    wait(browser, lambda: time_labels(browser) == whole)
+
+
+def test_pointing_at_a_dot_of_the_strip_names_its_seed(browser: webdriver.Chrome) -> None:
+    dot = one(browser, "[data-view$=spread-0-1] .live path[fill='var(--c0)']")
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", dot)
+    ActionChains(browser).move_to_element(dot).perform()
+    wait(browser, lambda: "Quick, seed" in one(browser, "[data-view$=spread-0-1] .reading").text)
+
+
+def test_a_table_sorts_by_a_click_on_its_heading(browser: webdriver.Chrome) -> None:
+    one(browser, "table.sortable th:nth-child(4) .sort").click()
+    values = browser.execute_script(
+        "return [...document.querySelectorAll('table.sortable tbody tr')]"
+        ".map((row) => Number(row.cells[3].dataset.value))"
+    )
+    assert values == sorted(values)
+    assert one(browser, "table.sortable th:nth-child(4)").get_attribute("aria-sort") == "ascending"
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+def test_the_page_never_scrolls_sideways(browser: webdriver.Chrome, page: str, width: int) -> None:
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    open_page(browser, page)
+    assert browser.execute_script("return document.scrollingElement.scrollWidth") <= width
+
+
+def test_print_shows_the_static_figures_on_white(browser: webdriver.Chrome) -> None:
+    dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print", "features": dark})
+    shown = browser.execute_script(
+        "const display = (e) => getComputedStyle(e).display;"
+        "return [...document.querySelectorAll('.chart')].map(c => [display(c.querySelector('.static')), "
+        "display(c.querySelector('.live'))])"
+    )
+    assert shown == [["block", "none"]] * len(shown)
+    assert (
+        browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+        == "rgb(255, 255, 255)"
+    )
+
+
+CONTRASTS = """
+const channels = (text) => text.match(/[\\d.]+/g).map(Number);
+const linear = (v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+const light = (colour) => colour.slice(0, 3).map((v) => linear(v / 255))
+  .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
+const ground = (e) => {
+  for (; e; e = e.parentElement) {
+    const colour = channels(getComputedStyle(e).backgroundColor);
+    if (colour.length === 3 || colour[3] === 1) return colour;
+  }
+  return [255, 255, 255];
+};
+const faint = [];
+const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+while (walker.nextNode()) {
+  const e = walker.currentNode.parentElement;
+  if (!walker.currentNode.data.trim() || !e.offsetParent) continue;
+  if (e.closest('script, .unseen, .anchor, .skip')) continue;
+  const [a, b] = [light(channels(getComputedStyle(e).color)), light(ground(e))].sort((x, y) => y - x);
+  const text = walker.currentNode.data.trim();
+  if ((a + 0.05) / (b + 0.05) < 4.5) faint.push(e.tagName + ' ' + text.slice(0, 30));
+}
+return faint;
+"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_has_enough_contrast(browser: webdriver.Chrome, scheme: str) -> None:
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "screen", "features": features})
+    assert browser.execute_script("return matchMedia('(prefers-color-scheme: dark)').matches") == (
+        scheme == "dark"
+    )
+    assert browser.execute_script(CONTRASTS) == []
+
+
+def test_the_theme_can_be_chosen(browser: webdriver.Chrome) -> None:
+    button = one(browser, "button.theme")
+    button.click()
+    button.click()
+    assert button.text == "Theme: dark"
+    assert (
+        browser.execute_script("return getComputedStyle(document.body).backgroundColor") == "rgb(20, 23, 27)"
+    )
+
+
+def test_without_javascript_the_static_figures_are_there(start_browser: StartBrowser, page: str) -> None:
+    browser = start_browser()
+    browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
+    browser.get(page)
+    drawings = browser.find_elements(By.CSS_SELECTOR, ".chart svg.static")
+    assert len(drawings) == 5
+    assert all(drawing.is_displayed() and drawing.size["height"] > 100 for drawing in drawings)
+    assert not browser.find_elements(By.CSS_SELECTOR, ".live")

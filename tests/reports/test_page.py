@@ -1,0 +1,245 @@
+"""The page as a file: complete, escaped, deterministic, and small enough."""
+
+import base64
+import csv
+import io
+import json
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ddpc_reports import write_report
+
+from ddpc_cosim import Outcome, StudyResults, Trace
+
+from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
+
+HOSTILE = '</script><script>alert("x")</script><img src=x onerror=alert(1)>'
+
+
+class Reader(HTMLParser):
+    """Collects what the tests ask about: elements, ids, headings, tables, embedded JSON."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.headings: list[tuple[int, str]] = []
+        self.text = ""
+        self.json = ""
+        self._inside = ""
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        attributes = dict(attrs)
+        self.elements.append((tag, attributes))
+        self._inside = "json" if attributes.get("type") == "application/json" else tag
+        if re.fullmatch("h[1-6]", tag):
+            self.headings.append((int(tag[1]), ""))
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._inside == "json":
+            self.json += data
+        elif self._inside not in ("script", "style"):
+            self.text += data
+        if re.fullmatch("h[1-6]", self._inside):
+            level, text = self.headings[-1]
+            self.headings[-1] = (level, text + data.strip())
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.elements if name == tag]
+
+
+def written(tmp_path: Path, *results: StudyResults) -> str:
+    path = write_report(results, tmp_path / "deep" / "report.html")
+    return path.read_text(encoding="utf-8")
+
+
+def several_seeds(make_results: MakeResults, **changes: Any) -> StudyResults:
+    return make_results(seeds=[7, 0, 1], **changes)
+
+
+def test_the_page_has_every_section_in_order(make_results: MakeResults, tmp_path: Path) -> None:
+    results = several_seeds(
+        make_results, trace_of=lambda key, seed: make_trace(0.4, diagnostics={"data_rank": 9})
+    )
+    headings = [text for level, text in Reader(written(tmp_path, results)).headings if level == 2]
+    assert headings == [
+        "Verdict",
+        "Figures",
+        "Spread over seeds",
+        "Computation time",
+        "Data diagnostics",
+        "Settings",
+        "Known limitations",
+        "Every case",
+        "Provenance",
+    ]
+
+
+def test_the_same_results_give_the_same_bytes(make_results: MakeResults, tmp_path: Path) -> None:
+    results = several_seeds(make_results)
+    assert written(tmp_path, results) == written(tmp_path, results)
+
+
+def test_the_date_stands_in_the_provenance_only(make_results: MakeResults, tmp_path: Path) -> None:
+    page = written(tmp_path, make_results(provenance={"date": "2031-05-06T07:08:09", "fmu sha256": "cafe"}))
+    assert page.count("2031-05-06") == 1
+    assert "FMU SHA-256" in page
+
+
+def test_nothing_is_loaded_from_anywhere(make_results: MakeResults, tmp_path: Path) -> None:
+    reader = Reader(written(tmp_path, several_seeds(make_results)))
+    sources = [a[name] for _, a in reader.elements for name in ("src", "href", "xlink:href") if a.get(name)]
+    assert all(str(source).startswith(("#", "data:")) for source in sources)
+    policy = next(meta for meta in reader.all("meta") if meta.get("http-equiv"))
+    assert str(policy["content"]).startswith("default-src 'none'")
+
+
+def test_the_chart_library_is_embedded_once(make_results: MakeResults, tmp_path: Path) -> None:
+    page = written(tmp_path, several_seeds(make_results), make_results())
+    assert page.count("window.vegaEmbed") <= 2
+    assert len(page) < 1_600_000
+
+
+def test_hostile_names_stay_text(make_results: MakeResults, tmp_path: Path) -> None:
+    controllers = {"evil": {"type": "x", "label": HOSTILE, "note": HOSTILE}, "good": {"type": "y"}}
+    results = make_results(
+        lambda key, seed: make_trace(0.5, settings={HOSTILE: HOSTILE}, diagnostics={HOSTILE: 1.0}),
+        controllers,
+        provenance={HOSTILE: HOSTILE},
+        title=HOSTILE,
+        summary=HOSTILE,
+        report={"panels": [{"title": HOSTILE, "controllers": ["evil"]}], "limitations": [HOSTILE]},
+        seeds=[7, 0],
+    )
+    page = written(tmp_path, results)
+    reader = Reader(page)
+    assert "<script>alert" not in page
+    assert not reader.all("img")
+    assert len(reader.all("script")) == 3
+    assert HOSTILE in json.dumps(json.loads(reader.json), ensure_ascii=False).replace('\\"', '"')
+
+
+def test_a_reason_for_failure_is_shown(make_results: MakeResults, tmp_path: Path) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        if key == "slow":
+            return make_trace(1.0, outcome=Outcome.FMU_ERROR, reason="fmi2DoStep failed at 3.0 s")
+        return make_trace(0.3)
+
+    text = Reader(written(tmp_path, make_results(trace_of))).text
+    assert "Cases that did not complete (1)" in text
+    assert "fmi2DoStep failed at 3.0 s" in text
+    assert "slow: 1 case did not complete" in text
+
+
+def test_a_study_where_everything_failed_still_gives_a_report(
+    make_results: MakeResults, tmp_path: Path
+) -> None:
+    failed = make_results(
+        lambda key, seed: make_trace(0.5, outcome=Outcome.CRASHED, reason="gone"), seeds=[7, 0]
+    )
+    assert "No case completed, so nothing is ranked" in Reader(written(tmp_path, failed)).text
+
+
+def test_one_case_alone_gives_a_report(make_results: MakeResults, tmp_path: Path) -> None:
+    text = Reader(written(tmp_path, make_results(controllers={"only": {"type": "x"}}))).text
+    assert "The case completed." in text
+    assert "One seed only" in text
+
+
+def test_every_output_and_input_has_its_row_of_charts(make_results: MakeResults, tmp_path: Path) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        return make_trace(0.5, outputs=(ANGLE, SPEED), inputs=(TORQUE, FORCE))
+
+    data = json.loads(Reader(written(tmp_path, make_results(trace_of))).json)
+    drawn = {view["data"] for view in data["views"].values() if view["data"]}
+    assert drawn == {"s1-1-y0", "s1-1-y1", "s1-1-u0", "s1-1-u1", "s1-1-d0", "s1-1-d1"}
+
+
+def test_figures_show_the_samples_of_the_first_seed_in_display_units(
+    make_results: MakeResults, tmp_path: Path
+) -> None:
+    results = several_seeds(make_results)
+    data = json.loads(Reader(written(tmp_path, results)).json)["data"]
+    trace = results.cases[0].trace()
+    assert data["s1-1-y0"]["r"] == pytest.approx([20.0] * len(trace))
+    assert data["s1-1-y0"]["c0"] == pytest.approx(trace.y[:, 0] * 180 / 3.141592653589793, rel=1e-5)
+    assert data["s1-1-u0"]["c0"] == pytest.approx(trace.u[:, 0], rel=1e-5)
+    changes = [trace.u[0, 0], *(trace.u[1:, 0] - trace.u[:-1, 0])]
+    assert data["s1-1-d0"]["c0"] == pytest.approx(changes, rel=1e-4)
+
+
+def test_panels_of_the_study_are_kept_in_all_three_figures(make_results: MakeResults, tmp_path: Path) -> None:
+    panels = [
+        {"title": "First", "controllers": ["quick"]},
+        {"title": "Both", "controllers": ["quick", "slow"]},
+    ]
+    data = json.loads(Reader(written(tmp_path, make_results(report={"panels": panels}))).json)
+    lines = [list(view["lines"]) for view in data["views"].values() if view["data"]]
+    assert lines == [["c0"], ["c0", "c1"]] * 3
+
+
+def test_several_studies_share_one_list_of_contents(make_results: MakeResults, tmp_path: Path) -> None:
+    one, two = make_results(title="Study one"), make_results(title="Study two")
+    reader = Reader(written(tmp_path, one, two))
+    assert [text for level, text in reader.headings if level <= 2] == [
+        "2 studies compared",
+        "Study one",
+        "Study two",
+    ]
+    anchors = {a["href"] for a in reader.all("a") if str(a["href"]).startswith("#")}
+    ids = [str(a["id"]) for _, a in reader.elements if a.get("id")]
+    assert sorted(ids) == sorted(set(ids))
+    assert anchors <= {f"#{name}" for name in ids}
+
+
+def test_headings_never_skip_a_level(make_results: MakeResults, tmp_path: Path) -> None:
+    scenarios = {"calm": {}, "noisy": {"label": "Noisy", "noise": {"angle": 0.01}}}
+    results = [make_results(scenarios=scenarios), make_results(scenarios=scenarios)]
+    levels = [level for level, _ in Reader(written(tmp_path, *results)).headings]
+    assert levels[0] == 1
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+
+
+def test_every_table_can_be_saved_as_csv(make_results: MakeResults, tmp_path: Path) -> None:
+    results = several_seeds(make_results)
+    reader = Reader(written(tmp_path, results))
+    files = {str(a["download"]): str(a["href"]) for a in reader.all("a") if a.get("download")}
+    assert len(reader.all("table")) == len([a for a in reader.all("a") if a.get("download")])
+    text = base64.b64decode(files["cases.csv"].partition(",")[2]).decode()
+    rows = list(csv.DictReader(io.StringIO(text)))
+    expected = [case.metrics["sum_abs_error.angle [deg]"] for case in results.cases]
+    assert [float(row["tracking cost, angle (°)"]) for row in rows] == pytest.approx(expected)
+
+
+def test_a_thousand_cases_do_not_blow_the_page_up(make_results: MakeResults, tmp_path: Path) -> None:
+    few = make_results(controllers={"only": {"type": "x"}})
+    case = few.cases[0]
+    many = [
+        type(case)(
+            **{name: getattr(case, name) for name in case.__slots__} | {"seed": seed, "id": f"case{seed}"}
+        )
+        for seed in range(1000)
+    ]
+    page = written(tmp_path, type(few)(few.folder, few.study, tuple(many), few.provenance))
+    assert len(page) < 2_000_000
+
+
+def test_no_results_are_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="at least one study"):
+        write_report([], tmp_path / "report.html")
+
+
+def test_finding_the_plug_in_imports_nothing_heavy() -> None:
+    heavy = {"altair", "jinja2", "pandas", "vl_convert", "numpy"}
+    program = f"import sys, ddpc_reports; print(sorted({heavy} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,70 @@
+"""Published and reproduced figures, derived here once more from the cases."""
+
+from statistics import median
+from typing import Any
+
+import pytest
+from ddpc_reports.comparison import conditions
+from ddpc_reports.reproduction import reproduction_table
+from ddpc_reports.table import Row
+
+from ddpc_cosim import StudyResults, Trace
+
+from .synthetic import MakeResults, make_trace
+
+COST = "sum_abs_error.angle [deg]"
+SEEDS = [7, 0, 1, 2]
+
+
+def lags(key: str, seed: int) -> Trace:
+    return make_trace({"printed": 0.3, "code": 0.5}[key] + 0.1 * SEEDS.index(seed), noise_seed=seed)
+
+
+def study_with(make_results: MakeResults, published: float, **method: Any) -> StudyResults:
+    methods = [{"label": "Method", "printed": "printed", "values": {COST: published}, **method}]
+    reproduction = {"source": "Table 9", "metrics": {COST: "Absolute error"}, "methods": methods}
+    controllers = {"printed": {"type": "a"}, "code": {"type": "a"}}
+    return make_results(lags, controllers, seeds=SEEDS, report={"reproduction": reproduction})
+
+
+def only_row(results: StudyResults) -> Row:
+    reproduction = results.study.report.reproduction
+    assert reproduction is not None
+    (row,) = reproduction_table(conditions(results)[0], reproduction, "").rows
+    return row
+
+
+def costs(results: StudyResults, key: str) -> list[float]:
+    return [case.metrics[COST] for case in results.cases if case.controller == key]
+
+
+def test_a_row_compares_with_the_published_code_where_there_is_one(make_results: MakeResults) -> None:
+    results = study_with(make_results, 150.0, published_code="code")
+    _, published, code, printed, middle, _, within, deviation = only_row(results).cells
+    assert published.raw == 150.0
+    assert code.raw == pytest.approx(costs(results, "code")[0])
+    assert printed.raw == pytest.approx(costs(results, "printed")[0])
+    assert middle.raw == pytest.approx(median(costs(results, "code")))
+    low, high = min(costs(results, "code")), max(costs(results, "code"))
+    assert within.text == ("yes" if low <= 150.0 <= high else "no")
+    assert deviation.raw == pytest.approx(costs(results, "code")[0] / 150.0 - 1)
+
+
+def test_without_published_code_the_printed_method_stands_in(make_results: MakeResults) -> None:
+    results = study_with(make_results, 150.0)
+    _, _, code, _, middle, _, _, deviation = only_row(results).cells
+    assert code.text == "\N{EN DASH}"
+    assert middle.raw == pytest.approx(median(costs(results, "printed")))
+    assert deviation.raw == pytest.approx(costs(results, "printed")[0] / 150.0 - 1)
+
+
+@pytest.mark.parametrize(("published", "word"), [(1.0, "no"), (1e5, "no")])
+def test_a_published_value_outside_the_range_is_called_so(
+    make_results: MakeResults, published: float, word: str
+) -> None:
+    assert only_row(study_with(make_results, published)).cells[6].text == word
+
+
+def test_a_published_value_inside_the_range_is_called_so(make_results: MakeResults) -> None:
+    inside = median(costs(study_with(make_results, 1.0), "printed"))
+    assert only_row(study_with(make_results, inside)).cells[6].text == "yes"

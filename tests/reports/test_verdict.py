@@ -1,0 +1,134 @@
+"""The verdict says what the figures carry, and nothing else."""
+
+import re
+from statistics import median
+
+import pytest
+from ddpc_reports.comparison import Condition, conditions
+from ddpc_reports.table import Table
+from ddpc_reports.verdict import listed, verdict
+from ddpc_reports.verdict_table import verdict_table
+
+from ddpc_cosim import Outcome, StudyResults, Trace
+
+from .synthetic import MakeResults, make_trace
+
+SEEDS = [7, 0, 1]
+COST = "sum_abs_error.angle [deg]"
+
+
+def statements(results: StudyResults) -> dict[str, str]:
+    """Return the verdict on the first condition as plain text, by topic."""
+    return {topic: re.sub("<[^>]*>", "", str(text)) for topic, text in verdict(only(results))}
+
+
+def only(results: StudyResults) -> Condition:
+    return conditions(results)[0]
+
+
+def best(table: Table) -> dict[str, list[str]]:
+    """Return who is marked in each column."""
+    marks = {}
+    for number, heading in enumerate(table.headings[1:]):
+        marks[heading.words] = [row.header for row in table.rows if row.cells[number].best]
+    return marks
+
+
+def lag_by_seed(key: str, seed: int) -> Trace:
+    """Make the controller `steady` the best by the median and `lucky` the best at the first seed only."""
+    lags = {"steady": {7: 0.5, 0: 0.5, 1: 0.5}, "lucky": {7: 0.2, 0: 1.2, 1: 1.3}}
+    return make_trace(lags[key][seed], noise_seed=seed, step_time=1e-5 if key == "steady" else 1e-3)
+
+
+TWO = {"steady": {"type": "a"}, "lucky": {"type": "b"}}
+
+
+def test_first_seed_and_median_may_name_different_winners(make_results: MakeResults) -> None:
+    said = statements(make_results(lag_by_seed, TWO, seeds=SEEDS))
+    assert said["Tracking"].startswith("On seed 7, lucky tracks best")
+    assert said["Spread"].startswith("Over 3 seeds, steady has the smallest median")
+    assert "ahead of the next, lucky" in said["Spread"]
+    assert "on 2 of 3" in said["Spread"]
+    assert "overlap" in said["Spread"]
+
+
+def test_the_numbers_in_the_words_are_those_of_the_cases(make_results: MakeResults) -> None:
+    results = make_results(lag_by_seed, TWO, seeds=SEEDS)
+    costs = [case.metrics[COST] for case in results.cases if case.controller == "steady"]
+    said = statements(results)["Spread"]
+    assert f"{median(costs):.1f}°" in said
+    assert f"[{min(costs):.1f} … {max(costs):.1f}]" in said
+
+
+def test_who_is_fastest_and_how_near_the_deadline(make_results: MakeResults) -> None:
+    said = statements(make_results(lag_by_seed, TWO, seeds=SEEDS))["Step time"]
+    assert said.startswith("steady is fastest: median step 20.0\u00a0µs; slowest is lucky with 2.00\u00a0ms.")
+    assert "the longest took 3.00\u00a0ms, 3.0 % of it" in said
+
+
+def test_late_steps_are_named(make_results: MakeResults) -> None:
+    said = statements(make_results(lambda key, seed: make_trace(0.5, step_time=0.06)))["Step time"]
+    assert "Steps longer than the sampling time of 100\u00a0ms: quick" in said
+
+
+def test_fallbacks_are_counted(make_results: MakeResults) -> None:
+    results = make_results(lambda key, seed: make_trace(0.5, fallbacks=4 if key == "slow" else 0))
+    assert statements(results)["Fallbacks"] == "Controllers fell back on a substitute: slow at 4 samples."
+
+
+def failing(key: str, seed: int) -> Trace:
+    """Let the best tracker lose one of its seeds."""
+    if key == "quick" and seed == 0:
+        return make_trace(0.1, outcome=Outcome.DIVERGED, reason="angle is NaN at 3 s")
+    return make_trace(0.1 if key == "quick" else 1.0, noise_seed=seed)
+
+
+def test_a_controller_that_lost_cases_is_named_and_not_ranked_over_the_seeds(
+    make_results: MakeResults,
+) -> None:
+    results = make_results(failing, seeds=SEEDS)
+    said = statements(results)
+    assert "5 of 6 cases completed; not completed: quick 1 of 3 (diverged)." in said["Completed"]
+    assert said["Tracking"].startswith("On seed 7, quick tracks best")
+    assert said["Spread"].startswith("Only slow completed every seed")
+    assert "smallest" not in said["Spread"]
+    marks = best(verdict_table(only(results), ""))
+    assert marks["tracking cost / ° seed 7"] == ["quick"]
+    assert marks["tracking cost / ° median"] == []
+
+
+def test_where_nothing_completed_nothing_is_ranked(make_results: MakeResults) -> None:
+    results = make_results(lambda key, seed: make_trace(0.5, outcome=Outcome.CONTROLLER_ERROR, reason="boom"))
+    said = statements(results)
+    assert list(said) == ["Completed"]
+    assert said["Completed"].startswith("No case completed, so nothing is ranked")
+    assert not any(best(verdict_table(only(results), "")).values())
+
+
+def test_one_controller_alone_is_not_called_best(make_results: MakeResults) -> None:
+    results = make_results(controllers={"quick": {"type": "a"}})
+    said = statements(results)
+    assert "tracks best" not in said["Tracking"]
+    assert "no other completed case to compare with" in said["Tracking"]
+    assert not any(best(verdict_table(only(results), "")).values())
+
+
+def test_equal_controllers_share_no_prize(make_results: MakeResults) -> None:
+    results = make_results(lambda key, seed: make_trace(0.5))
+    assert "all controllers track alike" in statements(results)["Tracking"]
+    assert best(verdict_table(only(results), ""))["tracking cost / ° seed 7"] == []
+
+
+def test_the_table_marks_the_smallest_of_each_column(make_results: MakeResults) -> None:
+    results = make_results(lag_by_seed, TWO, seeds=SEEDS)
+    marks = best(verdict_table(only(results), ""))
+    assert marks["tracking cost / ° seed 7"] == ["lucky"]
+    assert marks["tracking cost / ° median"] == ["steady"]
+    assert marks["step time median (ms)"] == ["steady"]
+
+
+@pytest.mark.parametrize(
+    ("parts", "text"), [(["a"], "a"), (["a", "b"], "a and b"), (["a", "b", "<c>"], "a, b and &lt;c&gt;")]
+)
+def test_lists_read_as_sentences(parts: list[str], text: str) -> None:
+    assert str(listed(parts)) == text
