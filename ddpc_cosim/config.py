@@ -1,9 +1,10 @@
 """The study file: its sections, keys and ranges. Read and checked by :mod:`ddpc_cosim.study_file`."""
 
 import math
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from ddpc_cosim.signals import Constant, Ramp, Reference, Sine, Steps
 
@@ -12,16 +13,23 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+_MOST_STEPS = 1e8
+
+
 class Section(BaseModel):
     """A section of a study file: unknown keys are faults, values do not change after reading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
+    def contradictions(self) -> list[str]:
+        """Return how the values here contradict each other, each of them being possible by itself."""
+        return []
+
 
 class PlantSection(Section):
-    """Which plant, and which of its variables take part; exactly one of ``name``, ``fmu``, ``python``."""
+    """Which plant, and which of its variables take part; exactly one of ``name`` and ``fmu``."""
 
-    name: str = Field("", description="a plant of `ddpc-cosim list plants`")
+    name: str = Field("", description="a plant of `ddpc-cosim list plants`, or module:PLANT")
     fmu: str = Field("", description="path of an FMU, relative to the study file")
     inputs: list[str] = Field([], description="inputs that the controller drives; empty: all")
     outputs: list[str] = Field([], description="controlled outputs; empty: all")
@@ -30,11 +38,9 @@ class PlantSection(Section):
     )
     parameters: dict[str, Finite] = Field({}, description="parameters that differ from the plant's defaults")
 
-    @model_validator(mode="after")
-    def _one_plant(self) -> "PlantSection":
-        if bool(self.name) == bool(self.fmu):
-            raise ValueError("needs exactly one of the keys name and fmu")
-        return self
+    def contradictions(self) -> list[str]:
+        """Return what is wrong with the choice of the plant."""
+        return ["needs exactly one of the keys name and fmu"] if bool(self.name) == bool(self.fmu) else []
 
 
 class LoopSection(Section):
@@ -47,13 +53,15 @@ class LoopSection(Section):
         "rest", description="start from the plant's initial state, or where the recording ended"
     )
 
-    @model_validator(mode="after")
-    def _whole_samples(self) -> "LoopSection":
+    def contradictions(self) -> list[str]:
+        """Return why the duration is not made of samples."""
         steps = self.duration / self.sampling_time
-        if round(steps) < 1 or not math.isclose(steps, round(steps), rel_tol=1e-9):
+        if not 0.5 < steps <= _MOST_STEPS:
+            return [f"duration / sampling_time = {steps:g} samples; allowed: 1 to {_MOST_STEPS:.0e}"]
+        if not math.isclose(steps, round(steps), rel_tol=1e-9):
             whole = f"a whole multiple of sampling_time ({self.sampling_time:g})"
-            raise ValueError(f"duration ({self.duration:g}) must be {whole}")
-        return self
+            return [f"duration ({self.duration:g}) must be {whole}"]
+        return []
 
     @property
     def steps(self) -> int:
@@ -83,15 +91,15 @@ class StepsReference(_Signal):
     times: Annotated[list[Finite], Field(min_length=1)]
     values: Annotated[list[Finite], Field(min_length=1)]
 
-    @model_validator(mode="after")
-    def _matching(self) -> "StepsReference":
+    def contradictions(self) -> list[str]:
+        """Return how times and values do not fit."""
+        faults = []
         if len(self.times) != len(self.values):
-            raise ValueError(
-                f"times ({len(self.times)}) and values ({len(self.values)}) need the same length"
-            )
-        if any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
-            raise ValueError("times must increase")
-        return self
+            lengths = f"times ({len(self.times)}) and values ({len(self.values)})"
+            faults.append(f"{lengths} need the same length")
+        if any(later <= earlier for earlier, later in pairwise(self.times)):
+            faults.append("times must increase")
+        return faults
 
     def build(self, convert: Any) -> Reference:
         """Return the signal in the variable's own unit."""
@@ -107,11 +115,9 @@ class RampReference(_Signal):
     from_time: Finite
     to_time: Finite
 
-    @model_validator(mode="after")
-    def _forward(self) -> "RampReference":
-        if self.to_time <= self.from_time:
-            raise ValueError("to_time must be after from_time")
-        return self
+    def contradictions(self) -> list[str]:
+        """Return what is wrong with the order of the instants."""
+        return ["to_time must be after from_time"] if self.to_time <= self.from_time else []
 
     def build(self, convert: Any) -> Reference:
         """Return the signal in the variable's own unit."""
@@ -148,11 +154,11 @@ class BoundsSection(Section):
     max: Finite | None = None
     unit: str = Field("", description="unit of min and max; empty: the variable's own")
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "BoundsSection":
-        if self.min is not None and self.max is not None and self.min >= self.max:
-            raise ValueError(f"min ({self.min:g}) must be below max ({self.max:g})")
-        return self
+    def contradictions(self) -> list[str]:
+        """Return what is wrong with the order of the limits."""
+        if self.min is None or self.max is None or self.min < self.max:
+            return []
+        return [f"min ({self.min:g}) must be below max ({self.max:g})"]
 
 
 class ExcitationSection(Section):
@@ -163,11 +169,9 @@ class ExcitationSection(Section):
     high: Finite
     unit: str = Field("", description="unit of low and high; empty: the input's own")
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "ExcitationSection":
-        if self.low >= self.high:
-            raise ValueError(f"low ({self.low:g}) must be below high ({self.high:g})")
-        return self
+    def contradictions(self) -> list[str]:
+        """Return what is wrong with the order of the limits."""
+        return [f"low ({self.low:g}) must be below high ({self.high:g})"] if self.low >= self.high else []
 
 
 class RecordingSection(Section):
@@ -225,6 +229,7 @@ class Reproduction(Section):
     metrics: dict[str, str] = Field(description="title of each metric compared, by its key")
     methods: list[PublishedMethod]
     notes: list[str] = []
+    parameters: str = Field("Parameters as run", description="title over the tables of settings")
 
 
 class Panel(Section):
@@ -242,31 +247,6 @@ class ReportSection(Section):
     reproduction: Reproduction | None = None
 
 
-class Study(Section):
-    """A study file: one plant, competitors, conditions and seeds."""
-
-    name: Name = Field("study", description="short name; the folder of results is called after it")
-    title: str = ""
-    summary: str = ""
-    source: str = Field("", description="publication that the study follows")
-    seeds: Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=1)] = [0]
-    plant: PlantSection
-    loop: LoopSection
-    reference: Annotated[dict[str, ReferenceSection], Field(min_length=1)]
-    bounds: dict[str, BoundsSection] = {}
-    recording: RecordingSection | None = None
-    controllers: Annotated[dict[Name, ControllerSection], Field(min_length=1)]
-    scenarios: Annotated[dict[Name, ScenarioSection], Field(min_length=1)] = {"nominal": ScenarioSection()}
-    report: ReportSection = ReportSection()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _expand_seeds(cls, data: Any) -> Any:
-        if isinstance(data, dict) and isinstance(data.get("seeds"), str | int | list):
-            return {**data, "seeds": expand_seeds(data["seeds"])}
-        return data
-
-
 def expand_seeds(seeds: Any) -> Any:
     """Return a list of seeds in which ranges such as ``"0:30"`` are written out, without repetitions."""
     listed: list[Any] = []
@@ -277,11 +257,32 @@ def expand_seeds(seeds: Any) -> Any:
                 first.isdecimal() and last.isdecimal() and int(first) < int(last) <= int(first) + 1_000_000
             ):
                 raise ValueError(
-                    f"seeds: {seed!r} is not a range; write it as first:last with first < last, e.g. 0:30"
+                    f"{seed!r} is not a range; write it as first:last with first < last, e.g. 0:30"
                 )
             listed.extend(range(int(first), int(last)))
         elif isinstance(seed, str) and seed.isdecimal():
             listed.append(int(seed))
         else:
             listed.append(seed)
-    return list(dict.fromkeys(listed)) if all(isinstance(seed, int) for seed in listed) else listed
+    return list(dict.fromkeys(listed)) if all(type(seed) is int for seed in listed) else listed
+
+
+Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], BeforeValidator(expand_seeds)]
+
+
+class Study(Section):
+    """A study file: one plant, competitors, conditions and seeds."""
+
+    name: Name = Field("study", description="short name; the folder of results is called after it")
+    title: str = ""
+    summary: str = ""
+    source: str = Field("", description="publication that the study follows")
+    seeds: Annotated[Seeds, Field(min_length=1)] = [0]
+    plant: PlantSection
+    loop: LoopSection
+    reference: Annotated[dict[str, ReferenceSection], Field(min_length=1)]
+    bounds: dict[str, BoundsSection] = {}
+    recording: RecordingSection | None = None
+    controllers: Annotated[dict[Name, ControllerSection], Field(min_length=1)]
+    scenarios: Annotated[dict[Name, ScenarioSection], Field(min_length=1)] = {"nominal": ScenarioSection()}
+    report: ReportSection = ReportSection()

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple
 from pebble import ProcessExpired, ProcessPool
 
 from ddpc_cosim.errors import CosimError
-from ddpc_cosim.storage import write_case
+from ddpc_cosim.storage import remove_drafts, write_case
 from ddpc_cosim.study import Case, no_samples, run_case
 from ddpc_cosim.trace import Outcome
 
@@ -54,7 +55,10 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
     updates = context.SimpleQueue()
     with (
         _single_threaded(),
-        ProcessPool(jobs, context=context, initializer=_set_updates, initargs=[updates]) as pool,
+        # Whatever a worker that was killed has left behind is removed with this folder.
+        tempfile.TemporaryDirectory(prefix="ddpc-cosim-", ignore_cleanup_errors=True) as scratch,
+        _no_drafts(cases, folder),
+        ProcessPool(jobs, context=context, initializer=_prepare_worker, initargs=[updates, scratch]) as pool,
     ):
         running: dict[Future[None], Case] = {
             pool.schedule(_run_and_write, args=[case, folder / case.id]): case for case in cases
@@ -96,10 +100,21 @@ def _single_threaded() -> Iterator[None]:
                 os.environ.pop(name, None)
 
 
-def _set_updates(updates: Any) -> None:
-    """Prepare a worker: where it reports progress; an interrupt is the master's to handle."""
+@contextmanager
+def _no_drafts(cases: Sequence[Case], folder: Path) -> Iterator[None]:
+    """Remove the drafts of cases whose worker was killed while it wrote them."""
+    try:
+        yield
+    finally:
+        for case in cases:
+            remove_drafts(folder / case.id)
+
+
+def _prepare_worker(updates: Any, scratch: str) -> None:
+    """Tell a worker where to report progress and to keep files; an interrupt is the master's to handle."""
     global _updates
     _updates = updates
+    tempfile.tempdir = scratch
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -98,7 +98,7 @@ def cosimulate(
     ------
     CosimError
         What can be known before the first sample: settings, signals and data that do not fit, a plant that
-        cannot be initialised.
+        cannot be initialised. A parameter change that the plant does not know is told when it is due.
     """
     wiring = wire(plant, outputs, measurements)
     steps = _whole_steps(duration, sampling_time)
@@ -173,6 +173,7 @@ class _Rows:
         rows, self.horizon, self.loop = steps + 1, horizon, loop
         self.time = time[:rows]
         self.reference = reference
+        self.reference.setflags(write=False)  # controllers are handed views of it
         self.y = np.empty((rows, len(loop.outputs)))
         self.measured = np.empty((rows, len(loop.measurements)))
         self.u = np.full((rows, len(loop.inputs)), np.nan)
@@ -225,7 +226,7 @@ def _run(
         return OUTCOME_OF[error.status], str(error)
     except _DivergedError as error:
         return Outcome.DIVERGED, f"{error} at t = {rows.time[k]:g} s"
-    except (ControllerError, ConfigError) as error:
+    except ControllerError as error:
         return Outcome.CONTROLLER_ERROR, f"{error} at t = {rows.time[k]:g} s"
 
 
@@ -239,17 +240,17 @@ def _decide(controller: Controller, sensors: Sensors, rows: _Rows, k: int, y_pla
     started = perf_counter()
     try:
         answer = controller.step(sample)
+        rows.solve_time[k] = perf_counter() - started
+        if isinstance(answer, Action):
+            rows.status[k] = answer.status
+            answer = answer.u
+        answered = np.asarray(answer, dtype=float)
     except Exception as error:
         rows.status[k] = "error"
         raise ControllerError(
             f"{type(controller).__name__}.step raised {type(error).__name__}: {error}"
         ) from error
-    rows.solve_time[k] = perf_counter() - started
-    if isinstance(answer, Action):
-        rows.status[k] = answer.status
-        answer = answer.u
     row: FloatArray = rows.u[k]
-    answered = np.asarray(answer, dtype=float)
     if answered.shape != row.shape or not np.isfinite(answered).all():
         rows.status[k] = "error"
         raise ControllerError(

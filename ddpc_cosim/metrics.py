@@ -83,6 +83,11 @@ def split_key(key: str) -> tuple[str, str, str]:
 
 def metrics(trace: Trace) -> dict[str, float]:
     """Return the figures of a trace by key; NaN where a figure does not exist."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
+        return _metrics(trace)
+
+
+def _metrics(trace: Trace) -> dict[str, float]:
     table: dict[str, float] = {}
     rows = slice(0, trace.held)
     for i, output in enumerate(trace.outputs):
@@ -105,8 +110,8 @@ def _output_metrics(
     steps = list(_steps(reference, y))
     beyond = np.maximum(np.maximum(y - limits[1], limits[0] - y), 0.0) * scale
     values = {
-        "sum_abs_error": (float(magnitude.sum()), shown.name),
-        "iae": (float(magnitude.sum()) * h, f"{shown.name}.s"),
+        "sum_abs_error": (_or_nan(lambda e: float(e.sum()), magnitude), shown.name),
+        "iae": (_or_nan(lambda e: float(e.sum()) * h, magnitude), f"{shown.name}.s".lstrip(".")),
         "rmse": (_or_nan(lambda e: math.sqrt(float(np.mean(e**2))), error), shown.name),
         "min_abs_error": (_or_nan(lambda e: float(e.min()), magnitude), shown.name),
         "max_abs_error": (_or_nan(lambda e: float(e.max()), magnitude), shown.name),

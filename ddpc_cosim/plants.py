@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.config import PlantSection
-from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.variables import DisplayUnit, Variable
+from ddpc_cosim.version import source_hash
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class PlantTarget:
     python : str
         The Python plant's name or ``module:Class``; empty for an FMU.
     content : str
-        SHA-256 of the FMU, or the Python class: what decides the plant's behaviour.
+        SHA-256 of the FMU, or the Python class with a hash of its source: what decides the behaviour.
     """
 
     fmu: str
@@ -87,7 +88,10 @@ class PlantSource:
             return _fmu_signals(self._fmu)
         if _is_model(self._plugin):
             return _model_signals(self._plugin)
-        plant: Plant = self._plugin()
+        try:
+            plant: Plant = self._plugin()
+        except Exception as error:  # a third party's constructor can fail in any way
+            raise ConfigError(f'plant "{self._name}": {type(error).__name__}: {error}') from error
         try:
             return PlantSignals({v.name: v for v in plant.inputs}, {v.name: v for v in plant.outputs}, {})
         finally:
@@ -97,12 +101,21 @@ class PlantSource:
         """Make the plant ready to run: equations are exported to an FMU, which is compiled if it is new."""
         fmu = self._fmu
         if _is_model(self._plugin):
-            from fmu_plants import build_fmu
-
-            fmu = build_fmu(self._plugin)
+            fmu = _build(self._plugin)
         if fmu is None:
-            return PlantTarget("", self._name, f"{self._plugin.__module__}:{self._plugin.__qualname__}")
+            plugin = self._plugin
+            content = f"{plugin.__module__}:{plugin.__qualname__} {source_hash(plugin.__module__)}"
+            return PlantTarget("", self._name, content)
         return PlantTarget(str(fmu.resolve()), "", hashlib.sha256(fmu.read_bytes()).hexdigest())
+
+
+def _build(model: Any) -> Path:
+    from fmu_plants import ExportError, ModelError, build_fmu
+
+    try:
+        return build_fmu(model)
+    except (ExportError, ModelError) as error:
+        raise CosimError(str(error)) from error
 
 
 def _is_model(plugin: Any) -> bool:

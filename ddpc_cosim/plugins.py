@@ -79,7 +79,7 @@ def _load_entry_point(entry: EntryPoint) -> Plugin:
     package = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "unknown package"
     try:
         return Plugin(entry.name, entry.value, package, entry.load())
-    except Exception as error:  # a third party's import can fail in any way
+    except (Exception, SystemExit) as error:  # a third party's import can fail in any way
         return Plugin(entry.name, entry.value, package, error=f"{type(error).__name__}: {error}")
 
 
@@ -96,6 +96,6 @@ def load_target(target: str, kind: str) -> Any:
         value: Any = importlib.import_module(module_name)
         for part in attribute.split("."):
             value = getattr(value, part)
-    except Exception as error:  # a third party's import can fail in any way
+    except (Exception, SystemExit) as error:  # a third party's import can fail in any way
         raise PluginError(f'{kind} "{target}" cannot be loaded: {type(error).__name__}: {error}') from error
     return value

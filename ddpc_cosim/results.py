@@ -1,10 +1,11 @@
 """The results of a study on disk, read back for reports and for people."""
 
 import csv
+import hashlib
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,10 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "metrics.csv",
     "cases",
 )
+
+
+# What reading a file raises that somebody has cut off or changed.
+_DAMAGED = (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +65,19 @@ class CaseResult:
     folder: Path
 
     def trace(self) -> Trace:
-        """Read the samples of the run."""
-        return read_trace(self.folder)
+        """Read the samples of the run.
+
+        Raises
+        ------
+        ConfigError
+            The files are missing or damaged.
+        """
+        try:
+            return read_trace(self.folder)
+        except _DAMAGED as error:
+            raise ConfigError(
+                f"{self.folder}: the samples cannot be read ({error!r}); run the study again"
+            ) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,10 +118,23 @@ def load_results(folder: str | Path) -> StudyResults:
     try:
         study = Study.model_validate(tomllib.loads((folder / STUDY_FILE).read_text(encoding="utf-8")))
         provenance = json.loads((folder / PROVENANCE_FILE).read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
-        raise ConfigError(f"{folder}: results cannot be read: {error}") from error
-    cases = [load_case(folder / CASES_FOLDER / case_id) for case_id in provenance.pop("cases")]
-    return StudyResults(folder, study, tuple(cases), provenance)
+        case_ids = list(provenance.pop("cases"))
+    except _DAMAGED as error:
+        raise ConfigError(f"{folder}: results cannot be read: {error}; run the study again") from error
+    return StudyResults(folder, study, load_cases(folder, study, case_ids), provenance)
+
+
+def load_cases(folder: Path, study: Study, case_ids: Iterable[str]) -> tuple[CaseResult, ...]:
+    """Read cases of a study, labelled as it labels them now: a label does not decide a result.
+
+    Raises
+    ------
+    ConfigError
+        The files of a case are missing or damaged.
+    """
+    cases = [load_case(folder / CASES_FOLDER / case_id) for case_id in case_ids]
+    labels = {name: section.label or name for name, section in study.controllers.items()}
+    return tuple(replace(case, label=labels.get(case.controller, case.label)) for case in cases)
 
 
 def load_case(folder: Path) -> CaseResult:
@@ -121,8 +150,13 @@ def load_case(folder: Path) -> CaseResult:
         head = {key: run[key] for key in ("id", "controller", "label", "scenario", "seed", "reason")}
         figures = {key: run[key] for key in ("metrics", "diagnostics", "settings")}
         return CaseResult(**head, **figures, outcome=Outcome(run["outcome"]), folder=folder)
-    except (OSError, ValueError, KeyError) as error:
+    except _DAMAGED as error:
         raise ConfigError(f"{folder}: this case cannot be read ({error!r}); run the study again") from error
+
+
+def study_hash(study: Study) -> str:
+    """Return a hash of everything that a study says, defaults filled in."""
+    return hashlib.sha256(study.model_dump_json().encode()).hexdigest()
 
 
 def write_results(

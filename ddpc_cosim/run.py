@@ -4,20 +4,30 @@ import os
 import platform
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Protocol
 
+from ddpc_cosim.checked_study import CheckedStudy
 from ddpc_cosim.config import Study
+from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.executors import Update, run_cases
 from ddpc_cosim.plants import PlantTarget
-from ddpc_cosim.results import CASES_FOLDER, CaseResult, StudyResults, load_case, write_results
+from ddpc_cosim.results import (
+    CASES_FOLDER,
+    CaseResult,
+    StudyResults,
+    load_case,
+    load_cases,
+    study_hash,
+    write_results,
+)
 from ddpc_cosim.storage import read_run
 from ddpc_cosim.study import Case, cases_of
-from ddpc_cosim.study_file import CheckedStudy, make_controller
+from ddpc_cosim.study_controllers import all_settings
 from ddpc_cosim.trace import Outcome
 from ddpc_cosim.version import package_version
 
@@ -70,35 +80,39 @@ def run_study(checked: CheckedStudy, folder: Path, selection: Selection, progres
     Raises
     ------
     ConfigError
-        No case is selected.
+        No case is selected, or the folder cannot be written to.
     """
     target = checked.plant.prepare()
     cases = cases_of(checked, target, selection.seeds or None, selection.only)
     cases_folder = folder / CASES_FOLDER
+    try:
+        cases_folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
     missing = [case for case in cases if selection.fresh or not _is_there(cases_folder / case.id)]
     progress.start(len(missing), len(cases) - len(missing))
     for case in run_cases(missing, cases_folder, selection.jobs, progress.update) if missing else ():
         progress.finished(case, load_case(cases_folder / case.id))
-    results = [load_case(cases_folder / case.id) for case in cases]
-    provenance = _provenance(results, target, selection)
     study = _resolved(checked, selection)
+    results = load_cases(folder, study, [case.id for case in cases])
+    provenance = _provenance(results, target, selection, study)
     write_results(folder, study, results, provenance)
-    return StudyResults(folder, study, tuple(results), provenance)
+    return StudyResults(folder, study, results, provenance)
 
 
 def _is_there(folder: Path) -> bool:
-    if not folder.is_dir():
+    """Whether a case need not be run: one whose files are damaged is run again."""
+    try:
+        return load_case(folder).outcome not in _TRANSIENT
+    except ConfigError:
         return False
-    return load_case(folder).outcome not in _TRANSIENT
 
 
 def _resolved(checked: CheckedStudy, selection: Selection) -> Study:
     """Return the study as run: every default filled in, paths absolute."""
     study = checked.study
     controllers = {
-        name: section.model_copy(
-            update={"settings": make_controller(section).settings(), "label": section.label or name}
-        )
+        name: section.model_copy(update={"settings": all_settings(section), "label": section.label or name})
         for name, section in study.controllers.items()
     }
     plant = study.plant.model_copy(
@@ -114,12 +128,17 @@ def _resolved(checked: CheckedStudy, selection: Selection) -> Study:
     )
 
 
-def _provenance(results: Sequence[CaseResult], target: PlantTarget, selection: Selection) -> dict[str, str]:
-    plant = read_run(results[0].folder)["provenance"]
+def _provenance(
+    results: Sequence[CaseResult], target: PlantTarget, selection: Selection, study: Study
+) -> dict[str, str]:
+    # A case that failed before its first sample does not know its plant.
+    known: Iterator[dict[str, str]] = (read_run(result.folder)["provenance"] for result in results)
+    plant = next(filter(None, known), {})
     versions = {f"{name.lower()} version": metadata.version(name) for name in _VERSIONS_OF}
     return {
         **{key.replace("_", " "): value for key, value in plant.items()},
         "plant content": target.content,
+        "study sha256": study_hash(study),
         "ddpc-cosim version": package_version(),
         "python version": platform.python_version(),
         **versions,

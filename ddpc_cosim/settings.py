@@ -2,14 +2,16 @@
 
 import dataclasses
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, PluginError
+from ddpc_cosim.suggest import did_you_mean
 from ddpc_cosim.variables import FloatArray
 
 Weight = float | Sequence[float] | Sequence[Sequence[float]]
@@ -57,7 +59,8 @@ class SettingInfo:
 
     def admits(self, number: float) -> bool:
         """Whether a number is finite and in range."""
-        return math.isfinite(number) and number > self.above and self.low <= number <= self.high
+        # A whole number of any length is finite, but some are beyond what can be computed with.
+        return abs(number) <= sys.float_info.max and number > self.above and self.low <= number <= self.high
 
 
 def setting(
@@ -148,19 +151,26 @@ def from_plain(plugin: type[Any], name: str, value: Any) -> Any:
     ConfigError
         The object cannot be made, and why.
     """
-    if not isinstance(value, dict):
+    if not isinstance(value, dict) or not dataclasses.is_dataclass(plugin):
         return value
     field = next((f for f in dataclasses.fields(plugin) if f.name == name), None)
     factory = field.default_factory if field else dataclasses.MISSING
     kind: Any = None if factory is dataclasses.MISSING else type(factory())
     entries = dict(value)
     if "type" in entries:
-        kind = _load_class(str(entries.pop("type")))
+        kind = _load_class(name, str(entries.pop("type")))
     if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
         return value
+    known = [f.name for f in dataclasses.fields(kind) if f.init]
+    unknown = [key for key in entries if key not in known]
+    if unknown:
+        what = f"unknown setting of {kind.__name__}"
+        raise ConfigError([f"{name}.{key}: {what}; {did_you_mean(key, known)}" for key in unknown])
     try:
         return kind(**{key: from_plain(kind, key, entry) for key, entry in entries.items()})
-    except TypeError as error:
+    except ConfigError as error:
+        raise ConfigError([f"{name}: {fault}" for fault in error.faults]) from error
+    except Exception as error:  # a third party's constructor can fail in any way
         raise ConfigError(f"{name}: {error}") from error
 
 
@@ -199,13 +209,13 @@ def weight_matrix(weight: Weight, size: int, name: str) -> FloatArray:
     return matrix
 
 
-def _load_class(target: str) -> Any:
+def _load_class(name: str, target: str) -> Any:
     from ddpc_cosim.plugins import load_target
 
     try:
         return load_target(target, "class")
     except PluginError as error:
-        raise ConfigError(str(error)) from error
+        raise ConfigError(f"{name}.type: {error}") from error
 
 
 def _is_possible(value: Any, kind: Any, info: SettingInfo) -> bool:
@@ -214,18 +224,24 @@ def _is_possible(value: Any, kind: Any, info: SettingInfo) -> bool:
     if kind in (bool, "bool"):
         return isinstance(value, bool)
     if kind in (int, "int"):
-        return isinstance(value, Integral) and not isinstance(value, bool) and info.admits(int(value))
+        return isinstance(value, Integral) and _is_number(value) and info.admits(value)
     if kind in (float, "float"):
-        return isinstance(value, Real) and not isinstance(value, bool) and info.admits(float(value))
+        return _is_number(value) and info.admits(value)
     if kind in (Weight, "Weight"):
         return _is_possible_weight(value, info)
     return True
 
 
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
 def _is_possible_weight(value: Any, info: SettingInfo) -> bool:
     try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
+        array = np.asarray(value)
+    except ValueError:  # lists of different lengths
+        return False
+    if array.dtype.kind not in "iuf":
         return False
     entries = array.ravel() if array.ndim < 2 else np.diag(array)
     return array.ndim <= 2 and all(info.admits(float(entry)) for entry in entries)

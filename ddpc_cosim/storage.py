@@ -43,13 +43,23 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any]) -> None:
         },
         "provenance": trace.provenance,
     }
-    draft = folder.with_name(f".{folder.name}.{os.getpid()}")
+    draft = folder.with_name(f"{_draft_prefix(folder)}{os.getpid()}")
     shutil.rmtree(draft, ignore_errors=True)
     draft.mkdir(parents=True)
     (draft / "run.json").write_text(json.dumps(_finite(run), indent=1) + "\n", encoding="utf-8")
     _write_signals(draft / "signals.csv", trace)
     shutil.rmtree(folder, ignore_errors=True)
     draft.replace(folder)
+
+
+def remove_drafts(folder: Path) -> None:
+    """Remove what processes left behind that died while they wrote this case's folder."""
+    for draft in folder.parent.glob(f"{_draft_prefix(folder)}*"):
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _draft_prefix(folder: Path) -> str:
+    return f".{folder.name}."
 
 
 def read_run(folder: Path) -> dict[str, Any]:
@@ -77,9 +87,9 @@ def read_trace(folder: Path) -> Trace:
     return Trace(
         time=columns["time [s]"],
         reference=table(outputs, ("reference ",)),
-        y=table(outputs),
+        y=table(outputs, ("output ", "")),
         measured=table(measurements, ("measured ", "")),
-        u=table(inputs),
+        u=table(inputs, ("input ", "")),
         status=status,
         solve_time=columns["solve_time [s]"],
         inputs=tuple(inputs),
@@ -116,8 +126,8 @@ def _read_signals(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
 
 def _variable(stored: dict[str, Any]) -> Variable:
     shown = stored["display_unit"]
-    limits = {key: float(stored[key]) for key in ("min", "max")}
-    return Variable(**{**stored, **limits, "display_unit": DisplayUnit(**shown) if shown else None})
+    numbers = {key: float(stored[key]) for key in ("min", "max", "nominal", "start")}
+    return Variable(**{**stored, **numbers, "display_unit": DisplayUnit(**shown) if shown else None})
 
 
 def _finite(value: Any) -> Any:

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from ddpc_cosim.checked_study import CheckedStudy, converter, excitation_range, limits
 from ddpc_cosim.config import ControllerSection, ScenarioSection
 from ddpc_cosim.controller import Bounds
 from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError, FMUStepError
 from ddpc_cosim.master import OUTCOME_OF, ProgressReport, cosimulate
 from ddpc_cosim.plants import PlantTarget
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference, UniformRandom
-from ddpc_cosim.study_file import CheckedStudy, converter, excitation_range, limits, make_controller
+from ddpc_cosim.study_controllers import all_settings, make_controller
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable, names
 from ddpc_cosim.version import code_version
@@ -34,7 +35,7 @@ class Case:
     label : str
         Name of the controller in reports.
     section : dict
-        The controller's type and settings.
+        The controller's type and settings, every default filled in.
     plant : PlantTarget
         The plant.
     inputs, outputs, measurements : tuple of Variable
@@ -202,6 +203,7 @@ def _all_cases(checked: CheckedStudy, target: PlantTarget, seeds: list[int]) -> 
         for name, section in study.reference.items()
     }
     for controller, section in study.controllers.items():
+        settings = all_settings(section)
         bounds = limits({**study.bounds, **section.bounds}, variables, (*checked.inputs, *checked.outputs))
         for name, scenario in study.scenarios.items():
             for seed in seeds:
@@ -210,7 +212,7 @@ def _all_cases(checked: CheckedStudy, target: PlantTarget, seeds: list[int]) -> 
                     scenario=name,
                     seed=seed,
                     label=section.label or controller,
-                    section={"type": section.type, "settings": section.settings},
+                    section={"type": section.type, "settings": settings},
                     plant=target,
                     inputs=tuple(variables[name] for name in checked.inputs),
                     outputs=tuple(variables[name] for name in checked.outputs),

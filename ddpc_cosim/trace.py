@@ -115,19 +115,22 @@ class Trace:
         """Return the numeric columns under the headers of ``signals.csv``, each of shape (K,).
 
         Headers are ``name [unit]``. A reference is prefixed with ``reference``; a measurement that differs
-        from the controlled output of its name (by noise) with ``measured``, and is left out where it is equal.
+        from the controlled output of its name (by noise) with ``measured``, and left out where it does not;
+        an output or input whose header is taken with ``output`` or ``input``.
         """
         table = {"time [s]": self.time}
+        reserved = {"time [s]", "solve_time [s]"}
         for i, output in enumerate(self.outputs):
             table[f"reference {output.header}"] = self.reference[:, i]
-            table[output.header] = self.y[:, i]
+            table[("output " if output.header in reserved else "") + output.header] = self.y[:, i]
         for i, variable in enumerate(self.measurements):
-            if variable.header not in table:
+            if variable.header not in reserved | table.keys():
                 table[variable.header] = self.measured[:, i]
-            elif not np.array_equal(table[variable.header], self.measured[:, i]):
+            elif not np.array_equal(table.get(variable.header, ()), self.measured[:, i]):
                 table[f"measured {variable.header}"] = self.measured[:, i]
         for i, variable in enumerate(self.inputs):
-            table[variable.header] = self.u[:, i]
+            taken = variable.header in reserved | table.keys()
+            table[("input " if taken else "") + variable.header] = self.u[:, i]
         table["solve_time [s]"] = self.solve_time
         return table
 

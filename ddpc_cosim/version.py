@@ -17,13 +17,19 @@ def package_version() -> str:
 @cache
 def code_version(controller: str) -> str:
     """Return a hash of the source of the master and of the package that a controller comes from."""
-    plugin = load_plugin("controllers", controller)
-    own, foreign = (sys.modules[name.split(".")[0]] for name in (__name__, plugin.__module__))
+    return source_hash(__name__) + source_hash(load_plugin("controllers", controller).__module__)
+
+
+@cache
+def source_hash(module_name: str) -> str:
+    """Return a hash of the source of the top-level package that an imported module belongs to."""
+    module = sys.modules[module_name.split(".")[0]]
     digest = hashlib.sha256()
-    for module in (own, foreign):
-        source = Path(module.__file__ or "")
-        files = sorted(source.parent.rglob("*.py")) if source.name == "__init__.py" else [source]
-        for file in files:
-            digest.update(file.relative_to(source.parent).as_posix().encode())
+    # A namespace package has folders and no file of its own.
+    for folder in map(Path, getattr(module, "__path__", ())):
+        for file in sorted(folder.rglob("*.py")):
+            digest.update(file.relative_to(folder).as_posix().encode())
             digest.update(file.read_bytes())
+    if not hasattr(module, "__path__") and module.__file__:
+        digest.update(Path(module.__file__).read_bytes())
     return digest.hexdigest()

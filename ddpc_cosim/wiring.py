@@ -87,9 +87,13 @@ def loop_bounds(plant: Plant, wiring: Wiring, given: Mapping[str, tuple[float, f
         np.array([given.get(v.name, (v.min, v.max)) for v in variables], dtype=float).reshape(-1, 2)
         for variables in (plant.inputs, wiring.outputs)
     ]
-    for name, (low, high) in given.items():
-        if not low < high:
-            raise ConfigError(f"bounds of {name}: {low:g} must be below {high:g}")
+    faults = [
+        f"bounds of {name}: {low:g} must be below {high:g}"
+        for name, (low, high) in given.items()
+        if not low < high
+    ]
+    if faults:
+        raise ConfigError(faults)
     return Bounds(limits[0][:, 0], limits[0][:, 1], limits[1][:, 0], limits[1][:, 1])
 
 

@@ -1,13 +1,16 @@
 """``ddpc-cosim list``."""
 
 import inspect
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
-from ddpc_cosim.plugins import installed
+from ddpc_cosim.plugins import Plugin, installed
 
+BROKEN = "red"
 _KINDS = ("plants", "controllers", "studies")
 
 
@@ -19,21 +22,25 @@ def list_command(kind: str | None) -> int:
         for column in ("name", "what", "from"):
             table.add_column(column, overflow="fold")
         for plugin in installed(each):
-            broken = broken or bool(plugin.error)
-            what = f"[red]broken: {plugin.error}[/red]" if plugin.error else _what(plugin.value)
+            what = _what(plugin)
+            broken = broken or what.style == BROKEN
             table.add_row(plugin.name, what, f"{plugin.package} ({plugin.target})")
         console.print(table, "")
     return 1 if broken else 0
 
 
-def _what(value: Any) -> str:
-    """Return one line about a plug-in: its description, or the first line of its documentation."""
-    if inspect.isclass(value):
-        return (inspect.getdoc(value) or "").partition("\n")[0]
-    return str(getattr(value, "description", "") or _study_title(value))
+def _what(plugin: Plugin) -> Text:
+    """Return one line about a plug-in, or why it is broken."""
+    try:
+        return Text(f"broken: {plugin.error}", BROKEN) if plugin.error else Text(_describe(plugin.value))
+    except Exception as error:  # a third party's object can be anything
+        return Text(f"broken: {type(error).__name__}: {error}", BROKEN)
 
 
-def _study_title(value: Any) -> str:
+def _describe(value: Any) -> str:
+    """Return a plug-in's description, or the first line of its documentation."""
     from ddpc_cosim.study_file import study_title
 
-    return study_title(value)
+    if inspect.isclass(value):
+        return (inspect.getdoc(value) or "").partition("\n")[0]
+    return str(getattr(value, "description", "") or study_title(Path(value)))

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.results import StudyResults, load_results
 
@@ -16,5 +17,8 @@ def report_command(folders: Sequence[Path], out: Path | None) -> None:
 def write_report(results: Sequence[StudyResults], path: Path) -> Path:
     """Write the report with the installed report generator and return its path."""
     generator = load_plugin("reports", "html")
-    written: Path = generator(results, path)
+    try:
+        written: Path = generator(results, path)
+    except OSError as error:
+        raise ConfigError(f"{path}: the report cannot be written: {error.strerror}") from error
     return written

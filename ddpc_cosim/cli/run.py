@@ -47,7 +47,7 @@ def _parse_seeds(text: str | None) -> list[int]:
     try:
         seeds = expand_seeds([part.strip() for part in text.split(",")])
     except ValueError as error:
-        raise ConfigError(f"--{error}") from error
+        raise ConfigError(f"--seeds: {error}") from error
     wrong = [seed for seed in seeds if not isinstance(seed, int) or not 0 <= seed < 2**32]
     if wrong:
         raise ConfigError(

@@ -33,17 +33,19 @@ def summary_table(results: StudyResults) -> Table:
     table.add_column("cases\ndone", justify="right", no_wrap=True)
     groups: dict[tuple[str, str], list[CaseResult]] = {}
     for case in results.cases:
-        groups.setdefault((case.label, case.scenario), []).append(case)
-    for (label, scenario), cases in groups.items():
-        figures = [_number(cases[0].metrics[key]) for key in keys]
+        groups.setdefault((case.controller, case.scenario), []).append(case)
+    for (_, scenario), cases in groups.items():
+        shown = cases[0].metrics if cases[0].outcome is Outcome.COMPLETED else {}
+        figures = [_number(shown.get(key, math.nan)) for key in keys]
         figures.insert(1, _spread(cases, keys[0]))
         step = _micro(cases[0].metrics["solve_time_median [s]"])
-        table.add_row(label, *([scenario] if several else []), *figures, step, _completed(cases))
+        name = [Text(cases[0].label), *([Text(scenario)] if several else [])]
+        table.add_row(*name, *figures, step, _completed(cases))
     return table
 
 
-def _title(results: StudyResults) -> str:
-    return f"{results.study.title or results.study.name} (seed {results.cases[0].seed})"
+def _title(results: StudyResults) -> Text:
+    return Text(f"{results.study.title or results.study.name} (seed {results.cases[0].seed})")
 
 
 def _heading(key: str) -> Text:

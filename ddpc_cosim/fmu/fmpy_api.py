@@ -1,6 +1,7 @@
 """The only place that touches FMPy, which has no type information: archive, description, C interface."""
 
 import ctypes
+import os
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -61,19 +62,23 @@ class Fmi2Slave:
 
     def __init__(self, guid: str, model_identifier: str, folder: Path, instance_name: str) -> None:
         self.log: deque[str] = deque(maxlen=_LOG_LINES_KEPT)
-        self._fmu = fmpy.fmi2.FMU2Slave(
-            guid=guid,
-            modelIdentifier=model_identifier,
-            unzipDirectory=str(folder),
-            instanceName=instance_name,
-        )
+        here = Path.cwd()
+        try:
+            self._fmu = fmpy.fmi2.FMU2Slave(
+                guid=guid,
+                modelIdentifier=model_identifier,
+                unzipDirectory=str(folder),
+                instanceName=instance_name,
+            )
+        finally:
+            os.chdir(here)  # FMPy changes to the library's folder and stays there if it cannot be loaded
         # The structure and its Python callback must live as long as the instance.
         self._callbacks = self._make_callbacks()
         try:
             self._fmu.instantiate(callbacks=self._callbacks, loggingOn=False)
-        except Exception:
+        except Exception as error:
             self._fmu.freeLibrary()
-            raise
+            raise RuntimeError("; ".join([str(error), *self.log])) from error
         self.component: Pointer = self._fmu.component
 
     def function(self, name: str) -> CFunction:

@@ -64,8 +64,10 @@ class FMUPlant(Plant):
         self._folder = Path(tempfile.mkdtemp(prefix="ddpc-cosim-"))
         self._remove_folder = weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
         self._slave: fmpy_api.Fmi2Slave | None = None
+        self._may_terminate = False
         try:
             self._unpack()
+            self._sha256 = hashlib.sha256(self.path.read_bytes()).hexdigest()
             self.description = read_description(self._folder, self.path.name)
             chosen = _choose(self.description, self.path.name, inputs, outputs)
             self._check_binary()
@@ -91,6 +93,7 @@ class FMUPlant(Plant):
         self._call("fmi2SetupExperiment", 0, 0.0, t0, 0, 0.0)
         self._call("fmi2EnterInitializationMode")
         self._call("fmi2ExitInitializationMode")
+        self._may_terminate = True
         self._call("fmi2GetReal", *self._y.arguments)
         return self._y.values.copy()
 
@@ -133,7 +136,7 @@ class FMUPlant(Plant):
         """Return the FMU's file name, SHA-256, GUID, FMI version and exporting tool."""
         return {
             "fmu": self.path.name,
-            "fmu_sha256": hashlib.sha256(self.path.read_bytes()).hexdigest(),
+            "fmu_sha256": self._sha256,
             "fmu_guid": self.description.guid,
             "fmi_version": f"{self.description.fmi_version} Co-Simulation",
             "fmu_model": self.description.model_name,
@@ -204,6 +207,9 @@ class FMUPlant(Plant):
                 faults.append(
                     f"{self.path.name}: parameter {name} = {value:g} is outside [{low:g}, {high:g}]"
                 )
+            elif _SETTERS[variable.type][2](value) != value:
+                kind = "a truth value (0 or 1)" if variable.type == "Boolean" else "a whole number"
+                faults.append(f"{self.path.name}: parameter {name} = {value:g} must be {kind}")
         if faults:
             raise ConfigError(faults)
         return [(variables[name], value) for name, value in parameters.items()]
@@ -230,6 +236,8 @@ class FMUPlant(Plant):
         message = f"{self.path.name}: {function} returned {word} at t = {self.time:g} s{details}"
         if status == fmpy_api.FATAL:
             self._abandon()
+        if status != fmpy_api.DISCARD:
+            self._may_terminate = False
         return FMUStepError(message, _STATUS.get(status, StepStatus.ERROR), self.time)
 
     def _asks_to_terminate(self) -> bool:
@@ -243,8 +251,9 @@ class FMUPlant(Plant):
 
     def _free(self) -> None:
         if self._slave is not None:
-            self._slave.function("fmi2Terminate")(self._slave.component)
-            self._slave = None
+            if self._may_terminate:  # not before the end of initialisation, nor after an error
+                self._slave.function("fmi2Terminate")(self._slave.component)
+            self._slave, self._may_terminate = None, False
             self._finalizer()
 
     def _abandon(self) -> None:

@@ -1,0 +1,204 @@
+"""What a study says against what its plant and its controllers are."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from ddpc_cosim.checked_study import CheckedStudy, converter, limits
+from ddpc_cosim.config import RecordingSection, Study
+from ddpc_cosim.controller import Controller
+from ddpc_cosim.errors import ConfigError, CosimError, PluginError
+from ddpc_cosim.faults import Faults
+from ddpc_cosim.plants import PlantSource
+from ddpc_cosim.schema import Location
+from ddpc_cosim.study_controllers import make_controller
+from ddpc_cosim.variables import Variable
+
+_INPUTS, _OUTPUTS, _MEASUREMENTS = (("plant", key) for key in ("inputs", "outputs", "measurements"))
+
+
+def check_study(study: Study, folder: Path, faults: Faults) -> CheckedStudy | None:
+    """Check a study against its plant and its controllers.
+
+    Parameters
+    ----------
+    study : Study
+        Its content.
+    folder : Path
+        Folder of the file: paths in it are relative to this.
+    faults : Faults
+        What was found before; what is found here is added.
+
+    Returns
+    -------
+    checked : CheckedStudy or None
+        The study with its plant; None if there is no plant to check it against.
+    """
+    controllers = _check_controllers(study, faults)
+    _check_report(study, faults)
+    if study.plant.contradictions() or faults.touches(("plant", "name")) or faults.touches(("plant", "fmu")):
+        return None
+    try:
+        plant = PlantSource(study.plant, folder)
+        signals = plant.signals()
+    except CosimError as error:
+        faults.add(("plant", "fmu" if study.plant.fmu else "name"), str(error))
+        return None
+    inputs = tuple(study.plant.inputs) or tuple(signals.inputs)
+    outputs = tuple(study.plant.outputs) or tuple(signals.outputs)
+    measurements = tuple(study.plant.measurements) or outputs
+    checked = CheckedStudy(study, plant, signals, inputs, outputs, measurements)
+    _check_plant(checked, faults)
+    _check_references(checked, faults)
+    _check_bounds(checked, faults)
+    _check_scenarios(checked, faults)
+    _check_recording(checked, controllers, faults)
+    return checked
+
+
+def _check_controllers(study: Study, faults: Faults) -> dict[str, Controller]:
+    controllers = {}
+    for name, section in study.controllers.items():
+        place = ("controllers", name)
+        try:
+            controllers[name] = make_controller(section)
+        except ConfigError as error:
+            for fault in error.faults:
+                faults.add(place, fault, (*place, "settings"), (*place, "type"))
+        except PluginError as error:
+            faults.add((*place, "type"), str(error))
+    return controllers
+
+
+def _check_report(study: Study, faults: Faults) -> None:
+    def require_controllers(place: Location, names: Iterable[str]) -> None:
+        # A controller whose section is at fault is there all the same.
+        doubtful = [name for name in names if faults.touches(("controllers", name))]
+        faults.require_known(place, "controller", names, [*study.controllers, *doubtful])
+
+    for i, panel in enumerate(study.report.panels):
+        require_controllers(("report", "panels", i, "controllers"), panel.controllers)
+    for i, method in enumerate(study.report.reproduction.methods if study.report.reproduction else ()):
+        place = ("report", "reproduction", "methods", i)
+        require_controllers((*place, "printed"), [method.printed])
+        if method.published_code:
+            require_controllers((*place, "published_code"), [method.published_code])
+
+
+def _check_plant(checked: CheckedStudy, faults: Faults) -> None:
+    plant, signals = checked.study.plant, checked.signals
+    for place, what, given, known in (
+        (_INPUTS, "input", plant.inputs, signals.inputs),
+        (_OUTPUTS, "output", plant.outputs, signals.outputs),
+        (_MEASUREMENTS, "output", plant.measurements, signals.outputs),
+    ):
+        faults.require_known(place, what, given, known)
+        for name in sorted({name for name in given if given.count(name) > 1}):
+            faults.add(place, f'"{name}" is listed more than once')
+    _check_parameters(("plant", "parameters"), "parameter", plant.parameters, signals.parameters, faults)
+
+
+def _check_parameters(
+    place: Location,
+    what: str,
+    values: Mapping[str, float],
+    known: Mapping[str, Variable],
+    faults: Faults,
+) -> None:
+    faults.require_known(place, what, values, known)
+    for name, value in values.items():
+        if name in known and not known[name].min <= value <= known[name].max:
+            faults.add((*place, name), f"{value:g} is outside [{known[name].min:g}, {known[name].max:g}]")
+
+
+def _check_references(checked: CheckedStudy, faults: Faults) -> None:
+    references, signals = checked.study.reference, checked.signals
+    known = _choice(checked.outputs, signals.outputs, _OUTPUTS, faults)
+    faults.require_known(("reference",), "controlled output", references, known)
+    for name in checked.outputs:
+        if name not in references:
+            faults.add(
+                ("reference",), f"none for the controlled output {name}", ("reference", name), _OUTPUTS
+            )
+    for name, reference in references.items():
+        _check_unit(("reference", name, "unit"), signals.outputs.get(name), reference.unit, faults)
+
+
+def _choice(chosen: Iterable[str], every: Iterable[str], place: Location, faults: Faults) -> list[str]:
+    """Return the signals that take part; all that there are, where the choice itself is at fault."""
+    return list(every) if faults.touches(place) else list(chosen)
+
+
+def _check_bounds(checked: CheckedStudy, faults: Faults) -> None:
+    study, signals = checked.study, checked.signals
+    known = _choice(checked.inputs, signals.inputs, _INPUTS, faults)
+    known += _choice(checked.outputs, signals.outputs, _OUTPUTS, faults)
+    variables = {**signals.outputs, **signals.inputs}
+    tables = {("bounds",): study.bounds} | {
+        ("controllers", name, "bounds"): section.bounds for name, section in study.controllers.items()
+    }
+    for place, bounds in tables.items():
+        faults.require_known(place, "input or controlled output", bounds, known)
+        for name, section in bounds.items():
+            if not _check_unit((*place, name, "unit"), variables.get(name), section.unit, faults):
+                continue
+            low, high = limits(bounds, variables, [name])[name]
+            if not low < high and not section.contradictions():
+                room = f"leaves no room: [{low:g}, {high:g}] with the plant's own limits"
+                faults.add((*place, name), room, (*place, name))
+
+
+def _check_unit(place: Location, variable: Variable | None, unit: str, faults: Faults) -> bool:
+    """Return whether values in a unit can be converted to the variable's own."""
+    if variable is None:
+        return False
+    try:
+        converter(variable, unit)
+    except ConfigError as error:
+        faults.add(place, str(error))
+        return False
+    return True
+
+
+def _check_scenarios(checked: CheckedStudy, faults: Faults) -> None:
+    signals = checked.signals
+    tunable = {name: signals.parameters[name] for name in signals.parameters if name in signals.tunable}
+    for name, scenario in checked.study.scenarios.items():
+        place = ("scenarios", name)
+        _check_parameters(
+            (*place, "parameters"), "parameter", scenario.parameters, signals.parameters, faults
+        )
+        known = checked.measurements
+        faults.require_known((*place, "noise"), "measurement", scenario.noise, known, _OUTPUTS, _MEASUREMENTS)
+        for i, event in enumerate(scenario.events):
+            at_event = (*place, "events", i, "parameters")
+            _check_parameters(at_event, "tunable parameter", event.parameters, tunable, faults)
+
+
+def _check_recording(checked: CheckedStudy, controllers: Mapping[str, Controller], faults: Faults) -> None:
+    study, recording = checked.study, checked.study.recording
+    place = ("recording",)
+    if recording is not None:
+        _check_excitation(checked, recording, faults)
+    elif study.loop.start == "recording-end":
+        faults.add(("loop", "start"), '"recording-end" needs a recording section', place)
+    sized = not any(map(faults.is_doubtful, (_INPUTS, _OUTPUTS, _MEASUREMENTS)))
+    sizes = (len(checked.inputs), len(checked.outputs), len(checked.measurements))
+    for name, controller in controllers.items():
+        if controller.uses_recording and recording is None:
+            lacking = "learns from a recording, and the study has no recording section"
+            faults.add(("controllers", name), lacking, place)
+        needed = controller.recording_length(*sizes) if recording is not None and sized else 0
+        if recording is not None and recording.samples < needed:
+            short = f"{recording.samples} is too short for {name}, which needs {needed}"
+            faults.add((*place, "samples"), short)
+
+
+def _check_excitation(checked: CheckedStudy, recording: RecordingSection, faults: Faults) -> None:
+    place = ("recording", "excitation")
+    known = _choice(checked.inputs, checked.signals.inputs, _INPUTS, faults)
+    faults.require_known(place, "input", recording.excitation, known)
+    for name in checked.inputs:
+        if name not in recording.excitation:
+            faults.add(place, f"none for the input {name}", (*place, name), _INPUTS)
+    for name, section in recording.excitation.items():
+        _check_unit((*place, name, "unit"), checked.signals.inputs.get(name), section.unit, faults)
