@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study_file import read_study
 

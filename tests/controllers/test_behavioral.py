@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from ddpc_controllers import hankel_matrix, numerical_rank, persistency_of_excitation
-from ddpc_controllers.behavioral import diagnose, least_samples, require_length
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ddpc_controllers import hankel_matrix, numerical_rank, persistency_of_excitation
+from ddpc_controllers.behavioral import diagnose, least_samples, require_length
 from ddpc_cosim import DataError, FloatArray
 
 signals = st.builds(

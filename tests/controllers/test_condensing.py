@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ddpc_controllers import DeePC
-from ddpc_controllers.full_problem import FullDeePC
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from ddpc_controllers import DeePC
+from ddpc_controllers.full_problem import FullDeePC
 from ddpc_cosim import FloatArray, Recording
 
 from .loops import (

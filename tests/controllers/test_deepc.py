@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from ddpc_controllers import DeePC
 from ddpc_controllers.full_problem import FullDeePC
-
 from ddpc_cosim import DataError, Recording
 
 from .loops import (

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ddpc_controllers import MFAPC, WKPC, DeePC
 
+from ddpc_controllers import MFAPC, WKPC, DeePC
 from ddpc_cosim import Action, ConfigError, Controller, DataError, Loop, Recording, Sample, declared_settings
 
 from .loops import ANGLE, close_loop, make_loop, paper_reference, pendulum_loop, quick_pendulum

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from ddpc_controllers import MFAPC
-from ddpc_controllers.pseudo_jacobian import Estimation, PseudoJacobian
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ddpc_controllers import MFAPC
+from ddpc_controllers.pseudo_jacobian import Estimation, PseudoJacobian
 from ddpc_cosim import ConfigError, FloatArray, Sample
 
 from .loops import (

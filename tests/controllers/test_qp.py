@@ -4,12 +4,12 @@ import pickle
 
 import numpy as np
 import pytest
-from ddpc_controllers.condensing import CondensedProblem
-from ddpc_controllers.qp import ParametricQP
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
+from ddpc_controllers.condensing import CondensedProblem
+from ddpc_controllers.qp import ParametricQP
 from ddpc_cosim import FloatArray
 
 WIDE = np.array([-1e6]), np.array([1e6])

@@ -3,6 +3,9 @@
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from ddpc_reports.numbers import (
     align,
     as_given,
@@ -15,8 +18,6 @@ from ddpc_reports.numbers import (
     unit_symbol,
     with_unit,
 )
-from hypothesis import given
-from hypothesis import strategies as st
 
 MINUS, TIMES, DASH, THIN = "\N{MINUS SIGN}", "\N{MULTIPLICATION SIGN}", "\N{EN DASH}", "\u202f"
 

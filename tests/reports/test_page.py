@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ddpc_reports import write_report
 
 from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_reports import write_report
 
 from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
 

@@ -4,11 +4,11 @@ from statistics import median
 from typing import Any
 
 import pytest
+
+from ddpc_cosim import StudyResults, Trace
 from ddpc_reports.comparison import conditions
 from ddpc_reports.reproduction import reproduction_table
 from ddpc_reports.table import Row
-
-from ddpc_cosim import StudyResults, Trace
 
 from .synthetic import MakeResults, make_trace
 

@@ -4,12 +4,12 @@ import re
 from statistics import median
 
 import pytest
+
+from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.table import Table
 from ddpc_reports.verdict import listed, verdict
 from ddpc_reports.verdict_table import verdict_table
-
-from ddpc_cosim import Outcome, StudyResults, Trace
 
 from .synthetic import MakeResults, make_trace
 

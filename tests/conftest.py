@@ -1,0 +1,65 @@
+"""What all tests share: a cache folder, the pendulum as an FMU, the command line as a process."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+from fmu_plants import build_fmu
+from fmu_plants.pendulum import MODEL
+
+# How long an example takes says more about the machine than about the code.
+hypothesis.settings.register_profile("suite", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("suite")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "slow: takes half a minute; `-m 'not slow'` leaves it out")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Leave the user's cache folder alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DDPC_COSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="session")
+def pendulum_fmu(own_cache_folder: None) -> Path:
+    return build_fmu(MODEL)
+
+
+@pytest.fixture(scope="session")
+def program() -> str:
+    """The installed command."""
+    found = shutil.which("ddpc-cosim", path=str(Path(sys.executable).parent))
+    assert found, "ddpc-cosim is not installed beside this Python"
+    return found
+
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def run_program(program: str, tmp_path: Path) -> Run:
+    """Run the command in an empty folder, in which modules are found too."""
+
+    def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        paths = [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
+        return subprocess.run(
+            [program, *arguments],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "COLUMNS": "200", **environment},
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            timeout=300,
+        )
+
+    return run

@@ -1,0 +1,125 @@
+"""Who may import whom, read from the sources."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import ddpc_cosim
+
+ROOT = Path(__file__).parents[2]
+ROOMS = {
+    "fmu_plants": ROOT / "fmu_plants",
+    "ddpc_cosim": ROOT / "ddpc_cosim",
+    "ddpc_controllers": ROOT / "controllers" / "ddpc_controllers",
+    "ddpc_reports": ROOT / "reports" / "ddpc_reports",
+}
+# Modules that plug-ins may use besides the names of the package.
+PUBLIC_MODULES = {"config", "metrics", "plugins", "testing"}
+
+
+def modules(room: str) -> dict[str, Path]:
+    """Return the modules of a room by full name."""
+    table = {}
+    for path in sorted(ROOMS[room].rglob("*.py")):
+        parts = path.relative_to(ROOMS[room]).with_suffix("").parts
+        table[".".join((room, *(part for part in parts if part != "__init__")))] = path
+    return table
+
+
+def imports(path: Path, *, at_import_time: bool = False) -> Iterator[tuple[str, str]]:
+    """Yield (module, name) of every import, or only of those that importing the file runs."""
+    waiting: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, "") for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: imports are absolute here"
+            yield from ((str(node.module), alias.name) for alias in node.names)
+        elif not (at_import_time and _is_deferred(node)):
+            waiting.extend(ast.iter_child_nodes(node))
+
+
+def _is_deferred(node: ast.AST) -> bool:
+    if isinstance(node, ast.If):
+        return isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+    return isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+
+
+def rooms_imported(room: str) -> set[str]:
+    found = {module.split(".")[0] for path in modules(room).values() for module, _ in imports(path)}
+    return found & ROOMS.keys() - {room}
+
+
+def test_fmu_plants_imports_none_of_the_others() -> None:
+    assert rooms_imported("fmu_plants") == set()
+
+
+def test_the_master_never_imports_controllers_or_reports() -> None:
+    assert rooms_imported("ddpc_cosim") <= {"fmu_plants"}
+
+
+def test_controllers_and_reports_import_only_the_master() -> None:
+    assert rooms_imported("ddpc_controllers") == {"ddpc_cosim"}
+    assert rooms_imported("ddpc_reports") == {"ddpc_cosim"}
+
+
+@pytest.mark.parametrize("room", ["ddpc_controllers", "ddpc_reports"])
+def test_plug_ins_use_public_names_only(room: str) -> None:
+    for path in modules(room).values():
+        for module, name in imports(path):
+            package, _, below = module.partition(".")
+            if package == "ddpc_cosim":
+                public = name in ddpc_cosim.__all__ if not below else below in PUBLIC_MODULES
+                assert public, f"{path.name}: from {module} import {name}"
+                assert not name.startswith("_")
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_module_imports_itself_in_a_circle(room: str) -> None:
+    known = modules(room)
+    needs = {
+        name: {
+            target
+            for module, part in imports(path, at_import_time=True)
+            for target in (f"{module}.{part}", module)
+            if target in known and target != room
+        }
+        for name, path in known.items()
+    }
+    while needs:
+        free = {name for name, targets in needs.items() if not targets & needs.keys()}
+        assert free, f"these import each other in a circle: {sorted(needs)}"
+        needs = {name: targets for name, targets in needs.items() if name not in free}
+
+
+def test_every_public_name_has_one_home_and_resolves() -> None:
+    assert sorted(ddpc_cosim.__all__) == sorted(ddpc_cosim._MODULE_OF)
+    assert len(set(ddpc_cosim.__all__)) == len(ddpc_cosim.__all__)
+    for name in ddpc_cosim.__all__:
+        assert getattr(ddpc_cosim, name) is not None
+    assert set(ddpc_cosim.__all__) <= set(dir(ddpc_cosim))
+
+
+def test_type_checkers_see_every_public_name() -> None:
+    """The names are imported for type checkers from the same modules as when they are used."""
+    seen = {
+        name: module.removeprefix("ddpc_cosim.")
+        for module, name in imports(ROOMS["ddpc_cosim"] / "__init__.py")
+        if module.startswith("ddpc_cosim.")
+    }
+    assert seen == ddpc_cosim._MODULE_OF
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'Plnat'"):
+        _ = ddpc_cosim.Plnat
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_modules_fit_in_the_head(room: str) -> None:
+    for name, path in modules(room).items():
+        lines = len(path.read_text(encoding="utf-8").splitlines())
+        assert lines <= 400, f"{name} has {lines} lines"

@@ -1,0 +1,227 @@
+"""The command line: what is printed where, and the exit codes."""
+
+import csv
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import fmpy
+import pytest
+from click.testing import CliRunner, Result
+
+from ddpc_cosim.cli.main import main
+from ddpc_cosim.version import package_version
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+WriteStudy = Callable[..., Path]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def invoke(*arguments: str) -> Result:
+    return CliRunner().invoke(main, arguments)
+
+
+def test_help_names_every_command() -> None:
+    for flag in ("--help", "-h"):
+        result = invoke(flag)
+        assert result.exit_code == 0
+        for command in ("run", "report", "list", "export"):
+            assert f"\n  {command}" in result.stdout
+
+
+def test_version() -> None:
+    assert invoke("--version").stdout == f"{package_version()}\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["rnu"], ["run"], ["run", "paper", "--jobs", "0"], ["report"], ["export", "x", "--fmi", "1.0"]],
+)
+def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
+    result = invoke(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert "Usage:" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "papre"], 'error: no study "papre"; did you mean "paper"?'),
+        (["run", "paper", "--seeds", "3:1"], "error: --seeds: '3:1' is not a range; write it as first:last"),
+        (["run", "paper", "--seeds", "x"], "error: --seeds: 'x' is not a seed; allowed"),
+        (["run", "paper", "--seeds", "-1"], "error: --seeds: '-1' is not a seed"),
+        (["run", "study.toml", "--only", "lqr"], "error: --only lqr: no case matches"),
+        (["report", "nowhere"], "error: nowhere: no results: study.toml is missing"),
+    ],
+)
+def test_impossible_arguments_exit_with_2_and_write_nothing(
+    arguments: list[str], words: str, folder: Path, write_study: WriteStudy
+) -> None:
+    write_study("mfapc")
+    before = sorted(folder.iterdir())
+    result = invoke(*arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith(words)
+    assert sorted(folder.iterdir()) == before
+
+
+def test_run_prints_the_table_and_writes_everything(folder: Path, write_study: WriteStudy) -> None:
+    write_study("mfapc", seeds="[0, 1]")
+    result = invoke("run", "study.toml", "--jobs", "1")
+    assert result.exit_code == 0, result.output
+    out = folder / "runs" / "study"
+    assert sorted(path.name for path in out.iterdir()) == [
+        "cases",
+        "metrics.csv",
+        "provenance.json",
+        "report.html",
+        "study.toml",
+    ]
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith("study (seed 0)")
+    assert any(line.split()[:1] == ["mfapc"] and line.split()[-1] == "2/2" for line in lines)
+    assert Path(lines[-1]) == Path("runs/study/report.html")
+    assert "2 cases to run" in result.stderr
+    assert "\x1b" not in result.output
+
+
+def test_metrics_have_one_row_per_case_with_units_in_the_header(
+    folder: Path, write_study: WriteStudy
+) -> None:
+    write_study("mfapc", seeds="[3, 4]")
+    assert invoke("run", "study.toml", "--no-report", "--out", "out").exit_code == 0
+    assert not (folder / "out" / "report.html").exists()
+    with (folder / "out" / "metrics.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["study"], row["plant"], row["controller"], row["seed"]) for row in rows] == [
+        ("study", "none.fmu", "mfapc", "3"),
+        ("study", "none.fmu", "mfapc", "4"),
+    ]
+    assert {row["outcome"] for row in rows} == {"completed"}
+    assert all(float(row["sum_abs_error.y [1]"]) > 0 for row in rows)
+
+
+def test_a_case_that_failed_exits_with_1_and_is_explained(folder: Path, write_study: WriteStudy) -> None:
+    write_study("mfapc", fault="error")
+    result = invoke("run", "study.toml", "--jobs", "1")
+    assert result.exit_code == 1
+    assert "mfapc_seed0" in result.stderr
+    assert (
+        "fmu-error: error.fmu: fmi2DoStep returned error at t = 0.5 s; [error] division by zero"
+        in result.stderr
+    )
+    assert (folder / "runs" / "study" / "report.html").is_file()
+    (row,) = (line for line in result.stdout.splitlines() if line.startswith(" mfapc"))
+    assert row.split()[:5] == ["mfapc", "-", "-", "-", "-"]
+    assert row.split()[-1] == "0/1"
+
+
+def test_controllers_of_the_same_label_are_not_mixed_up(folder: Path, write_study: WriteStudy) -> None:
+    study = write_study("mfapc")
+    text = study.read_text(encoding="utf-8")
+    text += 'label = "same"\n[controllers.other]\ntype = "mfapc"\nlabel = "same"\nsettings = { mu = 2.0 }\n'
+    study.write_text(text, encoding="utf-8")
+    result = invoke("run", "study.toml", "--no-report")
+    assert result.exit_code == 0
+    assert (
+        sum(line.startswith(" same ") and line.endswith(" 1/1 ") for line in result.stdout.splitlines()) == 2
+    )
+
+
+def test_report_rebuilds_one_or_joins_several(folder: Path, write_study: WriteStudy) -> None:
+    write_study("mfapc")
+    for out in ("a", "b"):
+        assert invoke("run", "study.toml", "--no-report", "--out", out).exit_code == 0
+    result = invoke("report", "a")
+    assert (result.exit_code, Path(result.stdout.strip())) == (0, Path("a/report.html"))
+    result = invoke("report", "a", "b", "--out", "both.html")
+    assert (result.exit_code, result.stdout) == (0, "both.html\n")
+    assert (folder / "both.html").stat().st_size > 0
+
+
+def test_a_report_that_cannot_be_written_is_explained(folder: Path, write_study: WriteStudy) -> None:
+    write_study("mfapc")
+    assert invoke("run", "study.toml", "--no-report", "--out", "out").exit_code == 0
+    (folder / "file").touch()
+    result = invoke("report", "out", "--out", "file/report.html")
+    assert result.exit_code == 2
+    assert "the report cannot be written" in result.stderr
+
+
+def test_damaged_samples_do_not_give_a_traceback(folder: Path, write_study: WriteStudy) -> None:
+    write_study("mfapc")
+    assert invoke("run", "study.toml", "--no-report", "--out", "out").exit_code == 0
+    (samples,) = folder.glob("out/cases/*/signals.csv")
+    samples.write_text("time [s]", encoding="utf-8")
+    result = invoke("report", "out")
+    assert result.exit_code == 2
+    assert "the samples cannot be read" in result.stderr
+
+
+def test_fresh_runs_everything_again(folder: Path, write_study: WriteStudy) -> None:
+    write_study("mfapc")
+    arguments = ("run", "study.toml", "--no-report")
+    assert "1 cases to run" in invoke(*arguments).stderr
+    assert "0 cases to run, 1 are there already" in invoke(*arguments).stderr
+    assert "1 cases to run\n" in invoke(*arguments, "--fresh").stderr
+
+
+def test_an_out_folder_that_is_a_file_exits_with_2(folder: Path, write_study: WriteStudy) -> None:
+    write_study("mfapc")
+    (folder / "file").touch()
+    assert invoke("run", "study.toml", "--out", "file").exit_code == 2
+    result = invoke("run", "study.toml", "--out", "file/below")
+    assert result.exit_code == 2
+    assert "results cannot be written there" in result.stderr
+
+
+def test_export_writes_an_fmu_that_others_can_read(folder: Path) -> None:
+    result = invoke("export", "pendulum")
+    assert (result.exit_code, result.stdout) == (0, "pendulum.fmu\n")
+    assert fmpy.read_model_description("pendulum.fmu").modelName == "pendulum"
+    assert invoke("export", "pendulum", "--out", "other.fmu").stdout == "other.fmu\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "exit_code", "words"),
+    [
+        ("pendulm", 1, 'error: no plant "pendulm"; did you mean "pendulum"?'),
+        ("ddpc_cosim:FMUPlant", 2, 'error: plant "ddpc_cosim:FMUPlant" is not given by equations'),
+    ],
+)
+def test_a_plant_that_cannot_be_exported(name: str, exit_code: int, words: str, folder: Path) -> None:
+    result = invoke("export", name)
+    assert result.exit_code == exit_code
+    assert result.stderr.startswith(words)
+    assert list(folder.iterdir()) == []
+
+
+def test_an_fmu_that_cannot_be_written_is_explained(folder: Path) -> None:
+    (folder / "file").touch()
+    result = invoke("export", "pendulum", "--out", "file/pendulum.fmu")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: ")
+
+
+def test_as_a_process_results_go_to_stdout_and_the_rest_to_stderr(
+    run_program: Run, write_study: WriteStudy
+) -> None:
+    study = write_study("mfapc")
+    done = run_program("run", "study.toml", "--jobs", "1", "--no-report")
+    assert done.returncode == 0, done.stderr
+    assert "mfapc" in done.stdout
+    assert done.stderr.splitlines()[0] == "1 cases to run"
+    assert "\x1b" not in done.stdout + done.stderr
+    shutil.rmtree(study.parent / "runs")
+    study.write_text("x", encoding="utf-8")
+    done = run_program("run", "study.toml")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: study.toml: not a TOML file: ")

@@ -1,0 +1,81 @@
+"""What must answer at once does not import what takes long."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+HEAVY = {"pandas", "control", "scipy.signal", "sympy", "altair", "matplotlib", "vl_convert"}
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+SNOOPERS = """
+import json, os, sys
+from pathlib import Path
+from ddpc_controllers import DeePC, MFAPC, WKPC
+
+class Snooper:
+    def diagnostics(self):  # the last thing that a run asks for
+        Path(os.environ["SNOOPED"], type(self).__name__).write_text(json.dumps(list(sys.modules)))
+        return super().diagnostics()
+
+class SnoopingMFAPC(Snooper, MFAPC): pass
+class SnoopingDeePC(Snooper, DeePC): pass
+class SnoopingWKPC(Snooper, WKPC): pass
+"""
+
+
+def modules_after(code: str, tmp_path: Path) -> set[str]:
+    """Return the modules that are loaded in a new process after some code."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\nimport json, sys; print(json.dumps(list(sys.modules)))"],
+        cwd=tmp_path,
+        env=dict(os.environ),
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+    )
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_the_package(tmp_path: Path) -> None:
+    loaded = modules_after("import ddpc_cosim", tmp_path)
+    assert not loaded & (HEAVY | {"numpy", "scipy", "pydantic", "fmpy"})
+
+
+def test_the_help_page(tmp_path: Path) -> None:
+    code = "import contextlib, io\nfrom ddpc_cosim.cli.main import main\n"
+    code += (
+        "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit): main(['--help'])"
+    )
+    loaded = modules_after(code, tmp_path)
+    assert not loaded & (HEAVY | {"numpy", "scipy", "pydantic", "fmpy", "rich"})
+
+
+def test_a_study_with_faults(tmp_path: Path, paper_text: str) -> None:
+    faulty = paper_text.replace("horizon = 5", "horizon = 0").replace('"torque"', '"torqe"')
+    (tmp_path / "faulty.toml").write_text(faulty, encoding="utf-8")
+    code = "import contextlib\nfrom ddpc_cosim.cli.main import main\n"
+    code += "with contextlib.suppress(SystemExit): main(['run', 'faulty.toml'])"
+    loaded = modules_after(code, tmp_path)
+    assert "ddpc_cosim.study_file" in loaded
+    assert not loaded & HEAVY
+
+
+def test_a_worker_that_runs_cases_of_the_paper(tmp_path: Path, run_program: Run, paper_text: str) -> None:
+    (tmp_path / "snoopers.py").write_text(SNOOPERS, encoding="utf-8")
+    for name in ("MFAPC", "DeePC", "WKPC"):
+        paper_text = paper_text.replace(
+            f'"{name.lower()}"\nlabel = "{name}', f'"snoopers:Snooping{name}"\nlabel = "{name}'
+        )
+    (tmp_path / "study.toml").write_text(paper_text, encoding="utf-8")
+    arguments = ("run", "study.toml", "--seeds", "0", "--jobs", "1", "--no-report")
+    done = run_program(*arguments, SNOOPED=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    for name in ("MFAPC", "DeePC", "WKPC"):
+        loaded = set(json.loads((tmp_path / f"Snooping{name}").read_text(encoding="utf-8")))
+        assert "fmpy" in loaded
+        assert not loaded & HEAVY

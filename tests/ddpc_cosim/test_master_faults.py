@@ -1,0 +1,182 @@
+"""What goes wrong in a loop: before the first sample it is an error, after that an outcome."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import (
+    ConfigError,
+    Constant,
+    Controller,
+    ControllerError,
+    DataError,
+    FloatArray,
+    GaussianNoise,
+    Loop,
+    Outcome,
+    ParameterChange,
+    Plant,
+    Recording,
+    Sample,
+    Trace,
+    UniformRandom,
+    Variable,
+    cosimulate,
+)
+
+Arrays = tuple[FloatArray, FloatArray, FloatArray]
+
+
+class Doubler(Plant):
+    """Two signals that double at every step; infinite after about 1000 of them."""
+
+    inputs = (Variable("push", min=-1.0, max=1.0),)
+    outputs = (Variable("a"), Variable("b"))
+
+    def reset(self, parameters: Mapping[str, float] | None = None, t0: float = 0.0) -> FloatArray:
+        self.y = np.array([1.0, 1e300])
+        return self.y.copy()
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        with np.errstate(over="ignore"):
+            self.y = self.y * 2.0
+        return self.y.copy()
+
+
+@dataclass(kw_only=True)
+class Answering(Controller):
+    """Answers with what it is given; the third answer may be another one."""
+
+    third: Any = 0.5
+
+    def start(self, loop: Loop) -> None:
+        pass
+
+    def step(self, sample: Sample) -> FloatArray:
+        answer = self.third if sample.k == 2 else np.array([0.5])
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+def close_loop(controller: Controller, **settings: Any) -> Trace:
+    arguments: dict[str, Any] = {
+        "sampling_time": 0.5,
+        "duration": 2.0,
+        "reference": Constant(0.0),
+        "outputs": ["a"],
+        "measurements": ["a"],
+    }
+    return cosimulate(Doubler(), controller, **(arguments | settings))
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (ZeroDivisionError("by zero"), "Answering.step raised ZeroDivisionError: by zero"),
+        (np.array([np.nan]), "Answering.step returned [nan], shape (1,); needed: finite values, shape (1,)"),
+        (np.array([np.inf]), "returned [inf], shape (1,)"),
+        (np.zeros(2), "returned [0.0, 0.0], shape (2,)"),
+        (0.5, "returned 0.5, shape ()"),
+        (None, "returned nan, shape ()"),
+        ("much", "Answering.step raised ValueError"),
+    ],
+)
+def test_a_controller_that_fails_ends_the_run_and_its_samples_are_kept(answer: Any, words: str) -> None:
+    trace = close_loop(Answering(third=answer))
+    assert trace.outcome is Outcome.CONTROLLER_ERROR
+    assert words in trace.reason
+    assert trace.reason.endswith(" at t = 1 s")
+    assert np.array_equal(trace.y[:, 0], [1.0, 2.0, 4.0])
+    assert np.array_equal(trace.u[:, 0], [0.5, 0.5, np.nan], equal_nan=True)
+    assert trace.status == ("ok", "ok", "error")
+    assert trace.held == 2
+
+
+def test_a_plant_that_diverges_ends_the_run(recwarn: pytest.WarningsRecorder) -> None:
+    """Signals that nobody measures count too: the plant is not where its equations say it is."""
+    trace = close_loop(Answering(third=np.array([0.5])), duration=100.0)
+    assert trace.outcome is Outcome.DIVERGED
+    assert trace.reason == "output b is inf at t = 14 s"
+    assert len(trace) == 28
+    assert trace.time[-1] == 13.5
+    assert np.isfinite(trace.y).all()
+
+
+@dataclass(kw_only=True)
+class Failing(Controller):
+    """Fails at the start."""
+
+    error: Any = None
+
+    def start(self, loop: Loop) -> None:
+        raise self.error
+
+    def step(self, sample: Sample) -> FloatArray:
+        raise AssertionError
+
+
+def test_an_error_of_the_start_is_raised() -> None:
+    with pytest.raises(ControllerError, match=r"Failing\.start raised KeyError: 'x'"):
+        close_loop(Failing(error=KeyError("x")))
+    with pytest.raises(DataError, match="too short"):
+        close_loop(Failing(error=DataError("too short")))
+
+
+@pytest.mark.parametrize(
+    ("settings", "faults"),
+    [
+        ({"outputs": ["c"], "measurements": ["d"]}, ['no signal "c"', 'no signal "d"']),
+        ({"sampling_time": 0.0}, ["sampling_time = 0.0 is not possible; allowed: a number > 0"]),
+        ({"sampling_time": np.nan}, ["sampling_time = nan"]),
+        ({"duration": 0.7}, ["duration = 0.7 must be a whole multiple of sampling_time = 0.5"]),
+        ({"duration": np.inf}, ["duration = inf"]),
+        ({"duration": 0.0}, ["duration = 0"]),
+        (
+            {"bounds": {"push": (1.0, 1.0), "a": (2.0, -2.0)}},
+            ["bounds of push: 1 must be below 1", "bounds of a: 2 must be below -2"],
+        ),
+        ({"bounds": {"pull": (0, 1)}}, ['bounds: no signal "pull"; there are: a, push']),
+        ({"noise": GaussianNoise({"b": 1.0})}, ['noise: no signal "b"; there are: a']),
+        ({"reference": {"b": Constant(1.0)}}, ['reference: no signal "b"']),
+        ({"reference": {}}, ["reference: none for a"]),
+        ({"outputs": ["a", "b"]}, ["reference: give one for each output: a, b"]),
+        ({"continue_recording": True}, ["continue_recording needs an excitation"]),
+        ({"events": [ParameterChange(0.0, {"gain": 1.0})]}, ["Doubler: no tunable parameters (gain)"]),
+    ],
+)
+def test_what_does_not_fit_is_refused(settings: dict[str, Any], faults: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        close_loop(Answering(), **settings)
+    assert len(caught.value.faults) == len(faults)
+    for found, expected in zip(caught.value.faults, faults, strict=True):
+        assert expected in found
+
+
+def test_a_controller_that_learns_from_a_recording_needs_one() -> None:
+    class Learner(Answering):
+        uses_recording: ClassVar[bool] = True
+
+    with pytest.raises(DataError, match="Learner learns from a recording; give an excitation or a recording"):
+        close_loop(Learner())
+
+
+def test_a_plant_that_diverges_during_the_experiment_gives_no_recording() -> None:
+    with pytest.raises(DataError, match=r"diverged during the open-loop experiment, at t = 14 s"):
+        close_loop(Answering(), excitation=UniformRandom(-1.0, 1.0, 200))
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ((np.ones(3), np.ones((3, 1)), np.ones((3, 1))), "need shapes"),
+        ((np.ones((3, 1)), np.ones((4, 1)), np.ones((3, 1))), "need shapes"),
+        ((np.ones((3, 1)), np.full((3, 1), np.nan), np.ones((3, 1))), r"y\[0, 0\] is not finite"),
+    ],
+)
+def test_a_recording_that_cannot_be_used_is_refused(arrays: Arrays, words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        Recording(*arrays, 0.1)

@@ -1,0 +1,241 @@
+"""Every figure derived again by its definition, on traces made by hand."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from ddpc_cosim import DisplayUnit, FloatArray, Outcome, Trace, Variable
+from ddpc_cosim.controller import Bounds
+from ddpc_cosim.metrics import METRICS, split_key
+
+DEGREES = DisplayUnit("deg", 180.0 / math.pi)
+H = 0.5
+NAN = math.nan
+
+
+def trace_of(
+    reference: Any,
+    y: Any,
+    u: Any = None,
+    *,
+    outcome: Outcome = Outcome.COMPLETED,
+    output: Variable = Variable("y", "m"),  # noqa: B008 - immutable
+    actuator: Variable = Variable("u", "N"),  # noqa: B008 - immutable
+    y_limits: tuple[float, float] = (-math.inf, math.inf),
+    u_limits: tuple[float, float] = (-math.inf, math.inf),
+    solve_time: Any = None,
+    status: tuple[str, ...] | None = None,
+) -> Trace:
+    """Return a trace of one loop; its last row was decided but not held if it completed."""
+    reference, y = np.asarray(reference, dtype=float), np.asarray(y, dtype=float)
+    n = len(y)
+    u = np.zeros(n) if u is None else np.asarray(u, dtype=float)
+    return Trace(
+        time=np.arange(n, dtype=np.float64) * H,
+        reference=reference.reshape(n, 1),
+        y=y.reshape(n, 1),
+        measured=y.reshape(n, 1),
+        u=u.reshape(n, 1),
+        status=("ok",) * n if status is None else status,
+        solve_time=np.full(n, 1e-3) if solve_time is None else np.asarray(solve_time, dtype=float),
+        inputs=(actuator,),
+        outputs=(output,),
+        measurements=(output,),
+        bounds=Bounds(*(np.array([limit]) for limit in (*u_limits, *y_limits))),
+        sampling_time=H,
+        planned_samples=n,
+        outcome=outcome,
+    )
+
+
+def figure(trace: Trace, name: str) -> float:
+    (value,) = (value for key, value in trace.metrics().items() if split_key(key)[0] == name)
+    return value
+
+
+def test_keys_name_figure_signal_and_unit() -> None:
+    trace = trace_of([0, 0], [0, 0], output=Variable("angle", "rad", display_unit=DEGREES))
+    assert {split_key(key)[0] for key in trace.metrics()} == METRICS.keys()
+    assert "sum_abs_error.angle [deg]" in trace.metrics()
+    assert "iae.y [s]" in trace_of([0], [0], output=Variable("y")).metrics()
+    assert split_key("iae.angle [deg.s]") == ("iae", "angle", "deg.s")
+    assert split_key("solve_time_mean [s]") == ("solve_time_mean", "", "s")
+    assert split_key("rmse.a.b[1] [1]") == ("rmse", "a.b[1]", "1")
+
+
+def test_figures_of_the_error_leave_the_last_sample_out() -> None:
+    trace = trace_of([1, 1, 1, 1], [0, 3, 1.5, 99])
+    error = [1.0, -2.0, -0.5]
+    assert figure(trace, "sum_abs_error") == pytest.approx(3.5)
+    assert figure(trace, "iae") == pytest.approx(3.5 * H)
+    assert figure(trace, "rmse") == pytest.approx(math.sqrt(sum(e * e for e in error) / 3))
+    assert figure(trace, "min_abs_error") == 0.5
+    assert figure(trace, "max_abs_error") == 2.0
+
+
+def test_a_run_that_ended_early_counts_all_samples_that_were_held() -> None:
+    """A plant that failed had held the last inputs; a controller that failed had decided none."""
+    plant_failed = trace_of([1, 1, 1], [0, 3, 1.5], outcome=Outcome.FMU_ERROR)
+    assert figure(plant_failed, "sum_abs_error") == pytest.approx(3.5)
+    controller_failed = trace_of([1, 1, 1], [0, 3, 99], [0, 0, NAN], outcome=Outcome.CONTROLLER_ERROR)
+    assert figure(controller_failed, "sum_abs_error") == pytest.approx(3.0)
+    assert figure(controller_failed, "samples") == 3.0
+
+
+def test_display_units_apply_to_values_and_not_to_times() -> None:
+    trace = trace_of([0.1, 0.1], [0.0, 0.0], output=Variable("y", "rad", display_unit=DEGREES))
+    assert trace.metrics()["sum_abs_error.y [deg]"] == pytest.approx(math.degrees(0.1))
+    assert trace.metrics()["iae.y [deg.s]"] == pytest.approx(math.degrees(0.1) * H)
+
+
+def test_an_offset_of_a_display_unit_cancels_in_differences() -> None:
+    celsius = DisplayUnit("degC", 1.0, -273.15)
+    trace = trace_of(
+        [300, 300, 300],
+        [299, 299, 299],
+        [280, 290, 0],
+        output=Variable("y", "K", display_unit=celsius),
+        actuator=Variable("u", "K", start=280.0, display_unit=celsius),
+    )
+    assert trace.metrics()["max_abs_error.y [degC]"] == pytest.approx(1.0)
+    assert trace.metrics()["max_abs_change.u [degC]"] == pytest.approx(10.0)
+    assert trace.metrics()["max_abs_input.u [degC]"] == pytest.approx(16.85)
+
+
+def test_a_step_response_by_hand() -> None:
+    """From 0 to 10: 10 % passed at row 1, 90 % at row 3, 20 % too far at row 4, within 5 % from row 6 on."""
+    y = [0, 2, 6, 9.5, 12, 9, 10.4, 9.6, 10, 10, 0]
+    trace = trace_of([10] * 11, y)
+    assert figure(trace, "overshoot") == pytest.approx(20.0)
+    assert figure(trace, "rise_time") == pytest.approx(2 * H)
+    assert figure(trace, "settling_time") == pytest.approx(6 * H)
+    assert figure(trace, "settled_error") == pytest.approx(0.0)
+
+
+def test_a_step_downwards_is_a_step() -> None:
+    up, down = [0, 2, 6, 9.5, 12, 9, 10.4, 9.6, 10, 10, 0], [10]
+    mirrored = trace_of([-value for value in down * 11], [-value for value in up])
+    assert figure(mirrored, "overshoot") == pytest.approx(20.0)
+    assert figure(mirrored, "rise_time") == pytest.approx(2 * H)
+
+
+def test_of_several_steps_the_worst_counts_and_the_median_rise() -> None:
+    reference = [1] * 5 + [3] * 5 + [0]
+    y = [*(0, 1.1, 1, 1, 1), *(1, 2, 3, 3.8, 3), 0]
+    trace = trace_of(reference, y)
+    assert figure(trace, "overshoot") == pytest.approx(40.0)
+    assert figure(trace, "rise_time") == pytest.approx(np.median([0, 1]) * H)
+    assert figure(trace, "settling_time") == pytest.approx(4 * H)
+
+
+def test_a_response_that_does_not_arrive_has_no_times() -> None:
+    trace = trace_of([1] * 6, [0, 0.1, 0.2, 0.3, 0.4, 0.5])
+    assert math.isnan(figure(trace, "rise_time"))
+    assert math.isnan(figure(trace, "settling_time"))
+    assert figure(trace, "overshoot") == 0.0
+
+
+def test_one_step_that_does_not_settle_is_not_hidden_by_others_that_do() -> None:
+    trace = trace_of([1] * 4 + [2] * 4 + [0], [0, 1, 1, 1, 1, 1, 1, 1, 0])
+    assert math.isnan(figure(trace, "settling_time"))
+
+
+def test_a_moving_reference_has_no_steps() -> None:
+    trace = trace_of([0, 1, 2, 3, 4], [0, 0, 1, 2, 3])
+    for name in ("overshoot", "rise_time", "settling_time", "settled_error"):
+        assert math.isnan(figure(trace, name))
+
+
+def test_the_settled_error_is_the_mean_over_the_last_fifth_of_each_stretch() -> None:
+    """Ten rows at 1 end with errors 0.2 and -0.1, ten rows at 2 with 0.3 and 0.5."""
+    y = [*[1] * 8, 0.8, 1.1, *[2] * 8, 1.7, 1.5, 0]
+    trace = trace_of([1] * 10 + [2] * 10 + [0], y)
+    assert figure(trace, "settled_error") == pytest.approx(0.4)
+
+
+def test_bounds_of_the_output_are_measured_on_both_sides() -> None:
+    trace = trace_of([0] * 5, [3, -4, 1, 2, 99], y_limits=(-1.0, 2.0))
+    assert figure(trace, "bound_violation_max") == pytest.approx(3.0)
+    assert figure(trace, "bound_violation_time") == pytest.approx(2 * H)
+
+
+def test_changes_of_the_input_start_from_its_value_at_rest() -> None:
+    trace = trace_of([0] * 4, [0] * 4, [3, 1, -1, 99], actuator=Variable("u", "N", start=1.0))
+    assert figure(trace, "max_abs_input") == 3.0
+    assert figure(trace, "max_abs_change") == 2.0
+    assert figure(trace, "total_variation") == 6.0
+    assert figure(trace, "rms_change") == pytest.approx(2.0)
+
+
+def test_time_at_the_input_limits() -> None:
+    trace = trace_of([0] * 5, [0] * 5, [2, -2, 1.9, 2, 2], u_limits=(-2.0, 2.0))
+    assert figure(trace, "time_at_bounds") == pytest.approx(3 * H)
+    assert figure(trace_of([0] * 2, [0] * 2, [5, 5]), "time_at_bounds") == 0.0
+
+
+def test_times_of_steps_count_every_row_that_has_one() -> None:
+    times = [0.1, 0.2, 0.6, NAN]
+    trace = trace_of([0] * 4, [0] * 4, solve_time=times, status=("ok", "late", "ok", "error"))
+    assert figure(trace, "solve_time_mean") == pytest.approx(0.3)
+    assert figure(trace, "solve_time_median") == pytest.approx(0.2)
+    assert figure(trace, "solve_time_max") == pytest.approx(0.6)
+    assert figure(trace, "solve_time_p95") == pytest.approx(0.56)
+    assert figure(trace, "solve_time_p99") == pytest.approx(0.592)
+    assert figure(trace, "deadline_misses") == 1.0
+    assert figure(trace, "failures") == 2.0
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_without_held_samples_there_are_no_figures_of_the_response(rows: int) -> None:
+    """A run that ended at once must not look like one without any error."""
+    trace = trace_of([1] * rows, [0] * rows, [NAN] * rows, outcome=Outcome.CONTROLLER_ERROR)
+    figures = {split_key(key)[0]: value for key, value in trace.metrics().items()}
+    nonexistent = {"sum_abs_error", "iae", "rmse", "min_abs_error", "max_abs_error", "settled_error"}
+    nonexistent |= {
+        "overshoot",
+        "rise_time",
+        "settling_time",
+        "max_abs_input",
+        "max_abs_change",
+        "rms_change",
+    }
+    assert all(math.isnan(figures[name]) for name in nonexistent)
+    assert figures["samples"] == rows
+
+
+def test_values_of_any_size_give_figures_without_a_warning() -> None:
+    """Warnings are errors here: a run that diverges must not fill the terminal with them."""
+    trace = trace_of([0] * 4, [0, 1e200, -1e250, 0], [0, 1e308, -1e308, 0], outcome=Outcome.DIVERGED)
+    assert figure(trace, "max_abs_error") == 1e250
+    assert figure(trace, "rmse") == math.inf
+
+
+VALUES = st.floats(-1e6, 1e6)
+
+
+@given(st.integers(2, 30).flatmap(lambda n: arrays.arrays(float, (3, n), elements=VALUES)))
+def test_laws_of_all_traces(table: FloatArray) -> None:
+    reference, y, u = table
+    trace = trace_of(reference, y, u)
+    held = len(y) - 1
+    error = np.abs(reference - y)[:held]
+    assert figure(trace, "sum_abs_error") == pytest.approx(float(error.sum()))
+    assert figure(trace, "min_abs_error") <= figure(trace, "rmse") * (1 + 1e-12)
+    assert figure(trace, "rmse") <= figure(trace, "max_abs_error") * (1 + 1e-12)
+    assert figure(trace, "total_variation") >= figure(trace, "max_abs_change")
+    assert figure(trace, "total_variation") >= abs(u[held - 1]) - 1e-6
+    assert figure(trace, "rms_change") <= figure(trace, "max_abs_change") * (1 + 1e-12)
+
+
+@given(st.lists(VALUES, min_size=4, max_size=30), st.floats(0.1, 10.0))
+def test_figures_of_a_step_do_not_depend_on_the_unit(y: list[float], factor: float) -> None:
+    plain = trace_of([1.0] * len(y), y)
+    scaled = trace_of([1.0] * len(y), y, output=Variable("y", "m", display_unit=DisplayUnit("x", -factor)))
+    for name in ("overshoot", "rise_time", "settling_time", "bound_violation_time"):
+        assert figure(scaled, name) == pytest.approx(figure(plain, name), nan_ok=True)
+    assert figure(scaled, "sum_abs_error") == pytest.approx(factor * figure(plain, "sum_abs_error"))

@@ -1,0 +1,214 @@
+"""Studies that are run again, go on, or lose a worker on the way."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ddpc_cosim import ConfigError, load_results
+from ddpc_cosim.executors import Update
+from ddpc_cosim.results import CaseResult, StudyResults
+from ddpc_cosim.run import Selection, run_study
+from ddpc_cosim.study import Case
+from ddpc_cosim.study_file import read_study
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+WriteStudy = Callable[..., Path]
+
+DEADLY = """
+import ctypes, os, signal
+from dataclasses import dataclass
+import numpy as np
+from ddpc_cosim import Controller
+
+@dataclass(kw_only=True)
+class Deadly(Controller):
+    def start(self, loop):
+        pass
+    def step(self, sample):
+        if sample.k == 3:
+            self.die()
+        return np.ones(1)
+
+class Exits(Deadly):
+    def die(self): os._exit(3)
+
+class Segfaults(Deadly):
+    def die(self): ctypes.string_at(0)
+
+class Killed(Deadly):
+    def die(self): os.kill(os.getpid(), signal.SIGKILL)
+
+class Sane(Deadly):
+    def die(self): pass
+"""
+
+
+class Diary:
+    """Notes what a run says about itself."""
+
+    def __init__(self) -> None:
+        self.started: tuple[int, int] | None = None
+        self.done: list[str] = []
+
+    def start(self, total: int, kept: int) -> None:
+        self.started = (total, kept)
+
+    def update(self, update: Update) -> None:
+        assert 0 <= update.samples <= update.planned
+
+    def finished(self, case: Case, result: CaseResult) -> None:
+        assert result.id == case.id
+        self.done.append(case.name)
+
+
+def run(study: Path, **selection: Any) -> tuple[StudyResults, Diary]:
+    """Run a study in this process's workers."""
+    diary = Diary()
+    return run_study(read_study(str(study)), study.parent / "out", Selection(**selection), diary), diary
+
+
+def times(folder: Path) -> dict[str, int]:
+    return {path.parent.name: path.stat().st_mtime_ns for path in folder.glob("cases/*/run.json")}
+
+
+def test_a_case_that_is_there_is_not_run_again(write_study: WriteStudy) -> None:
+    study = write_study("mfapc", seeds="[0, 1]")
+    first, diary = run(study)
+    assert diary.started == (2, 0)
+    assert sorted(diary.done) == ["mfapc_seed0", "mfapc_seed1"]
+    before = times(first.folder)
+
+    again, diary = run(study)
+    assert diary.started == (0, 2)
+    assert diary.done == []
+    assert repr(again.cases) == repr(first.cases)  # NaN is not equal to itself
+    assert times(first.folder) == before
+
+    _, diary = run(study, seeds=[1, 2])
+    assert diary.started == (1, 1)
+    assert diary.done == ["mfapc_seed2"]
+
+    _, diary = run(study, fresh=True)
+    assert diary.started == (2, 0)
+    assert times(first.folder) != before
+
+
+def test_changed_settings_are_another_case(write_study: WriteStudy) -> None:
+    study = write_study("mfapc")
+    run(study)
+    study.write_text(study.read_text(encoding="utf-8") + "settings = { mu = 2.0 }", encoding="utf-8")
+    _, diary = run(study)
+    assert diary.started == (1, 0)
+
+
+def test_results_of_any_number_of_workers_are_the_same(write_study: WriteStudy) -> None:
+    study = write_study("mfapc", seeds="[0, 1, 2]")
+    alone, _ = run(study, jobs=1)
+    first = [case.trace().columns() for case in alone.cases]
+    together, _ = run(study, jobs=2, fresh=True)
+    for before, case in zip(first, together.cases, strict=True):
+        after = case.trace().columns()
+        for name in before.keys() - {"solve_time [s]"}:
+            assert before[name].tobytes() == after[name].tobytes()
+
+
+def test_the_results_can_be_loaded(write_study: WriteStudy) -> None:
+    results, _ = run(write_study("mfapc"))
+    loaded = load_results(results.folder)
+    assert repr(loaded.cases) == repr(results.cases)  # NaN is not equal to itself
+    assert loaded.study == results.study
+    assert loaded.provenance == results.provenance
+    assert loaded.provenance["fmu guid"] == "none"
+    (case,) = loaded.cases
+    assert len(case.trace()) == 11
+
+
+def test_a_label_is_the_one_of_the_study_as_it_is_now(write_study: WriteStudy) -> None:
+    study = write_study("mfapc")
+    run(study)
+    study.write_text(study.read_text(encoding="utf-8") + 'label = "ours"', encoding="utf-8")
+    results, diary = run(study)
+    assert diary.started == (0, 1)
+    assert results.cases[0].label == "ours"
+    assert load_results(results.folder).cases[0].label == "ours"
+
+
+def test_a_damaged_case_is_run_again(write_study: WriteStudy) -> None:
+    study = write_study("mfapc")
+    results, _ = run(study)
+    (results.cases[0].folder / "run.json").write_text("{", encoding="utf-8")
+    with pytest.raises(ConfigError, match="run the study again"):
+        load_results(results.folder)
+    _, diary = run(study)
+    assert diary.started == (1, 0)
+    assert load_results(results.folder).cases
+
+
+def test_a_faulty_fmu_costs_its_case_a_result_and_the_others_nothing(write_study: WriteStudy) -> None:
+    results, _ = run(write_study("mfapc", seeds="[0, 1]", fault="error"))
+    for case in results.cases:
+        assert case.outcome == "fmu-error"
+        assert "error.fmu: fmi2DoStep returned error at t = 0.5 s" in case.reason
+        assert len(case.trace()) == 6
+
+
+def test_an_fmu_that_gives_no_instance_fails_before_the_first_sample(write_study: WriteStudy) -> None:
+    results, _ = run(write_study("mfapc", fault="null"))
+    (case,) = results.cases
+    assert case.outcome == "fmu-error"
+    assert case.reason.startswith("before the first sample: null.fmu: cannot be instantiated")
+    assert len(case.trace()) == 0
+
+
+def test_a_worker_that_dies_costs_one_case(write_study: WriteStudy, tmp_path: Path, run_program: Run) -> None:
+    (tmp_path / "deadly.py").write_text(DEADLY, encoding="utf-8")
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    write_study("deadly:Exits", "deadly:Segfaults", "deadly:Killed", "deadly:Sane", "mfapc")
+    arguments = ("run", "study.toml", "--jobs", "2", "--no-report", "--out", "out")
+
+    done = run_program(*arguments, TMPDIR=str(scratch))
+    assert done.returncode == 1
+    found = {
+        run["controller"]: (run["outcome"], run["reason"])
+        for run in (json.loads(p.read_text(encoding="utf-8")) for p in tmp_path.glob("out/cases/*/run.json"))
+    }
+    died = "the worker process died: "
+    assert found == {
+        "exits": ("crashed", f"{died}exit code 3"),
+        "segfaults": ("crashed", f"{died}SIGSEGV"),
+        "killed": ("crashed", f"{died}SIGKILL"),
+        "sane": ("completed", ""),
+        "mfapc": ("completed", ""),
+    }
+    assert "crashed: the worker process died: SIGSEGV" in done.stderr
+    assert list(scratch.iterdir()) == []
+
+    again = run_program(*arguments)
+    assert "3 cases to run, 2 are there already" in again.stderr
+
+
+@pytest.mark.parametrize("out", ["file", "file/below"])
+def test_a_folder_that_cannot_be_written_to(out: str, write_study: WriteStudy, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    study = read_study(str(write_study("mfapc")))
+    with pytest.raises(ConfigError, match="results cannot be written there"):
+        run_study(study, tmp_path / out, Selection(), Diary())
+
+
+def test_a_plant_that_cannot_be_built_says_what_to_do(
+    run_program: Run, paper_text: str, tmp_path: Path
+) -> None:
+    done = run_program(
+        *("run", "paper", "--seeds", "0"),
+        CC=str(tmp_path / "no-compiler"),
+        DDPC_COSIM_CACHE=str(tmp_path / "c"),
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: ")
+    assert "no-compiler" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,78 @@
+"""References, excitations and noise against the formulas that define them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ddpc_cosim import ConfigError, Constant, GaussianNoise, Ramp, Sine, Steps, UniformRandom
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+def test_constant() -> None:
+    assert np.array_equal(Constant(2.5).at(np.array([0.0, 1.0])), [2.5, 2.5])
+
+
+def test_steps_take_each_value_from_its_instant_on() -> None:
+    steps = Steps([1.0, 2.0], [10.0, 20.0])
+    assert np.array_equal(steps.at(np.array([0.0, 1.0, 1.9, 2.0, 99.0])), [10.0, 10.0, 10.0, 20.0, 20.0])
+
+
+@given(st.integers(1, 4000), st.sampled_from([0.1, 0.3, 0.7, 1e-3]), st.floats(0, 1e4))
+def test_a_step_is_not_missed_by_a_rounding_error_of_the_time(k: int, h: float, t0: float) -> None:
+    """The instant may be written as a sum or as a product: the sample k is at it or after it either way."""
+    steps = Steps([0.0, k * h + t0], [0.0, 1.0])
+    samples = t0 + np.arange(k - 1, k + 2, dtype=np.float64) * h
+    assert np.array_equal(steps.at(samples), [0.0, 1.0, 1.0])
+
+
+def test_ramp_is_constant_outside_its_instants() -> None:
+    ramp = Ramp(1.0, 3.0, start_time=2.0, stop_time=4.0)
+    assert np.allclose(ramp.at(np.array([0.0, 2.0, 2.5, 4.0, 9.0])), [1.0, 1.0, 1.5, 3.0, 3.0])
+
+
+def test_sine() -> None:
+    sine = Sine(2.0, frequency=0.25, offset=1.0, phase=np.pi / 2)
+    assert np.allclose(sine.at(np.array([0.0, 1.0, 2.0])), [3.0, 1.0, -1.0])
+
+
+def test_excitation_of_the_paper_to_the_last_bit() -> None:
+    """The default stream of MATLAB, scaled as the authors' program scales it."""
+    recorded = np.loadtxt(DATA / "excitation_seed5489.csv", delimiter=",", skiprows=1)
+    assert np.array_equal(UniformRandom(-3.5, 3.5, 200, seed=5489).draw(1)[:, 0], recorded[:, 0])
+
+
+@given(st.integers(1, 50), st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_excitation_is_uniform_between_its_limits(samples: int, inputs: int, seed: int) -> None:
+    drawn = UniformRandom(-1.0, 3.0, samples, seed).draw(inputs)
+    stream = np.random.RandomState(seed).random_sample((samples, inputs))
+    assert drawn.shape == (samples, inputs)
+    assert np.allclose(drawn, -1.0 + 4.0 * stream, rtol=0, atol=1e-14)
+
+
+def test_each_input_has_its_own_range() -> None:
+    drawn = UniformRandom([0.0, 10.0], [1.0, 20.0], 1000).draw(2)
+    assert np.all(drawn.min(axis=0) >= [0.0, 10.0])
+    assert np.all(drawn.max(axis=0) <= [1.0, 20.0])
+    assert drawn[:, 1].max() > 19.0
+
+
+@pytest.mark.parametrize(
+    ("make", "faults"),
+    [
+        (lambda: Steps([0.0], [1.0, 2.0]), ["times (1) and values (2)"]),
+        (lambda: Steps([], []), ["at least 1"]),
+        (lambda: Steps([1.0, 1.0], [1.0, 2.0]), ["times must increase"]),
+        (lambda: Ramp(0.0, 1.0, 2.0, 2.0), ["stop_time (2) must be after start_time (2)"]),
+        (lambda: UniformRandom(1.0, -1.0, 0), ["samples = 0", "low (1.0) must be below high (-1.0)"]),
+        (lambda: GaussianNoise({"a": -1.0, "b": np.nan}), ["of a = -1.0", "of b = nan"]),
+    ],
+)
+def test_impossible_signals_are_refused(make: "type[Steps]", faults: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make()  # type: ignore[call-arg]
+    for found, expected in zip(caught.value.faults, faults, strict=True):
+        assert expected in found

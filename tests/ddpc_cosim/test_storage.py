@@ -1,0 +1,202 @@
+"""A case on disk: written, read back, damaged."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from ddpc_cosim import ConfigError, DisplayUnit, Outcome, Trace, Variable, load_results
+from ddpc_cosim.controller import Bounds
+from ddpc_cosim.results import load_case
+from ddpc_cosim.storage import read_run, read_trace, remove_drafts, write_case
+
+HEAD = {"id": "a_seed0_1", "controller": "a", "label": "A", "scenario": "nominal", "seed": 0}
+
+NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
+FINITE = st.floats(-1e9, 1e9)
+TEXTS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc"]), min_size=1, max_size=8)
+NAMES = TEXTS | st.sampled_from(
+    ["time", "solve_time", "status", "der(x)", "a b", 'q"q', "a,b", "größe", "x[1]"]
+)
+
+
+@st.composite
+def variables(draw: st.DrawFn, name: str) -> Variable:
+    """Return a variable of a given name with anything else."""
+    shown = draw(st.none() | st.builds(DisplayUnit, TEXTS, st.floats(0.1, 10.0), FINITE))
+    low, high = draw(st.sampled_from([(-math.inf, math.inf), (-1.0, 2.0), (-math.inf, 0.0)]))
+    unit = draw(st.sampled_from(["", "s", "rad", "N.m", "°C"]))
+    return Variable(name, unit, low, high, 2.0, draw(FINITE), draw(TEXTS), shown)
+
+
+@st.composite
+def traces(draw: st.DrawFn) -> Trace:
+    """Return a trace of any shape with any numbers."""
+    rows = draw(st.integers(0, 4))
+    names = draw(st.lists(NAMES, min_size=2, max_size=6, unique=True))
+    p = draw(st.integers(1, len(names) - 1))
+    outputs = tuple(draw(variables(name)) for name in names[:p])
+    inputs = tuple(draw(variables(name)) for name in names[p:])
+    measurements = tuple(draw(st.lists(st.sampled_from(outputs), min_size=1, max_size=p, unique=True)))
+
+    def table(columns: int) -> Any:
+        return draw(arrays.arrays(float, (rows, columns), elements=NUMBERS))
+
+    y = table(p)
+    noisy = draw(st.booleans())
+    measured = table(len(measurements)) if noisy else y[:, [outputs.index(v) for v in measurements]]
+    limits = [draw(st.sampled_from([-math.inf, 0.0, math.inf])) for _ in range(2)]
+    return Trace(
+        time=np.arange(rows, dtype=np.float64) * 0.1,
+        reference=table(p),
+        y=y,
+        measured=measured,
+        u=table(len(inputs)),
+        status=tuple(draw(st.lists(TEXTS, min_size=rows, max_size=rows))),
+        solve_time=table(1)[:, 0],
+        inputs=inputs,
+        outputs=outputs,
+        measurements=measurements,
+        bounds=Bounds(
+            np.full(len(inputs), limits[0]),
+            np.full(len(inputs), math.inf),
+            np.zeros(p),
+            np.full(p, limits[1]),
+        ),
+        sampling_time=0.1,
+        planned_samples=draw(st.integers(0, 10)),
+        outcome=draw(st.sampled_from(list(Outcome))),
+        reason=draw(st.text(st.characters(codec="utf-8"), max_size=20)),
+        settings={"horizon": 5, "weight": [[1.0, 0.0], [0.0, 2.0]], "on": True},
+        diagnostics={"rank": draw(NUMBERS)},
+        provenance={"fmu": "größe.fmu"},
+    )
+
+
+def assert_same(a: Any, b: Any) -> None:
+    if isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype
+        assert np.array_equal(a, b, equal_nan=True)
+        assert np.array_equal(np.signbit(a)[~np.isnan(a)], np.signbit(b)[~np.isnan(b)])
+    elif isinstance(a, dict):
+        assert a.keys() == b.keys()
+        for key in a:
+            assert_same(a[key], b[key])
+    elif isinstance(a, float) and math.isnan(a):
+        assert math.isnan(b)
+    else:
+        assert a == b
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(traces())
+def test_a_trace_is_read_as_it_was_written_to_the_last_bit(tmp_path: Path, trace: Trace) -> None:
+    write_case(tmp_path / "case", trace, HEAD)
+    again = read_trace(tmp_path / "case")
+    for name in Trace.__slots__:
+        if name == "bounds":
+            for side in Bounds.__slots__:
+                assert_same(getattr(trace.bounds, side), getattr(again.bounds, side))
+        else:
+            assert_same(getattr(trace, name), getattr(again, name))
+    assert [path.name for path in tmp_path.iterdir()] == ["case"]
+
+
+@pytest.fixture
+def trace() -> Trace:
+    signal = Variable("y", "m")
+    return Trace(
+        time=np.arange(2.0),
+        reference=np.zeros((2, 1)),
+        y=np.array([[0.1], [0.3]]),
+        measured=np.array([[0.1], [0.3]]),
+        u=np.array([[1.0], [2.0]]),
+        status=("ok", "ok"),
+        solve_time=np.full(2, 1e-3),
+        inputs=(Variable("u", "N"),),
+        outputs=(signal,),
+        measurements=(signal,),
+        bounds=Bounds(*(np.array([value]) for value in (-math.inf, math.inf, -1.0, 1.0))),
+        sampling_time=1.0,
+        planned_samples=2,
+    )
+
+
+def test_the_files_can_be_read_without_this_program(tmp_path: Path, trace: Trace) -> None:
+    write_case(tmp_path / "case", trace, HEAD)
+    assert (tmp_path / "case" / "signals.csv").read_bytes() == (
+        b"time [s],reference y [m],y [m],u [N],solve_time [s],status\n"
+        b"0.0,0.0,0.1,1.0,0.001,ok\n"
+        b"1.0,0.0,0.3,2.0,0.001,ok\n"
+    )
+    run = json.loads((tmp_path / "case" / "run.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
+    assert run["controller"] == "a"
+    assert run["outcome"] == "completed"
+    assert run["bounds"]["u_max"] == ["inf"]
+    assert run["metrics"]["sum_abs_error.y [m]"] == 0.1
+
+
+def test_a_case_replaces_an_older_one_whole(tmp_path: Path, trace: Trace) -> None:
+    (tmp_path / "case").mkdir()
+    (tmp_path / "case" / "old").touch()
+    write_case(tmp_path / "case", trace, HEAD)
+    assert sorted(path.name for path in (tmp_path / "case").iterdir()) == ["run.json", "signals.csv"]
+
+
+def test_a_case_that_cannot_be_written_leaves_the_older_one(
+    tmp_path: Path, trace: Trace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_case(tmp_path / "case", trace, HEAD)
+
+    def fail(*_: object) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr("ddpc_cosim.storage._write_signals", fail)
+    with pytest.raises(OSError, match="disk full"):
+        write_case(tmp_path / "case", trace, HEAD)
+    assert len(read_trace(tmp_path / "case")) == 2
+    remove_drafts(tmp_path / "case")
+    assert [path.name for path in tmp_path.iterdir()] == ["case"]
+
+
+def test_figures_that_do_not_exist_are_nan_again(tmp_path: Path, trace: Trace) -> None:
+    write_case(tmp_path / "case", trace, HEAD)
+    assert math.isnan(read_run(tmp_path / "case")["metrics"]["overshoot.y [%]"])
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{", "[]", "{}", '{"metrics": 3}', '{"metrics": {}, "diagnostics": {}}']
+)
+def test_a_damaged_case_is_named(tmp_path: Path, trace: Trace, content: str) -> None:
+    write_case(tmp_path / "case", trace, HEAD)
+    (tmp_path / "case" / "run.json").write_text(content, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"case: this case cannot be read .*; run the study again"):
+        load_case(tmp_path / "case")
+
+
+@pytest.mark.parametrize("content", ["", "time [s],status\n0.0,ok\n", "a,b\n1\n", "time [s],y [m]\nx,y\n"])
+def test_damaged_samples_are_named(tmp_path: Path, trace: Trace, content: str) -> None:
+    write_case(tmp_path / "case", trace, HEAD)
+    (tmp_path / "case" / "signals.csv").write_text(content, encoding="utf-8")
+    case = load_case(tmp_path / "case")
+    with pytest.raises(ConfigError, match="the samples cannot be read"):
+        case.trace()
+
+
+def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no results: study\.toml is missing; give the folder that `run`"):
+        load_results(tmp_path)
+
+
+@pytest.mark.parametrize("provenance", ["", "[]", "{}", '{"cases": 3}'])
+def test_damaged_results_are_named(tmp_path: Path, provenance: str, paper_text: str) -> None:
+    (tmp_path / "study.toml").write_text(paper_text.replace('[5489, "0:30"]', "[1]"), encoding="utf-8")
+    (tmp_path / "provenance.json").write_text(provenance, encoding="utf-8")
+    with pytest.raises(ConfigError, match="results cannot be read"):
+        load_results(tmp_path)

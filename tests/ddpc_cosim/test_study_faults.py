@@ -1,0 +1,371 @@
+"""Faults of study files: all of them at once, each with file, key and what to do, and none that follows."""
+
+import copy
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+from click.testing import CliRunner
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from ddpc_cosim import ConfigError
+from ddpc_cosim.cli.main import main
+from ddpc_cosim.studies import paper
+from ddpc_cosim.study_file import read_study
+
+PAPER: dict[str, Any] = tomllib.loads(paper.read_text(encoding="utf-8"))
+
+
+def faults_of(content: dict[str, Any] | str, folder: Path) -> list[str]:
+    """Return the faults of a study, without the file name that each of them must begin with."""
+    path = folder / "study.toml"
+    path.write_text(content if isinstance(content, str) else tomli_w.dumps(content), encoding="utf-8")
+    found: tuple[str, ...] = ()
+    try:
+        read_study(str(path))
+    except ConfigError as error:
+        found = error.faults
+    assert all(fault.startswith("study.toml: ") for fault in found)
+    return [fault.removeprefix("study.toml: ") for fault in found]
+
+
+def changed(**changes: Any) -> dict[str, Any]:
+    """Return the paper's study with changes: ``plant__name="x"`` is ``plant.name = "x"``; None deletes."""
+    study = copy.deepcopy(PAPER)
+    for key, value in changes.items():
+        *sections, last = key.split("__")
+        table = study
+        for section in sections:
+            table = table[section]
+        if value is None:
+            del table[last]
+        else:
+            table[last] = value
+    return study
+
+
+FULL_OF_FAULTS = """
+summry = "x"
+seeds = ["5:2", 3, -1]
+[plant]
+name = "pendulum"
+inputs = ["torqe"]
+outputs = ["angle"]
+parameters = { mass = -1.0, colour = 2.0 }
+[loop]
+sampling_time = -0.1
+duration = "long"
+start = "recording"
+[reference.angle]
+kind = "steps"
+times = [0.0, 0.0]
+values = [1.0, 2.0, 3.0]
+unit = "grad"
+[bounds]
+torque = { min = 3.0, max = 1.0 }
+angle = { min = 0.0, max = 1.0, unit = "m" }
+[recording]
+samples = 5
+excitation.torque = { kind = "uniform", low = 1.0, high = -1.0 }
+[controllers.a]
+type = "deep"
+[controllers.b]
+type = "deepc"
+settings = { horizon = 0, output_weight = -1.0, lamda_g = 3.0 }
+[controllers.c]
+type = "wkpc"
+label = 3
+settings = { dictionary = { cout = 3 } }
+bounds.angel = { min = 0.0 }
+[controllers."d d"]
+type = "mfapc"
+[controllers.e]
+type = "deepc"
+[scenarios.s]
+noise = { angle = -1.0, speed = 1.0 }
+events = [{ time = "x", parameters = { mass = 2.0 } }, { time = 1.0, parameters = { gravity = 3.0 } }]
+[[report.panels]]
+titel = "x"
+controllers = ["z", "b"]
+"""
+
+FAULTS = """
+summry: unknown key; did you mean "summary"?
+seeds: '5:2' is not a range; write it as first:last with first < last, e.g. 0:30
+loop.sampling_time: must be greater than 0, got -0.1
+loop.duration: must be a number, got 'long'
+loop.start: must be one of 'rest' or 'recording-end', got 'recording'
+reference.angle: times (2) and values (3) need the same length
+reference.angle: times must increase
+reference.angle.unit: unit "grad" does not fit angle; allowed: rad, deg
+bounds.torque: min (3) must be below max (1)
+bounds.angle.unit: unit "m" does not fit angle; allowed: rad, deg
+recording.excitation.torque: low (1) must be below high (-1)
+recording.samples: 5 is too short for e, which needs
+plant.inputs: no input "torqe"; did you mean "torque"?
+plant.parameters.mass: -1 is outside [0.001, inf]
+plant.parameters: no parameter "colour"; there are: damping, gravity, mass, radius, torque_gain
+controllers.a.type: no controller "deep"; did you mean "deepc"?
+controllers.b: settings.lamda_g: unknown setting of deepc; did you mean "lambda_g"?
+controllers.b: settings: DeePC: horizon = 0 is not possible; allowed: a whole number, >= 1
+controllers.b: settings: DeePC: output_weight = -1.0 is not possible; allowed: a number, list
+controllers.c.label: must be a text, got 3
+controllers.c: settings.dictionary.cout: unknown setting of ThinPlate; did you mean "count"?
+controllers.c.bounds: no input or controlled output "angel"; did you mean "angle"?
+controllers.d d: must be letters, digits, dots, hyphens and underscores, the first one
+scenarios.s.noise.angle: must be greater than or equal to 0, got -1.0
+scenarios.s.noise: no measurement "speed"; there are: angle
+scenarios.s.events[0].time: must be a number, got 'x'
+scenarios.s.events[1].parameters: no tunable parameter "gravity"; there are: damping, mass
+report.panels[0].titel: unknown key; did you mean "title"?
+report.panels[0].controllers: no controller "z"; there are:
+"""
+
+
+def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path) -> None:
+    """Each fault is there, and nothing else: no fault is told twice or follows from another one."""
+    expected = FAULTS.strip().splitlines()
+    found = faults_of(FULL_OF_FAULTS, tmp_path)
+    for line in expected:
+        assert sum(fault.startswith(line) for fault in found) == 1, line
+    assert len(found) == len(expected), [f for f in found if not f.startswith(tuple(expected))]
+
+
+def test_the_command_says_so_and_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    faults = faults_of(FULL_OF_FAULTS, tmp_path)
+    result = CliRunner().invoke(main, ["run", "study.toml"])
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.splitlines() == [f"error: study.toml: {fault}" for fault in faults]
+    assert [path.name for path in tmp_path.iterdir()] == ["study.toml"]
+
+
+ONE_FAULT: list[tuple[dict[str, Any], str]] = [
+    ({"plant__name": "pendulm"}, 'plant.name: no plant "pendulm"; did you mean "pendulum"?'),
+    ({"plant__name": "math:nothing"}, 'plant.name: plant "math:nothing" cannot be loaded: AttributeError'),
+    ({"plant__name": "math:pi"}, 'plant.name: plant "math:pi" is neither a PlantModel nor a Plant class'),
+    ({"plant__fmu": "x.fmu"}, "plant: needs exactly one of the keys name and fmu"),
+    ({"plant__name": None}, "plant: needs exactly one of the keys name and fmu"),
+    ({"plant": None}, "plant: required key is missing"),
+    ({"plant": 3}, "plant: must be a table, got 3"),
+    ({"plant__outputs": ["angel"]}, 'plant.outputs: no output "angel"; did you mean "angle"?'),
+    ({"plant__outputs": "angle"}, "plant.outputs: must be a list, got 'angle'"),
+    ({"plant__outputs": ["angle", "angle"]}, 'plant.outputs: "angle" is listed more than once'),
+    ({"plant__measurements": ["speed"]}, 'plant.measurements: no output "speed"'),
+    ({"plant__output": []}, 'plant.output: unknown key; did you mean "outputs"?'),
+    ({"loop": None}, "loop: required key is missing"),
+    ({"loop__duration": None}, "loop.duration: required key is missing"),
+    ({"loop__duration": 40.05}, "loop: duration (40.05) must be a whole multiple of sampling_time (0.1)"),
+    ({"loop__duration": float("inf")}, "loop.duration: must be a finite number, got inf"),
+    ({"loop__duration": True}, "loop.duration: must be a number, got True"),
+    ({"loop__duration": 1e300}, "loop: duration / sampling_time = 1e+301 samples; allowed"),
+    ({"loop__sampling_time": 1e-300}, "loop: duration / sampling_time = 4e+301 samples; allowed"),
+    ({"reference": None}, "reference: required key is missing"),
+    ({"reference": {}}, "reference: must not be empty"),
+    ({"reference__angle": None}, "reference: must not be empty"),
+    ({"reference__angle__kind": None}, 'reference.angle: required key "kind" is missing'),
+    ({"reference__angle__kind": "stairs"}, "reference.angle: must be one of 'constant', 'steps', 'ramp'"),
+    ({"reference__angle__times": None}, "reference.angle.times: required key is missing"),
+    ({"reference__angle__values": []}, "reference.angle.values: must not be empty"),
+    ({"reference__angle__value": 3}, 'reference.angle.value: unknown key; did you mean "values"?'),
+    ({"reference": {"angel": {"kind": "constant", "value": 1.0}}}, 'reference: no controlled output "angel"'),
+    (
+        {"bounds__angle": {"min": 1e9, "unit": "rad"}, "plant__name": "scratch:BOUNDED"},
+        "plant.name: plant",
+    ),
+    ({"bounds__angle__min": "low"}, "bounds.angle.min: must be a number, got 'low'"),
+    ({"recording__samples": None}, "recording.samples: required key is missing"),
+    ({"recording__samples": 1.5}, "recording.samples: must be a whole number, got 1.5"),
+    ({"recording__excitation": {}}, "recording.excitation: none for the input torque"),
+    ({"seeds": []}, "seeds: must not be empty"),
+    ({"seeds": [2**32]}, "seeds[0]: must be less than 4294967296, got 4294967296"),
+    ({"seeds": "all"}, "seeds: must be a whole number, got 'all'"),
+    ({"seeds": [1, True]}, "seeds[1]: must be a whole number, got True"),
+    ({"name": "../up"}, "name: must be letters, digits, dots"),
+    ({"name": "x" * 99}, "name: must have at most 60 characters"),
+    ({"controllers": None}, "controllers: required key is missing"),
+    ({"controllers": []}, "controllers: must be a table, got []"),
+    ({"controllers__mfapc__type": None}, "controllers.mfapc.type: required key is missing"),
+    (
+        {"controllers__mfapc__typ": "mfapc", "controllers__mfapc__type": None},
+        "controllers.mfapc.typ: unknown key",
+    ),
+    ({"controllers__mfapc__type": "math:pi"}, 'controllers.mfapc.type: controller "math:pi" is not a class'),
+    ({"controllers__mfapc__settings": 3}, "controllers.mfapc.settings: must be a table, got 3"),
+    (
+        {"controllers__mfapc__settings__mu": "1"},
+        "controllers.mfapc: settings: MFAPC: mu = '1' is not possible",
+    ),
+    (
+        {"controllers__mfapc__settings__horizon": 10**400},
+        "controllers.mfapc: settings: MFAPC: horizon = 1000",
+    ),
+    (
+        {"controllers__deepc__settings__output_weight": "100"},
+        "controllers.deepc: settings: DeePC: output_weight = '100' is not possible",
+    ),
+    (
+        {"controllers__wkpc__settings__dictionary": {"type": "math:nothing"}},
+        'controllers.wkpc: settings.dictionary.type: class "math:nothing" cannot be loaded',
+    ),
+    (
+        {"controllers__wkpc__settings__dictionary": {"count": 0}},
+        "controllers.wkpc: settings.dictionary: ThinPlate: count = 0 is not possible",
+    ),
+    ({"scenarios": {"s": {"parameters": {"mas": 1.0}}}}, 'scenarios.s.parameters: no parameter "mas"; did'),
+    (
+        {"scenarios": {"s": {"parameters": {"mass": 0.0}}}},
+        "scenarios.s.parameters.mass: 0 is outside [0.001, inf]",
+    ),
+    ({"scenarios": {}}, "scenarios: must not be empty"),
+    (
+        {"scenarios": {"s": {"events": [{"time": 1.0, "parameters": {"mass": -1.0}}]}}},
+        "scenarios.s.events[0].parameters.mass: -1 is outside",
+    ),
+]
+
+
+@pytest.mark.parametrize(("changes", "fault"), ONE_FAULT, ids=[fault[:50] for _, fault in ONE_FAULT])
+def test_one_fault_is_told_once_and_nothing_that_follows_from_it(
+    changes: dict[str, Any], fault: str, tmp_path: Path
+) -> None:
+    (found,) = faults_of(changed(**changes), tmp_path)
+    assert found.startswith(fault)
+
+
+def test_a_study_without_recording_cannot_teach(tmp_path: Path) -> None:
+    found = faults_of(changed(recording=None, loop__start="recording-end"), tmp_path)
+    lacking = "learns from a recording, and the study has no recording section"
+    assert 'loop.start: "recording-end" needs a recording section' in found
+    assert f"controllers.deepc: {lacking}" in found
+    assert not any("mfapc" in fault for fault in found)
+
+
+def test_a_misspelt_recording_is_not_missed_too(tmp_path: Path) -> None:
+    study = changed(recordin=PAPER["recording"], recording=None)
+    assert faults_of(study, tmp_path) == ['recordin: unknown key; did you mean "recording"?']
+
+
+def test_a_recording_that_is_too_short_is_told_for_each_controller(tmp_path: Path) -> None:
+    found = faults_of(changed(recording__samples=10), tmp_path)
+    assert len(found) == 4
+    assert all(fault.startswith("recording.samples: 10 is too short for ") for fault in found)
+
+
+def test_one_bad_controller_is_not_missed_in_the_report(tmp_path: Path) -> None:
+    """The panels and the reproduction name it too."""
+    assert len(faults_of(changed(controllers__deepc="none"), tmp_path)) == 1
+
+
+def test_limits_that_leave_no_room_beside_the_plant_s_own(tmp_path: Path, make_fmu: Any) -> None:
+    make_fmu()
+    text = """
+    [plant]
+    fmu = "none.fmu"
+    outputs = ["y"]
+    [loop]
+    sampling_time = 0.1
+    duration = 1.0
+    [reference]
+    y = { kind = "constant", value = 1.0 }
+    [bounds]
+    u = { min = 20.0 }
+    [controllers.mfapc]
+    type = "mfapc"
+    """
+    assert faults_of(text, tmp_path) == ["bounds.u: leaves no room: [20, 10] with the plant's own limits"]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"a = ", "study.toml: not a TOML file: Invalid value"),
+        (b"\xff\xfe", "study.toml: not a TOML file: 'utf-8' codec can't decode"),
+        (b"", "study.toml: plant: required key is missing"),
+    ],
+)
+def test_a_file_that_is_no_study(content: bytes, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError) as caught:
+        read_study(str(path))
+    assert caught.value.faults[0].startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nowhere.toml", "nowhere.toml: no such study file"),
+        ("some/where", "no such study file"),
+        ("papr", 'no study "papr"; did you mean "paper"?; or give the path of a study file'),
+    ],
+)
+def test_a_study_that_is_not_there(name: str, words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        read_study(name)
+    assert words in str(caught.value)
+
+
+def places(table: Any, place: tuple[int | str, ...] = ()) -> list[tuple[int | str, ...]]:
+    """Return the places of all values of a study."""
+    found = [place] if place else []
+    if isinstance(table, dict | list):
+        for key, item in table.items() if isinstance(table, dict) else enumerate(table):
+            found.extend(places(item, (*place, key)))
+    return found
+
+
+VALUES: st.SearchStrategy[Any] = st.sampled_from(
+    [None, 0, -1, 3, 1.5, -2.5, 1e300, float("nan"), True, "", "x", "angle", [], [1.0], {}]
+)
+MUTATIONS = st.lists(
+    st.tuples(st.sampled_from(places(PAPER)), st.sampled_from(["delete", "rename", "replace"]), VALUES),
+    min_size=1,
+    max_size=4,
+)
+
+
+def has(table: Any, key: int | str) -> bool:
+    if isinstance(table, list):
+        return isinstance(key, int) and key < len(table)
+    return isinstance(table, dict) and key in table
+
+
+def mutate(study: dict[str, Any], place: tuple[int | str, ...], kind: str, value: Any) -> None:
+    """Change one value of a study, if an earlier change has left it there."""
+    table: Any = study
+    for key in place[:-1]:
+        if not has(table, key):
+            return
+        table = table[key]
+    last = place[-1]
+    if not has(table, last):
+        return
+    if kind == "rename" and isinstance(table, dict):
+        table[f"{last}x"] = table.pop(last)
+    elif kind == "replace" and value is not None:
+        table[last] = copy.deepcopy(value)
+    else:
+        del table[last]
+
+
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(MUTATIONS)
+@example([(("seeds", 1), "replace", "")])
+@example([(("report", "panels", 1), "replace", 3), (("report", "panels", 2), "delete", None)])
+def test_a_study_with_any_mistakes_is_a_config_error_or_runs(
+    tmp_path: Path, mutations: list[tuple[tuple[int | str, ...], str, Any]]
+) -> None:
+    """Nothing but ConfigError, and no key both wrong and missing."""
+    study = copy.deepcopy(PAPER)
+    for place, kind, value in mutations:
+        mutate(study, place, kind, value)
+    found = faults_of(study, tmp_path)
+    assert len(found) == len(set(found))
+    keys = [fault.partition(": ") for fault in found]
+    missing = {key for key, _, what in keys if what == "required key is missing"}
+    assert not missing & {key for key, _, what in keys if what != "required key is missing"}

@@ -1,0 +1,192 @@
+"""Study files that are in order, and what becomes of them."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ddpc_cosim import ConfigError, Ramp, Sine, Steps
+from ddpc_cosim.checked_study import converter
+from ddpc_cosim.config import expand_seeds
+from ddpc_cosim.plants import PlantTarget
+from ddpc_cosim.study import Case, cases_of
+from ddpc_cosim.study_file import read_study
+from ddpc_cosim.variables import DisplayUnit, Variable
+
+TARGET = PlantTarget(fmu="pendulum.fmu", python="", content="0")
+
+SMALL = """
+[plant]
+name = "pendulum"
+outputs = ["angle"]
+[loop]
+sampling_time = 0.1
+duration = 1.0
+[reference]
+angle = { kind = "constant", value = 10.0, unit = "deg" }
+[controllers.mfapc]
+type = "mfapc"
+"""
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    path = tmp_path / "my study.toml"
+    path.write_text(SMALL, encoding="utf-8")
+    return path
+
+
+def cases(text: str, folder: Path) -> list[Case]:
+    path = folder / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    return cases_of(read_study(str(path)), TARGET)
+
+
+def test_the_study_of_the_paper_is_in_order() -> None:
+    checked = read_study("paper")
+    assert checked.study.name == "paper"
+    assert checked.study.seeds == [5489, *range(30)]
+    assert (checked.inputs, checked.outputs) == (("torque",), ("angle",))
+    assert checked.measurements == ("angle", "angular_velocity")
+    assert len(cases_of(checked, TARGET)) == 7 * 31
+
+
+def test_the_paper_s_values_arrive_in_the_plant_s_units() -> None:
+    deepc = next(case for case in cases_of(read_study("paper"), TARGET) if case.controller == "deepc")
+    reference = deepc.reference["angle"].at(np.array([0.0, 10.0, 20.0, 30.0, 40.0]))
+    assert np.allclose(reference, np.radians([20, -10, 10, -20, -20]), rtol=1e-15)
+    assert deepc.bounds["angle"] == pytest.approx((-math.radians(70), math.radians(70)), rel=1e-15)
+    assert deepc.bounds["torque"] == (-3.5, 3.5)
+    assert deepc.excitation is not None
+    assert (deepc.excitation.samples, deepc.excitation.seed) == (200, 5489)
+
+
+def test_a_controller_may_have_limits_of_its_own() -> None:
+    wkpc = next(case for case in cases_of(read_study("paper"), TARGET) if case.controller == "wkpc")
+    assert wkpc.bounds["angle"][1] == pytest.approx(math.radians(170))
+    assert wkpc.bounds["torque"] == (-3.5, 3.5)
+
+
+def test_what_is_left_out_has_defaults(small: Path) -> None:
+    checked = read_study(str(small))
+    assert checked.study.name == "my-study"
+    assert checked.inputs == ("torque",)
+    assert checked.measurements == checked.outputs == ("angle",)
+    (case,) = cases_of(checked, TARGET)
+    assert (case.seed, case.scenario, case.label) == (0, "nominal", "mfapc")
+    assert case.bounds["torque"] == (-math.inf, math.inf)
+    assert case.section["settings"]["lambda_u"] == 0.37
+
+
+def test_a_byte_order_mark_does_no_harm(small: Path) -> None:
+    small.write_bytes(b"\xef\xbb\xbf" + small.read_bytes())
+    assert read_study(str(small)).study.controllers
+
+
+def test_scenarios_give_parameters_noise_and_events(tmp_path: Path) -> None:
+    text = (
+        SMALL.replace("[loop]", "parameters = { mass = 1.1, damping = 0.3 }\n[loop]")
+        + """
+    [scenarios.nominal]
+    [scenarios.windy]
+    parameters = { mass = 2.0 }
+    noise = { angle = 0.01 }
+    events = [{ time = 0.5, parameters = { torque_gain = -1.0 } }]
+    """
+    )
+    nominal, windy = cases(text, tmp_path)
+    assert nominal.parameters == {"mass": 1.1, "damping": 0.3}
+    assert windy.parameters == {"mass": 2.0, "damping": 0.3}
+    assert windy.noise == {"angle": 0.01}
+    assert [(event.time, event.parameters) for event in windy.events] == [(0.5, {"torque_gain": -1.0})]
+    assert (nominal.name, windy.name) == ("mfapc_seed0", "mfapc_windy_seed0")
+
+
+@pytest.mark.parametrize(
+    ("section", "signal"),
+    [
+        ('{ kind = "steps", times = [0.0, 1.0], values = [1.0, 2.0] }', Steps((0.0, 1.0), (1.0, 2.0))),
+        (
+            '{ kind = "ramp", from_value = 0.0, to_value = 180.0, from_time = 1.0, to_time = 2.0, '
+            'unit = "deg" }',
+            Ramp(0.0, math.pi, 1.0, 2.0),
+        ),
+        (
+            '{ kind = "sine", amplitude = 90.0, offset = 180.0, frequency = 2.0, phase = 1.0, unit = "deg" }',
+            Sine(math.pi / 2, 2.0, math.pi, 1.0),
+        ),
+    ],
+)
+def test_references_of_every_kind(tmp_path: Path, section: str, signal: Steps) -> None:
+    text = SMALL.replace('{ kind = "constant", value = 10.0, unit = "deg" }', section)
+    time = np.linspace(0, 3, 31)
+    assert np.allclose(cases(text, tmp_path)[0].reference["angle"].at(time), signal.at(time), atol=1e-14)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e3), st.floats(-1e3, 1e3))
+def test_conversion_from_a_display_unit_undoes_the_one_of_fmi(
+    value: float, factor: float, offset: float
+) -> None:
+    unit = DisplayUnit("shown", factor, offset)
+    variable = Variable("x", "own", display_unit=unit)
+    converted = converter(variable, "shown")(value)
+    assert factor * converted + offset == pytest.approx(value, rel=1e-9, abs=1e-6)
+    assert converter(variable, "")(value) == converter(variable, "own")(value) == value
+
+
+@pytest.mark.parametrize(
+    ("given", "seeds"),
+    [("0:3", [0, 1, 2]), (7, [7]), ([5489, "0:2", 1], [5489, 0, 1]), (["7"], [7]), (["2:4", 3], [2, 3])],
+)
+def test_seeds_may_be_ranges(given: object, seeds: list[int]) -> None:
+    assert expand_seeds(given) == seeds
+
+
+@pytest.mark.parametrize("given", ["3:1", "1:1", "a:3", "1:b", "-1:3", "0:99999999"])
+def test_ranges_that_are_none_are_refused(given: str) -> None:
+    with pytest.raises(ValueError, match="is not a range; write it as first:last"):
+        expand_seeds(given)
+
+
+def test_only_some_cases_can_be_chosen() -> None:
+    checked = read_study("paper")
+    assert {case.controller for case in cases_of(checked, TARGET, [1], "deepc*")} == {
+        "deepc",
+        "deepc-published-code",
+    }
+    assert [case.name for case in cases_of(checked, TARGET, [1, 2], "wkpc_seed2")] == ["wkpc_seed2"]
+    with pytest.raises(ConfigError, match=r"--only lqr: no case matches; there are mfapc_seed1"):
+        cases_of(checked, TARGET, [1], "lqr")
+
+
+def test_a_case_is_named_after_what_decides_its_result(tmp_path: Path) -> None:
+    """A change of anything that decides the result gives another name, a change of a label does not."""
+    (original,) = cases(SMALL, tmp_path)
+    assert original.id.startswith("mfapc_seed0_")
+    changes = [
+        ("value = 10.0", "value = 11.0"),
+        ("duration = 1.0", "duration = 1.1"),
+        ('type = "mfapc"', 'type = "mfapc"\nsettings = { mu = 2.0 }'),
+        ("[plant]", "seeds = [1]\n[plant]"),
+        ("[loop]", "parameters = { mass = 2.0 }\n[loop]"),
+        ("[controllers", "[bounds]\ntorque = { max = 1.0 }\n[controllers"),
+        ("[loop]", 'measurements = ["angle", "angular_velocity"]\n[loop]'),
+    ]
+    ids = {case.id for old, new in changes for case in cases(SMALL.replace(old, new), tmp_path)}
+    assert len(ids) == len(changes)
+    assert original.id not in ids
+
+    (labelled,) = cases(SMALL + 'label = "ours"\nsettings = { lambda_u = 0.37 }', tmp_path)
+    assert labelled.id == original.id
+    (other_plant,) = cases_of(read_study(str(tmp_path / "study.toml")), PlantTarget("p", "", "1"))
+    assert other_plant.id != original.id
+
+
+def test_a_change_of_the_code_gives_another_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (case,) = cases(SMALL, tmp_path)
+    before = case.id
+    monkeypatch.setattr("ddpc_cosim.study.code_version", lambda controller: f"another {controller}")
+    assert case.id != before

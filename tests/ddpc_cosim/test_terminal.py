@@ -1,0 +1,57 @@
+"""The progress display on a terminal."""
+
+import os
+import pty
+import re
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+WriteStudy = Callable[..., Path]
+
+
+def run_on_a_terminal(arguments: list[str], folder: Path) -> tuple[int, str]:
+    """Return exit code and everything that was drawn on a terminal."""
+    ours, theirs = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "120"}
+    process = subprocess.Popen(
+        arguments, cwd=folder, env=environment, stdout=theirs, stderr=theirs, stdin=theirs
+    )
+    os.close(theirs)
+    drawn = b""
+    while True:
+        try:
+            piece = os.read(ours, 65536)
+        except OSError:  # how Linux says that the other side has been closed
+            break
+        if not piece:
+            break
+        drawn += piece
+    os.close(ours)
+    return process.wait(timeout=60), drawn.decode("utf-8")
+
+
+def test_progress_is_drawn_in_place_and_the_table_stays(
+    program: str, write_study: WriteStudy, tmp_path: Path
+) -> None:
+    write_study("mfapc", seeds="[0, 1, 2]", duration=100.0)
+    exit_code, drawn = run_on_a_terminal(
+        [program, "run", "study.toml", "--jobs", "1", "--no-report"], tmp_path
+    )
+    assert exit_code == 0, drawn
+    assert "\x1b[" in drawn
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn)
+    assert "3/3 cases" in text
+    assert "s simulated" in text
+    assert "cases to run" not in text
+    assert "study (seed 0)" in text
+    assert "3/3" in text.splitlines()[-2]
+
+
+def test_a_case_that_failed_stays_in_sight(program: str, write_study: WriteStudy, tmp_path: Path) -> None:
+    write_study("mfapc", fault="error")
+    exit_code, drawn = run_on_a_terminal(
+        [program, "run", "study.toml", "--jobs", "1", "--no-report"], tmp_path
+    )
+    assert exit_code == 1
+    assert "mfapc_seed0: fmu-error: error.fmu: fmi2DoStep returned error" in drawn

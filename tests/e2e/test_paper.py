@@ -1,0 +1,140 @@
+"""The study of the paper, from equations to report, against the recorded figures."""
+
+import csv
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import StudyResults, load_results
+
+DATA = Path(__file__).parents[1] / "data"
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+# Wall-clock times differ from run to run, and with them what is counted from them.
+TIMED = ("solve_time", "deadline_misses")
+
+
+@pytest.fixture(scope="module")
+def first_run(program: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Run the study on the data of the paper's seed as a user would; return folder and printed text."""
+    folder = tmp_path_factory.mktemp("empty")
+    done = subprocess.run(
+        [program, "run", "paper", "--seeds", "5489", "--jobs", "2"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+    )
+    assert done.returncode == 0, done.stderr
+    return folder / "runs" / "paper", done.stdout
+
+
+@pytest.fixture(scope="module")
+def results(first_run: tuple[Path, str]) -> StudyResults:
+    return load_results(first_run[0])
+
+
+def figures(results: StudyResults, controller: str, metric: str) -> list[float]:
+    """Return a figure of all cases of a controller, in the order of the seeds."""
+    cases = [case for case in results.cases if case.controller == controller]
+    return [next(v for k, v in case.metrics.items() if k.startswith(f"{metric}.")) for case in cases]
+
+
+def timeless(metrics: dict[str, float]) -> dict[str, float]:
+    return {key: value for key, value in metrics.items() if not key.startswith(TIMED)}
+
+
+def test_one_command_writes_everything(first_run: tuple[Path, str]) -> None:
+    folder, printed = first_run
+    for name in ("report.html", "metrics.csv", "study.toml", "provenance.json"):
+        assert (folder / name).stat().st_size > 0
+    assert Path(printed.splitlines()[-1]) == Path("runs/paper/report.html")
+    for label in ("MFAPC-CFDL", "DeePC", "WKPC", "DeePC, published code", "WKPC, published code"):
+        assert any(
+            line.startswith(f" {label} ") and line.rstrip().endswith("1/1") for line in printed.splitlines()
+        )
+    with (folder / "metrics.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["outcome"] for row in rows] == ["completed"] * 7
+    assert len(list((folder / "cases").iterdir())) == 7
+
+
+@pytest.mark.parametrize(
+    ("controller", "metric", "expected", "tolerance"),
+    [
+        ("deepc", "sum_abs_error", 456.08, 0.05),
+        ("deepc-published-code", "sum_abs_error", 648.07, 0.05),
+        ("mfapc", "max_abs_input", 3.3594, 0.0005),
+        ("mfapc", "sum_abs_error", 711.15, 0.3),
+    ],
+)
+def test_figures_of_the_paper_and_of_the_authors_programs(
+    results: StudyResults, controller: str, metric: str, expected: float, tolerance: float
+) -> None:
+    (found,) = figures(results, controller, metric)
+    assert found == pytest.approx(expected, abs=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("controller", "file", "rest_rows", "torque_tolerance"),
+    [
+        ("deepc-published-code", "deepc_published_code.csv", 0, 1e-6),
+        ("mfapc", "mfapc_published_code.csv", 1, 1e-5),
+    ],
+)
+def test_trajectories_of_the_authors_programs(
+    results: StudyResults, controller: str, file: str, rest_rows: int, torque_tolerance: float
+) -> None:
+    """Through FMU, workers and files the loop is still the recorded one, row by row."""
+    recorded = np.genfromtxt(DATA / file, delimiter=",", names=True)[rest_rows:]
+    _, _, angle, torque = recorded.dtype.names or ()
+    (case,) = (case for case in results.cases if case.controller == controller)
+    trace = case.trace()
+    rows = slice(0, len(recorded))
+    assert len(trace) == 401
+    assert np.abs(np.degrees(trace.y[rows, 0]) - recorded[angle]).max() < 1e-5
+    assert np.abs(trace.u[rows, 0] - recorded[torque]).max() < torque_tolerance
+
+
+def test_the_written_study_runs_again_to_the_same_cases(
+    first_run: tuple[Path, str], results: StudyResults, run_program: Run, tmp_path: Path
+) -> None:
+    """With one worker in place of two: signals are the same to the last bit."""
+    shutil.copy(first_run[0] / "study.toml", tmp_path / "again.toml")
+    done = run_program("run", "again.toml", "--out", "out", "--jobs", "1", "--no-report")
+    assert done.returncode == 0, done.stderr
+    again = load_results(tmp_path / "out")
+    assert [case.id for case in again.cases] == [case.id for case in results.cases]
+    assert again.study == results.study
+    for before, after in zip(results.cases, again.cases, strict=True):
+        assert json.dumps(timeless(before.metrics)) == json.dumps(timeless(after.metrics))
+        first, second = before.trace(), after.trace()
+        for name in ("time", "reference", "y", "measured", "u"):
+            assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
+
+
+def test_the_report_can_be_rebuilt(first_run: tuple[Path, str], run_program: Run, tmp_path: Path) -> None:
+    done = run_program("report", str(first_run[0]), "--out", "report.html")
+    assert (done.returncode, done.stdout) == (0, "report.html\n")
+    assert (tmp_path / "report.html").stat().st_size == (first_run[0] / "report.html").stat().st_size
+
+
+@pytest.mark.slow
+def test_one_seed_decides_nothing(run_program: Run, tmp_path: Path) -> None:
+    """Over seeds 0..29 the published DeePC spans 256..1038, and WKPC's spans its published figure."""
+    done = run_program("run", "paper")
+    assert done.returncode == 0, done.stderr
+    results = load_results(tmp_path / "runs" / "paper")
+    assert len(results.cases) == 7 * 31
+    assert results.cases[0].seed == 5489
+    deepc = figures(results, "deepc-published-code", "sum_abs_error")[1:]
+    assert (min(deepc), max(deepc)) == pytest.approx((256.0, 1038.0), abs=1.0)
+    wkpc = figures(results, "wkpc-published-code", "sum_abs_error")[1:]
+    assert min(wkpc) < 456.3552 < max(wkpc)
+    mfapc = figures(results, "mfapc", "sum_abs_error")
+    assert len(set(mfapc)) == 1
