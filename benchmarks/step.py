@@ -7,11 +7,11 @@ from importlib.metadata import version
 from time import perf_counter_ns
 
 import numpy as np
-from ddpc_controllers import MFAPC, DeePC
-from ddpc_controllers.full_problem import FullDeePC
 
 from benchmarks.mfapc_transcription import Transcription
 from benchmarks.pendulum import STEPS, Pendulum, experiment, loop
+from ddpc_controllers import MFAPC, DeePC
+from ddpc_controllers.full_problem import FullDeePC
 from ddpc_cosim import Action, Controller, FloatArray, Recording, Sample
 
 Stepper = Callable[[Sample], FloatArray]
