@@ -9,6 +9,7 @@ from pathlib import Path
 
 _FIXED_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest a zip archive can hold
 _UNIX = 3
+_SMALLEST = 9
 
 
 def zip_bytes(files: Mapping[str, bytes]) -> bytes:
@@ -20,7 +21,7 @@ def zip_bytes(files: Mapping[str, bytes]) -> bytes:
             entry.create_system = _UNIX  # the default is the system that writes it
             entry.external_attr = 0o644 << 16
             entry.compress_type = zipfile.ZIP_DEFLATED
-            archive.writestr(entry, files[name])
+            archive.writestr(entry, files[name], compresslevel=_SMALLEST)
     return buffer.getvalue()
 
 

@@ -10,6 +10,7 @@ from sympy.printing.c import C99CodePrinter
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from fmu_plants.errors import ModelError
+from fmu_plants.jacobian import Partial, partials
 from fmu_plants.layout import Scalar, scalars
 from fmu_plants.model import PlantModel, Variable
 from fmu_plants.symbolic import SymbolicModel
@@ -59,6 +60,7 @@ def model_source(
         An expression has no C counterpart.
     """
     layout = scalars(model)
+    elements = partials(model, symbolic)
     return "\n".join(
         [
             f"/* {model.name}: generated from its equations. */",
@@ -68,10 +70,13 @@ def model_source(
             "",
             _variable_table(layout),
             "",
+            *_partial_table(elements, layout),
             *_legend(model),
-            _function(model, "derivatives", model.states, symbolic.derivatives),
+            _function(model, "derivatives", _results(model.states, symbolic.derivatives)),
             "",
-            _function(model, "outputs", model.computed_outputs, symbolic.outputs),
+            _function(model, "outputs", _results(model.computed_outputs, symbolic.outputs)),
+            "",
+            _function(model, "jacobian", [(_quotient(e), e.expression) for e in elements]),
             "",
             "const Model model = {",
             f'    .identifier = "{model.name}",',
@@ -80,11 +85,14 @@ def model_source(
             f"    .n_states = {len(model.states)},",
             f"    .n_inputs = {len(model.inputs)},",
             f"    .n_outputs = {len(model.computed_outputs)},",
+            f"    .n_partials = {len(elements)},",
             "    .variables = variables,",
+            f"    .partials = {'partials' if elements else '0'},",
             f"    .relative_tolerance = {_number(relative_tolerance)},",
             f"    .absolute_tolerance = {_number(absolute_tolerance)},",
             "    .derivatives = derivatives,",
             "    .outputs = outputs,",
+            "    .jacobian = jacobian,",
             "};",
             "",
         ]
@@ -104,6 +112,25 @@ def _variable_table(layout: Sequence[Scalar]) -> str:
         return f'    {{"{v.name}", {scalar.kind.value}, {numbers}}},'
 
     return "\n".join(["static const Variable variables[] = {", *map(row, layout), "};"])
+
+
+def _partial_table(elements: Sequence[Partial], layout: Sequence[Scalar]) -> list[str]:
+    """Return the positions of the Jacobian's elements; C has no empty arrays."""
+    if not elements:
+        return []
+    reference = {scalar.variable.name: position for position, scalar in enumerate(layout)}
+    rows = [f"    {{{reference[e.unknown]}, {reference[e.known]}}}," for e in elements]
+    return ["static const Partial partials[] = {", *rows, "};", ""]
+
+
+def _quotient(element: Partial) -> str:
+    return f"the derivative of {element.unknown!r} by {element.known!r}"
+
+
+def _results(
+    variables: Sequence[Variable], expressions: Sequence[sympy.Expr]
+) -> list[tuple[str, sympy.Expr]]:
+    return [(repr(v.name), expression) for v, expression in zip(variables, expressions, strict=True)]
 
 
 def _legend(model: PlantModel) -> list[str]:
@@ -132,14 +159,13 @@ def _element_names(model: PlantModel) -> dict[sympy.Symbol, str]:
     return elements | {sympy.Symbol(TIME, real=True): TIME}
 
 
-def _function(
-    model: PlantModel, name: str, results: Sequence[Variable], expressions: Sequence[sympy.Expr]
-) -> str:
-    """Return a function that evaluates the expressions, common subexpressions once."""
+def _function(model: PlantModel, name: str, results: Sequence[tuple[str, sympy.Expr]]) -> str:
+    """Return a function that evaluates the expressions, which have names, common subexpressions once."""
     printer = _CPrinter(_element_names(model))
     expand_powers = create_expand_pow_optimization(LARGEST_WRITTEN_OUT_POWER)
     # A variable may be called t0, too: variables are printed as elements of arrays, never by name.
-    common, reduced = sympy.cse(list(expressions), symbols=sympy.numbered_symbols("t"), list=True)
+    expressions = [expression for _, expression in results]
+    common, reduced = sympy.cse(expressions, symbols=sympy.numbered_symbols("t"), list=True)
 
     def c_text(expression: sympy.Expr, where: str) -> str:
         try:
@@ -151,8 +177,8 @@ def _function(
         return text
 
     lines = [f"    const double {symbol} = {c_text(part, name)};" for symbol, part in common]
-    for index, (variable, expression) in enumerate(zip(results, reduced, strict=True)):
-        lines.append(f"    result[{index}] = {c_text(expression, repr(variable.name))};")
+    for index, ((where, _), expression) in enumerate(zip(results, reduced, strict=True)):
+        lines.append(f"    result[{index}] = {c_text(expression, where)};")
     body = "\n".join(lines)
     arguments = ("time", "x", "u", "p", "result")
     unused = [f"    (void){argument};" for argument in arguments if not re.search(rf"\b{argument}\b", body)]

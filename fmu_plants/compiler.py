@@ -9,12 +9,14 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from platformdirs import user_cache_dir
 
+from fmu_plants.binaries import exported_symbols
 from fmu_plants.errors import ExportError
+from fmu_plants.platforms import Platform, host_platform
 
 _SYSTEM_COMPILERS = ("cc", "gcc", "clang")
 _NO_COMPILER = (
@@ -22,11 +24,32 @@ _NO_COMPILER = (
     "Install one of them: `pip install ziglang` works everywhere; Debian/Ubuntu: `apt install gcc`; "
     "macOS: `xcode-select --install`; or set CC to the compiler's command."
 )
+_NO_ZIG = (
+    "compiling for other platforms needs the Python package ziglang, which is not installed: "
+    '`pip install "ddpc-cosim[zig]"` (or `pip install ziglang`); without --platforms, the FMU is for this '
+    "platform and any C compiler will do."
+)
 
 # Results must be the same on every machine: no -ffast-math, no fused operations, nothing of the host's
 # processor.
-FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared")
-_LIBRARY_SUFFIXES = {"win32": ".dll", "darwin": ".dylib"}
+FLAGS = ("-std=c11", "-ffp-contract=off", "-fvisibility=hidden", "-shared")
+_FAST = ("-O2",)
+# Libraries for several platforms are carried about in one file. No exception passes through C code, so that
+# nothing unwinds its stack; errors of mathematical functions show in their results.
+_SMALL = (
+    "-Os",
+    "-fomit-frame-pointer",
+    "-fno-unwind-tables",
+    "-fno-asynchronous-unwind-tables",
+    "-fno-math-errno",
+    "-fno-ident",
+)
+_SMALL_BY_SYSTEM = {
+    "linux": ("-fPIC", "-s", "-flto", "-fno-plt", "-Wl,--hash-style=gnu", "-Wl,--build-id=none"),
+    "windows": ("-s", "-flto"),
+    "darwin": ("-fPIC", "-s", "-Wl,-x"),
+}
+_ZIG = (sys.executable, "-m", "ziglang", "cc")
 
 _EXPORT_CHECK = """
 import ctypes, sys
@@ -40,11 +63,6 @@ def cache_dir() -> Path:
     return Path(os.environ.get("DDPC_COSIM_CACHE") or user_cache_dir("ddpc-cosim", appauthor=False))
 
 
-def library_suffix() -> str:
-    """Return the file name extension of shared libraries here."""
-    return _LIBRARY_SUFFIXES.get(sys.platform, ".so")
-
-
 @dataclass(frozen=True, slots=True)
 class Compiler:
     """A C compiler.
@@ -55,23 +73,31 @@ class Compiler:
         How it is called, up to its arguments.
     identity : str
         Differs between two compilers that may give different code.
+    platform : Platform
+        What it compiles for; this machine by default.
+    is_cross : bool
+        Whether it compiles for several platforms in turn, and then for size; else for speed.
     """
 
     command: tuple[str, ...]
     identity: str
+    platform: Platform = field(default_factory=host_platform)
+    is_cross: bool = False
 
     @property
     def flags(self) -> tuple[str, ...]:
         """The arguments for a shared library, without files."""
-        if sys.platform == "win32":
-            return FLAGS  # code is always position independent there, and the maths is in the C library
-        strip = ("-s",) if sys.platform.startswith("linux") else ()
-        return (*FLAGS, "-fPIC", *strip)
+        system = self.platform.system
+        if self.is_cross:
+            return (*FLAGS, *_SMALL, *_SMALL_BY_SYSTEM[system])
+        if system == "windows":
+            return (*FLAGS, *_FAST)  # code is always position independent there
+        return (*FLAGS, *_FAST, "-fPIC", *(("-s",) if system == "linux" else ()))
 
     @property
     def libraries(self) -> tuple[str, ...]:
         """The arguments that come after the files."""
-        return () if sys.platform == "win32" else ("-lm",)
+        return () if self.platform.system == "windows" else ("-lm",)
 
 
 def find_compiler() -> Compiler:
@@ -88,9 +114,26 @@ def find_compiler() -> Compiler:
         if path := shutil.which(name):
             return Compiler((path,), _identity(path))
     if importlib.util.find_spec("ziglang"):
-        version = importlib.metadata.version("ziglang")
-        return Compiler((sys.executable, "-m", "ziglang", "cc"), f"ziglang {version}")
+        return Compiler(_ZIG, _zig_identity())
     raise ExportError(_NO_COMPILER.format(names=", ".join(_SYSTEM_COMPILERS)))
+
+
+def cross_compiler(platform: Platform) -> Compiler:
+    """Return the compiler of the ziglang package for any platform, this one included.
+
+    Raises
+    ------
+    ExportError
+        ziglang is not installed.
+    """
+    if not importlib.util.find_spec("ziglang"):
+        raise ExportError(_NO_ZIG)
+    target = ("-target", platform.zig_target)
+    return Compiler((*_ZIG, *target), f"{_zig_identity()} {platform.zig_target}", platform, is_cross=True)
+
+
+def _zig_identity() -> str:
+    return f"ziglang {importlib.metadata.version('ziglang')}"
 
 
 def _from_environment(command: str) -> Compiler:
@@ -135,15 +178,19 @@ def compile_library(
         # Everything is named relative to one folder: nothing depends on how its path is spelt.
         for name, text in files.items():
             Path(folder, name).write_text(text, encoding="utf-8", newline="\n")
-        library = f"library{library_suffix()}"
+        library = f"library{compiler.platform.suffix}"
         sources = sorted(name for name in files if name.endswith(".c"))
         arguments = [*compiler.flags, *extra_flags, "-I.", "-o", library, *sources, *compiler.libraries]
         _run([*compiler.command, *arguments], folder)
-        missing = _missing_exports(Path(folder, library), required)
+        built = Path(folder, library)
+        is_for_here = compiler.platform == host_platform()
+        missing = _unloadable_exports(built, required) if is_for_here else _unlisted_exports(built, required)
         if missing:
-            names = ", ".join(missing)
-            raise ExportError(f"the library built by {compiler.command[0]} does not export: {names}")
-        return Path(folder, library).read_bytes()
+            names, where = ", ".join(missing), compiler.platform.name
+            raise ExportError(
+                f"the library for {where} built by {compiler.command[0]} does not export: {names}"
+            )
+        return built.read_bytes()
 
 
 def _capture(
@@ -169,7 +216,7 @@ def _run(command: Sequence[str], folder: str) -> None:
         raise ExportError(f"the C compiler failed (exit code {done.returncode}).\n{call}\n{output}")
 
 
-def _missing_exports(library: Path, required: Sequence[str]) -> list[str]:
+def _unloadable_exports(library: Path, required: Sequence[str]) -> list[str]:
     """Ask a process of its own: a defective library may bring it down, and the file stays free to delete."""
     command = [sys.executable, "-I", "-S", "-c", _EXPORT_CHECK, str(library), *required]
     done = _capture(command)
@@ -177,3 +224,12 @@ def _missing_exports(library: Path, required: Sequence[str]) -> list[str]:
         reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         raise ExportError(f"the library that was built cannot be loaded: {reason}")
     return done.stdout.split()
+
+
+def _unlisted_exports(library: Path, required: Sequence[str]) -> list[str]:
+    """Read the file: a library for another platform cannot be loaded."""
+    try:
+        exported = exported_symbols(library.read_bytes())
+    except (OSError, ValueError) as error:
+        raise ExportError(f"the library that was built cannot be read: {error}") from error
+    return [name for name in required if name not in exported]

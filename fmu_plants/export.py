@@ -4,22 +4,43 @@ import hashlib
 import importlib.util
 import json
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.resources import files as package_files
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
-from fmu_plants import fmi2
+from fmu_plants import fmi2, fmi3
 from fmu_plants.archive import write_atomically, zip_bytes
-from fmu_plants.compiler import Compiler, cache_dir, compile_library, find_compiler, library_suffix
+from fmu_plants.compiler import Compiler, cache_dir, compile_library, cross_compiler, find_compiler
+from fmu_plants.description import Description
 from fmu_plants.errors import ExportError
 from fmu_plants.model import PlantModel
+from fmu_plants.platforms import Platform, binary_files, parse_platforms
 
 DEFAULT_TOLERANCE = 1e-10
-_FRONT_ENDS = {"2.0": fmi2}
-_CORE = ("model.h", "simulation.h", "simulation.c", "dopri54.h", "dopri54.c")
+FMI_VERSIONS = ("2.0", "3.0")
+_FRONT_ENDS = {"2.0": fmi2, "3.0": fmi3}
+_CORE = (
+    "model.h",
+    "dopri54.h",
+    "dopri54.c",
+    "simulation.h",
+    "simulation.c",
+    "instance.h",
+    "instance.c",
+    "variables.c",
+    "derivatives.c",
+    "fmu_state.c",
+    "cosimulation.c",
+    "model_exchange.c",
+)
 _MODEL_SOURCE = "model.c"
+_COMPILERS_AT_ONCE = 2
+
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,37 +53,52 @@ class FMUSource:
         The model identifier.
     guid : str
         Hash of everything below.
-    description : str
-        Text of modelDescription.xml.
+    fmi_version : str
+        The standard it follows.
+    descriptions : mapping of str to str
+        Texts of the description files by name inside the FMU.
     sources : mapping of str to str
         The C files by name.
+    with_sources : bool
+        Whether they are part of the FMU.
     """
 
     name: str
     guid: str
-    description: str
+    fmi_version: str
+    descriptions: Mapping[str, str]
     sources: Mapping[str, str]
+    with_sources: bool
 
 
 def export_fmu(
-    model: PlantModel,
+    model: PlantModel | Any,
     path: str | Path,
     fmi_version: str = "2.0",
     *,
+    platforms: str | Sequence[str] | None = None,
     relative_tolerance: float = DEFAULT_TOLERANCE,
     absolute_tolerance: float = DEFAULT_TOLERANCE,
+    progress: Progress | None = None,
 ) -> Path:
-    """Write a plant as a standalone FMU for Co-Simulation on this platform.
+    """Write a plant as a standalone FMU for Co-Simulation and Model Exchange.
 
     Parameters
     ----------
-    model : PlantModel
+    model : PlantModel or control.StateSpace
+        A state-space model is named after the file; see `fmu_plants.linear.state_space_model` for more.
     path : str or Path
         The file to write; an existing one is replaced. Its folder must exist.
     fmi_version : str
-        ``"2.0"``.
+        ``"2.0"`` or ``"3.0"``.
+    platforms : str or sequence of str, optional
+        ``"all"``, or some of linux-x86_64, linux-arm64, windows-x86_64, macos-x86_64 and macos-arm64, which
+        the Python package ziglang compiles for; by default this platform only, with the compiler at hand, and
+        with the sources, from which importers on other platforms can compile the library.
     relative_tolerance, absolute_tolerance : float
         Defaults of the integrator; the absolute one is in units of the nominal value of each state.
+    progress : callable, optional
+        Is told in words how far a build for several platforms is.
 
     Returns
     -------
@@ -72,12 +108,26 @@ def export_fmu(
     Raises
     ------
     ModelError
-        The equations do not fit the model's variables.
+        The equations do not fit the model's variables, or the model is no plant.
     ExportError
-        There is no compiler, it fails, or the file cannot be written.
+        There is no compiler, it fails, a platform is unknown, or the file cannot be written.
+
+    Examples
+    --------
+    >>> from fmu_plants.pendulum import MODEL
+    >>> export_fmu(MODEL, "pendulum.fmu", "3.0", platforms="all").name
+    'pendulum.fmu'
     """
-    source = fmu_source(model, fmi_version, relative_tolerance, absolute_tolerance)
-    return _write(Path(path), source, fmi_version, find_compiler())
+    path = Path(path)
+    compilers = _compilers(platforms)
+    source = fmu_source(
+        _plant(model, path),
+        fmi_version,
+        relative_tolerance,
+        absolute_tolerance,
+        with_sources=platforms is None,
+    )
+    return _write(path, source, compilers, progress or _silent)
 
 
 def build_fmu(
@@ -87,14 +137,14 @@ def build_fmu(
     relative_tolerance: float = DEFAULT_TOLERANCE,
     absolute_tolerance: float = DEFAULT_TOLERANCE,
 ) -> Path:
-    """Return the plant's FMU from the user's cache folder; compile it if its content is new there.
+    """Return the plant's FMU for this platform from the user's cache folder; compile it if it is new there.
 
     The cache folder is ``$DDPC_COSIM_CACHE``, or else the usual place of the operating system. Several
     processes may build at the same time. Parameters and errors are those of `export_fmu`.
     """
     source = fmu_source(model, fmi_version, relative_tolerance, absolute_tolerance)
     compiler = find_compiler()
-    key = _digest([source.guid, compiler.identity, *compiler.flags, fmi2.platform()])
+    key = _digest([source.guid, compiler.identity, *compiler.flags, compiler.platform.name])
     path = cache_dir() / "fmus" / key[:16] / f"{model.name}.fmu"
     if path.is_file():
         return path
@@ -104,7 +154,7 @@ def build_fmu(
         reason = f"the cache folder {path.parent} cannot be made: {error}; set DDPC_COSIM_CACHE"
         raise ExportError(reason) from error
     try:
-        return _write(path, source, fmi_version, compiler)
+        return _write(path, source, [compiler], _silent)
     except ExportError:
         # Another process may have been faster, and Windows does not replace a file that is being read.
         if path.is_file():
@@ -113,15 +163,20 @@ def build_fmu(
 
 
 def fmu_source(
-    model: PlantModel, fmi_version: str, relative_tolerance: float, absolute_tolerance: float
+    model: PlantModel,
+    fmi_version: str,
+    relative_tolerance: float,
+    absolute_tolerance: float,
+    *,
+    with_sources: bool = True,
 ) -> FMUSource:
-    """Generate everything that an FMU consists of, except its binary."""
+    """Generate everything that an FMU consists of, except its binaries."""
     # Here and not above: a plant's variables can be read without the cost of SymPy's import.
     from fmu_plants.codegen import model_source
     from fmu_plants.symbolic import dependencies, resolve
 
     if fmi_version not in _FRONT_ENDS:
-        available = ", ".join(_FRONT_ENDS)
+        available = ", ".join(FMI_VERSIONS)
         raise ExportError(f"FMI version {fmi_version!r} cannot be exported; available: {available}")
     tolerances = {"relative_tolerance": relative_tolerance, "absolute_tolerance": absolute_tolerance}
     for name, value in tolerances.items():
@@ -132,33 +187,70 @@ def fmu_source(
     uses = dependencies(model, symbolic)
     runtime = package_files("fmu_plants") / "runtime"
     sources = {name: (runtime / name).read_text(encoding="utf-8") for name in (*_CORE, *front_end.FRONT_END)}
+    # The code of the model is the same but for the GUID in it, which its own text decides on.
+    code = model_source(model, symbolic, guid="", **tolerances)
 
     def described(guid: str) -> FMUSource:
-        code = model_source(model, symbolic, guid=guid, **tolerances)
-        all_sources = {_MODEL_SOURCE: code, **sources}
-        compiled = [name for name in all_sources if name.endswith(".c")]
-        description = front_end.model_description(
-            model, uses, guid=guid, relative_tolerance=relative_tolerance, sources=compiled
-        )
-        return FMUSource(model.name, guid, description, all_sources)
+        all_sources = {_MODEL_SOURCE: code.replace('.guid = ""', f'.guid = "{guid}"'), **sources}
+        listed = [name for name in all_sources if name.endswith(".c") and with_sources]
+        description = Description(model, uses, guid, relative_tolerance)
+        files = front_end.description_files(description, listed)
+        return FMUSource(model.name, guid, fmi_version, files, all_sources, with_sources)
 
     draft = described(guid="")
-    digest = _digest([draft.description, *(text for item in sorted(draft.sources.items()) for text in item)])
+    texts = {**draft.descriptions, **draft.sources}
+    digest = _digest([text for item in sorted(texts.items()) for text in item])
     return described(guid=f"{{{uuid.UUID(digest[:32])}}}")
 
 
-def _write(path: Path, source: FMUSource, fmi_version: str, compiler: Compiler) -> Path:
-    front_end = _FRONT_ENDS[fmi_version]
-    all_files = {**source.sources, **fmi_headers(front_end.HEADERS)}
-    library = compile_library(compiler, all_files, front_end.FUNCTIONS)
-    files = {f"sources/{name}": text.encode() for name, text in source.sources.items()}
-    files["modelDescription.xml"] = source.description.encode()
-    files[f"binaries/{front_end.platform()}/{source.name}{library_suffix()}"] = library
+def _plant(model: PlantModel | Any, path: Path) -> PlantModel:
+    if isinstance(model, PlantModel):
+        return model
+    # NumPy, which it needs, is not needed for models that are equations.
+    from fmu_plants.linear import identifier, state_space_model
+
+    return state_space_model(model, identifier(path.stem))
+
+
+def _compilers(platforms: str | Sequence[str] | None) -> list[Compiler]:
+    """Return a compiler for each platform; those that are named get the same compiler on every machine."""
+    if platforms is None:
+        return [find_compiler()]
+    return [cross_compiler(platform) for platform in parse_platforms(platforms)]
+
+
+def _write(path: Path, source: FMUSource, compilers: Sequence[Compiler], progress: Progress) -> Path:
+    files = {name: text.encode() for name, text in source.descriptions.items()}
+    if source.with_sources:
+        files |= {f"sources/{name}": text.encode() for name, text in source.sources.items()}
+    files |= binary_files(source.fmi_version, source.name, _compile(source, compilers, progress))
     try:
         write_atomically(path, zip_bytes(files))
     except OSError as error:
         raise ExportError(f"the FMU cannot be written to {path}: {error}") from error
     return path
+
+
+def _compile(source: FMUSource, compilers: Sequence[Compiler], progress: Progress) -> dict[Platform, bytes]:
+    """Compile the library for every platform, two at a time; the first failure ends it."""
+    front_end = _FRONT_ENDS[source.fmi_version]
+    all_files = {**source.sources, **fmi_headers(front_end.HEADERS)}
+    libraries: dict[Platform, bytes] = {}
+    with ThreadPoolExecutor(_COMPILERS_AT_ONCE) as pool:
+        jobs = {
+            c.platform: pool.submit(compile_library, c, all_files, front_end.FUNCTIONS) for c in compilers
+        }
+        try:
+            for count, (platform, job) in enumerate(jobs.items(), 1):
+                progress(f"compiling for {platform.name} ({count} of {len(jobs)})")
+                libraries[platform] = job.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return libraries
+
+
+def _silent(_: str) -> None:
+    """Tell nobody."""
 
 
 def fmi_headers(names: Sequence[str]) -> dict[str, str]:

@@ -1,29 +1,104 @@
 """``ddpc-cosim export``."""
 
+import importlib.util
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.errors import ConfigError, CosimError, PluginError
 from ddpc_cosim.plugins import load_plugin
 
+_MATRICES = ("A", "B", "C", "D")
 
-def export_command(name: str, fmi_version: str, out: Path | None) -> None:
-    """Export a plant's equations as an FMU and print its path.
+
+def export_command(target: str, fmi_version: str, out: Path | None, platforms: str | None = None) -> None:
+    """Export a plant's equations as an FMU and print its path; tell on stderr how far the compilers are.
+
+    Parameters
+    ----------
+    target : str
+        Name of an installed plant, ``module:MODEL`` (modules of the current folder count), or
+        ``file.py:MODEL``. The model is a `PlantModel` or a state-space model.
+    fmi_version : str
+        ``"2.0"`` or ``"3.0"``.
+    out : Path or None
+        The file; by default the plant's name with the extension fmu, in the current folder.
+    platforms : str or None
+        ``"all"`` or names separated by commas; None is this platform.
 
     Raises
     ------
     ConfigError
-        The plant is not given by equations.
+        The plant is not given by equations, or they contradict themselves.
+    PluginError
+        There is no such plant, or it cannot be loaded.
     CosimError
         The FMU could not be built.
     """
-    from fmu_plants import ExportError, PlantModel, export_fmu
+    from fmu_plants import ExportError, ModelError, PlantModel, export_fmu
 
-    model = load_plugin("plants", name)
-    if not isinstance(model, PlantModel):
+    model = _load(target)
+    if not isinstance(model, PlantModel) and not all(hasattr(model, matrix) for matrix in _MATRICES):
         raise ConfigError(
-            f'plant "{name}" is not given by equations (a PlantModel), so it cannot be exported'
+            f'plant "{target}" is not given by equations (a PlantModel or a state-space model), '
+            "so it cannot be exported"
         )
+    name = model.name if isinstance(model, PlantModel) else target.rpartition(":")[2].lower()
     try:
-        print(export_fmu(model, out or Path(f"{model.name}.fmu"), fmi_version))
+        path = export_fmu(
+            model,
+            out or Path(f"{name}.fmu"),
+            fmi_version,
+            platforms=platforms,
+            progress=None if platforms is None else _say,
+        )
+    except ModelError as error:
+        raise ConfigError(str(error)) from error
     except ExportError as error:
         raise CosimError(str(error)) from error
+    print(path)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _load(target: str) -> Any:
+    """Load a plant by name, from a module, or from a file."""
+    file, _, attribute = target.rpartition(":")
+    if target.endswith(".py"):
+        raise ConfigError(f'"{target}": name the model in the file, for example {target}:MODEL')
+    if file.endswith(".py"):
+        return _load_from_file(Path(file), attribute)
+    with _importable(Path.cwd()):
+        return load_plugin("plants", target)
+
+
+def _load_from_file(path: Path, attribute: str) -> Any:
+    if not path.is_file():
+        raise ConfigError(f'there is no file "{path}"')
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise PluginError(f'"{path}" is no Python file')
+    module = importlib.util.module_from_spec(spec)
+    with _importable(path.parent.resolve()):
+        try:
+            spec.loader.exec_module(module)
+        except Exception as error:  # a user's file can fail in any way
+            raise PluginError(f'"{path}" cannot be loaded: {type(error).__name__}: {error}') from error
+    if not hasattr(module, attribute):
+        names = ", ".join(name for name in vars(module) if not name.startswith("_"))
+        raise PluginError(f'"{path}" has no "{attribute}"; it has: {names or "nothing"}')
+    return getattr(module, attribute)
+
+
+@contextmanager
+def _importable(folder: Path) -> Iterator[None]:
+    """Let modules of a folder be imported."""
+    sys.path.insert(0, str(folder))
+    try:
+        yield
+    finally:
+        sys.path.remove(str(folder))

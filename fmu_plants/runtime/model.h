@@ -1,4 +1,4 @@
-/* The model as the runtime sees it: constant tables and two functions, generated from the plant's equations.
+/* The model as the runtime sees it: constant tables and three functions, generated from the plant's equations.
  *
  * The value reference of a variable is its position in `model.variables`, whose blocks follow one another:
  * time, states, derivatives of the states, inputs, algebraic outputs, parameters. */
@@ -26,6 +26,12 @@ typedef struct {
     double nominal;
 } Variable;
 
+/* An element of the Jacobian that is not zero everywhere, by value references. */
+typedef struct {
+    unsigned unknown; /* a derivative or an algebraic output */
+    unsigned known;   /* what it is differentiated by: time, a state, an input or a parameter */
+} Partial;
+
 typedef void (*ModelFunction)(double time, const double x[], const double u[], const double p[], double result[]);
 
 typedef struct {
@@ -35,11 +41,14 @@ typedef struct {
     size_t n_states;
     size_t n_inputs;
     size_t n_outputs;
+    size_t n_partials;
     const Variable *variables;
+    const Partial *partials;
     double relative_tolerance;
     double absolute_tolerance; /* in units of the nominal value of each state */
     ModelFunction derivatives;
     ModelFunction outputs;
+    ModelFunction jacobian; /* its elements in the order of `partials` */
 } Model;
 
 extern const Model model;

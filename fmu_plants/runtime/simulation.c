@@ -15,43 +15,33 @@ static void right_hand_side(double time, const double x[], void *context, double
     model.derivatives(time, x, simulation->u, simulation->p, dx);
 }
 
-static void assign_blocks(Simulation *simulation)
+Simulation *simulation_create(void)
 {
     const size_t n = model.n_states;
+    const size_t size = 3 * model.n_variables + model.n_partials + (DOPRI54_STAGES + 3) * n;
+    Simulation *simulation = calloc(1, sizeof(Simulation) + size * sizeof(double));
+    if (!simulation) return NULL;
+    simulation->values = simulation->memory;
     simulation->x = simulation->values + 1; /* time comes first */
     simulation->dx = simulation->x + n;
     simulation->u = simulation->dx + n;
     simulation->y = simulation->u + model.n_inputs;
     simulation->p = simulation->y + model.n_outputs;
+    simulation->seed = simulation->values + model.n_variables;
+    simulation->sensitivity = simulation->seed + model.n_variables;
+    simulation->jacobian = simulation->sensitivity + model.n_variables;
+    simulation->absolute_tolerance = simulation->jacobian + model.n_partials;
+    simulation->x_start = simulation->absolute_tolerance + n;
     simulation->method.n = n;
     simulation->method.absolute_tolerance = simulation->absolute_tolerance;
-    simulation->method.stages = simulation->workspace;
-    simulation->method.trial = simulation->workspace + DOPRI54_STAGES * n;
-}
-
-Simulation *simulation_create(void)
-{
-    const size_t n = model.n_states;
-    Simulation *simulation = calloc(1, sizeof(Simulation));
-    if (!simulation) return NULL;
-    simulation->values = calloc(model.n_variables, sizeof(double));
-    simulation->absolute_tolerance = calloc(n + 1, sizeof(double)); /* + 1: a model may have no state */
-    simulation->workspace = calloc((DOPRI54_STAGES + 2) * n + 1, sizeof(double));
-    if (!simulation->values || !simulation->absolute_tolerance || !simulation->workspace) {
-        simulation_free(simulation);
-        return NULL;
-    }
-    assign_blocks(simulation);
+    simulation->method.stages = simulation->x_start + n;
+    simulation->method.trial = simulation->method.stages + DOPRI54_STAGES * n;
     simulation_reset(simulation);
     return simulation;
 }
 
 void simulation_free(Simulation *simulation)
 {
-    if (!simulation) return;
-    free(simulation->workspace);
-    free(simulation->absolute_tolerance);
-    free(simulation->values);
     free(simulation);
 }
 
@@ -89,6 +79,12 @@ void simulation_set_value(Simulation *simulation, size_t reference, double value
     simulation->outdated = true;
 }
 
+void simulation_set_states(Simulation *simulation, const double x[])
+{
+    if (model.n_states > 0) memcpy(simulation->x, x, model.n_states * sizeof(double));
+    simulation->outdated = true;
+}
+
 void simulation_refresh(Simulation *simulation)
 {
     if (!simulation->outdated) return;
@@ -98,18 +94,22 @@ void simulation_refresh(Simulation *simulation)
     simulation->outdated = false;
 }
 
+void simulation_linearize(Simulation *simulation)
+{
+    model.jacobian(simulation_time(simulation), simulation->x, simulation->u, simulation->p, simulation->jacobian);
+}
+
 Advance simulation_advance(Simulation *simulation, double start, double span)
 {
     const size_t size = model.n_states * sizeof(double);
-    double *x_start = simulation->method.trial + model.n_states;
     double elapsed;
-    memcpy(x_start, simulation->x, size);
+    memcpy(simulation->x_start, simulation->x, size);
     const Dopri54Result result = dopri54_integrate(&simulation->method, right_hand_side, simulation, start, span,
                                                    simulation->x, &simulation->step, &elapsed);
     if (result == DOPRI54_DONE) {
         simulation_set_time(simulation, start + span);
     } else {
-        memcpy(simulation->x, x_start, size);
+        memcpy(simulation->x, simulation->x_start, size);
     }
     return (Advance){result, start + elapsed};
 }

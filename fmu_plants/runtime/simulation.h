@@ -21,7 +21,11 @@ typedef struct {
     double step;    /* internal step size to begin the next communication step with, 0 if unknown */
     Dopri54 method;
     double *absolute_tolerance;
-    double *workspace;
+    double *x_start;     /* states at the beginning of a communication step, to go back to */
+    double *jacobian;    /* its elements in the order of model.partials, after simulation_linearize */
+    double *seed;        /* by value reference, like `sensitivity`: room for products with the Jacobian */
+    double *sensitivity;
+    double memory[];     /* what all of these point into */
 } Simulation;
 
 typedef struct {
@@ -41,9 +45,13 @@ void simulation_set_tolerance(Simulation *simulation, double relative_tolerance)
 double simulation_time(const Simulation *simulation);
 void simulation_set_time(Simulation *simulation, double time);
 void simulation_set_value(Simulation *simulation, size_t reference, double value);
+void simulation_set_states(Simulation *simulation, const double x[]);
 
 /* Bring derivatives and algebraic outputs up to date with states, inputs and parameters. */
 void simulation_refresh(Simulation *simulation);
+
+/* Evaluate the Jacobian at the present time, states, inputs and parameters. */
+void simulation_linearize(Simulation *simulation);
 
 /* Integrate from `start` by `span` with inputs held; after a failure the states are those at `start`. */
 Advance simulation_advance(Simulation *simulation, double start, double span);

@@ -8,6 +8,7 @@ from typing import Any
 
 import fmpy
 import fmpy.fmi2 as fmi2
+import fmpy.fmi3 as fmi3
 import numpy as np
 import pytest
 
@@ -23,9 +24,13 @@ class Library:
             archive.extractall(folder)
         self.description = fmpy.read_model_description(str(fmu))
         self.references = {v.name: v.valueReference for v in self.description.modelVariables}
+        is_fmi2 = self.description.fmiVersion == "2.0"
         name = self.description.coSimulation.modelIdentifier + fmpy.sharedLibraryExtension
-        self.functions = ctypes.CDLL(str(folder / "binaries" / fmpy.platform / name))
-        self.functions.fmi2Instantiate.restype = ctypes.c_void_p
+        place = fmpy.platform if is_fmi2 else fmpy.platform_tuple
+        self.functions = ctypes.CDLL(str(folder / "binaries" / place / name))
+        kinds = ("2Instantiate",) if is_fmi2 else ("3InstantiateCoSimulation", "3InstantiateModelExchange")
+        for kind in kinds:
+            getattr(self.functions, f"fmi{kind}").restype = ctypes.c_void_p
 
 
 class Instance:
@@ -120,21 +125,103 @@ class Instance:
         self.library.functions.fmi2FreeInstance(ctypes.c_void_p(self.component))
 
 
+class Instance3:
+    """The same for FMI 3.0."""
+
+    def __init__(self, library: Library, *, exchange: bool = False, token: str | None = None) -> None:
+        self.library = library
+        self.messages: list[tuple[int, str, str]] = []
+
+        def log(_: object, status: int, category: bytes, message: bytes) -> None:
+            self.messages.append((status, category.decode(), message.decode()))
+
+        self.logger = fmi3.fmi3LogMessageCallback(log)
+        guid = (token or library.description.guid).encode()
+        if exchange:
+            arguments = [b"plant", guid, b"", False, True, None, self.logger]
+            self.component = library.functions.fmi3InstantiateModelExchange(*arguments)
+        else:
+            arguments = [b"plant", guid, b"", False, True, False, False, None, ctypes.c_size_t(0)]
+            self.component = library.functions.fmi3InstantiateCoSimulation(
+                *arguments, None, self.logger, None
+            )
+
+    def call(self, name: str, *arguments: Any) -> int:
+        return int(getattr(self.library.functions, name)(ctypes.c_void_p(self.component), *arguments))
+
+    def initialize(
+        self, *, tolerance: float | None = None, start: float = 0.0, stop: float | None = None
+    ) -> int:
+        return self.call(
+            "fmi3EnterInitializationMode",
+            tolerance is not None,
+            ctypes.c_double(tolerance or 0.0),
+            ctypes.c_double(start),
+            stop is not None,
+            ctypes.c_double(stop or 0.0),
+        )
+
+    def start(self, values: dict[str, float] | None = None, **experiment: float) -> "Instance3":
+        """Bring the instance to its first communication point, or into event mode."""
+        assert self.set(values or {}) == fmi3.fmi3OK
+        assert self.initialize(**experiment) == fmi3.fmi3OK
+        assert self.call("fmi3ExitInitializationMode") == fmi3.fmi3OK
+        return self
+
+    def set(self, values: dict[str, float]) -> int:
+        n = len(values)
+        references = (ctypes.c_uint * n)(*(self.library.references[name] for name in values))
+        numbers = (ctypes.c_double * n)(*values.values())
+        return self.call("fmi3SetFloat64", references, ctypes.c_size_t(n), numbers, ctypes.c_size_t(n))
+
+    def get_with_status(self, *names: str) -> tuple[int, np.ndarray]:
+        n = len(names)
+        references = (ctypes.c_uint * n)(*(self.library.references[name] for name in names))
+        values = (ctypes.c_double * n)()
+        status = self.call("fmi3GetFloat64", references, ctypes.c_size_t(n), values, ctypes.c_size_t(n))
+        return status, np.array(values)
+
+    def get(self, *names: str) -> np.ndarray:
+        status, values = self.get_with_status(*names)
+        assert status == fmi3.fmi3OK, self.messages
+        return values
+
+    def step(self, time: float, size: float) -> int:
+        self.flags = (ctypes.c_bool * 3)(True, True, True)
+        self.last_time = ctypes.c_double()
+        flags = [ctypes.byref(self.flags, index) for index in range(3)]
+        return self.call(
+            "fmi3DoStep",
+            ctypes.c_double(time),
+            ctypes.c_double(size),
+            True,
+            *flags,
+            ctypes.byref(self.last_time),
+        )
+
+    def free(self) -> None:
+        self.library.functions.fmi3FreeInstance(ctypes.c_void_p(self.component))
+
+
 @pytest.fixture(scope="session", autouse=True)
-def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Leave the user's cache folder alone."""
+def own_cache_folder(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Iterator[None]:
+    """Leave the user's cache folder alone; zig's own cache serves one run of the tests after the other."""
+    assert pytestconfig.cache is not None
+    zig_cache = str(pytestconfig.cache.mkdir("zig"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DDPC_COSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("ZIG_GLOBAL_CACHE_DIR", zig_cache)
+        patch.setenv("ZIG_LOCAL_CACHE_DIR", zig_cache)
         yield
 
 
 @pytest.fixture
-def open_fmu(tmp_path: Path) -> Iterator[Callable[[Path], Instance]]:
+def open_fmu(tmp_path: Path) -> Iterator[Callable[..., Instance]]:
     """Extract FMUs and open an instance of each, freed after the test."""
     instances: list[Instance] = []
 
-    def open_instance(fmu: Path) -> Instance:
-        instances.append(Instance(Library(fmu, tmp_path / f"extracted-{len(instances)}")))
+    def open_instance(fmu: Path, **options: Any) -> Instance:
+        instances.append(Instance(Library(fmu, tmp_path / f"extracted-{len(instances)}"), **options))
         return instances[-1]
 
     yield open_instance
@@ -166,6 +253,30 @@ def pendulum(pendulum_library: Library) -> Iterator[Callable[..., Instance]]:
         instance.free()
 
 
+@pytest.fixture(scope="session")
+def pendulum3_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_fmu(MODEL, tmp_path_factory.mktemp("fmu") / "pendulum.fmu", "3.0")
+
+
+@pytest.fixture(scope="session")
+def pendulum3_library(pendulum3_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Library:
+    return Library(pendulum3_fmu, tmp_path_factory.mktemp("pendulum3"))
+
+
+@pytest.fixture
+def pendulum3(pendulum3_library: Library) -> Iterator[Callable[..., Instance3]]:
+    """Open instances of the pendulum for FMI 3.0 that are freed after the test."""
+    instances: list[Instance3] = []
+
+    def open_instance(**options: Any) -> Instance3:
+        instances.append(Instance3(pendulum3_library, **options))
+        return instances[-1]
+
+    yield open_instance
+    for instance in instances:
+        instance.free()
+
+
 def _escape_equations(v: Symbols) -> Equations:
     from sympy import sqrt
 
@@ -187,6 +298,14 @@ ESCAPE = PlantModel(
 def escape_library(tmp_path_factory: pytest.TempPathFactory) -> Library:
     folder = tmp_path_factory.mktemp("escape")
     return Library(export_fmu(ESCAPE, folder / "escape.fmu"), folder / "extracted")
+
+
+@pytest.fixture
+def escape_exchange(escape_library: Library) -> Iterator[Instance]:
+    """An instance for Model Exchange."""
+    instance = Instance(escape_library, kind=fmi2.fmi2ModelExchange)
+    yield instance
+    instance.free()
 
 
 @pytest.fixture

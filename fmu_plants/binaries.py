@@ -1,0 +1,89 @@
+"""Which functions a shared library exports, read from its file: ELF, PE and Mach-O, 64 bit, little endian.
+
+A library for another platform cannot be loaded here to see whether it has what it must.
+"""
+
+import struct
+from collections.abc import Iterator
+
+_ELF_MAGIC, _PE_MAGIC, _MACHO_MAGIC = b"\x7fELF\x02\x01", b"MZ", b"\xcf\xfa\xed\xfe"
+
+
+def exported_symbols(library: bytes) -> frozenset[str]:
+    """Return the names of the functions and data that a library exports.
+
+    Raises
+    ------
+    ValueError
+        The file is no shared library of a known format, or is damaged.
+    """
+    readers = {_ELF_MAGIC: _elf_exports, _PE_MAGIC: _pe_exports, _MACHO_MAGIC: _macho_exports}
+    for magic, reader in readers.items():
+        if library.startswith(magic):
+            try:
+                return frozenset(reader(library))
+            except (struct.error, IndexError, StopIteration) as error:
+                raise ValueError(f"the library is damaged: {error}") from error
+    raise ValueError("the library is neither ELF nor PE nor Mach-O of 64 bit")
+
+
+def _text(content: bytes, offset: int) -> str:
+    return content[offset : content.index(b"\0", offset)].decode("utf-8", errors="replace")
+
+
+def _elf_exports(content: bytes) -> Iterator[str]:
+    """Read the section of dynamic symbols (System V ABI, ELF-64 object file format)."""
+    dynamic_symbols, undefined, local = 11, 0, 0
+    (table,) = struct.unpack_from("<Q", content, 0x28)
+    size, count = struct.unpack_from("<2H", content, 0x3A)
+    # name, type, flags, address, offset, size, link, ...
+    sections = [struct.unpack_from("<2I4QI", content, table + index * size) for index in range(count)]
+    for _, kind, _, _, offset, length, link in sections:
+        if kind == dynamic_symbols:
+            names = sections[link][4]
+            for position in range(offset, offset + length, 24):
+                name, info, _, section = struct.unpack_from("<I2BH", content, position)
+                if section != undefined and info >> 4 != local:
+                    yield _text(content, names + name)
+
+
+def _pe_exports(content: bytes) -> Iterator[str]:
+    """Read the export directory (Microsoft, PE format, sections "Optional header" and ".edata")."""
+    (header,) = struct.unpack_from("<I", content, 0x3C)
+    (n_sections,) = struct.unpack_from("<H", content, header + 6)
+    (optional_size,) = struct.unpack_from("<H", content, header + 20)
+    optional = header + 24
+    sections: list[tuple[int, ...]] = [
+        struct.unpack_from("<4I", content, optional + optional_size + 40 * index + 8)
+        for index in range(n_sections)
+    ]
+
+    def offset_of(address: int) -> int:
+        for virtual_size, start, raw_size, offset in sections:
+            if start <= address < start + max(virtual_size, raw_size):
+                return offset + address - start
+        raise IndexError(f"no section holds the address {address:#x}")
+
+    (directory,) = struct.unpack_from("<I", content, optional + 112)
+    if not directory:
+        return
+    count, _, names = struct.unpack_from("<3I", content, offset_of(directory) + 24)
+    table = offset_of(names) if count else 0
+    for (address,) in struct.iter_unpack("<I", content[table : table + 4 * count]):
+        yield _text(content, offset_of(address))
+
+
+def _macho_exports(content: bytes) -> Iterator[str]:
+    """Read the symbol table (Apple, Mach-O file format reference); C names have an underscore before them."""
+    symbol_table, private, external, in_section, type_mask = 0x2, 0x10, 0x01, 0x0E, 0x0E
+    (n_commands,) = struct.unpack_from("<I", content, 16)
+    position = 32
+    for _ in range(n_commands):
+        command, size = struct.unpack_from("<2I", content, position)
+        if command == symbol_table:
+            symbols, count, names, _ = struct.unpack_from("<4I", content, position + 8)
+            for index in range(count):
+                name, kind = struct.unpack_from("<IB", content, symbols + 16 * index)
+                if kind & external and not kind & private and kind & type_mask == in_section:
+                    yield _text(content, names + name).removeprefix("_")
+        position += size

@@ -1,0 +1,142 @@
+"""Plants given by state-space matrices: x' = A x + B u, y = C x + D u."""
+
+import re
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu_plants.errors import ModelError
+from fmu_plants.model import Equations, PlantModel, Symbols, Variable
+
+_MATRICES = ("A", "B", "C", "D")
+
+
+class StateSpaceMatrices(Protocol):
+    """What is used of a `control.StateSpace`; anything with these matrices will do."""
+
+    A: Any
+    B: Any
+    C: Any
+    D: Any
+
+
+def identifier(text: str) -> str:
+    """Return the text as a name that a variable or model can have."""
+    name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
+    return name if name and not name[0].isdigit() else f"_{name}"
+
+
+def state_space_model(
+    system: StateSpaceMatrices,
+    name: str,
+    *,
+    inputs: Sequence[Variable] | None = None,
+    outputs: Sequence[Variable] | None = None,
+    states: Sequence[Variable] | None = None,
+    description: str = "Linear state-space model",
+    source: str = "",
+    step_size: float = 0.1,
+    stop_time: float = 10.0,
+) -> PlantModel:
+    """Return a plant model of a linear system in continuous time.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Or anything with matrices A (n, n), B (n, m), C (p, n) and D (p, m). Labels of its signals become
+        names: ``u[0]`` becomes ``u_0``.
+    name : str
+        A C identifier; names the FMU and its library.
+    inputs, outputs, states : sequence of Variable, optional
+        Names, units, ranges and start values, in the order of the matrices; by default the labels of the
+        system, without units.
+    description, source, step_size, stop_time
+        See `PlantModel`.
+
+    Raises
+    ------
+    ModelError
+        The matrices do not fit each other or the variables, are not finite, or the time is discrete.
+    """
+    a, b, c, d = _matrices(system, name)
+    dimensions = {"states": len(a), "inputs": b.shape[1], "outputs": len(c)}
+    x = _variables(system, "state", "x", dimensions["states"], states)
+    u = _variables(system, "input", "u", dimensions["inputs"], inputs)
+    y = _variables(system, "output", "y", dimensions["outputs"], outputs)
+    given = {"states": x, "inputs": u, "outputs": y}
+    faults = [
+        f"{len(given[what])} {what} are given, the matrices have {number}"
+        for what, number in dimensions.items()
+        if len(given[what]) != number
+    ]
+    if faults:
+        raise ModelError.from_faults(name, faults)
+    if states is None:
+        x = _apart_from(x, {variable.name for variable in (*u, *y)})
+
+    def equations(v: Symbols) -> Equations:
+        return Equations(
+            {state.name: _row(v, a[i], x) + _row(v, b[i], u) for i, state in enumerate(x)},
+            {output.name: _row(v, c[i], x) + _row(v, d[i], u) for i, output in enumerate(y)},
+        )
+
+    return PlantModel(
+        name=name,
+        description=description,
+        source=source,
+        states=x,
+        inputs=u,
+        outputs=y,
+        equations=equations,
+        step_size=step_size,
+        stop_time=stop_time,
+    )
+
+
+def _matrices(system: Any, name: str) -> list[NDArray[np.float64]]:
+    missing = [matrix for matrix in _MATRICES if not hasattr(system, matrix)]
+    if missing:
+        raise ModelError(
+            f"{name}: {type(system).__name__} is neither a PlantModel nor a state-space model "
+            f"(it has no {', '.join(missing)})"
+        )
+    # A sampling time of 0 or None is continuous time.
+    if getattr(system, "dt", None):
+        raise ModelError(f"{name}: the system is in discrete time (dt = {system.dt}); FMUs are continuous")
+    a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, matrix), dtype=float)) for matrix in _MATRICES)
+    n, (p, m) = a.shape[0] if a.size else 0, d.shape
+    expected = {"A": (n, n), "B": (n, m), "C": (p, n)}
+    faults = [
+        f"{matrix} has the shape {values.shape}, expected {expected[matrix]}"
+        for matrix, values in zip(expected, (a, b, c), strict=False)
+        if values.size != np.prod(expected[matrix]) or (n and values.shape != expected[matrix])
+    ]
+    faults += [
+        f"{matrix} has elements that are not finite"
+        for matrix, values in zip(_MATRICES, (a, b, c, d), strict=True)
+        if not np.isfinite(values).all()
+    ]
+    if faults:
+        raise ModelError.from_faults(name, faults)
+    return [a.reshape(n, n), b.reshape(n, m), c.reshape(p, n), d]
+
+
+def _variables(
+    system: Any, kind: str, letter: str, number: int, given: Sequence[Variable] | None
+) -> tuple[Variable, ...]:
+    if given is not None:
+        return tuple(given)
+    labels = getattr(system, f"{kind}_labels", None) or [f"{letter}[{i}]" for i in range(number)]
+    return tuple(Variable(identifier(label)) for label in labels)
+
+
+def _apart_from(states: Sequence[Variable], taken: set[str]) -> tuple[Variable, ...]:
+    """Rename states that have the name of an input or output, which python-control allows."""
+    return tuple(Variable(f"state_{v.name}") if v.name in taken else v for v in states)
+
+
+def _row(v: Symbols, coefficients: NDArray[np.float64], variables: Sequence[Variable]) -> Any:
+    terms = zip(coefficients, variables, strict=True)
+    return sum(float(factor) * v[variable.name] for factor, variable in terms if factor)

@@ -1,0 +1,242 @@
+"""The plants: their FMUs of all four kinds against formulas written here, and what they are known for."""
+
+import importlib
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from scipy.integrate import solve_ivp
+from scipy.linalg import eigvals
+from scipy.optimize import brentq
+
+from ddpc_cosim import FMUPlant
+from fmu_plants import build_fmu
+from fmu_plants.linearisation import linearise
+
+SAMPLES = 40
+
+
+def pendulum(x, u):
+    return [x[1], -9.81 / 0.2 * np.sin(x[0]) - 0.4 / 0.2 * x[1] + u[0] / 0.2]
+
+
+def van_der_pol(x, u):
+    return [x[1], (1.0 - x[0] ** 2) * x[1] - x[0] + u[0]]
+
+
+def quadruple_tank(x, u):
+    q = [a * np.sqrt(2 * 981.0 * h) for a, h in zip((0.071, 0.057, 0.071, 0.057), x, strict=True)]
+    return [
+        (-q[0] + q[2] + 0.7 * 3.33 * u[0]) / 28.0,
+        (-q[1] + q[3] + 0.6 * 3.35 * u[1]) / 32.0,
+        (-q[2] + 0.4 * 3.35 * u[1]) / 28.0,
+        (-q[3] + 0.3 * 3.33 * u[0]) / 32.0,
+    ]
+
+
+def cstr(x, u):
+    """In minutes, as published, divided by 60 s/min at the end."""
+    reaction = 7.2e10 * np.exp(-8750.0 / x[1]) * x[0]
+    heating = 5e4 / (1000.0 * 0.239) * reaction
+    cooling = 5e4 / (100.0 * 1000.0 * 0.239) * (u[0] - x[1])
+    return [(1.0 - x[0] - reaction) / 60.0, (350.0 - x[1] + heating + cooling) / 60.0]
+
+
+def two_mass_drive(x, u):
+    inertia = np.diag([0.02, 0.03, 1.0])
+    forces = np.array([[-0.06, 0.05, -40.0], [0.05, -0.07, 40.0], [1.0, -1.0, 0.0]]) @ x
+    return np.linalg.solve(inertia, forces + np.array([u[0], -u[1], 0.0]))
+
+
+def cart_pendulum(x, u):
+    _, velocity, angle, rate = x
+    ml = 0.2 * 0.3
+    masses = np.array([[0.7, -ml * np.cos(angle)], [-ml * np.cos(angle), 0.006 + ml * 0.3]])
+    forces = [u[0] - 0.1 * velocity - ml * rate**2 * np.sin(angle), ml * 9.81 * np.sin(angle)]
+    acceleration, angular_acceleration = np.linalg.solve(masses, forces)
+    return [velocity, acceleration, rate, angular_acceleration]
+
+
+# How far the inputs go from their start values.
+AMPLITUDES = {
+    pendulum: 3.5,
+    van_der_pol: 1.0,
+    quadruple_tank: 1.0,
+    cstr: 5.0,
+    two_mass_drive: 2.0,
+    cart_pendulum: 0.2,
+}
+PLANTS = [pytest.param(formula, amplitude, id=formula.__name__) for formula, amplitude in AMPLITUDES.items()]
+
+
+def model_of(formula):
+    return importlib.import_module(f"fmu_plants.{formula.__name__}").MODEL
+
+
+def starts(variables):
+    return np.array([variable.start for variable in variables])
+
+
+def excitation(model, amplitude):
+    """Return inputs that are held, shape (SAMPLES, m)."""
+    rng = np.random.default_rng(8)
+    return starts(model.inputs) + rng.uniform(-amplitude, amplitude, (SAMPLES, len(model.inputs)))
+
+
+def reference(model, formula, inputs):
+    """Return the states at the end of every sample, shape (SAMPLES, n)."""
+    x, rows = starts(model.states), []
+    for u in inputs:
+        x = solve_ivp(
+            lambda _, x, u=u: formula(x, u), (0.0, model.step_size), x, "DOP853", rtol=1e-12, atol=1e-13
+        ).y[:, -1]
+        rows.append(x)
+    return np.array(rows)
+
+
+def simulated(fmu, model, inputs, kind):
+    times = model.step_size * np.arange(SAMPLES + 1)
+    held = np.zeros(2 * SAMPLES, [("time", "f8"), *((v.name, "f8") for v in model.inputs)])
+    held["time"] = np.repeat(times, 2)[1:-1]  # a doubled instant is a jump to FMPy
+    for variable, column in zip(model.inputs, inputs.T, strict=True):
+        held[variable.name] = np.repeat(column, 2)
+    result = fmpy.simulate_fmu(
+        str(fmu),
+        stop_time=times[-1],
+        output_interval=model.step_size,
+        input=held,
+        output=[state.name for state in model.states],
+        fmi_type=kind,
+        relative_tolerance=1e-12,
+        record_events=False,
+    )
+    return np.column_stack([result[state.name][1:] for state in model.states])
+
+
+@pytest.mark.parametrize("fmi_version", ["2.0", "3.0"])
+@pytest.mark.parametrize(("formula", "amplitude"), PLANTS)
+def test_co_simulation_and_model_exchange_agree_with_the_formula(formula, amplitude, fmi_version):
+    model = model_of(formula)
+    fmu = build_fmu(model, fmi_version)
+    assert validate_fmu(str(fmu)) == []
+    inputs = excitation(model, amplitude)
+    exact = reference(model, formula, inputs)
+    nominal = np.array([state.nominal for state in model.states])
+    for kind in ("CoSimulation", "ModelExchange"):
+        error = np.abs(simulated(fmu, model, inputs, kind) - exact) / nominal
+        assert error.max() <= 1e-7, kind
+
+
+@pytest.mark.parametrize("fmi_type", ["co-simulation", "model-exchange"])
+@pytest.mark.parametrize("fmi_version", ["2.0", "3.0"])
+@pytest.mark.parametrize(("formula", "amplitude"), PLANTS)
+def test_they_agree_behind_the_plant_contract_as_well(formula, amplitude, fmi_version, fmi_type):
+    model = model_of(formula)
+    inputs = excitation(model, amplitude)[:10]
+    names = [variable.name for variable in model.inputs]
+    states = [state.name for state in model.states]
+    fmu = build_fmu(model, fmi_version)
+    with FMUPlant(fmu, inputs=names, outputs=states, fmi_type=fmi_type) as plant:
+        plant.reset()
+        rows = np.array([plant.step(u, model.step_size) for u in inputs])
+    error = np.abs(rows - reference(model, formula, inputs)) / [state.nominal for state in model.states]
+    assert error.max() <= 1e-7
+
+
+@pytest.mark.parametrize(("formula", "amplitude"), PLANTS)
+def test_plants_begin_at_rest(formula, amplitude):
+    model = model_of(formula)
+    slope = np.array(formula(starts(model.states), starts(model.inputs)))
+    assert np.abs(slope / [state.nominal for state in model.states]).max() <= 1e-14
+
+
+@pytest.mark.parametrize(("formula", "amplitude"), PLANTS)
+def test_linear_models_are_the_differences_of_the_formula(formula, amplitude):
+    model = model_of(formula)
+    n = len(model.states)
+    rng = np.random.default_rng(9)
+    nominal = np.array([v.nominal for v in (*model.states, *model.inputs)])
+    point = starts((*model.states, *model.inputs)) + 0.05 * nominal * rng.uniform(-1, 1, len(nominal))
+    a, b, c, d = linearise(model, point[:n], point[n:])
+    for index, size in enumerate(1e-6 * nominal):
+        shift = size * np.eye(len(point))[index]
+        up, down = (np.array(formula(z[:n], z[n:])) for z in (point + shift, point - shift))
+        assert np.hstack([a, b])[:, index] == pytest.approx((up - down) / (2 * size), rel=1e-6, abs=1e-6)
+    selected = [[float(output.name == state.name) for state in model.states] for output in model.outputs]
+    np.testing.assert_array_equal(c, selected)
+    assert not d.any()
+
+
+def zeros(a, b, c, d):
+    """Return the finite transmission zeros, from the system matrix."""
+    n, m = b.shape
+    values = eigvals(
+        np.block([[a, b], [c, d]]), np.block([[np.eye(n), np.zeros((n, m))], [np.zeros((m, n + m))]])
+    )
+    return values[np.isfinite(values) & (np.abs(values) < 1e3)].real
+
+
+def test_a_zero_of_the_quadruple_tank_moves_with_the_valves():
+    """Johansson (2000), section II.C: minimum phase if and only if gamma_1 + gamma_2 > 1."""
+    model = model_of(quadruple_tank)
+    assert zeros(*linearise(model)).max() < 0.0
+    moved = {"split_1": 0.43, "split_2": 0.34, "pump_gain_1": 3.14, "pump_gain_2": 3.29}
+    assert zeros(*linearise(model, parameters=moved)).max() > 0.0
+
+
+def test_the_quadruple_tank_begins_near_the_published_point():
+    """Johansson (2000), table II: 12.4, 12.7, 1.8, 1.4 cm, measured with the nominal voltages."""
+    assert starts(model_of(quadruple_tank).states) == pytest.approx([12.4, 12.7, 1.8, 1.4], rel=0.1)
+
+
+def test_the_reactor_has_three_equilibria_of_which_it_begins_at_the_cold_one():
+    model = model_of(cstr)
+
+    def imbalance(temperature, coolant=300.0):
+        concentration = 1.0 / (1.0 + 7.2e10 * np.exp(-8750.0 / temperature))
+        return cstr([concentration, temperature], [coolant])[1]
+
+    grid = np.linspace(300.0, 450.0, 301)
+    signs = np.sign([imbalance(temperature) for temperature in grid])
+    brackets = [(grid[i], grid[i + 1]) for i in np.flatnonzero(np.diff(signs))]
+    cold, middle, _ = (brentq(imbalance, *bracket) for bracket in brackets)
+    assert cold == pytest.approx(model.states[1].start, abs=1e-6)
+    assert middle == pytest.approx(350.0, abs=0.1)
+    assert starts(model.inputs)[0] == pytest.approx(300.0, abs=1e-6)
+    assert eigvals(linearise(model).A).real.max() < 0.0
+    at_the_middle = [1.0 / (1.0 + 7.2e10 * np.exp(-8750.0 / middle)), middle]
+    assert eigvals(linearise(model, at_the_middle, [300.0]).A).real.max() > 0.0
+    ignited = [imbalance(temperature, 306.0) for temperature in np.linspace(300.0, 360.0, 121)]
+    assert min(ignited) > 0.0  # no equilibrium is left below
+
+
+def test_the_drive_resonates_lightly_damped_at_nine_hertz():
+    poles = eigvals(linearise(model_of(two_mass_drive)).A)
+    resonance = poles[poles.imag > 0][0]
+    assert abs(resonance) / (2 * np.pi) == pytest.approx(9.2, abs=0.1)
+    assert -resonance.real / abs(resonance) == pytest.approx(0.05, abs=0.02)
+
+
+def test_the_cart_is_unstable_upright():
+    poles = eigvals(linearise(model_of(cart_pendulum)).A).real
+    assert sorted(np.sign(np.round(poles, 9))) == [-1.0, -1.0, 0.0, 1.0]
+    # "Inverted Pendulum: System Modeling" has these elements, for g = 9.8 m/s2.
+    a, b, *_ = linearise(model_of(cart_pendulum), parameters={"gravity": 9.8})
+    assert a[[1, 1, 3, 3], [1, 2, 1, 2]] == pytest.approx([-0.1818, 2.6727, -0.4545, 31.1818], abs=1e-4)
+    assert b[[1, 3], 0] == pytest.approx([1.8182, 4.5455], abs=1e-4)
+
+
+def test_an_empty_tank_stays_empty():
+    """Without pumps the levels go to zero and not below what the tolerance allows."""
+    model = model_of(quadruple_tank)
+    result = fmpy.simulate_fmu(
+        str(build_fmu(model)),
+        stop_time=1000.0,
+        output_interval=5.0,
+        start_values={"pump_1": 0.0, "pump_2": 0.0},
+        output=[state.name for state in model.states],
+    )
+    levels = np.column_stack([result[state.name] for state in model.states])
+    assert np.abs(levels[-1]).max() <= 1e-6
+    assert levels.min() >= -1e-6
