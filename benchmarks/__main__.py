@@ -4,9 +4,17 @@ import argparse
 import sys
 from collections.abc import Callable, Mapping
 
-from benchmarks import step
+from benchmarks import fmu, inspection, isolation, mfapc, online, peers, step
 
-BENCHMARKS: Mapping[str, Callable[[], bool]] = {"step": step.main}
+BENCHMARKS: Mapping[str, Callable[[], bool]] = {
+    "fmu": fmu.main,
+    "inspect": inspection.main,
+    "isolation": isolation.main,
+    "mfapc": mfapc.main,
+    "online": online.main,
+    "peers": peers.main,
+    "step": step.main,
+}
 
 
 def main() -> int:

@@ -3,6 +3,7 @@
 CosimError
 ├── ConfigError       a study, a setting or a call is wrong
 ├── DataError         a recording cannot serve the purpose
+│   └── DivergenceError   the plant diverged while it was recorded
 ├── ControllerError   a controller raised, or returned something unusable
 ├── PluginError       a plug-in cannot be found or loaded
 ├── FMUImportError    an FMU cannot be loaded
@@ -15,6 +16,10 @@ from enum import StrEnum
 
 class CosimError(Exception):
     """Base of every error that ddpc-cosim raises on purpose."""
+
+
+class CosimWarning(UserWarning):
+    """Something is not as it should be but can be worked with: an FMU that is not quite valid."""
 
 
 class ConfigError(CosimError):
@@ -32,6 +37,10 @@ class DataError(CosimError):
     """A recording is malformed, too short or not persistently exciting enough."""
 
 
+class DivergenceError(DataError):
+    """The plant returned a value that is not finite during the open-loop experiment."""
+
+
 class ControllerError(CosimError):
     """A controller raised an exception or returned an unusable action."""
 
@@ -45,11 +54,13 @@ class FMUImportError(CosimError):
 
 
 class StepStatus(StrEnum):
-    """What an FMU call that did not succeed returned."""
+    """What an FMU call that did not succeed returned, or why it did not return."""
 
     ERROR = "error"
     DISCARD = "discard"
     FATAL = "fatal"
+    CRASHED = "crashed"
+    TIMED_OUT = "timed-out"
 
 
 class FMUStepError(CosimError):
@@ -60,7 +71,7 @@ class FMUStepError(CosimError):
     message : str
         The FMU, the call and the FMU's own words.
     status : StepStatus
-        What the call returned.
+        What the call returned; crashed or timed out if it did not (isolated FMUs).
     time : float
         Simulation time of the call [s].
     """

@@ -3,18 +3,21 @@
 import os
 import signal
 import sys
-import tempfile
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
-from multiprocessing import get_context
+from functools import cache
+from multiprocessing import get_context, parent_process
 from multiprocessing.context import BaseContext
+from multiprocessing.util import Finalize, get_temp_dir
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pebble import ProcessExpired, ProcessPool
 
 from ddpc_cosim.errors import CosimError
+from ddpc_cosim.fmu import isolation_launch, scratch
 from ddpc_cosim.storage import remove_drafts, write_case
 from ddpc_cosim.study import Case, no_samples, run_case
 from ddpc_cosim.trace import Outcome
@@ -22,6 +25,9 @@ from ddpc_cosim.trace import Outcome
 _POLL_SECONDS = 0.1
 # Small matrices gain nothing from threaded linear algebra, and workers would fight for the processors.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+# It removes its folder at -100.
+_AFTER_MULTIPROCESSING = -200
 
 _updates: Any = None
 
@@ -56,12 +62,16 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
     with (
         _single_threaded(),
         # Whatever a worker that was killed has left behind is removed with this folder.
-        tempfile.TemporaryDirectory(prefix="ddpc-cosim-", ignore_cleanup_errors=True) as scratch,
+        scratch.ScratchFolder() as temporary,
         _no_drafts(cases, folder),
-        ProcessPool(jobs, context=context, initializer=_prepare_worker, initargs=[updates, scratch]) as pool,
+        ProcessPool(
+            jobs, context=context, initializer=_prepare_worker, initargs=[updates, temporary]
+        ) as pool,
     ):
         running: dict[Future[None], Case] = {
-            pool.schedule(_run_and_write, args=[case, folder / case.id]): case for case in cases
+            # The id goes with the case: a worker may see other code, and so another id, than the master did.
+            pool.schedule(_run_and_write, args=[case, folder / case.id, case.head()]): case
+            for case in cases
         }
         try:
             while running:
@@ -83,9 +93,17 @@ def _context() -> BaseContext:
     """Return the quickest way to start clean workers: a preloaded fork server where there is one."""
     if sys.platform == "win32" or sys.platform == "darwin":
         return get_context("spawn")
+    _keep_sockets()
     context = get_context("forkserver")
     context.set_forkserver_preload([__name__])
     return context
+
+
+@cache
+def _keep_sockets() -> None:
+    """Have multiprocessing's folder removed also if this process is killed."""
+    keeper = scratch.Keeper(Path(get_temp_dir()))
+    Finalize(None, keeper.dismiss, exitpriority=_AFTER_MULTIPROCESSING)
 
 
 @contextmanager
@@ -110,15 +128,25 @@ def _no_drafts(cases: Sequence[Case], folder: Path) -> Iterator[None]:
             remove_drafts(folder / case.id)
 
 
-def _prepare_worker(updates: Any, scratch: str) -> None:
+def _prepare_worker(updates: Any, temporary: Path) -> None:
     """Tell a worker where to report progress and to keep files; an interrupt is the master's to handle."""
     global _updates
     _updates = updates
-    tempfile.tempdir = scratch
+    scratch.stay_within(temporary)
+    isolation_launch.keep_server()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_leave_with_master, daemon=True).start()
 
 
-def _run_and_write(case: Case, folder: Path) -> None:
+def _leave_with_master() -> None:
+    """End this worker when the master has gone, also in the middle of an FMU's step that hangs."""
+    master = parent_process()
+    if master is not None:
+        master.join()
+        os._exit(1)
+
+
+def _run_and_write(case: Case, folder: Path, head: dict[str, Any]) -> None:
     from time import monotonic
 
     last = monotonic()
@@ -129,7 +157,7 @@ def _run_and_write(case: Case, folder: Path) -> None:
             last = monotonic()
             _updates.put(Update(case.name, samples, planned))
 
-    write_case(folder, run_case(case, progress), case.head())
+    write_case(folder, run_case(case, progress), head)
 
 
 def _finish(future: Future[None], case: Case, folder: Path) -> None:

@@ -2,28 +2,53 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from typing import Literal
 
+from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.variables import FloatArray, Variable
+
+ParameterValue = float | int | bool | str
+"""The value of a parameter: a number, a truth value, or a text where the plant has such parameters."""
+
+FMIType = Literal["auto", "co-simulation", "model-exchange"]
+"""How an FMU is run; ``"auto"``: for Co-Simulation if it can be."""
 
 
 class Plant(ABC):
     """A sampled plant with zero-order hold at its inputs.
 
     The co-simulation master calls, in this order: ``reset`` once per run, then ``step`` (with
-    ``set_parameters`` between two steps when an event asks for it), and ``close`` at the end.
+    ``set_parameters`` between two steps when an event asks for it), and ``close`` at the end. It tells what a
+    run will ask by ``plan`` before ``reset``.
     Subclasses set ``inputs`` (m variables) and ``outputs`` (p variables).
     """
 
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
 
+    def plan(self, sampling_time: float, stop_time: float) -> None:  # noqa: B027 - most plants take any run
+        """Say what the coming runs will ask, before ``reset``.
+
+        Parameters
+        ----------
+        sampling_time : float
+            Communication step size [s].
+        stop_time : float
+            Time of the last sample [s].
+
+        Raises
+        ------
+        ConfigError
+            The plant cannot run so.
+        """
+
     @abstractmethod
-    def reset(self, parameters: Mapping[str, float] | None = None, t0: float = 0.0) -> FloatArray:
+    def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
         """Go to the initial state and return the outputs there.
 
         Parameters
         ----------
-        parameters : mapping of str to float, optional
+        parameters : mapping of str to float, int, bool or str, optional
             Values that differ from the plant's defaults during this run.
         t0 : float
             Start time [s].
@@ -63,7 +88,7 @@ class Plant(ABC):
             The plant did not reach t + h.
         """
 
-    def set_parameters(self, parameters: Mapping[str, float]) -> None:
+    def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters from the next step on.
 
         Raises
@@ -72,9 +97,32 @@ class Plant(ABC):
             The plant has no such tunable parameter.
         """
         if parameters:
-            from ddpc_cosim.errors import ConfigError
-
             raise ConfigError(f"{type(self).__name__}: no tunable parameters ({', '.join(parameters)})")
+
+    @property
+    def can_save_state(self) -> bool:
+        """Whether ``save_state`` and ``restore_state`` work."""
+        return False
+
+    def save_state(self) -> object:
+        """Return a copy of the state, for ``restore_state`` until the next ``reset``.
+
+        Raises
+        ------
+        ConfigError
+            The plant cannot save its state.
+        """
+        raise ConfigError(f"{type(self).__name__}: the state cannot be saved")
+
+    def restore_state(self, state: object) -> None:
+        """Go back to a state that ``save_state`` returned in this run.
+
+        Raises
+        ------
+        ConfigError
+            The state is not one of this run, or the plant cannot.
+        """
+        raise ConfigError(f"{type(self).__name__}: the state cannot be restored")
 
     def close(self) -> None:  # noqa: B027 - most plants hold nothing
         """Release everything; the plant is not used afterwards."""

@@ -1,27 +1,41 @@
 """From the plant section of a study to a plant: a plug-in's equations, an FMU file, or a Python class."""
 
 import hashlib
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.config import PlantSection
-from ddpc_cosim.errors import ConfigError, CosimError
-from ddpc_cosim.plant import Plant
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.fmu.units import with_display_units
+from ddpc_cosim.plant import FMIType, Plant
 from ddpc_cosim.plugins import load_plugin
-from ddpc_cosim.variables import DisplayUnit, Variable
+from ddpc_cosim.variables import DisplayUnit, Variable, names
 from ddpc_cosim.version import source_hash
 
 
 @dataclass(frozen=True, slots=True)
 class PlantSignals:
-    """The variables of a plant by name, as a study may use them."""
+    """The variables of a plant by name, as a study may use them.
+
+    Parameters
+    ----------
+    inputs, outputs, parameters : mapping of str to Variable
+        What can be driven, read and set; some may be several of these.
+    tunable : frozenset of str
+        The parameters that can change during a run.
+    default_inputs, default_outputs : tuple of str
+        What takes part if a study names none; empty: all.
+    """
 
     inputs: Mapping[str, Variable]
     outputs: Mapping[str, Variable]
     parameters: Mapping[str, Variable]
     tunable: frozenset[str] = field(default_factory=frozenset)
+    default_inputs: tuple[str, ...] = ()
+    default_outputs: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,20 +50,49 @@ class PlantTarget:
         The Python plant's name or ``module:Class``; empty for an FMU.
     content : str
         SHA-256 of the FMU, or the Python class with a hash of its source: what decides the behaviour.
+    isolated : bool
+        Whether the FMU runs in a process of its own.
+    step_timeout : float
+        Longest time for any of its calls there [s].
+    fmi_type : str
+        How the FMU is run.
+    display_units : mapping of str to str
+        Units to show variables in.
     """
 
     fmu: str
     python: str
     content: str
+    isolated: bool = False
+    step_timeout: float = 60.0
+    fmi_type: FMIType = "auto"
+    display_units: Mapping[str, str] = field(default_factory=dict)
 
     def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
         """Open the plant with the chosen inputs and outputs."""
         if self.fmu:
-            from ddpc_cosim.fmu.plant import FMUPlant
-
-            return FMUPlant(self.fmu, inputs=list(inputs), outputs=list(outputs))
+            return self._open_fmu(inputs, outputs)
         plant: Plant = load_plugin("plants", self.python)()
+        plant.inputs = with_display_units(plant.inputs, self.display_units, {})
+        plant.outputs = with_display_units(plant.outputs, self.display_units, {})
         return plant
+
+    def _open_fmu(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
+        from ddpc_cosim.fmu.plant import FMUPlant
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", CosimWarning)  # told when the study was read
+            return FMUPlant(
+                self.fmu,
+                inputs=list(inputs),
+                outputs=list(outputs),
+                fmi_type=self.fmi_type,
+                display_units={
+                    name: unit for name, unit in self.display_units.items() if name in (*inputs, *outputs)
+                },
+                isolated=self.isolated,
+                step_timeout=self.step_timeout,
+            )
 
 
 class PlantSource:
@@ -70,12 +113,19 @@ class PlantSource:
 
     def __init__(self, section: PlantSection, folder: Path) -> None:
         self._fmu = folder / section.fmu if section.fmu else None
+        # The project's own C code is trusted; what a supplied FMU does is not known.
+        self._isolated = bool(section.fmu) if section.isolated == "auto" else section.isolated
+        self._step_timeout = section.step_timeout
+        self._fmi_type: FMIType = section.fmi_type
+        self._display_units = section.display_units
         self._name = section.name
         self._plugin: Any = load_plugin("plants", section.name) if section.name else None
         if self._plugin is not None and not (_is_model(self._plugin) or _is_plant_class(self._plugin)):
             raise ConfigError(
                 f'plant "{section.name}" is neither a PlantModel nor a Plant class: {self._plugin!r}'
             )
+        if self._isolated and _is_plant_class(self._plugin):
+            raise ConfigError(f'plant "{section.name}" is a Python class; only FMUs can be isolated')
 
     @property
     def fmu_path(self) -> str:
@@ -83,17 +133,33 @@ class PlantSource:
         return str(self._fmu.resolve()) if self._fmu else ""
 
     def signals(self) -> PlantSignals:
-        """Return the plant's variables without building or running it."""
+        """Return the plant's variables, as they are to be shown, without building or running it.
+
+        Raises
+        ------
+        ConfigError
+            A display unit is unknown.
+        """
+        signals, defined = self._declared()
+
+        def shown(variables: Mapping[str, Variable]) -> dict[str, Variable]:
+            return {v.name: v for v in with_display_units(variables.values(), self._display_units, defined)}
+
+        return replace(signals, inputs=shown(signals.inputs), outputs=shown(signals.outputs))
+
+    def _declared(self) -> tuple[PlantSignals, Mapping[str, tuple[DisplayUnit, ...]]]:
+        """Return the plant's variables and the display units that it defines for each unit."""
         if self._fmu is not None:
-            return _fmu_signals(self._fmu)
+            return _fmu_signals(self._fmu, self._fmi_type)
         if _is_model(self._plugin):
-            return _model_signals(self._plugin)
+            return _model_signals(self._plugin), {}
         try:
             plant: Plant = self._plugin()
         except Exception as error:  # a third party's constructor can fail in any way
             raise ConfigError(f'plant "{self._name}": {type(error).__name__}: {error}') from error
         try:
-            return PlantSignals({v.name: v for v in plant.inputs}, {v.name: v for v in plant.outputs}, {})
+            signals = PlantSignals({v.name: v for v in plant.inputs}, {v.name: v for v in plant.outputs}, {})
+            return signals, {}
         finally:
             plant.close()
 
@@ -105,8 +171,22 @@ class PlantSource:
         if fmu is None:
             plugin = self._plugin
             content = f"{plugin.__module__}:{plugin.__qualname__} {source_hash(plugin.__module__)}"
-            return PlantTarget("", self._name, content)
-        return PlantTarget(str(fmu.resolve()), "", hashlib.sha256(fmu.read_bytes()).hexdigest())
+            return PlantTarget("", self._name, content + self._shown(), display_units=self._display_units)
+        kind = "" if self._fmi_type == "auto" else f" {self._fmi_type}"
+        content = hashlib.sha256(fmu.read_bytes()).hexdigest() + kind + self._shown()
+        return PlantTarget(
+            str(fmu.resolve()),
+            "",
+            content,
+            self._isolated,
+            self._step_timeout,
+            self._fmi_type,
+            self._display_units,
+        )
+
+    def _shown(self) -> str:
+        """Return what the study says of display units, in which metrics are given; empty for nothing."""
+        return "".join(f" {name}[{unit}]" for name, unit in sorted(self._display_units.items()))
 
 
 def _build(model: Any) -> Path:
@@ -128,20 +208,24 @@ def _is_plant_class(plugin: Any) -> bool:
     return isinstance(plugin, type) and issubclass(plugin, Plant)
 
 
-def _fmu_signals(path: Path) -> PlantSignals:
+def _fmu_signals(path: Path, fmi_type: FMIType) -> tuple[PlantSignals, Mapping[str, tuple[DisplayUnit, ...]]]:
     from ddpc_cosim.fmu.plant import FMUPlant
 
-    with FMUPlant(path) as plant:
-        description = plant.description
-        local = description.named("local", type="Real")
-        parameters = {n: v.variable for n, v in description.variables.items() if v.causality == "parameter"}
-        return PlantSignals(
-            {v.name: v for v in plant.inputs},
-            {v.name: v for v in plant.outputs}
-            | {name: description.variables[name].variable for name in local},
-            parameters,
-            frozenset(name for name, v in description.variables.items() if v.is_tunable),
-        )
+    with FMUPlant(path, fmi_type=fmi_type) as plant:
+        description, inputs, outputs = plant.description, names(plant.inputs), names(plant.outputs)
+    settable = {v.name: v.variable for v in description.variables.values() if v.is_settable and not v.shape}
+    elements = {s.variable.name: s.variable for s in description.signals("parameter", "input")}
+    free = {s.variable.name for s in description.signals("input")}
+    tunable = {s.variable.name for s in description.signals("parameter") if s.source.is_tunable}
+    signals = PlantSignals(
+        inputs={s.variable.name: s.variable for s in description.signals("input")},
+        outputs={s.variable.name: s.variable for s in description.signals("output", "local")},
+        parameters=settable | elements,
+        tunable=frozenset(tunable | free),
+        default_inputs=inputs,
+        default_outputs=outputs,
+    )
+    return signals, description.display_units
 
 
 def _model_signals(model: Any) -> PlantSignals:

@@ -1,44 +1,55 @@
 """An FMU behind the plant contract."""
 
-import ctypes
 import hashlib
-import shutil
-import tempfile
-import weakref
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-import numpy as np
-
-from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError, StepStatus
-from ddpc_cosim.fmu import fmpy_api
-from ddpc_cosim.fmu.description import FMUDescription, FMUVariable, read_description
-from ddpc_cosim.plant import Plant
+from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
+from ddpc_cosim.fmu.archive import UnpackLimits
+from ddpc_cosim.fmu.model_description import FMUDescription
+from ddpc_cosim.fmu.session import FMUSession
+from ddpc_cosim.fmu.units import with_display_units
+from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.suggest import did_you_mean
-from ddpc_cosim.variables import FloatArray
+from ddpc_cosim.variables import FloatArray, Variable, names
 
-_STATUS = {fmpy_api.DISCARD: StepStatus.DISCARD, fmpy_api.FATAL: StepStatus.FATAL}
-_SETTERS: dict[str, tuple[str, Any, Callable[[float], Any]]] = {
-    "Real": ("fmi2SetReal", ctypes.c_double, float),
-    "Integer": ("fmi2SetInteger", ctypes.c_int, int),
-    "Enumeration": ("fmi2SetInteger", ctypes.c_int, int),
-    "Boolean": ("fmi2SetBoolean", ctypes.c_int, bool),
-}
+_KIND = {"co-simulation": "Co-Simulation", "model-exchange": "Model Exchange"}
+_DEFAULTS = UnpackLimits()
 
 
 class FMUPlant(Plant):
-    """A plant that is an FMU for FMI 2.0 Co-Simulation.
+    """A plant that is an FMU for FMI 1.0, 2.0 or 3.0, Co-Simulation or Model Exchange.
 
     Parameters
     ----------
     path : str or Path
         The FMU.
     inputs, outputs : sequence of str, optional
-        Names of the inputs to drive and of the outputs (or local variables) to read; default: all inputs and
-        outputs that are real numbers.
+        Names of the inputs to drive and of the outputs (or local variables) to read, elements of arrays as
+        ``x[2]``; default: all inputs and outputs that are real numbers. Integers are rounded from what is
+        driven, booleans are true from 0.5 on.
+    fmi_type : str
+        ``"co-simulation"``, ``"model-exchange"``, or ``"auto"``: the former if the FMU has it.
+    display_units : mapping of str to str, optional
+        Units to show inputs and outputs in, by name: one that the FMU defines, or a usual one (``"deg"`` for
+        ``"rad"``, ``"degC"`` for ``"K"``, ``"bar"`` for ``"Pa"``, ...); default: as the FMU says.
+    isolated : bool
+        Whether the FMU lives in a process of its own: then a crash, or a call that never returns, ends the
+        run and not the caller.
+    step_timeout : float
+        Longest time for any call of an isolated FMU [s].
+    tolerance : float, optional
+        Relative tolerance of the integration; default: the FMU's own.
+    max_unpacked_size, max_files : int
+        How large the FMU may get when it is unpacked: bytes, and number of files.
+
+    Attributes
+    ----------
+    warnings : tuple of str
+        What is wrong with the FMU but does not keep it from running.
 
     Raises
     ------
@@ -58,89 +69,127 @@ class FMUPlant(Plant):
     """
 
     def __init__(
-        self, path: str | Path, *, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None
+        self,
+        path: str | Path,
+        *,
+        inputs: Sequence[str] | None = None,
+        outputs: Sequence[str] | None = None,
+        fmi_type: FMIType = "auto",
+        display_units: Mapping[str, str] | None = None,
+        isolated: bool = False,
+        step_timeout: float = 60.0,
+        tolerance: float | None = None,
+        max_unpacked_size: int = _DEFAULTS.max_unpacked_size,
+        max_files: int = _DEFAULTS.max_files,
     ) -> None:
         self.path = Path(path)
-        self._folder = Path(tempfile.mkdtemp(prefix="ddpc-cosim-"))
-        self._remove_folder = weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
-        self._slave: fmpy_api.Fmi2Slave | None = None
-        self._may_terminate = False
-        try:
-            self._unpack()
-            self._sha256 = hashlib.sha256(self.path.read_bytes()).hexdigest()
-            self.description = read_description(self._folder, self.path.name)
-            chosen = _choose(self.description, self.path.name, inputs, outputs)
-            self._check_binary()
-        except Exception:
-            self._remove_folder()
-            raise
-        self.inputs = tuple(v.variable for v in chosen[0])
-        self.outputs = tuple(v.variable for v in chosen[1])
-        self._u = _Buffer([v.reference for v in chosen[0]])
-        self._y = _Buffer([v.reference for v in chosen[1]])
-        self._base_time, self._steps, self._step_size = 0.0, 0, 0.0
+        if not self.path.is_file():
+            raise FMUImportError(f"{self.path}: no such file")
+        self._sha256 = hashlib.sha256(self.path.read_bytes()).hexdigest()
+        limits = UnpackLimits(max_unpacked_size, max_files)
+        if isolated:
+            from ddpc_cosim.fmu.isolation import IsolatedSession
 
-    def reset(self, parameters: Mapping[str, float] | None = None, t0: float = 0.0) -> FloatArray:
-        """Instantiate the FMU anew, initialise it at ``t0`` and return the outputs, shape (p,)."""
-        values = self._parameter_values(parameters or {}, tunable_only=False)
-        self._free()
-        self._base_time, self._steps, self._step_size = t0, 0, 0.0
-        self._slave = slave = self._instantiate()
-        self._set_real, self._do_step, self._get_real = (
-            slave.function(name) for name in ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal")
-        )
-        self._set(values)
-        self._call("fmi2SetupExperiment", 0, 0.0, t0, 0, 0.0)
-        self._call("fmi2EnterInitializationMode")
-        self._call("fmi2ExitInitializationMode")
-        self._may_terminate = True
-        self._call("fmi2GetReal", *self._y.arguments)
-        return self._y.values.copy()
+            self._session: FMUSession | IsolatedSession = IsolatedSession(
+                self.path,
+                inputs=inputs,
+                outputs=outputs,
+                fmi_type=fmi_type,
+                tolerance=tolerance,
+                unpack_limits=limits,
+                step_timeout=step_timeout,
+            )
+        else:
+            self._session = FMUSession(
+                self.path,
+                inputs=inputs,
+                outputs=outputs,
+                fmi_type=fmi_type,
+                tolerance=tolerance,
+                unpack_limits=limits,
+            )
+        try:
+            self.inputs, self.outputs = self._shown_in(display_units or {})
+        except ConfigError:
+            self._session.close()
+            raise
+        self._step = self._session.step
+        for warning in self._session.warnings:
+            warnings.warn(f"{self.path.name}: {warning}", CosimWarning, stacklevel=2)
+
+    def _shown_in(self, units: Mapping[str, str]) -> tuple[tuple[Variable, ...], tuple[Variable, ...]]:
+        """Return inputs and outputs with the display units that are asked for."""
+        inputs, outputs = self._session.inputs, self._session.outputs
+        unknown = [name for name in units if name not in names((*inputs, *outputs))]
+        if unknown:
+            known = did_you_mean(unknown[0], names((*inputs, *outputs)))
+            raise ConfigError(f'{self.path.name}: display_units: no signal "{unknown[0]}"; {known}')
+        defined = self._session.description.display_units
+        return with_display_units(inputs, units, defined), with_display_units(outputs, units, defined)
+
+    def plan(self, sampling_time: float, stop_time: float) -> None:
+        """Tell the FMU's stop time, and refuse a sampling time that its step size does not allow."""
+        self._session.plan(sampling_time, stop_time)
+
+    def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
+        """Instantiate the FMU anew, initialise it at ``t0`` and return the outputs, shape (p,).
+
+        Besides parameters, start values (initial states) and inputs that are not driven can be given.
+        """
+        return self._session.reset(parameters, t0)
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
-        slave = self._slave
-        if slave is None:
-            raise ConfigError(f"{self.path.name}: step before reset")
-        if h != self._step_size:
-            self._base_time, self._steps, self._step_size = self.time, 0, h
-        component = slave.component
-        self._u.values[:] = u
-        status = self._set_real(component, *self._u.arguments)
-        if status > 1:
-            raise self._failure("fmi2SetReal", status)
-        status = self._do_step(component, self._base_time + self._steps * h, h, 1)
-        if status > 1:
-            raise self._failure("fmi2DoStep", status)
-        self._steps += 1
-        status = self._get_real(component, *self._y.arguments)
-        if status > 1:
-            raise self._failure("fmi2GetReal", status)
-        return self._y.values.copy()
+        return self._step(u, h)
 
-    def set_parameters(self, parameters: Mapping[str, float]) -> None:
-        """Change tunable parameters from the next step on."""
-        self._set(self._parameter_values(parameters, tunable_only=True))
+    def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
+        """Change tunable parameters, and inputs that are not driven, from the next step on."""
+        self._session.set_parameters(parameters)
+
+    @property
+    def can_save_state(self) -> bool:
+        """Whether the FMU says that its state can be saved."""
+        return self._session.can_save_state
+
+    def save_state(self) -> object:
+        """Return a copy of the FMU's state, for :meth:`restore_state` until the next reset."""
+        return self._session.save_state()
+
+    def restore_state(self, state: object) -> None:
+        """Go back to a saved state."""
+        self._session.restore_state(state)
 
     def close(self) -> None:
         """Terminate and free the FMU and remove its temporary folder."""
-        self._free()
-        self._remove_folder()
+        self._session.close()
+
+    @property
+    def description(self) -> FMUDescription:
+        """What the FMU says about itself."""
+        return self._session.description
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the FMU but does not keep it from running."""
+        return self._session.warnings
 
     @property
     def time(self) -> float:
         """Simulation time [s]."""
-        return self._base_time + self._steps * self._step_size
+        return self._session.time
 
     def provenance(self) -> Mapping[str, str]:
-        """Return the FMU's file name, SHA-256, GUID, FMI version and exporting tool."""
+        """Return the FMU's file name, SHA-256, GUID or token, FMI version and type, tool, and warnings."""
+        description = self.description
+        told = {"fmu_warnings": "; ".join(self.warnings)} if self.warnings else {}
         return {
             "fmu": self.path.name,
             "fmu_sha256": self._sha256,
-            "fmu_guid": self.description.guid,
-            "fmi_version": f"{self.description.fmi_version} Co-Simulation",
-            "fmu_model": self.description.model_name,
-            "fmu_tool": self.description.generation_tool,
+            "fmu_guid": description.guid,
+            "fmi_version": f"{description.fmi_version} {_KIND[self._session.interface.kind]}",
+            "fmu_model": description.model_name,
+            "fmu_tool": description.generation_tool,
+            **told,
         }
 
     def __enter__(self) -> Self:
@@ -150,144 +199,3 @@ class FMUPlant(Plant):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    def _unpack(self) -> None:
-        if not self.path.is_file():
-            raise FMUImportError(f"{self.path}: no such file")
-        try:
-            fmpy_api.extract(self.path, self._folder)
-        except zipfile.BadZipFile as error:
-            raise FMUImportError(f"{self.path.name}: not an FMU: {error}") from error
-        except Exception as error:  # FMPy raises plain exceptions for illegal names
-            raise FMUImportError(f"{self.path.name}: cannot be unpacked: {error}") from error
-
-    def _check_binary(self) -> None:
-        platform = fmpy_api.platform()
-        binaries = self._folder / "binaries"
-        name = self.description.model_identifier + fmpy_api.library_extension()
-        if not (binaries / platform / name).is_file():
-            present = sorted(p.name for p in binaries.iterdir() if p.is_dir()) if binaries.is_dir() else []
-            raise FMUImportError(
-                f"{self.path.name}: no binary for this platform (binaries/{platform}/{name}); "
-                f"it has binaries for: {', '.join(present) or 'none'}. Export the FMU for {platform}."
-            )
-
-    def _instantiate(self) -> fmpy_api.Fmi2Slave:
-        description = self.description
-        try:
-            slave = fmpy_api.Fmi2Slave(
-                description.guid,
-                description.model_identifier,
-                self._folder,
-                description.model_name,
-            )
-        except Exception as error:  # FMPy raises plain exceptions for whatever the loader or the FMU says
-            raise FMUImportError(f"{self.path.name}: cannot be instantiated: {error}") from error
-        self._finalizer = weakref.finalize(self, slave.free)
-        return slave
-
-    def _parameter_values(
-        self, parameters: Mapping[str, float], *, tunable_only: bool
-    ) -> list[tuple[FMUVariable, float]]:
-        variables = self.description.variables
-        known = [name for name, v in variables.items() if v.causality == "parameter"]
-        faults = []
-        for name, value in parameters.items():
-            variable = variables.get(name)
-            if variable is None or variable.causality != "parameter" or variable.type not in _SETTERS:
-                faults.append(f'{self.path.name}: no parameter "{name}"; {did_you_mean(name, known)}')
-            elif tunable_only and not variable.is_tunable:
-                tunable = [n for n in known if variables[n].is_tunable]
-                faults.append(
-                    f'{self.path.name}: parameter "{name}" cannot change during a run; '
-                    f"tunable: {', '.join(tunable) or 'none'}"
-                )
-            elif not variable.variable.min <= value <= variable.variable.max:
-                low, high = variable.variable.min, variable.variable.max
-                faults.append(
-                    f"{self.path.name}: parameter {name} = {value:g} is outside [{low:g}, {high:g}]"
-                )
-            elif _SETTERS[variable.type][2](value) != value:
-                kind = "a truth value (0 or 1)" if variable.type == "Boolean" else "a whole number"
-                faults.append(f"{self.path.name}: parameter {name} = {value:g} must be {kind}")
-        if faults:
-            raise ConfigError(faults)
-        return [(variables[name], value) for name, value in parameters.items()]
-
-    def _set(self, values: list[tuple[FMUVariable, float]]) -> None:
-        for variable, value in values:
-            function, c_type, convert = _SETTERS[variable.type]
-            reference = (ctypes.c_uint * 1)(variable.reference)
-            self._call(function, reference, 1, (c_type * 1)(convert(value)))
-
-    def _call(self, function: str, *arguments: Any) -> None:
-        if self._slave is None:
-            raise ConfigError(f"{self.path.name}: {function} before reset")
-        status = self._slave.function(function)(self._slave.component, *arguments)
-        if status > 1:
-            raise self._failure(function, status)
-
-    def _failure(self, function: str, status: int) -> FMUStepError:
-        slave = self._slave
-        details = "".join(f"; {line}" for line in list(slave.log)[-3:]) if slave else ""
-        if status == fmpy_api.DISCARD and self._asks_to_terminate():
-            details = f"; the FMU asks to terminate{details}"
-        word = fmpy_api.status_word(status)
-        message = f"{self.path.name}: {function} returned {word} at t = {self.time:g} s{details}"
-        if status == fmpy_api.FATAL:
-            self._abandon()
-        if status != fmpy_api.DISCARD:
-            self._may_terminate = False
-        return FMUStepError(message, _STATUS.get(status, StepStatus.ERROR), self.time)
-
-    def _asks_to_terminate(self) -> bool:
-        if self._slave is None:
-            return False
-        terminated = ctypes.c_int(0)
-        status = self._slave.function("fmi2GetBooleanStatus")(
-            self._slave.component, fmpy_api.TERMINATED, ctypes.byref(terminated)
-        )
-        return status == 0 and bool(terminated.value)
-
-    def _free(self) -> None:
-        if self._slave is not None:
-            if self._may_terminate:  # not before the end of initialisation, nor after an error
-                self._slave.function("fmi2Terminate")(self._slave.component)
-            self._slave, self._may_terminate = None, False
-            self._finalizer()
-
-    def _abandon(self) -> None:
-        """Let go of an instance that no function may be called on any more (FMI 2.0, fmi2Fatal)."""
-        self._slave = None
-        self._finalizer.detach()
-
-
-class _Buffer:
-    """Preallocated memory for reading or writing real variables, seen by C and by NumPy."""
-
-    def __init__(self, references: Sequence[int]) -> None:
-        n = len(references)
-        self._memory = (ctypes.c_double * n)()
-        self.values: FloatArray = np.ctypeslib.as_array(self._memory)
-        self.arguments = ((ctypes.c_uint * n)(*references), n, self._memory)
-
-
-def _choose(
-    description: FMUDescription, label: str, inputs: Sequence[str] | None, outputs: Sequence[str] | None
-) -> tuple[list[FMUVariable], list[FMUVariable]]:
-    """Return the variables to drive and to read; every name that does not fit is a fault."""
-    faults: list[str] = []
-    chosen = []
-    for causality, others, wanted in (("input", (), inputs), ("output", ("local",), outputs)):
-        default = description.named(causality, type="Real")
-        available = [*default, *(name for other in others for name in description.named(other, type="Real"))]
-        names = list(wanted) if wanted is not None else default
-        for name in names:
-            if name not in available:
-                faults.append(f'{label}: no real {causality} "{name}"; {did_you_mean(name, available)}')
-        if not names:
-            faults.append(f"{label}: no {causality} chosen")
-        chosen.append([description.variables[name] for name in names if name in available])
-    if faults:
-        raise ConfigError(faults)
-    return chosen[0], chosen[1]

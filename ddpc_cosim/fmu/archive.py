@@ -1,0 +1,231 @@
+"""Unpacking FMUs that nobody vouches for: within limits, inside one folder, or not at all."""
+
+import lzma
+import re
+import stat
+import struct
+import sys
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from xml.parsers import expat
+
+from ddpc_cosim.errors import FMUImportError
+
+MODEL_DESCRIPTION = "modelDescription.xml"
+# What is read with an XML parser after unpacking.
+_XML_FILES = (MODEL_DESCRIPTION, "sources/buildDescription.xml")
+
+# Whatever zipfile and its decompressors raise for archives that are not what they claim to be.
+_DAMAGED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+    OverflowError,
+    MemoryError,
+)
+_CHUNK = 1 << 20
+_ENCRYPTED = 0x1
+_UNIX, _DARWIN = 3, 19
+_EXECUTABLE = 0o111
+_DEVICE_NAME = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
+# An identifier names a library file; this is stricter than what a file system takes, laxer than C.
+_FORBIDDEN_IN_NAMES = re.compile(r'[/\\:<>"|?*\x00-\x1f]')
+_DOCTYPES = tuple("<!DOCTYPE".encode(encoding) for encoding in ("utf-8", "utf-16-le", "utf-16-be"))
+
+
+@dataclass(frozen=True, slots=True)
+class UnpackLimits:
+    """How much an archive may unpack to.
+
+    Parameters
+    ----------
+    max_unpacked_size : int
+        Bytes of all files together, measured while unpacking.
+    max_files : int
+        Entries of the archive.
+    """
+
+    max_unpacked_size: int = 2 * 1024**3
+    max_files: int = 20_000
+
+
+def unpack(path: Path, folder: Path, limits: UnpackLimits | None = None) -> None:
+    """Unpack an FMU.
+
+    Parameters
+    ----------
+    path : Path
+        The FMU.
+    folder : Path
+        An empty folder; nothing is written outside of it. What was unpacked before a fault is left in it.
+    limits : UnpackLimits, optional
+        Limits on size and number of files.
+
+    Raises
+    ------
+    FMUImportError
+        The file is not an FMU, is damaged, exceeds the limits, or could do harm; and why.
+    """
+    limits = limits or UnpackLimits()
+    if not path.is_file():
+        raise FMUImportError(f"{path}: no such file")
+    try:
+        archive = zipfile.ZipFile(path)
+    except (*_DAMAGED, OSError) as error:
+        raise FMUImportError(f"{path.name}: not an FMU: {_reason(error)}") from error
+    try:
+        with archive:
+            _unpack_entries(archive, folder, limits, path.name)
+    except _DAMAGED as error:
+        raise FMUImportError(f"{path.name}: damaged archive: {_reason(error)}") from error
+    except OSError as error:
+        raise FMUImportError(f"{path.name}: cannot be unpacked: {_reason(error)}") from error
+    for name in _XML_FILES:
+        if (folder / name).is_file():
+            refuse_document_type(folder / name, f"{path.name}: {name}")
+
+
+def refuse_document_type(path: Path, label: str) -> None:
+    """Refuse an XML file that declares entities or refers to a document type elsewhere.
+
+    FMI knows no document types; entities can make a small file huge, or read other files.
+
+    Raises
+    ------
+    FMUImportError
+        It does.
+    """
+    content = path.read_bytes()
+    parser = expat.ParserCreate()
+
+    def refuse(_name: str, system_id: str | None, public_id: str | None, internal_subset: int) -> None:
+        if system_id or public_id or internal_subset:
+            raise FMUImportError(
+                f"{label}: declares a document type (DOCTYPE), which may hide entity bombs or external "
+                "entities and has no place in an FMU; remove the declaration"
+            )
+
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(content, True)
+    except (expat.ExpatError, ValueError, LookupError):
+        # Not well-formed, or in an encoding that this parser does not know and the next one might.
+        if any(doctype in content for doctype in _DOCTYPES):
+            refuse("", "unknown", None, 0)
+
+
+def is_file_name(name: str) -> bool:
+    """Whether a name from a model description names a file in a given folder, and nothing elsewhere."""
+    return bool(name) and name not in (".", "..") and not _FORBIDDEN_IN_NAMES.search(name)
+
+
+def _unpack_entries(archive: zipfile.ZipFile, folder: Path, limits: UnpackLimits, label: str) -> None:
+    entries = archive.infolist()
+    if len(entries) > limits.max_files:
+        raise FMUImportError(
+            f"{label}: {len(entries)} files; allowed: {limits.max_files} (max_files); "
+            "raise it if you trust the FMU"
+        )
+    files = _checked(entries, label)
+    if MODEL_DESCRIPTION not in files:
+        raise FMUImportError(f"{label}: not an FMU: the archive has no {MODEL_DESCRIPTION}{_hint(files)}")
+    too_large = FMUImportError(
+        f"{label}: unpacks to more than {limits.max_unpacked_size} bytes (max_unpacked_size); "
+        "raise it if you trust the FMU"
+    )
+    remaining = limits.max_unpacked_size
+    if sum(entry.file_size for entry in files.values()) > remaining:  # what the archive itself admits
+        raise too_large
+    for name, entry in files.items():
+        target = folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with archive.open(entry) as source, target.open("xb") as file:
+            while chunk := source.read(_CHUNK):
+                remaining -= len(chunk)
+                if remaining < 0:
+                    raise too_large
+                file.write(chunk)
+        if mode := _execution(entry, name):
+            target.chmod(target.stat().st_mode | mode)
+
+
+def _checked(entries: list[zipfile.ZipInfo], label: str) -> dict[str, zipfile.ZipInfo]:
+    """Return the files by their path below the folder; what cannot be one is a fault."""
+    files: dict[str, zipfile.ZipInfo] = {}
+    seen: dict[str, zipfile.ZipInfo] = {}
+    for entry in entries:
+        # zipfile cuts names at a NUL and replaces separators; what was written counts.
+        raw = entry.orig_filename
+        fault = _name_fault(raw) or _kind_fault(entry)
+        if fault:
+            raise FMUImportError(f'{label}: illegal entry "{_printable(raw)}": {fault}')
+        name = "/".join(_parts(raw))
+        if raw.endswith("/") or not name:
+            continue
+        twin = seen.setdefault(name.casefold(), entry)
+        if twin is entry:
+            files[name] = entry
+        elif (twin.CRC, twin.file_size) != (entry.CRC, entry.file_size):
+            raise FMUImportError(f'{label}: illegal entry "{_printable(raw)}": there are two of this name')
+    return files
+
+
+def _parts(name: str) -> Iterator[str]:
+    return (part for part in name.split("/") if part not in ("", "."))
+
+
+def _name_fault(name: str) -> str:
+    """Return why a name is not that of a file below the folder; empty if it is."""
+    if "\\" in name:
+        return "a backslash; separators must be forward slashes"
+    if name.startswith("/"):
+        return "an absolute path"
+    if ":" in name:
+        return "a drive letter or a stream name"
+    if ".." in name.split("/"):
+        return "a path that leaves the archive"
+    if any(ord(letter) < 32 for letter in name):
+        return "a control character"
+    if sys.platform == "win32" and any(_DEVICE_NAME.match(part) for part in name.split("/")):
+        return "a device of Windows"
+    return ""
+
+
+def _kind_fault(entry: zipfile.ZipInfo) -> str:
+    """Return why an entry is nothing to unpack; empty if it is."""
+    if entry.flag_bits & _ENCRYPTED:
+        return "it is encrypted"
+    kind = stat.S_IFMT(entry.external_attr >> 16)
+    if kind == stat.S_IFLNK:
+        return "a symbolic link; archive the file that it points to"
+    if entry.create_system in (_UNIX, _DARWIN) and kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+        return "neither a file nor a folder"
+    return ""
+
+
+def _execution(entry: zipfile.ZipInfo, name: str) -> int:
+    """Return the permission bits that let the file be run: archives made on Windows do not have them."""
+    if name.startswith("binaries/"):
+        return _EXECUTABLE
+    return (entry.external_attr >> 16) & _EXECUTABLE if entry.create_system in (_UNIX, _DARWIN) else 0
+
+
+def _reason(error: Exception) -> str:
+    return str(error) or type(error).__name__
+
+
+def _hint(files: dict[str, zipfile.ZipInfo]) -> str:
+    inner = [name for name in files if name.endswith("/" + MODEL_DESCRIPTION)]
+    return f"; there is {inner[0]}: archive the content of that folder, not the folder" if inner else ""
+
+
+def _printable(name: str) -> str:
+    return name.encode("unicode_escape").decode("ascii")[:200]

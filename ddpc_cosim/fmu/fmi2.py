@@ -1,0 +1,151 @@
+"""FMI 2.0, Co-Simulation and Model Exchange."""
+
+import ctypes
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import fmpy.fmi2
+
+from ddpc_cosim.fmu.calls import DISCARD, WARNING, CallError, failed_call
+from ddpc_cosim.fmu.instance import (
+    BareStep,
+    EventInfo,
+    Instance,
+    Model,
+    ModelFunctions,
+    Origin,
+    Slave,
+    ValueType,
+)
+from ddpc_cosim.fmu.messages import fmi2_callbacks
+
+_INTEGER = ValueType("fmi2GetInteger", "fmi2SetInteger", ctypes.c_int)
+_TERMINATED = 3
+_MOST_ITERATIONS = 1000
+
+
+class _Fmi2(Instance):
+    major = 2
+    types: Mapping[str, ValueType] = {
+        "Real": ValueType("fmi2GetReal", "fmi2SetReal", ctypes.c_double),
+        "Integer": _INTEGER,
+        "Enumeration": _INTEGER,
+        "Boolean": ValueType("fmi2GetBoolean", "fmi2SetBoolean", ctypes.c_int),
+        "String": ValueType("fmi2GetString", "fmi2SetString", ctypes.c_char_p),
+    }
+
+    def _instantiate(self, **options: Any) -> None:
+        self._fmu.instantiate(callbacks=fmi2_callbacks(self.log))
+
+    def value_arguments(self, references: Any, count: int, memory: Any) -> tuple[Any, ...]:
+        return references, len(references), memory
+
+    def initialize(self, t0: float, stop_time: float | None, tolerance: float | None) -> None:
+        self.call(
+            "fmi2SetupExperiment",
+            tolerance is not None,
+            tolerance or 0.0,
+            t0,
+            stop_time is not None,
+            stop_time or 0.0,
+        )
+        self.call("fmi2EnterInitializationMode")
+
+    def complete_initialization(self) -> None:
+        self.call("fmi2ExitInitializationMode")
+
+    def terminate(self) -> None:
+        self.call("fmi2Terminate")
+
+    def save_state(self) -> Any:
+        state = ctypes.c_void_p()
+        self.call("fmi2GetFMUstate", ctypes.byref(state))
+        return state
+
+    def restore_state(self, state: Any) -> None:
+        self.call("fmi2SetFMUstate", state)
+
+    def free_state(self, state: Any) -> None:
+        self.call("fmi2FreeFMUstate", ctypes.byref(state))
+
+
+class Fmi2Slave(_Fmi2, Slave):
+    """An FMI 2.0 Co-Simulation instance."""
+
+    def __init__(self, origin: Origin) -> None:
+        super().__init__(origin)
+        call = partial(self.function("fmi2DoStep"), self.component)
+        self.bare_step = BareStep(call, 1, self._check_step)
+
+    def do_step(self, time: float, h: float) -> None:
+        """Advance from ``time`` by ``h`` [s]."""
+        self._check_step(self.function("fmi2DoStep")(self.component, time, h, 1))
+
+    def _check_step(self, status: int) -> None:
+        if status > WARNING:
+            asks = status == DISCARD and self._asks_to_terminate()
+            raise failed_call("fmi2DoStep", status, asks_to_terminate=asks)
+
+    def _asks_to_terminate(self) -> bool:
+        answer = ctypes.c_int(0)
+        try:
+            self.call("fmi2GetBooleanStatus", _TERMINATED, ctypes.byref(answer))
+        except CallError:
+            return False
+        return bool(answer.value)
+
+
+class Fmi2Model(_Fmi2, Model):
+    """An FMI 2.0 Model Exchange instance.
+
+    Parameters
+    ----------
+    states, event_indicators : int
+        Their numbers, from the model description.
+    """
+
+    functions = ModelFunctions(
+        "fmi2SetTime",
+        "fmi2GetContinuousStates",
+        "fmi2SetContinuousStates",
+        "fmi2GetDerivatives",
+        "fmi2GetNominalsOfContinuousStates",
+        "fmi2GetEventIndicators",
+    )
+
+    def __init__(self, origin: Origin, *, states: int, event_indicators: int) -> None:
+        super().__init__(origin)
+        self._sizes = (states, event_indicators)
+        self._enter_event, self._terminate_flag = ctypes.c_int(), ctypes.c_int()
+        self._step_flags = (1, ctypes.byref(self._enter_event), ctypes.byref(self._terminate_flag))
+
+    def sizes(self) -> tuple[int, int]:
+        """Return the numbers of continuous states and of event indicators."""
+        return self._sizes
+
+    def enter_event_mode(self) -> None:
+        """Go from continuous-time mode to event mode."""
+        self.call("fmi2EnterEventMode")
+
+    def enter_continuous_time_mode(self) -> None:
+        """Go from event mode to continuous-time mode."""
+        self.call("fmi2EnterContinuousTimeMode")
+
+    def update_discrete_states(self) -> EventInfo:
+        """Iterate over events until the discrete states have settled."""
+        info = fmpy.fmi2.fmi2EventInfo()
+        nominals = states = False
+        for _ in range(_MOST_ITERATIONS):
+            self.call("fmi2NewDiscreteStates", ctypes.byref(info))
+            nominals |= bool(info.nominalsOfContinuousStatesChanged)
+            states |= bool(info.valuesOfContinuousStatesChanged)
+            if info.terminateSimulation or not info.newDiscreteStatesNeeded:
+                next_event = info.nextEventTime if info.nextEventTimeDefined else None
+                return EventInfo(bool(info.terminateSimulation), nominals, states, next_event)
+        raise CallError(f"the event iteration did not end after {_MOST_ITERATIONS} fmi2NewDiscreteStates")
+
+    def completed_integrator_step(self) -> tuple[bool, bool]:
+        """Tell the end of an integrator step; return whether it wants an event, and to terminate."""
+        self.call("fmi2CompletedIntegratorStep", *self._step_flags)
+        return bool(self._enter_event.value), bool(self._terminate_flag.value)

@@ -1,0 +1,288 @@
+"""One instance of an FMU: the functions of all FMI versions under common names.
+
+The subclasses in :mod:`fmi1`, :mod:`fmi2` and :mod:`fmi3` say how each version calls them. Every call checks
+the status that it returns.
+"""
+
+import ctypes
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ddpc_cosim.fmu.calls import WARNING, CallError, failed_call
+from ddpc_cosim.fmu.library import CFunction, load_library
+from ddpc_cosim.fmu.messages import Log
+from ddpc_cosim.variables import FloatArray
+
+DoubleArray = Any
+"""A ctypes array of doubles."""
+
+
+class ValueType(NamedTuple):
+    """How the values of one FMI type are read and written."""
+
+    get: str
+    set: str
+    c_type: Any
+
+
+@dataclass(frozen=True, slots=True)
+class EventInfo:
+    """What a discrete-state update left behind (Model Exchange).
+
+    Parameters
+    ----------
+    terminate : bool
+        Whether the FMU wants the simulation to end.
+    nominals_changed, states_changed : bool
+        Whether the integrator must start anew.
+    next_event : float or None
+        Time of the next time event [s].
+    """
+
+    terminate: bool
+    nominals_changed: bool
+    states_changed: bool
+    next_event: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where an instance comes from: the FMU's unpacked folder, its library, and what identifies the model."""
+
+    folder: Path
+    library: Path
+    kind: str
+    model_identifier: str
+    guid: str
+    model_name: str
+
+
+class Instance(ABC):
+    """One instance of an FMU.
+
+    Parameters
+    ----------
+    origin : Origin
+        What to load.
+    options : Any
+        Settings of the FMI version's own.
+
+    Raises
+    ------
+    Exception
+        Whatever the loader, FMPy or the FMU says against it.
+    """
+
+    major: int
+    types: Mapping[str, ValueType]
+
+    def __init__(self, origin: Origin, **options: Any) -> None:
+        self.log = Log(origin.model_name)
+        try:
+            self._fmu = load_library(
+                self.major,
+                origin.kind,
+                library=origin.library,
+                folder=origin.folder,
+                model_identifier=origin.model_identifier,
+                guid=origin.guid,
+                name=self.log.instance_name,
+            )
+        except BaseException:
+            self.log.close()
+            raise
+        try:
+            self._instantiate(**options)
+            if not self._fmu.component:
+                raise RuntimeError("the FMU refuses to be instantiated")
+        except BaseException as error:
+            self._fmu.freeLibrary()
+            self.log.close()
+            if self.log.lines:
+                raise RuntimeError("; ".join([str(error), *self.log.lines])) from error
+            raise
+        self.component = self._fmu.component
+        self.is_alive = True
+
+    def function(self, name: str) -> CFunction:
+        """Return a function of the library."""
+        function: CFunction = self._fmu._functions[name]
+        return function
+
+    def call(self, name: str, *arguments: Any) -> None:
+        """Call a function of this instance.
+
+        Raises
+        ------
+        CallError
+            It returned neither ok nor warning, or the library does not have it.
+        """
+        status = self.function(name)(self.component, *arguments)
+        if status > WARNING:
+            raise failed_call(name, status)
+
+    def free(self) -> None:
+        """Free the instance and unload its library."""
+        self.is_alive = False
+        try:
+            self._fmu.freeInstance()
+        except CallError:  # the library has no such function
+            self._fmu.freeLibrary()
+        finally:
+            self.log.close()
+
+    def abandon(self) -> None:
+        """Let go of an instance that no function may be called on any more."""
+        self.is_alive = False
+        self.log.close()
+
+    @abstractmethod
+    def _instantiate(self, **options: Any) -> None:
+        """Instantiate through FMPy's object."""
+
+    @abstractmethod
+    def value_arguments(self, references: Any, count: int, memory: Any) -> tuple[Any, ...]:
+        """Return the arguments after the component of this version's getters and setters."""
+
+    @abstractmethod
+    def initialize(self, t0: float, stop_time: float | None, tolerance: float | None) -> None:
+        """Enter the initialisation; start values that the standard wants before it have been set."""
+
+    @abstractmethod
+    def complete_initialization(self) -> None:
+        """Leave the initialisation: outputs can be read and, in Co-Simulation, steps be done."""
+
+    @abstractmethod
+    def terminate(self) -> None:
+        """End the simulation; the instance can only be freed afterwards."""
+
+    def configure(self) -> None:
+        """Enter the mode in which structural parameters are set."""
+        raise CallError("FMI 1.0 and 2.0 have no structural parameters")
+
+    def complete_configuration(self) -> None:
+        """Leave the mode in which structural parameters are set."""
+        raise CallError("FMI 1.0 and 2.0 have no structural parameters")
+
+    def save_state(self) -> Any:
+        """Return a copy of the FMU's state."""
+        raise CallError("FMI 1.0 cannot save the state of an FMU")
+
+    def restore_state(self, state: Any) -> None:
+        """Go back to a state."""
+        raise CallError("FMI 1.0 cannot restore the state of an FMU")
+
+    def free_state(self, state: Any) -> None:
+        """Free a state."""
+        raise CallError("FMI 1.0 knows no states of FMUs")
+
+
+class BareStep(NamedTuple):
+    """A step as C's function does it.
+
+    Parameters
+    ----------
+    call : callable
+        Takes time, step size [s] and ``last``; returns an FMI status.
+    last : Any
+        The last argument.
+    check : callable
+        Raises CallError for a status that is neither ok nor warning.
+    """
+
+    call: Callable[[float, float, Any], int]
+    last: Any
+    check: Callable[[int], None]
+
+
+class Slave(Instance):
+    """An instance for Co-Simulation."""
+
+    bare_step: BareStep | None = None
+    """The call behind ``do_step``, where its status alone says how it went."""
+
+    uses_event_mode = False
+    """Whether inputs are written through ``in_event_mode``."""
+
+    def in_event_mode(self, write: Callable[[FloatArray], None], u: FloatArray) -> None:
+        """Write inputs in event mode; only FMI 3.0 has one for Co-Simulation."""
+        raise CallError("FMI 1.0 and 2.0 have no event mode for Co-Simulation")
+
+    @abstractmethod
+    def do_step(self, time: float, h: float) -> None:
+        """Advance from ``time`` by ``h`` [s].
+
+        Raises
+        ------
+        CallError
+            The FMU did not get there.
+        """
+
+
+class ModelFunctions(NamedTuple):
+    """Names of the functions that all FMI versions have in common for Model Exchange."""
+
+    set_time: str
+    get_states: str
+    set_states: str
+    get_derivatives: str
+    get_nominals: str
+    get_event_indicators: str
+
+
+class Model(Instance):
+    """An instance for Model Exchange. Vectors are ctypes arrays; every method may raise CallError."""
+
+    functions: ModelFunctions
+
+    @abstractmethod
+    def sizes(self) -> tuple[int, int]:
+        """Return the numbers of continuous states and of event indicators."""
+
+    @abstractmethod
+    def enter_event_mode(self) -> None:
+        """Go from continuous-time mode to event mode."""
+
+    @abstractmethod
+    def update_discrete_states(self) -> EventInfo:
+        """Iterate over events until the discrete states have settled."""
+
+    @abstractmethod
+    def enter_continuous_time_mode(self) -> None:
+        """Go from event mode to continuous-time mode."""
+
+    @abstractmethod
+    def completed_integrator_step(self) -> tuple[bool, bool]:
+        """Tell the end of an integrator step; return whether it wants an event, and to terminate."""
+
+    def set_time(self, time: float) -> None:
+        """Set the independent variable [s]."""
+        self.call(self.functions.set_time, time)
+
+    def get_states(self, x: DoubleArray, n: int) -> None:
+        """Read the continuous states."""
+        self.call(self.functions.get_states, x, n)
+
+    def set_states(self, x: DoubleArray, n: int) -> None:
+        """Write the continuous states."""
+        self.call(self.functions.set_states, x, n)
+
+    def get_derivatives(self, dx: DoubleArray, n: int) -> None:
+        """Read the derivatives of the continuous states."""
+        self.call(self.functions.get_derivatives, dx, n)
+
+    def get_nominals(self, x: DoubleArray, n: int) -> None:
+        """Read the nominal values of the continuous states."""
+        self.call(self.functions.get_nominals, x, n)
+
+    def get_event_indicators(self, z: DoubleArray, n: int) -> None:
+        """Read the event indicators."""
+        self.call(self.functions.get_event_indicators, z, n)
+
+
+def reference_array(references: list[int]) -> Any:
+    """Return value references as C wants them."""
+    return (ctypes.c_uint * len(references))(*references)

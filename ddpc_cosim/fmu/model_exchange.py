@@ -1,0 +1,127 @@
+"""One run of an FMU for Model Exchange, sample by sample, with all its events.
+
+The inputs jump at samples, so every change of an input is an event (FMI 2.0 section 3.2.3). Between samples
+the integrator goes from event to event: state events (a sign change of an event indicator), time events
+(known in advance), and step events (asked for by the FMU after an integrator step).
+"""
+
+from collections.abc import Callable
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from ddpc_cosim.fmu.calls import CallError, termination
+from ddpc_cosim.fmu.instance import EventInfo, Instance, Model
+from ddpc_cosim.fmu.integrators import make_integrator
+from ddpc_cosim.fmu.ports import Port
+from ddpc_cosim.fmu.run import Run
+from ddpc_cosim.variables import FloatArray
+
+_MOST_EVENTS_AT_ONCE = 1000
+
+
+class ModelExchangeRun(Run):
+    """An initialised model between two samples.
+
+    Parameters
+    ----------
+    model : Model
+        The instance, after its initialisation: in event mode.
+    inputs, outputs : Port
+        What is written before and read after every sample.
+    t0 : float
+        Start time [s].
+    tolerance : float
+        Relative tolerance of the integration; the absolute one is this times the states' nominal values.
+    needs_completed_step : bool
+        Whether the model wants to know of every integrator step.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        inputs: Port,
+        outputs: Port,
+        t0: float,
+        *,
+        tolerance: float,
+        needs_completed_step: bool,
+    ) -> None:
+        super().__init__(model, inputs, outputs, t0)
+        self._model = model
+        self._needs_completed_step = needs_completed_step
+        self._held: FloatArray | None = None
+        self._next_event = inf
+        self._settle()
+        self._integrator = make_integrator(model, *model.sizes(), tolerance)
+        self._integrator.restart(t0)
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        """Hold u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
+        if h != self._step_size:
+            self._base_time, self._steps, self._step_size = self.time, 0, h
+        if self._held is None or not np.array_equal(u, self._held):
+            self._held = np.array(u, dtype=np.float64)
+            self._event(self.time, lambda: self._write(u))
+        self._integrate(self.time, self._base_time + (self._steps + 1) * h)
+        self._steps += 1
+        return self._read()
+
+    def change(self, set_values: Callable[[Instance], None]) -> None:
+        """Set parameters or inputs between two samples: an event."""
+        self._event(self.time, lambda: set_values(self._model))
+
+    def end(self, *, abandoned: bool = False) -> None:
+        """Free all saved states and the integrator."""
+        super().end(abandoned=abandoned)
+        self._integrator.close()
+
+    def _bookkeeping(self) -> tuple[Any, ...]:
+        return *super()._bookkeeping(), self._held, self._next_event
+
+    def _go_back(self, *bookkeeping: Any) -> None:
+        *clock, self._held, self._next_event = bookkeeping
+        super()._go_back(*clock)
+        self._integrator.restart(self.time, nominals_changed=True)
+
+    def _integrate(self, t: float, t_end: float) -> None:
+        at_once = 0
+        while t < t_end or self._next_event <= t:
+            before = t
+            event = self._next_event <= t
+            if not event:
+                t, event = self._advance(min(t_end, self._next_event))
+            if event:
+                self._event(t)
+            at_once = at_once + 1 if t == before else 0
+            if at_once > _MOST_EVENTS_AT_ONCE:
+                raise CallError(f"more than {_MOST_EVENTS_AT_ONCE} events at one instant")
+
+    def _advance(self, target: float) -> tuple[float, bool]:
+        """Do one integrator step towards a time; return where it ended, and whether an event is due there."""
+        t, event = self._integrator.advance(target)
+        if self._needs_completed_step:
+            wanted, end = self._model.completed_integrator_step()
+            if end:
+                raise termination("a completed integrator step")
+            event = event or wanted
+        return t, event or self._next_event <= t
+
+    def _event(self, t: float, change: Callable[[], None] | None = None) -> None:
+        """Handle an event at a time, at which inputs or parameters may change."""
+        self._model.set_time(t)
+        self._model.enter_event_mode()
+        if change is not None:
+            change()
+        info = self._settle()
+        self._integrator.restart(t, nominals_changed=info.nominals_changed)
+
+    def _settle(self) -> EventInfo:
+        """Let the discrete states settle and go on to continuous time."""
+        info = self._model.update_discrete_states()
+        if info.terminate:
+            raise termination("an event")
+        self._next_event = inf if info.next_event is None else info.next_event
+        self._model.enter_continuous_time_mode()
+        return info

@@ -1,0 +1,206 @@
+"""FMUs written by hand and compiled at test time: model descriptions for three FMI versions, and archives."""
+
+import zipfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import fmpy
+
+from fmu_plants.compiler import compile_library, find_compiler
+
+HERE = Path(__file__).parent
+IDENTIFIER = "models"
+
+
+@dataclass(frozen=True)
+class V:
+    """A variable; ``start`` as in XML, ``more`` are further attributes of the type's element."""
+
+    name: str
+    reference: int
+    type: str = "Real"
+    causality: str = "local"
+    variability: str = "continuous"
+    start: str | None = None
+    initial: str | None = None
+    derivative: int | None = None
+    more: Mapping[str, str] = field(default_factory=dict)
+
+
+def attributes(**values: object) -> str:
+    return "".join(f' {key}="{value}"' for key, value in values.items() if value is not None)
+
+
+def describe(
+    version: str,
+    token: str,
+    variables: Iterable[V],
+    *,
+    interfaces: str | None = None,
+    indicators: int = 0,
+    head: str = "",
+    identifier: str = IDENTIFIER,
+) -> str:
+    """Return the modelDescription.xml of an FMU."""
+    write = {"1": _describe_1, "2": _describe_2, "3": _describe_3}[version[0]]
+    if interfaces is None:
+        both = f'<{{}} modelIdentifier="{identifier}"{{}}/>'
+        step = ' canHandleVariableCommunicationStepSize="true"'
+        interfaces = both.format("ModelExchange", "") + both.format("CoSimulation", step)
+    return write(token, list(variables), interfaces, indicators, head)
+
+
+def _describe_1(token: str, variables: list[V], interfaces: str, indicators: int, head: str) -> str:
+    rows = ""
+    for v in variables:
+        causality = {"parameter": "internal", "local": "internal"}.get(v.causality, v.causality)
+        variability = "parameter" if v.causality == "parameter" else v.variability
+        typed = f"<{v.type}{attributes(start=v.start, **v.more)}/>"
+        name = attributes(
+            name=v.name, valueReference=v.reference, causality=causality, variability=variability
+        )
+        rows += f"<ScalarVariable{name}>{typed}</ScalarVariable>"
+    states = sum(v.derivative is not None for v in variables)
+    implementation = (
+        "<Implementation><CoSimulation_StandAlone>"
+        '<Capabilities canHandleVariableCommunicationStepSize="true" canHandleEvents="true"/>'
+        "</CoSimulation_StandAlone></Implementation>"
+    )
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="1.0" modelName="{token}" '
+        f'modelIdentifier="{IDENTIFIER}" guid="{token}" numberOfContinuousStates="{states}" '
+        f'numberOfEventIndicators="{indicators}">{head}<ModelVariables>{rows}</ModelVariables>'
+        f"{implementation if 'CoSimulation' in interfaces else ''}</fmiModelDescription>"
+    )
+
+
+def _describe_2(token: str, variables: list[V], interfaces: str, indicators: int, head: str) -> str:
+    rows, outputs, derivatives = "", "", ""
+    place = {v.reference: i + 1 for i, v in enumerate(variables)}
+    for i, v in enumerate(variables):
+        derivative = None if v.derivative is None else place[v.derivative]
+        typed = f"<{v.type}{attributes(start=v.start, derivative=derivative, **v.more)}/>"
+        outer = attributes(
+            name=v.name,
+            valueReference=v.reference,
+            causality=v.causality,
+            variability=v.variability,
+            initial=v.initial,
+        )
+        rows += f"<ScalarVariable{outer}>{typed}</ScalarVariable>"
+        outputs += f'<Unknown index="{i + 1}"/>' if v.causality == "output" else ""
+        derivatives += f'<Unknown index="{i + 1}"/>' if v.derivative is not None else ""
+    structure = (f"<Outputs>{outputs}</Outputs>" if outputs else "") + (
+        f"<Derivatives>{derivatives}</Derivatives>" if derivatives else ""
+    )
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="2.0" modelName="{token}" '
+        f'guid="{token}" numberOfEventIndicators="{indicators}">{interfaces}{head}'
+        f"<ModelVariables>{rows}</ModelVariables><ModelStructure>{structure}</ModelStructure>"
+        "</fmiModelDescription>"
+    )
+
+
+def _describe_3(token: str, variables: list[V], interfaces: str, indicators: int, head: str) -> str:
+    renamed = {"Real": "Float64", "Integer": "Int32"}
+    rows, structure = "", ""
+    for v in variables:
+        fmi_type = renamed.get(v.type, v.type)
+        nested = f'<Start value="{v.start}"/>' if fmi_type == "String" else v.more.get("nested", "")
+        outer: dict[str, Any] = {
+            "name": v.name,
+            "valueReference": v.reference,
+            "causality": v.causality,
+            "variability": v.variability,
+            "start": None if fmi_type == "String" else v.start,
+            "initial": v.initial,
+            "derivative": v.derivative,
+            **{key: value for key, value in v.more.items() if key != "nested"},
+        }
+        rows += f"<{fmi_type}{attributes(**outer)}>{nested}</{fmi_type}>"
+    for tag, chosen in (
+        ("Output", [v for v in variables if v.causality == "output"]),
+        ("ContinuousStateDerivative", [v for v in variables if v.derivative is not None]),
+    ):
+        structure += "".join(f'<{tag} valueReference="{v.reference}"/>' for v in chosen)
+    # FMI 3.0 counts event indicators by naming them; here the first state is the indicator.
+    structure += '<EventIndicator valueReference="1"/>' * indicators
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="3.0" modelName="{token}" '
+        f'instantiationToken="{token}">{interfaces}{head}<ModelVariables>{rows}</ModelVariables>'
+        f"<ModelStructure>{structure}</ModelStructure></fmiModelDescription>"
+    )
+
+
+@cache
+def library(*names: str, required: str) -> bytes:
+    """Compile C files of this folder."""
+    sources = {name: (HERE / name).read_text(encoding="utf-8") for name in (*names, "models.h")}
+    return compile_library(find_compiler(), sources, [required])
+
+
+def model_library(version: str) -> bytes:
+    """Return the library of models.c for an FMI version."""
+    required = {"1": "models_fmiDoStep", "2": "fmi2DoStep", "3": "fmi3DoStep"}[version[0]]
+    return library("models.c", f"front{version[0]}.c", required=required)
+
+
+def platform_folder(version: str) -> str:
+    return str(fmpy.platform_tuple if version[0] == "3" else fmpy.platform)
+
+
+def write_fmu(
+    path: Path, description: str, content: bytes | None, *, place: str | None = None, **files: str
+) -> Path:
+    """Write an archive; ``place`` is the library's path in it, ``files`` are texts by path."""
+    version = "3" if 'fmiVersion="3' in description else "2"
+    default = f"binaries/{platform_folder(version)}/{IDENTIFIER}{fmpy.sharedLibraryExtension}"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", description)
+        if content is not None:
+            archive.writestr(place or default, content)
+        for name, text in files.items():
+            archive.writestr(name, text)
+    return path
+
+
+U = V("u", 0, causality="input", start="0")
+LAG = (
+    U,
+    V("x", 1, causality="output", initial="exact", start="0"),
+    V("der(x)", 7, derivative=1),
+    V("rate", 6, causality="parameter", variability="tunable", start="1", more={"min": "-10", "max": "10"}),
+    V("name", 20, "String", causality="parameter", variability="fixed", start="a"),
+    V("name_length", 9),
+)
+BALL = (
+    U,
+    V("h", 1, causality="output", initial="exact", start="1"),
+    V("v", 2, causality="output", initial="exact", start="0"),
+    V("der(h)", 7, derivative=1),
+    V("der(v)", 8, derivative=2),
+    V("g", 3, causality="parameter", variability="fixed", start="9.81"),
+    V("e", 4, causality="parameter", variability="fixed", start="0.7"),
+    V("bounces", 5, variability="discrete"),
+)
+STAIR = (U, V("count", 5, "Integer", causality="output", variability="discrete"))
+RELAY = (
+    U,
+    V("x", 1, causality="output", initial="exact", start="0"),
+    V("der(x)", 7, derivative=1),
+    V("rate", 6, causality="parameter", variability="fixed", start="1"),
+    V("count", 5, causality="output", variability="discrete"),
+)
+MODELS = {"lag": LAG, "ball": BALL, "stair": STAIR, "relay": RELAY}
+
+
+def model_fmu(folder: Path, version: str, model: str, **settings: Any) -> Path:
+    """Write one of the models of models.c as an FMU."""
+    independent = [V("time", 15, causality="independent")] if version[0] == "3" else []
+    description = describe(
+        version, model, [*independent, *MODELS[model]], indicators=int(model == "ball"), **settings
+    )
+    return write_fmu(folder / f"{model}{version[0]}.fmu", description, model_library(version))

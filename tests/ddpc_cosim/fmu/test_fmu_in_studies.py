@@ -1,0 +1,129 @@
+"""FMUs of every version in whole studies: parameters of every type, units, warnings."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ddpc_cosim import Constant, Controller, CosimWarning, FMUPlant, Loop, Sample, cosimulate
+from ddpc_cosim.cli.main import main
+from ddpc_cosim.results import load_results
+
+from .builder import LAG, describe, model_fmu, model_library, write_fmu
+
+STUDY = """
+[plant]
+fmu = "{fmu}"
+outputs = ["x"]
+{plant}
+[loop]
+sampling_time = 0.1
+duration = 1.0
+[reference]
+x = {{ kind = "constant", value = 1.0 }}
+[controllers.mfapc]
+type = "mfapc"
+{more}
+"""
+
+
+def write_study(folder: Path, fmu: Path, plant: str = "", more: str = "") -> Path:
+    path = folder / "study.toml"
+    path.write_text(STUDY.format(fmu=fmu.name, plant=plant, more=more), encoding="utf-8")
+    return path
+
+
+def invoke(*arguments: str) -> Any:
+    return CliRunner().invoke(main, arguments)
+
+
+@pytest.mark.parametrize("version", ["1.0", "2.0", "3.0"])
+def test_a_study_runs_on_an_fmu_of_any_version(tmp_path: Path, version: str) -> None:
+    settings = {"interfaces": "CoSimulation"} if version == "1.0" else {}
+    fmu = model_fmu(tmp_path, version, "lag", **settings)
+    plant = 'parameters = { rate = 2, x = 0.25, name = "abc" }'
+    study = write_study(tmp_path, fmu, plant)
+    result = invoke("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1")
+    assert result.exit_code == 0, result.output
+    (case,) = load_results(tmp_path / "out").cases
+    assert case.trace().y[0] == 0.25
+    assert case.trace().provenance["fmi_version"] == f"{version} Co-Simulation"
+
+
+def test_model_exchange_is_chosen_by_a_study(tmp_path: Path) -> None:
+    fmu = model_fmu(tmp_path, "2.0", "lag")
+    study = write_study(tmp_path, fmu, 'fmi_type = "model-exchange"')
+    result = invoke("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1")
+    assert result.exit_code == 0, result.output
+    (case,) = load_results(tmp_path / "out").cases
+    assert case.trace().provenance["fmi_version"] == "2.0 Model Exchange"
+
+
+def test_a_display_unit_reaches_the_results(tmp_path: Path) -> None:
+    text = describe("2.0", "lag", LAG, interfaces='<CoSimulation modelIdentifier="models"/>')
+    text = text.replace(
+        "<ModelVariables>", '<UnitDefinitions><Unit name="rad"/></UnitDefinitions><ModelVariables>'
+    )
+    text = text.replace('initial="exact"><Real start="0"/>', 'initial="exact"><Real start="0" unit="rad"/>')
+    fmu = write_fmu(tmp_path / "lag.fmu", text, model_library("2.0"))
+    study = write_study(tmp_path, fmu, 'display_units = { x = "deg" }')
+    result = invoke("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1")
+    assert result.exit_code == 0, result.output
+    (case,) = load_results(tmp_path / "out").cases
+    (x,) = case.trace().outputs
+    assert (x.unit, x.shown_in.name) == ("rad", "deg")
+    assert "[deg" in (tmp_path / "out" / "metrics.csv").read_text(encoding="utf-8").splitlines()[0]
+
+
+def test_faults_of_the_plant_section_are_told_with_their_place(tmp_path: Path) -> None:
+    fmu = model_fmu(tmp_path, "2.0", "lag")
+    plant = 'display_units = { y = "deg" }\nparameters = { rat = 1.0 }'
+    result = invoke("run", str(write_study(tmp_path, fmu, plant)))
+    assert result.exit_code == 2
+    assert "plant.display_units" in result.stderr
+    assert "plant.parameters" in result.stderr
+
+
+def not_quite_valid(folder: Path) -> Path:
+    text = describe("2.0", "lag", LAG, interfaces='<CoSimulation modelIdentifier="models"/>')
+    return write_fmu(
+        folder / "lag.fmu", text.replace('fmiVersion="2.0"', 'fmiVersion="2.0.1"'), model_library("2.0")
+    )
+
+
+def test_a_lenient_import_warns(tmp_path: Path) -> None:
+    with pytest.warns(CosimWarning) as caught:
+        plant = FMUPlant(not_quite_valid(tmp_path))
+    assert [str(warning.message) for warning in caught] == [
+        "lag.fmu: modelDescription.xml fails validation: Unsupported FMI version: 2.0.1",
+        'lag.fmu: fmiVersion "2.0.1" was read as 2.0',
+    ]
+    assert "fmiVersion" in plant.provenance()["fmu_warnings"]
+    plant.close()
+
+
+def test_a_run_tells_warnings_in_a_line_each(tmp_path: Path) -> None:
+    study = write_study(tmp_path, not_quite_valid(tmp_path))
+    result = invoke("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1")
+    assert result.exit_code == 0, result.output
+    told = [line for line in result.stderr.splitlines() if "was read as" in line]
+    assert told == ['warning: lag.fmu: fmiVersion "2.0.1" was read as 2.0']
+
+
+class Hold(Controller):
+    """Always 1."""
+
+    def start(self, loop: Loop) -> None:
+        pass
+
+    def step(self, sample: Sample) -> np.ndarray:
+        return np.ones(1)
+
+
+def test_a_run_tells_the_fmu_its_stop_time(tmp_path: Path) -> None:
+    with FMUPlant(model_fmu(tmp_path, "2.0", "lag"), outputs=["x"]) as plant:
+        trace = cosimulate(plant, Hold(), sampling_time=0.1, duration=0.7, reference=Constant(0.0))
+        assert trace.y[:, 0] == pytest.approx(1 - np.exp(-trace.time))
+        assert len(trace.time) == 8

@@ -1,0 +1,225 @@
+"""Variables of every type as inputs, outputs and parameters; arrays; start values that take effect."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddpc_cosim.errors import ConfigError, FMUStepError
+from ddpc_cosim.fmu.session import FMUSession
+
+from .builder import V, describe, library, model_fmu, write_fmu
+
+VERSIONS = ("1.0", "2.0", "3.0")
+
+PAIRS = {
+    "real": ("Float64", 2, "2.5"),
+    "single": ("Float32", 3, "0"),
+    "long": ("Int64", 4, "0"),
+    "whole": ("Int32", 5, "0"),
+    "unsigned": ("UInt64", 6, "0"),
+    "short": ("Int16", 7, "0"),
+    "byte": ("Int8", 8, "0"),
+    "switch": ("Boolean", 9, "false"),
+    "mode": ("Enumeration", 10, "1"),
+}
+MODES = (
+    '<TypeDefinitions><EnumerationType name="Mode"><Item name="off" value="1"/><Item name="on" value="2"/>'
+    "</EnumerationType></TypeDefinitions>"
+)
+LENGTH = '<Dimension valueReference="1"/>'
+MATRIX = '<Dimension start="2"/><Dimension start="3"/>'
+
+
+def feedthrough(folder: Path, *, event_mode: bool = False) -> Path:
+    variables = [
+        V("time", 0, causality="independent"),
+        V("n", 1, "UInt64", "structuralParameter", "fixed", start="2"),
+    ]
+    for name, (fmi_type, reference, start) in PAIRS.items():
+        variability = "continuous" if fmi_type.startswith("Float") else "discrete"
+        more = {"declaredType": "Mode"} if name == "mode" else {}
+        variables.append(V(f"{name} in", reference, fmi_type, "input", variability, start, more=more))
+        variables.append(V(f"{name} out", reference + 100, fmi_type, "output", variability, more=more))
+    for name, reference, dimensions, start in (
+        ("v", 20, LENGTH, "1 2"),
+        ("M", 30, MATRIX, "1 2 3 4 5 6"),
+    ):
+        nested = {"nested": dimensions}
+        variables.append(V(f"{name}", reference, "Float64", "input", start=start, more=nested))
+        variables.append(V(f"{name} out", reference + 100, "Float64", "output", more=nested))
+    k = V("k", 21, "Float64", "parameter", "tunable", "1 1", more={"nested": LENGTH})
+    variables += [k, V("k out", 121, "Float64", "output", more={"nested": LENGTH})]
+    variables.append(V("steps", 199, "Float64", "output"))
+    interfaces = (
+        '<CoSimulation modelIdentifier="models" canHandleVariableCommunicationStepSize="true" '
+        f'hasEventMode="{str(event_mode).lower()}"/>'
+    )
+    text = describe("3.0", "feed", variables, interfaces=interfaces, head=MODES)
+    return write_fmu(folder / "feed.fmu", text, library("feedthrough3.c", required="fmi3DoStep"))
+
+
+def pass_through(
+    path: Path, names: Sequence[str], values: Sequence[float], **parameters: float
+) -> list[float]:
+    session = FMUSession(path, inputs=names, outputs=[_output(name) for name in names])
+    session.reset(parameters)
+    y = session.step(np.array(values), 0.1)
+    session.close()
+    return [float(value) for value in y]
+
+
+def _output(name: str) -> str:
+    base, bracket, index = name.partition("[")
+    return base.replace(" in", "").strip() + " out" + bracket + index
+
+
+@pytest.mark.parametrize("event_mode", [False, True])
+def test_numbers_of_every_type_pass_through(tmp_path: Path, event_mode: bool) -> None:
+    """Twice, as discrete inputs are set in event mode where the FMU has one."""
+    path = feedthrough(tmp_path, event_mode=event_mode)
+    names = [f"{name} in" for name in PAIRS]
+    values = [0.1, 0.5, -(2.0**40), -7, 2.0**40, -300, 100, 1, 2]
+    assert pass_through(path, names, values) == values
+
+
+def test_types_may_be_mixed_in_any_order(tmp_path: Path) -> None:
+    path = feedthrough(tmp_path)
+    names = ["whole in", "real in", "switch in", "short in", "M[2,1]"]
+    assert pass_through(path, names, [3, 0.25, 0, -4, 9.5]) == [3, 0.25, 0, -4, 9.5]
+
+
+def test_whole_numbers_are_rounded_and_truth_values_cut_at_a_half(tmp_path: Path) -> None:
+    path = feedthrough(tmp_path)
+    assert pass_through(path, ["whole in", "switch in", "byte in"], [2.6, 0.7, -1.4]) == [3, 1, -1]
+
+
+def test_elements_of_arrays_are_addressed_from_1_in_rows(tmp_path: Path) -> None:
+    path = feedthrough(tmp_path)
+    session = FMUSession(
+        path, inputs=["M[1,2]", "v[2]"], outputs=[f"M out[{i},{j}]" for i in (1, 2) for j in (1, 2, 3)]
+    )
+    session.reset({"M[2,3]": 6.0})
+    assert session.step(np.array([0.2, 5.0]), 0.1).tolist() == [0.0, 0.2, 0.0, 0.0, 0.0, 6.0]
+    session.close()
+
+
+def test_arrays_are_known_by_their_elements(tmp_path: Path) -> None:
+    session = FMUSession(feedthrough(tmp_path), outputs=["steps"])
+    inputs = {v.name: v.start for v in session.inputs}
+    session.close()
+    assert inputs == {"real in": 2.5, "single in": 0.0, "v[1]": 1.0, "v[2]": 2.0} | {
+        f"M[{i},{j}]": 3.0 * (i - 1) + j for i in (1, 2) for j in (1, 2, 3)
+    }
+
+
+def test_structural_parameters_size_arrays_before_anything_else(tmp_path: Path) -> None:
+    """The FMU takes the size in configuration mode only, and everything else outside of it only."""
+    path = feedthrough(tmp_path)
+    session = FMUSession(path, inputs=["v[1]", "v[4]"], outputs=["v out[4]", "k out[4]", "v out[1]"])
+    session.reset({"k[4]": 7.0, "n": 4})
+    assert session.step(np.array([1.5, 2.5]), 0.1).tolist() == [2.5, 7.0, 1.5]
+    with pytest.raises(ConfigError, match=r"v\[4\] is outside the array v of size \[2\]"):
+        session.reset()
+    session.close()
+
+
+@pytest.mark.parametrize(
+    ("inputs", "words"),
+    [
+        (["v"], '"v" is an array of size [2]; name an element, for example "v[1]"'),
+        (["M[3,1]"], 'no input "M[3,1]"; did you mean "M[2,1]"?'),
+        (["M[1]"], 'no input "M[1]"'),
+        (["real in", "real in"], 'input "real in" is chosen twice'),
+        (["real out"], 'no input "real out"'),
+    ],
+)
+def test_names_that_are_no_inputs_are_refused(tmp_path: Path, inputs: list[str], words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        FMUSession(feedthrough(tmp_path), inputs=inputs)
+    assert words in str(caught.value)
+
+
+def test_texts_and_bytes_are_no_signals(tmp_path: Path) -> None:
+    path = model_fmu(tmp_path, "2.0", "lag")
+    with pytest.raises(ConfigError, match='"name" is a String and cannot be an output; only numbers can'):
+        FMUSession(path, outputs=["name"])
+
+
+def test_steps_that_return_early_are_continued(tmp_path: Path) -> None:
+    session = FMUSession(feedthrough(tmp_path), inputs=["real in"], outputs=["steps"])
+    session.reset()
+    assert session.step(np.array([0.0]), 0.4) == [2.0]
+    assert session.step(np.array([0.0]), 0.3) == [3.0]
+    assert session.time == pytest.approx(0.7)
+    session.close()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
+def test_start_values_and_parameters_take_effect(tmp_path: Path, version: str, kind: str) -> None:
+    settings = {} if version != "1.0" else {"interfaces": "CoSimulation" if kind == "co-simulation" else ""}
+    path = model_fmu(tmp_path, version, "lag", **settings)
+    session = FMUSession(path, outputs=["x", "name_length"], fmi_type=kind, tolerance=1e-9)  # type: ignore[arg-type]
+    start = session.reset({"x": 0.5, "rate": 2.0, "name": "größer"})
+    assert start.tolist() == [0.5, len("größer".encode())]
+    x, _ = session.step(np.array([1.0]), 0.5)
+    assert x == pytest.approx(1 - 0.5 * np.exp(-1.0), abs=1e-7)
+    session.close()
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"rate": 11.0}, "parameter rate = 11 is outside [-10, 10]"),
+        ({"rate": float("inf")}, "parameter rate = inf is outside"),
+        ({"rate": "fast"}, "parameter rate = 'fast' must be a number"),
+        ({"name": 1.0}, "parameter name = 1.0 must be a text"),
+        ({"der(x)": 1.0}, 'no parameter "der(x)": the FMU calculates it'),
+        ({"u": 1.0}, '"u" is an input that is driven'),
+        ({"ratte": 1.0}, 'no parameter "ratte"; did you mean "rate"?'),
+    ],
+)
+def test_impossible_values_are_refused_by_name(
+    tmp_path: Path, values: dict[str, float | str], words: str
+) -> None:
+    session = FMUSession(model_fmu(tmp_path, "2.0", "lag"), outputs=["x"])
+    with pytest.raises(ConfigError) as caught:
+        session.reset(values)
+    assert words in str(caught.value)
+    session.close()
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_a_value_that_the_fmu_refuses_is_an_error(tmp_path: Path, version: str) -> None:
+    session = FMUSession(model_fmu(tmp_path, version, "lag"), outputs=["x"])
+    with pytest.raises(FMUStepError, match=r"the FMU refuses rate = -1: fmi\dSet\w+ returned error"):
+        session.reset({"rate": -1.0})
+    session.close()
+
+
+def test_a_value_that_the_fmu_ignores_is_an_error(tmp_path: Path) -> None:
+    session = FMUSession(
+        model_fmu(tmp_path, "2.0", "ball", interfaces='<ModelExchange modelIdentifier="models"/>')
+    )
+    with pytest.raises(FMUStepError, match=r"the FMU ignores e = 0.123: initialised, it has 0.7"):
+        session.reset({"e": 0.123})
+    session.close()
+
+
+def test_enumerations_are_given_by_name_or_number(tmp_path: Path) -> None:
+    session = FMUSession(feedthrough(tmp_path), inputs=["real in"], outputs=["mode out"])
+    for value in ("on", 2):
+        session.reset({"mode in": value})
+        assert session.step(np.array([0.0]), 0.1) == [2.0]
+    with pytest.raises(ConfigError, match="must be a number; allowed: off, on"):
+        session.reset({"mode in": "broken"})
+    session.close()
+
+
+def test_an_fmu_without_inputs_runs(exported: Callable[[str], Path]) -> None:
+    session = FMUSession(exported("3.0"), inputs=[], outputs=["angle"])
+    session.reset({"torque": 1.0})
+    assert session.step(np.empty(0), 0.1) > 0
+    session.close()

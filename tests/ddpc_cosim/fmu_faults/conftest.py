@@ -1,0 +1,64 @@
+"""The misbehaving FMU, built once, and a folder that takes all temporary files."""
+
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+
+from .builder import build, write_archive
+
+# Signals and permissions are matters of POSIX.
+collect_ignore = ["test_posix.py", "test_leftovers.py"] if sys.platform == "win32" else []
+
+Files = Mapping[str, bytes]
+
+
+@pytest.fixture(scope="session")
+def files() -> Files:
+    """The files of the misbehaving FMU for FMI 2.0."""
+    return build(2)
+
+
+@pytest.fixture(scope="session")
+def faulty_fmus(files: Files, tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+    """The misbehaving FMU by FMI version."""
+    folder = tmp_path_factory.mktemp("faulty")
+    return {
+        2: write_archive(folder / "faulty2.fmu", files),
+        3: write_archive(folder / "faulty3.fmu", build(3)),
+    }
+
+
+@pytest.fixture
+def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder that takes all temporary files, of child processes too."""
+    folder = tmp_path / "scratch"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    for name in ("TMPDIR", "TEMP", "TMP"):
+        monkeypatch.setenv(name, str(folder))
+    return folder
+
+
+@pytest.fixture
+def nothing_left(scratch: Path) -> Iterator[None]:
+    """Check that the test leaves no temporary files and no changed working directory behind."""
+    here = Path.cwd()
+    yield
+    assert Path.cwd() == here
+    assert list(scratch.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[None]:
+    """Keep ready what isolated FMUs are forked from: starting it anew for every test takes long."""
+    if sys.platform == "win32":
+        yield
+        return
+    from ddpc_cosim.fmu.isolation_fork import ForkServer
+
+    held = ForkServer.acquire()
+    yield
+    held.release()

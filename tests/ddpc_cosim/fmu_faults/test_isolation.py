@@ -1,0 +1,187 @@
+"""FMUs in processes of their own: the same answers, whoever asks, and however the processes are started."""
+
+import gc
+import math
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import ConfigError, FMUImportError, FMUPlant, FMUStepError
+from ddpc_cosim.errors import StepStatus
+from ddpc_cosim.fmu import isolation
+from ddpc_cosim.fmu.isolation import IsolatedSession
+from ddpc_cosim.fmu.isolation_launch import SpawnedChild
+from ddpc_cosim.fmu.session import FMUSession
+
+from .builder import Fault
+from .loop import SHORT, H
+
+U = np.ones(1)
+
+pytestmark = pytest.mark.usefixtures("server", "nothing_left")
+
+
+@pytest.fixture
+def session(faulty_fmus: dict[int, Path]) -> Iterator[IsolatedSession]:
+    session = IsolatedSession(faulty_fmus[2], step_timeout=20.0)
+    yield session
+    session.close()
+
+
+class TestTheSameAsInThisProcess:
+    @pytest.mark.parametrize("version", [2, 3])
+    def test_what_it_says_of_itself(self, version: int, faulty_fmus: dict[int, Path]) -> None:
+        here, there = FMUSession(faulty_fmus[version]), IsolatedSession(faulty_fmus[version])
+        assert there.description == here.description
+        assert there.interface == here.interface
+        assert (there.inputs, there.outputs, there.warnings) == (here.inputs, here.outputs, here.warnings)
+        assert there.can_save_state == here.can_save_state
+        here.close()
+        there.close()
+
+    def test_steps(self, faulty_fmus: dict[int, Path], session: IsolatedSession) -> None:
+        """Bit for bit, times included, also where the step size changes."""
+        here = FMUSession(faulty_fmus[2])
+        np.testing.assert_array_equal(here.reset(t0=1.5), session.reset(t0=1.5))
+        assert session.time == here.time == 1.5
+        for u, h in ((0.3, 0.1), (-1.0, 0.1), (7.0, 0.25)):
+            np.testing.assert_array_equal(here.step(np.array([u]), h), session.step(np.array([u]), h))
+            assert session.time == here.time
+        here.close()
+
+    def test_every_answer_is_a_new_array(self, session: IsolatedSession) -> None:
+        session.reset()
+        first = session.step(U, H)
+        session.step(U, H)
+        np.testing.assert_allclose(first, [H])
+
+    @pytest.mark.parametrize("parameters", [{"falt": 1}, {"u": 1.0}, {"fault": 0.5}], ids=str)
+    def test_errors(
+        self, parameters: dict[str, float], faulty_fmus: dict[int, Path], session: IsolatedSession
+    ) -> None:
+        here = FMUSession(faulty_fmus[2])
+        with pytest.raises(ConfigError) as expected:
+            here.reset(parameters)
+        with pytest.raises(ConfigError) as found:
+            session.reset(parameters)
+        assert found.value.faults == expected.value.faults
+        here.close()
+
+    def test_an_fmu_that_cannot_be_loaded(self, tmp_path: Path) -> None:
+        path = tmp_path / "text.fmu"
+        path.write_bytes(b"text")
+        with pytest.raises(FMUImportError, match=r"^text\.fmu: not an FMU: File is not a zip file$"):
+            IsolatedSession(path)
+
+    def test_names_that_do_not_exist(self, faulty_fmus: dict[int, Path]) -> None:
+        with pytest.raises(ConfigError) as error:
+            IsolatedSession(faulty_fmus[2], inputs=["v"], outputs=["z"])
+        assert len(error.value.faults) == 2
+
+    def test_it_cannot_step_before_reset(self, session: IsolatedSession) -> None:
+        with pytest.raises(ConfigError, match="step before reset"):
+            session.step(U, H)
+
+    def test_a_wrong_number_of_inputs_costs_nothing(self, session: IsolatedSession) -> None:
+        session.reset()
+        with pytest.raises(ValueError, match="could not broadcast"):
+            session.step(np.ones(3), H)
+        np.testing.assert_allclose(session.step(U, H), [H])
+
+
+class TestTheProcesses:
+    def test_started_from_nothing(
+        self, faulty_fmus: dict[int, Path], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """The way for systems that cannot fork: slower, with the same reports."""
+        monkeypatch.setattr(isolation, "launch", SpawnedChild)
+        session = IsolatedSession(faulty_fmus[2], step_timeout=20.0)
+        session.reset()
+        np.testing.assert_allclose(session.step(U, H), [H])
+        session.reset({"fault": int(Fault.CALL_EXIT)})
+        with pytest.raises(FMUStepError, match="exit code 3") as crash:
+            session.step(U, H)
+        assert crash.value.status is StepStatus.CRASHED
+        session.reset({"fault": int(Fault.FLOOD_STDOUT)})
+        np.testing.assert_allclose(session.step(U, H), [H])
+        session.close()
+
+    def test_started_from_nothing_and_hanging(
+        self, faulty_fmus: dict[int, Path], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(isolation, "launch", SpawnedChild)
+        session = IsolatedSession(faulty_fmus[2], step_timeout=5.0)
+        session.reset({"fault": int(Fault.HANG_IN_STEP)})
+        session._timeout = SHORT
+        with pytest.raises(FMUStepError, match=r"no return within 0\.5 s") as hang:
+            session.step(U, H)
+        assert hang.value.status is StepStatus.TIMED_OUT
+        session.close()
+
+    def test_several_at_once(self, faulty_fmus: dict[int, Path]) -> None:
+        """What happens to one does not happen to another."""
+        sessions = [IsolatedSession(faulty_fmus[2], step_timeout=20.0) for _ in range(3)]
+        for session, fault in zip(sessions, (Fault.NO_FAULT, Fault.CALL_ABORT, Fault.NO_FAULT), strict=True):
+            session.reset({"fault": int(fault)})
+        sessions[0].step(U, H)
+        with pytest.raises(FMUStepError, match=r"SIGABRT|exit code"):
+            sessions[1].step(U, H)
+        for session in (sessions[0], sessions[2]):
+            session.step(U, H)
+        assert [round(session.time / H) for session in sessions] == [2, 0, 1]
+        for session in sessions:
+            session.close()
+
+    def test_a_thread_that_has_ended(self, faulty_fmus: dict[int, Path]) -> None:
+        """The process belongs to this one, not to the thread that asked for it."""
+        opened: list[IsolatedSession] = []
+
+        def open_session() -> None:
+            opened.append(IsolatedSession(faulty_fmus[2], step_timeout=20.0))
+            opened[0].reset()
+
+        thread = threading.Thread(target=open_session)
+        thread.start()
+        thread.join()
+        np.testing.assert_allclose(opened[0].step(U, H), [H])
+        opened[0].close()
+
+    def test_one_that_is_forgotten(self, faulty_fmus: dict[int, Path], scratch: Path) -> None:
+        """Its process ends and its files go with the object."""
+        session = IsolatedSession(faulty_fmus[2])
+        assert len(list(scratch.iterdir())) == 1
+        del session
+        gc.collect()
+        assert list(scratch.iterdir()) == []
+
+    def test_files_that_the_fmu_makes(self, session: IsolatedSession, scratch: Path) -> None:
+        """Temporary files of the FMU's own lie in its folder, and go with it (the fixture checks that)."""
+        session.reset({"fault": int(Fault.LEAVE_A_FILE)})
+        session.step(U, H)
+        assert [len(list(folder.glob("left-*"))) for folder in scratch.iterdir()] == [1]
+
+
+class TestAnInterrupt:
+    def test_the_process_is_ended(self, session: IsolatedSession, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Otherwise the answer that is still to come would be taken for the next one's."""
+        session.reset()
+        process = session._process
+        assert process is not None
+
+        def interrupted(memory: memoryview, seconds: float) -> int:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(process, "read_into", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            session.step(U, H)
+        np.testing.assert_allclose(session.reset(), [0.0])
+        np.testing.assert_allclose(session.step(U, H), [H])
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf])
+def test_an_impossible_limit(limit: float, faulty_fmus: dict[int, Path]) -> None:
+    with pytest.raises(ConfigError, match=r"step_timeout = .* is not possible; allowed: a finite number > 0"):
+        FMUPlant(faulty_fmus[2], isolated=True, step_timeout=limit)

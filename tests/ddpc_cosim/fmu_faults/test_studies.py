@@ -1,0 +1,123 @@
+"""FMUs that misbehave in a study: each case ends with the outcome of the fault, and the samples before it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import ConfigError, Outcome, Trace
+from ddpc_cosim.config import PlantSection
+from ddpc_cosim.plants import PlantSource
+from ddpc_cosim.study import cases_of, run_case
+from ddpc_cosim.study_file import read_study
+
+from .builder import Fault
+from .loop import FAULT_SAMPLE, FAULT_TIME, SHORT
+
+STUDY = """
+[plant]
+fmu = "{fmu}"
+step_timeout = {timeout}
+parameters = {{ fault = {fault}, fault_time = {time} }}
+[loop]
+sampling_time = 0.1
+duration = 1.0
+[reference]
+y = {{ kind = "constant", value = 1.0 }}
+[controllers.it]
+type = "{controller}"
+"""
+RECORDING = """
+[recording]
+samples = 60
+excitation.u = { low = -1.0, high = 1.0 }
+"""
+
+Run = Callable[..., Trace]
+
+pytestmark = pytest.mark.usefixtures("server", "nothing_left")
+
+
+@pytest.fixture
+def run(tmp_path: Path, faulty_fmus: dict[int, Path]) -> Run:
+    """Run the only case of a study of the misbehaving FMU."""
+
+    def run_fault(fault: Fault, *, controller: str = "mfapc", timeout: float = 20.0, more: str = "") -> Trace:
+        text = STUDY.format(
+            fmu=faulty_fmus[2].as_posix(),
+            timeout=timeout,
+            fault=int(fault),
+            time=FAULT_TIME,
+            controller=controller,
+        )
+        path = tmp_path / "study.toml"
+        path.write_text(text + more, encoding="utf-8")
+        checked = read_study(str(path))
+        (case,) = cases_of(checked, checked.plant.prepare())
+        return run_case(case)
+
+    return run_fault
+
+
+def test_a_crash(run: Run) -> None:
+    """A supplied FMU is isolated without being asked for it."""
+    trace = run(Fault.SEGMENTATION_FAULT)
+    assert trace.outcome is Outcome.CRASHED
+    assert trace.reason.startswith("faulty2.fmu: crashed in step at t = 0.5 s: ")
+    assert len(trace.time) == FAULT_SAMPLE + 1
+
+
+def test_a_termination_that_does_not_return(run: Run) -> None:
+    """All samples are there, and still it is no success."""
+    trace = run(Fault.HANG_IN_TERMINATE, timeout=SHORT)
+    assert trace.outcome is Outcome.TIMED_OUT
+    assert trace.reason.startswith("after the last sample: faulty2.fmu: no return within 0.5 s in terminate")
+    assert len(trace.time) == trace.planned_samples
+
+
+def test_an_initialisation_that_does_not_return(run: Run) -> None:
+    trace = run(Fault.HANG_IN_INITIALIZATION, timeout=SHORT)
+    assert trace.outcome is Outcome.TIMED_OUT
+    assert trace.reason.startswith("before the first sample: faulty2.fmu: no return within 0.5 s")
+    assert len(trace.time) == 0
+
+
+def test_a_plant_that_diverges_while_it_is_recorded(run: Run) -> None:
+    trace = run(Fault.RETURN_NAN, controller="deepc", more=RECORDING)
+    assert trace.outcome is Outcome.DIVERGED
+    assert "during the open-loop experiment" in trace.reason
+    assert "output y is nan" in trace.reason
+
+
+class TestWhatIsIsolated:
+    @pytest.mark.parametrize(("wanted", "isolated"), [("auto", True), (True, True), (False, False)])
+    def test_supplied_fmus(
+        self, wanted: bool | str, isolated: bool, faulty_fmus: dict[int, Path], tmp_path: Path
+    ) -> None:
+        section = PlantSection.model_validate(
+            {"fmu": str(faulty_fmus[2]), "isolated": wanted, "step_timeout": 7.0}
+        )
+        target = PlantSource(section, tmp_path).prepare()
+        assert (target.isolated, target.step_timeout) == (isolated, 7.0)
+        plant = target.open(["u"], ["y"])
+        np.testing.assert_allclose(plant.reset(), [0.0])
+        plant.close()
+
+    @pytest.mark.parametrize(("wanted", "isolated"), [("auto", False), (True, True), (False, False)])
+    def test_equations(
+        self, wanted: bool | str, isolated: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "cache"))
+        section = PlantSection.model_validate({"name": "pendulum", "isolated": wanted})
+        assert PlantSource(section, tmp_path).prepare().isolated is isolated
+
+    def test_python_plants_cannot_be(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """The author of a class is at hand; who wrote an FMU may not be."""
+        (tmp_path / "own.py").write_text(
+            "from ddpc_cosim import Plant\n\n\nclass Own(Plant):\n    pass\n", encoding="utf-8"
+        )
+        monkeypatch.syspath_prepend(tmp_path)
+        section = PlantSection.model_validate({"name": "own:Own", "isolated": True})
+        with pytest.raises(ConfigError, match='plant "own:Own" is a Python class; only FMUs can be isolated'):
+            PlantSource(section, tmp_path)
