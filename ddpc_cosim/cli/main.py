@@ -75,12 +75,82 @@ def list_(kind: str | None) -> None:
     sys.exit(list_command(kind))
 
 
+_FMU = click.argument("fmu", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="FILE.fmu")
+
+
+@main.command()
+@_FMU
+@click.option("--json", "as_json", is_flag=True, help="Everything, for programs.")
+@click.option("--strict", is_flag=True, help="FMPy's full validation too; slow with thousands of variables.")
+@click.option("--all", "every", is_flag=True, help="Long lists in full.")
+def inspect(fmu: Path, as_json: bool, strict: bool, every: bool) -> None:
+    """Show what an FMU is, what it can do, and what is wrong with it; exit with 1 if it cannot run here."""
+    from ddpc_cosim.cli.inspect import inspect_command
+
+    sys.exit(inspect_command(fmu, as_json=as_json, strict=strict, every=every))
+
+
+@main.command()
+@_FMU
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("study.toml"),
+    show_default=True,
+    help="The study.",
+)
+@click.option("--input", "inputs", multiple=True, metavar="NAME", help="Drive this input; may be repeated.")
+@click.option("--output", "outputs", multiple=True, metavar="NAME", help="Control this; may be repeated.")
+@click.option("--force", is_flag=True, help="Replace a file that is there.")
+@click.option(
+    "--step-timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    default=60.0,
+    show_default=True,
+    help="Seconds that one call of the FMU may take.",
+)
+def init(
+    fmu: Path, out: Path, inputs: tuple[str, ...], outputs: tuple[str, ...], force: bool, step_timeout: float
+) -> None:
+    """Write a study for an FMU that runs at once, from a step test in a process of its own."""
+    from ddpc_cosim.cli.init import init_command
+
+    init_command(fmu, out, inputs, outputs, force=force, step_timeout=step_timeout)
+
+
+@main.command()
+@click.argument("subject", metavar="NAME|MODULE:CLASS|FILE.fmu")
+@click.option(
+    "--sampling-time",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Step size of the runs in s [the FMU's own, or 0.1].",
+)
+@click.option(
+    "--timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    default=60.0,
+    show_default=True,
+    help="Seconds that one check may take.",
+)
+@click.option(
+    "--setting", "settings", multiple=True, metavar="TOML", help="A controller's setting; may be repeated."
+)
+def check(subject: str, sampling_time: float | None, timeout: float, settings: tuple[str, ...]) -> None:
+    """Run the conformance kit on a plant or a controller; exit with 1 if a check fails."""
+    from ddpc_cosim.cli.check import check_command
+
+    sys.exit(check_command(subject, sampling_time, timeout, settings))
+
+
 @main.command()
 @click.argument("plant")
-@click.option("--fmi", type=click.Choice(["2.0"]), default="2.0", show_default=True, help="FMI version.")
+@click.option(
+    "--fmi", type=click.Choice(["2.0", "3.0"]), default="2.0", show_default=True, help="FMI version."
+)
+@click.option("--platforms", metavar="all|NAME,...", help="Platforms to compile for [this one].")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The FMU [PLANT.fmu].")
-def export(plant: str, fmi: str, out: Path | None) -> None:
-    """Export PLANT, a name from `list plants` or module:MODEL, as an FMU."""
+def export(plant: str, fmi: str, platforms: str | None, out: Path | None) -> None:
+    """Export PLANT (a name from `list plants`, module:MODEL or file.py:MODEL) as an FMU."""
     from ddpc_cosim.cli.export import export_command
 
-    export_command(plant, fmi, out)
+    export_command(plant, fmi, out, platforms)

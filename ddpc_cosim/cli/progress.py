@@ -83,7 +83,8 @@ class LineProgress:
     def start(self, total: int, kept: int) -> None:
         """Say how many cases there are."""
         self._total = total
-        self._say(f"{total} cases to run" + (f", {kept} are there already" if kept else ""))
+        noun = "case" if total == 1 else "cases"
+        self._say(f"{total} {noun} to run" + (f", {kept} there already" if kept else ""))
 
     def update(self, update: Update) -> None:
         """Say how far a long case is."""

@@ -2,15 +2,17 @@
 
 import os
 import sys
+import warnings
 from pathlib import Path
 
 from rich.console import Console
 
+from ddpc_cosim.checked_study import CheckedStudy
 from ddpc_cosim.cli.progress import LineProgress, TerminalProgress
 from ddpc_cosim.cli.report import write_report
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.config import expand_seeds
-from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.run import Selection, run_study
 from ddpc_cosim.study_file import read_study
 from ddpc_cosim.trace import Outcome
@@ -24,7 +26,7 @@ def run_command(
 ) -> int:
     """Run a study, print the result table and the report's path, and return the exit code."""
     chosen = _parse_seeds(seeds)
-    checked = read_study(name)
+    checked = _read(name)
     folder = out or Path("runs") / checked.study.name
     console = Console(stderr=True)
     selection = Selection(jobs or os.cpu_count() or 1, chosen, only, fresh)
@@ -39,6 +41,16 @@ def run_command(
     for case in failed:
         print(f"{case.id}: {case.outcome}: {case.reason}", file=sys.stderr)
     return 1 if failed else 0
+
+
+def _read(name: str) -> CheckedStudy:
+    """Read a study; what is not quite right with its plant is told in one line each."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", CosimWarning)
+        checked = read_study(name)
+    for message in dict.fromkeys(str(warning.message) for warning in caught):
+        print(f"warning: {message}", file=sys.stderr)
+    return checked
 
 
 def _parse_seeds(text: str | None) -> list[int]:

@@ -1,0 +1,225 @@
+"""``ddpc-cosim inspect``."""
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ddpc_cosim.diagnosis.as_data import as_data
+from ddpc_cosim.diagnosis.defects import Defect, Severity
+from ddpc_cosim.fmu.model_description import FMUDescription, FMUVariable, Interface
+from ddpc_cosim.inspection import Inspection, inspect_fmu
+from ddpc_cosim.variables import Variable
+
+_MOST_ROWS = 20
+_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: ""}
+_HEADINGS = ("name", "unit", "start", "min", "max", "nominal", "more", "description")
+_BYTES_PER_KILOBYTE = 1000
+
+Row = tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Section:
+    """A list of the page: its title, what one row is called where it stands alone, and its rows."""
+
+    title: str
+    singular: str
+    headings: Row
+    rows: Sequence[Row]
+
+
+def inspect_command(path: Path, *, as_json: bool, strict: bool, every: bool) -> int:
+    """Print what an FMU is; return 1 if a defect prevents it from running here."""
+    inspection = inspect_fmu(path, strict=strict)
+    if as_json:
+        click.echo(json.dumps(as_data(inspection), indent=2, ensure_ascii=False, allow_nan=False))
+    elif (console := Console()).is_terminal:
+        _print_tables(console, inspection, every=every)
+    else:
+        for line in _plain_lines(inspection):
+            click.echo(line)
+    return 0 if inspection.can_run else 1
+
+
+def _print_tables(console: Console, inspection: Inspection, *, every: bool) -> None:
+    facts = Table(box=None, show_header=False, pad_edge=False)
+    facts.add_column(style="bold", no_wrap=True)
+    facts.add_column(overflow="fold")
+    for name, value in _facts(inspection):
+        facts.add_row(name, Text(value))
+    console.print(facts, "")
+    for section in _sections(inspection):
+        if section.rows:
+            console.print(_table(section, every=every))
+    for defect in inspection.defects:
+        console.print(Text.assemble((f"{defect.severity}: ", _STYLE[defect.severity]), str(defect)))
+    if inspection.can_run:
+        console.print(Text(f"\n{_next_step(inspection)}"))
+
+
+def _table(section: _Section, *, every: bool) -> Table:
+    table = Table(
+        title=f"{section.title} ({len(section.rows)})",
+        title_justify="left",
+        title_style="bold",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    # Columns in which nothing stands only take room.
+    used = [i for i, heading in enumerate(section.headings) if any(row[i] for row in section.rows)]
+    for i in used:
+        table.add_column(section.headings[i], overflow="fold", justify="left")
+    shown = section.rows if every else section.rows[:_MOST_ROWS]
+    for row in shown:
+        table.add_row(*(Text(row[i]) for i in used))
+    hidden = len(section.rows) - len(shown)
+    if hidden:
+        table.caption, table.caption_justify = f"and {hidden} more; --all shows them", "left"
+    return table
+
+
+def _plain_lines(inspection: Inspection) -> Iterator[str]:
+    """Yield one line per fact, variable and defect, with tabs between the columns: for grep and cut."""
+    for name, value in _facts(inspection):
+        yield f"{name}\t{value}"
+    for section in _sections(inspection):
+        for row in section.rows:
+            cells = (
+                f"{h} {cell}" if h in ("start", "min", "max", "nominal") else cell
+                for h, cell in zip(section.headings, row, strict=True)
+                if cell
+            )
+            yield "\t".join((section.singular, *cells))
+    for defect in inspection.defects:
+        yield from _defect_lines(defect)
+    if inspection.can_run:
+        yield _next_step(inspection)
+
+
+def _defect_lines(defect: Defect) -> Iterator[str]:
+    remedy = f" ({defect.kind.remedy})" if defect.kind.remedy else ""
+    for place in defect.places or ("",):
+        yield f"{defect.severity}\t{defect.kind.name}\t{defect.kind.message}{remedy}\t{place}".rstrip()
+
+
+def _next_step(inspection: Inspection) -> str:
+    return f"suggested study: ddpc-cosim init {inspection.path} && ddpc-cosim run study.toml"
+
+
+def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
+    """Yield what there is to say in one line each."""
+    description = inspection.description
+    yield "file", f"{inspection.path.name}, {inspection.size / _BYTES_PER_KILOBYTE:.1f} kB"
+    if description is not None:
+        yield from _model_facts(description)
+    binaries = inspection.binaries
+    has = [*binaries.platforms, *(["C sources"] if binaries.has_sources else [])]
+    yield "platforms", ", ".join(has) or "none"
+    runs = {"binary": "yes", "sources": "yes, from its sources", "": "no"}[binaries.route]
+    yield "runs here", runs if inspection.can_run else "no"
+    yield "sha256", inspection.sha256
+
+
+def _model_facts(description: FMUDescription) -> Iterator[tuple[str, str]]:
+    experiment = description.default_experiment
+    yield "model", _joined((description.model_name, description.version), " ")
+    interfaces = description.interfaces
+    yield "fmi", f"{description.fmi_version} {' and '.join(sorted(interfaces)) or 'no interface'}"
+    yield from (
+        (name, text)
+        for name, text in (
+            ("about", description.text),
+            ("tool", description.generation_tool),
+            ("author", description.author),
+            ("generated", description.generated_at),
+            ("copyright", description.copyright),
+            ("licence", description.license),
+        )
+        if text and text != "unknown"
+    )
+    for kind in sorted(interfaces):
+        yield f"{kind} can", _joined(_capabilities(interfaces[kind])) or "nothing beyond the minimum"
+    yield (
+        "experiment",
+        _joined(
+            f"{what} {value:g} s"
+            for what, value in (
+                ("start", experiment.start_time),
+                ("stop", experiment.stop_time),
+                ("step", experiment.step_size),
+            )
+            if value is not None
+        )
+        or "none given",
+    )
+
+
+def _capabilities(interface: Interface) -> Iterator[str]:
+    if interface.kind == "co-simulation":
+        yield "step by any size" if interface.variable_step else "only equal steps"
+    if interface.fixed_step is not None:
+        yield f"steps of multiples of {interface.fixed_step:g} s"
+    if interface.can_save_state:
+        yield "save its state" + (" to bytes" if interface.can_serialize_state else "")
+    if interface.provides_directional_derivatives:
+        yield "give derivatives"
+    if interface.has_event_mode:
+        yield "handle events"
+    if interface.only_one_instance:
+        yield "one instance per process"
+    if interface.needs_execution_tool:
+        yield "needs its tool"
+
+
+def _joined(parts: Iterable[str], by: str = ", ") -> str:
+    return by.join(part for part in parts if part)
+
+
+def _sections(inspection: Inspection) -> Iterator[_Section]:
+    feedthrough = inspection.feedthrough
+    yield _Section("Inputs", "input", _HEADINGS, [_row(v) for v in inspection.inputs])
+    outputs = [_row(v, _on_feedthrough(feedthrough, v.name)) for v in inspection.outputs]
+    yield _Section("Outputs", "output", _HEADINGS, outputs)
+    parameters = [_row(p.variable, _on_parameter(p), p.start_text) for p in inspection.parameters]
+    yield _Section("Parameters", "parameter", _HEADINGS, parameters)
+    yield _Section("States", "state", _HEADINGS, [_row(v) for v in inspection.states])
+
+
+def _on_feedthrough(feedthrough: dict[str, tuple[str, ...] | None], output: str) -> str:
+    names = feedthrough.get(output)
+    if names is None:
+        return "may follow any input at once"
+    return f"follows at once: {', '.join(names)}" if names else "no direct feedthrough"
+
+
+def _on_parameter(parameter: FMUVariable) -> str:
+    kind = "structural" if parameter.is_structural else "tunable" if parameter.is_tunable else "fixed"
+    size = f"[{','.join(map(str, parameter.shape))}]" if parameter.shape else ""
+    return f"{kind} {parameter.type}{size}"
+
+
+def _row(variable: Variable, more: str = "", start_text: str | None = None) -> Row:
+    shown = variable.display_unit
+    unit = variable.unit or "1"
+    return (
+        variable.name,
+        f"[{unit}]" + (f" shown in [{shown.name}]" if shown else ""),
+        start_text if start_text is not None else f"{variable.start:g}",
+        _limit(variable.min),
+        _limit(variable.max),
+        f"{variable.nominal:g}" if variable.nominal != 1.0 else "",
+        more,
+        " ".join(variable.description.split()),
+    )
+
+
+def _limit(value: float) -> str:
+    return f"{value:g}" if math.isfinite(value) else ""
