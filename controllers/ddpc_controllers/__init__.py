@@ -8,31 +8,105 @@ if TYPE_CHECKING:
     from ddpc_controllers.behavioral import hankel_matrix as hankel_matrix
     from ddpc_controllers.behavioral import numerical_rank as numerical_rank
     from ddpc_controllers.behavioral import persistency_of_excitation as persistency_of_excitation
+    from ddpc_controllers.cascade import Cascade as Cascade
+    from ddpc_controllers.composed_dictionaries import Combined as Combined
+    from ddpc_controllers.composed_dictionaries import Delays as Delays
+    from ddpc_controllers.decentralised import Decentralised as Decentralised
+    from ddpc_controllers.decentralised import Group as Group
     from ddpc_controllers.deepc import DeePC as DeePC
+    from ddpc_controllers.dictionaries import Constant as Constant
     from ddpc_controllers.dictionaries import Dictionary as Dictionary
+    from ddpc_controllers.dictionaries import Gaussian as Gaussian
+    from ddpc_controllers.dictionaries import Identity as Identity
+    from ddpc_controllers.dictionaries import OwnFunction as OwnFunction
+    from ddpc_controllers.dictionaries import Polynomials as Polynomials
     from ddpc_controllers.dictionaries import ThinPlate as ThinPlate
+    from ddpc_controllers.identification import Identified as Identified
+    from ddpc_controllers.ipid import IPID as IPID
+    from ddpc_controllers.koopman_mpc import KoopmanMPC as KoopmanMPC
+    from ddpc_controllers.lqr import LQR as LQR
+    from ddpc_controllers.mfac import MFAC as MFAC
     from ddpc_controllers.mfapc import MFAPC as MFAPC
+    from ddpc_controllers.models import ModelFunction as ModelFunction
+    from ddpc_controllers.models import StateSpace as StateSpace
+    from ddpc_controllers.mpc import MPC as MPC
+    from ddpc_controllers.offset_free import OffsetFree as OffsetFree
+    from ddpc_controllers.pid import PID as PID
+    from ddpc_controllers.pulse_response import pulse_model as pulse_model
+    from ddpc_controllers.scaled import Scaled as Scaled
+    from ddpc_controllers.spc import SPC as SPC
+    from ddpc_controllers.spc import GammaDDPC as GammaDDPC
+    from ddpc_controllers.spsa import SPSA as SPSA
     from ddpc_controllers.wkpc import WKPC as WKPC
 
 _HOME = {
     "behavioral": ("DataDiagnostics", "hankel_matrix", "numerical_rank", "persistency_of_excitation"),
+    "cascade": ("Cascade",),
+    "composed_dictionaries": ("Combined", "Delays"),
+    "decentralised": ("Decentralised", "Group"),
     "deepc": ("DeePC",),
-    "dictionaries": ("Dictionary", "ThinPlate"),
+    "dictionaries": (
+        "Constant",
+        "Dictionary",
+        "Gaussian",
+        "Identity",
+        "OwnFunction",
+        "Polynomials",
+        "ThinPlate",
+    ),
+    "identification": ("Identified",),
+    "ipid": ("IPID",),
+    "koopman_mpc": ("KoopmanMPC",),
+    "lqr": ("LQR",),
+    "mfac": ("MFAC",),
     "mfapc": ("MFAPC",),
+    "models": ("ModelFunction", "StateSpace"),
+    "mpc": ("MPC",),
+    "offset_free": ("OffsetFree",),
+    "pid": ("PID",),
+    "pulse_response": ("pulse_model",),
+    "scaled": ("Scaled",),
+    "spc": ("SPC", "GammaDDPC"),
+    "spsa": ("SPSA",),
     "wkpc": ("WKPC",),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
+    "IPID",
+    "LQR",
+    "MFAC",
     "MFAPC",
+    "MPC",
+    "PID",
+    "SPC",
+    "SPSA",
     "WKPC",
+    "Cascade",
+    "Combined",
+    "Constant",
     "DataDiagnostics",
+    "Decentralised",
     "DeePC",
+    "Delays",
     "Dictionary",
+    "GammaDDPC",
+    "Gaussian",
+    "Group",
+    "Identified",
+    "Identity",
+    "KoopmanMPC",
+    "ModelFunction",
+    "OffsetFree",
+    "OwnFunction",
+    "Polynomials",
+    "Scaled",
+    "StateSpace",
     "ThinPlate",
     "hankel_matrix",
     "numerical_rank",
     "persistency_of_excitation",
+    "pulse_model",
 ]
 
 

@@ -169,7 +169,9 @@ def require_excitation(diagnostics: DataDiagnostics, why: str, who: str) -> None
     if reached < needed:
         raise DataError(
             f"{who}: the recorded input is persistently exciting of order {reached}, needed {needed} "
-            f"({why}): record more samples or use a richer input"
+            f"({why}); its windows have rank {diagnostics.data_rank} of {diagnostics.data_rows} rows, "
+            f"smallest singular value {diagnostics.smallest_singular_value:.1e}: record more samples or use "
+            "a richer input"
         )
 
 

@@ -1,59 +1,99 @@
-"""Dictionaries: the observables that lift a measured state, equation (5)."""
+"""Dictionaries: the observables that lift a measured state, equation (5).
+
+A state comes as its newest sample, followed by as many past ones as the dictionary's ``memory`` says:
+``(x_k, x_k-1, ...)``. Observables are what is added to ``x_k``; the state itself is always kept.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from itertools import combinations_with_replacement
+from math import comb
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from ddpc_cosim import ConfigError, FloatArray, check_settings, setting
+from ddpc_controllers.centres import CENTRES, Centres, place_centres
+from ddpc_cosim import ConfigError, DataError, FloatArray, check_settings, setting
+from ddpc_cosim.plugins import load_target
 
 Lift = Callable[[FloatArray], FloatArray]
-"""From states, shape (..., q), to observables, shape (..., n_p)."""
+"""From states, shape (..., (memory + 1) q), to observables, shape (..., n_p)."""
 
 
 @runtime_checkable
 class Dictionary(Protocol):
-    """Observables to lift a state of any size with."""
+    """Observables to lift a state of any size with.
+
+    A dictionary that looks back has an attribute ``memory``: the number of past samples that it needs.
+    """
 
     def functions(self, size: int) -> int:
-        """Return the number of observables n_p for states of one size."""
+        """Return the number of observables n_p for states of one size q."""
 
-    def draw(self, size: int, rng: np.random.Generator) -> Lift:
-        """Return the observables for states of one size.
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Return the observables for states like the recorded ones.
 
         Parameters
         ----------
-        size : int
-            Number of measured signals q.
+        states : array, shape (T - memory, (memory + 1) q)
+            The recorded states, time along axis 0.
         rng : numpy.random.Generator
             Where random parameters come from.
         """
+
+
+def memory_of(dictionary: Dictionary) -> int:
+    """Return how many past samples a dictionary needs beside the newest."""
+    return int(getattr(dictionary, "memory", 0))
+
+
+def require_dictionary(value: Any, what: str) -> None:
+    """Check that a setting is a dictionary.
+
+    Raises
+    ------
+    ConfigError
+        What it lacks.
+    """
+    if not isinstance(value, Dictionary):
+        raise ConfigError(
+            f"{what} = {value!r} lacks draw(states, rng) or functions(size); an example is ThinPlate()"
+        )
+
+
+def embed(samples: FloatArray, memory: int) -> FloatArray:
+    """Return samples, shape (T, q), with their past beside them: shape (T - memory, (memory + 1) q)."""
+    rows = len(samples) - memory
+    if rows < 1:
+        raise DataError(
+            f"a memory of {memory} samples needs a longer recording than {len(samples)} samples: "
+            "record longer, or look back less"
+        )
+    return np.hstack([samples[memory - back : memory - back + rows] for back in range(memory + 1)])
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThinPlate:
     """Thin-plate radial functions, equation (12): psi_i(x) = |x - c_i| log10 |x - c_i|.
 
-    The centres c_i are drawn uniformly from a box, once per run.
+    The centres c_i are placed once per run, by default drawn uniformly from a box.
     """
 
     count: int = setting(10, low=1, doc="number of functions, n_p")
-    low: float = setting(0.0, doc="lower end of every coordinate of a centre")
-    high: float = setting(1.0, doc="upper end of every coordinate of a centre")
+    low: float = setting(0.0, doc="lower end of every coordinate of a centre in the box")
+    high: float = setting(1.0, doc="upper end of every coordinate of a centre in the box")
+    centres: Centres = setting("box", choices=CENTRES, doc="where centres come from")
 
     def __post_init__(self) -> None:
-        check_settings(self)
-        if self.low > self.high:
-            raise ConfigError(f"ThinPlate: low = {self.low:g} is above high = {self.high:g}")
+        _check_radial(self, self.low, self.high)
 
     def functions(self, size: int) -> int:
         """Return n_p: it does not depend on the state's size."""
         return self.count
 
-    def draw(self, size: int, rng: np.random.Generator) -> Lift:
-        """Draw the centres and return the functions; see :class:`Dictionary`."""
-        return ThinPlateFunctions(rng.uniform(self.low, self.high, (self.count, size)))
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Place the centres and return the functions; see :class:`Dictionary`."""
+        return ThinPlateFunctions(place_centres(self.centres, self.count, states, (self.low, self.high), rng))
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,3 +122,140 @@ def thin_plate(difference: FloatArray, power: int) -> FloatArray:
     logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)
     values: FloatArray = distance**power * logarithm
     return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gaussian:
+    """Gaussian radial functions: psi_i(x) = exp(-|x - c_i|^2 / (2 width^2))."""
+
+    count: int = setting(10, low=1, doc="number of functions, n_p")
+    width: float = setting(1.0, above=0.0, doc="distance from the centre to the turning point")
+    low: float = setting(0.0, doc="lower end of every coordinate of a centre in the box")
+    high: float = setting(1.0, doc="upper end of every coordinate of a centre in the box")
+    centres: Centres = setting("box", choices=CENTRES, doc="where centres come from")
+
+    def __post_init__(self) -> None:
+        _check_radial(self, self.low, self.high)
+
+    def functions(self, size: int) -> int:
+        """Return n_p: it does not depend on the state's size."""
+        return self.count
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Place the centres and return the functions; see :class:`Dictionary`."""
+        centres = place_centres(self.centres, self.count, states, (self.low, self.high), rng)
+        return _GaussianFunctions(centres, self.width)
+
+
+@dataclass(frozen=True, eq=False)
+class _GaussianFunctions:
+    centres: FloatArray
+    width: float
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        squares = np.square(states[..., np.newaxis, :] - self.centres).sum(axis=-1)
+        values: FloatArray = np.exp(-squares / (2.0 * self.width**2))
+        return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polynomials:
+    """All monomials of a state from degree two up to a total degree; the state itself is degree one."""
+
+    degree: int = setting(2, low=2, doc="highest total degree")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    def functions(self, size: int) -> int:
+        """Return the number of monomials of ``size`` variables."""
+        return comb(size + self.degree, size) - size - 1
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Return the monomials; see :class:`Dictionary`."""
+        size = states.shape[-1]
+        factors = [
+            list(factors)
+            for degree in range(2, self.degree + 1)
+            for factors in combinations_with_replacement(range(size), degree)
+        ]
+        return _Monomials(factors)
+
+
+@dataclass(frozen=True, eq=False)
+class _Monomials:
+    factors: list[list[int]]
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        return np.stack([states[..., chosen].prod(axis=-1) for chosen in self.factors], axis=-1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identity:
+    """No observables: the lifted state is the state itself."""
+
+    def functions(self, size: int) -> int:
+        """Return 0."""
+        return 0
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Return the empty function; see :class:`Dictionary`."""
+        return _nothing
+
+
+def _nothing(states: FloatArray) -> FloatArray:
+    return np.empty((*states.shape[:-1], 0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constant:
+    """The function 1, which makes a lifted model affine."""
+
+    def functions(self, size: int) -> int:
+        """Return 1."""
+        return 1
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Return the function; see :class:`Dictionary`."""
+        return _one
+
+
+def _one(states: FloatArray) -> FloatArray:
+    return np.ones((*states.shape[:-1], 1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnFunction:
+    """A function of the user's own, which returns all its observables at once."""
+
+    function: str = setting(doc="module:function; from states, shape (..., q), to shape (..., n_p)")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        self._load()
+
+    def functions(self, size: int) -> int:
+        """Return the number of observables that the function returns."""
+        with np.errstate(all="ignore"):
+            return int(np.shape(self._load()(np.zeros((1, size))))[-1])
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Return the function; see :class:`Dictionary`."""
+        function = self._load()
+        shape = np.shape(function(states))
+        if len(shape) != 2 or shape[0] != len(states):
+            raise ConfigError(
+                f"OwnFunction: {self.function} returned shape {shape} for {len(states)} states; "
+                f"needed: ({len(states)}, n_p)"
+            )
+        return function
+
+    def _load(self) -> Lift:
+        function: Lift = load_target(self.function, "function")
+        return function
+
+
+def _check_radial(dictionary: Any, low: float, high: float) -> None:
+    check_settings(dictionary)
+    if low > high:
+        raise ConfigError(f"{type(dictionary).__name__}: low = {low:g} is above high = {high:g}")

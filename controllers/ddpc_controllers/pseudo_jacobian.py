@@ -1,122 +1,146 @@
-"""The pseudo-Jacobian of compact-form dynamic linearisation (14): estimated (16)-(17), forecast (18)."""
+"""The pseudo-Jacobian of a dynamic linearisation: its regressor, estimation (16) and reset (17).
+
+Every form of the data model (14) reads ``dy_k+1 = Phi_k H_k``, where
+
+    H_k = (dy_k, ..., dy_k-Ly+1, du_k, ..., du_k-Lu+1)
+
+holds the latest changes of the p outputs and m inputs: the compact form (CFDL) has Ly = 0 and Lu = 1, the
+partial form (PFDL) Ly = 0, the full form (FFDL) Ly >= 1. Z. Hou and S. Jin, Model Free Adaptive Control:
+Theory and Applications, CRC Press, 2013, chapters 3 and 4.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import copysign, sqrt
 from operator import mul
+
+
+@dataclass(frozen=True, slots=True)
+class Regressor:
+    """What one output's change is explained by: its part of H.
+
+    Parameters
+    ----------
+    outputs, inputs : tuple of int
+        Which outputs and inputs take part.
+    output_length, input_length : int
+        Ly and Lu: how many changes of each.
+    """
+
+    outputs: tuple[int, ...]
+    inputs: tuple[int, ...]
+    output_length: int
+    input_length: int
+
+    @property
+    def output_terms(self) -> int:
+        """Number of coefficients of output changes; those of input changes follow."""
+        return len(self.outputs) * self.output_length
+
+    def pairs(self) -> tuple[slice, ...]:
+        """Return where the coefficients of each input stand, that of its latest change first."""
+        first, step = self.output_terms, len(self.inputs)
+        return tuple(slice(first + j, None, step) for j in range(step))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimation:
-    """Constants of estimation and forecast, in the paper's names.
+    """Constants of the estimation, in the paper's names.
 
     Parameters
     ----------
     eta, mu : float
         Step factor and damping of the projection (16).
     epsilon : float
-        Smallest input change and smallest gradient that are believed (17).
-    delta : float
-        Damping of the forecast coefficients' projection (18).
-    theta_0 : float
-        Initial value of every forecast coefficient.
-    n_m : int
-        Order of the forecast.
-    theta_limit : float
-        M: a coefficient vector this long is reset.
+        Shortest change H and shortest gradient that are believed (17).
+    assume_sign : bool
+        The direction of control is known and does not change (Remark 1).
     """
 
     eta: float
     mu: float
     epsilon: float
-    delta: float
-    theta_0: float
-    n_m: int
-    theta_limit: float
+    assume_sign: bool = True
 
 
-class PseudoPartialDerivative:
-    """One entry of the pseudo-Jacobian: its estimate, its history and its forecast.
+class PseudoGradient:
+    """One row of the pseudo-Jacobian: how one output follows the changes in H.
 
-    Plain numbers, not arrays: a handful of operations on vectors of length four.
+    Plain numbers, not arrays: a handful of operations on short vectors.
 
     Parameters
     ----------
-    initial : float
-        phi_1. Where it is 0 the direction of control is unknown, and no sign or size is held against it.
+    initial : sequence of float
+        Phi_1, in the order of H. Where the coefficient of an input's latest change is 0, its direction of
+        control is unknown, and no sign or size is held against it.
+    regressor : Regressor
+        What the coefficients multiply.
     constants : Estimation
         See there.
-    """
 
-    def __init__(self, initial: float, constants: Estimation) -> None:
-        self._initial = initial
-        self._constants = constants
-        self._theta = [constants.theta_0] * constants.n_m
-        self._newest_first = [initial] * (constants.n_m + 1)
-
-    @property
-    def value(self) -> float:
-        """The estimate phi_k."""
-        return self._newest_first[0]
-
-    def update(self, correction: float, excited: bool) -> None:
-        """Take the projection's correction, reset where (17) says so, and adapt the forecast (18)."""
-        constants, theta, past = self._constants, self._theta, self._newest_first[:-1]
-        phi = self._believable(past[0] + correction) if excited else self._initial
-        self._newest_first = [phi, *past]
-
-        step = (phi - _dot(theta, past)) / (constants.delta + _dot(past, past))
-        theta = [t + step * old for t, old in zip(theta, past, strict=True)]  # (18)
-        if _dot(theta, theta) >= constants.theta_limit**2:
-            theta = [constants.theta_0] * constants.n_m
-        self._theta = theta
-
-    def forecast(self, steps: int) -> list[float]:
-        """Return phi_k, ..., phi_k+steps-1."""
-        theta, newest_first = self._theta, self._newest_first.copy()
-        for _ in range(steps - 1):
-            newest_first.insert(0, self._believable(_dot(theta, newest_first)))
-        return newest_first[steps - 1 :: -1]
-
-    def _believable(self, phi: float) -> float:
-        """Reset a gradient that is too small or has changed its sign (17)."""
-        initial = self._initial
-        if initial == 0.0 or (phi * initial > 0.0 and abs(phi) >= self._constants.epsilon):
-            return phi
-        return initial
-
-
-class PseudoJacobian:
-    """The p x m pseudo-Jacobian Phi of dy_k+1 = Phi_k du_k (14).
-
-    Parameters
+    Attributes
     ----------
-    initial : sequence of sequence of float, shape (p, m)
-        Phi_1.
-    constants : Estimation
-        See there.
+    value : list of float
+        The estimate Phi_k.
     """
 
-    def __init__(self, initial: Sequence[Sequence[float]], constants: Estimation) -> None:
-        self._constants = constants
-        self._entries = [[PseudoPartialDerivative(phi, constants) for phi in row] for row in initial]
+    def __init__(self, initial: Sequence[float], regressor: Regressor, constants: Estimation) -> None:
+        self.value = list(initial)
+        self._initial = list(initial)
+        self._eta, self._mu = constants.eta, constants.mu
+        self._epsilon, self._assume_sign = constants.epsilon, constants.assume_sign
+        self._output_terms = regressor.output_terms
+        # Inputs of known direction: where their coefficients stand, and the one that tells the direction.
+        self._known = [
+            (pair, pair.start, initial[pair.start])
+            for pair in regressor.pairs()
+            if initial[pair.start] != 0.0
+        ]
 
-    def update(self, dy: Sequence[float], du: Sequence[float]) -> None:
-        """Learn from the last change of the outputs and the change of the inputs before it (16)-(17)."""
-        constants = self._constants
-        squared = _dot(du, du)
-        excited = sqrt(squared) > constants.epsilon
-        gain = constants.eta / (constants.mu + squared)
-        for change, row in zip(dy, self._entries, strict=True):
-            error = gain * (change - _dot([entry.value for entry in row], du))
-            for entry, d in zip(row, du, strict=True):
-                entry.update(error * d, excited)  # (16)
+    def update(self, dy: float, h: Sequence[float]) -> None:
+        """Learn from the change of the output and from H one sample before it (16)-(17)."""
+        phi, squared = self.value, dot(h, h)
+        if sqrt(squared) > self._epsilon:
+            step = self._eta / (self._mu + squared) * (dy - dot(phi, h))
+            self.value = self.believable([old + step * change for old, change in zip(phi, h, strict=True)])
+        elif self._assume_sign:
+            self.value = self._initial.copy()  # without the assumption it may point the wrong way by now
 
-    def forecast(self, steps: int) -> list[list[list[float]]]:
-        """Return phi_k, ..., phi_k+steps-1 of every entry; lists of shape (p, m, steps)."""
-        return [[entry.forecast(steps) for entry in row] for row in self._entries]
+    def believable(self, phi: list[float]) -> list[float]:
+        """Reset what is too short or has changed its sign (17); ``phi`` may be changed.
+
+        Each input is judged by the length of its coefficients and the sign of the first. It is reset without
+        the other inputs, but with the coefficients of the outputs' changes, which cannot be told apart.
+        """
+        epsilon, assume_sign = self._epsilon, self._assume_sign
+        for pair, first, direct in self._known:
+            now = phi[first]
+            right_sign = now * direct > 0.0 or not assume_sign
+            if right_sign and (abs(now) >= epsilon or dot(phi[pair], phi[pair]) >= epsilon**2):
+                continue
+            sign = 1.0 if assume_sign else copysign(1.0, now * direct)
+            phi[pair] = [sign * coefficient for coefficient in self._initial[pair]]
+            phi[: self._output_terms] = self._initial[: self._output_terms]
+        return phi
+
+    def believes(self, paths: Sequence[Sequence[float]]) -> bool:
+        """Whether nothing is to be reset, judged by the latest changes of the inputs alone.
+
+        Parameters
+        ----------
+        paths : sequence of sequence of float
+            The values of each coefficient over time.
+        """
+        for _, first, direct in self._known:
+            smallest, largest = min(paths[first]), max(paths[first])
+            positive = smallest >= self._epsilon and (direct > 0.0 or not self._assume_sign)
+            negative = largest <= -self._epsilon and (direct < 0.0 or not self._assume_sign)
+            if not (positive or negative):
+                return False
+        return True
 
 
-def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+def dot(a: Sequence[float], b: Sequence[float]) -> float:
     """Return the inner product over the shorter of two sequences."""
-    return float(sum(map(mul, a, b)))
+    product: float = sum(map(mul, a, b))
+    return product

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddpc_controllers.behavioral import hankel_matrix
+from ddpc_controllers.centres import place_centres
 from ddpc_controllers.dictionaries import Lift, ThinPlate, ThinPlateFunctions, thin_plate
 from ddpc_cosim import FloatArray
 
@@ -31,14 +32,14 @@ class PublishedThinPlate:
         """Return n_p."""
         return self.printed.functions(size)
 
-    def draw(self, size: int, rng: np.random.Generator) -> Lift:
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
         """Return the functions; see :class:`~ddpc_controllers.dictionaries.Dictionary`."""
         power = 2 if self.squared_distance else 1
         if self.redraw_centre:
             return _RedrawnFunctions(self.printed, power, rng)
-        return ThinPlateFunctions(
-            rng.uniform(self.printed.low, self.printed.high, (self.printed.count, size)), power
-        )
+        printed = self.printed
+        box = (printed.low, printed.high)
+        return ThinPlateFunctions(place_centres(printed.centres, printed.count, states, box, rng), power)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The condensed problem online: an affine law, the laws of remembered active sets, and PIQP for new ones.
+"""The condensed problem online: an affine law, the laws of remembered active sets, and a solver for new ones.
 
 With e the normalised excess over every bound and S = L L', the optimality conditions of a
 :class:`~ddpc_controllers.condensing.CondensedProblem` read
@@ -8,24 +8,22 @@ With e the normalised excess over every bound and S = L L', the optimality condi
 For a given active set they are linear in e_0: one small product and one comparison prove its law optimal.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import piqp
 
+from ddpc_controllers.backends import ActiveSet, Backend, PIQPBackend, contradiction
 from ddpc_controllers.condensing import CondensedProblem
 from ddpc_cosim import FloatArray
 
-SOLVER_TOLERANCE = 1e-12
-"""Tolerances of PIQP, all of them: its defaults leave errors of 3e-4 in the input."""
+NOT_FINITE = "a measurement or a reference is not finite: inputs at zero, or at the limit nearest to it"
+"""The fault of a problem that cannot be posed."""
 
 _FEASIBLE = 1e-11
 _NO_CONFLICT = 1e-6
 _LARGEST_CONDITION = 1e12
 _REMEMBERED = 256
-
-ActiveSet = tuple[int, ...]
-"""Numbers of the bounds that hold with equality."""
 
 
 class Move(NamedTuple):
@@ -34,7 +32,7 @@ class Move(NamedTuple):
     Parameters
     ----------
     u : array, shape (m,)
-        The inputs, within their bounds; a new array.
+        The inputs, within their bounds; a new array. After them whatever else the problem was asked for.
     fault : str
         Why ``u`` is not the optimum of the problem as posed; empty if it is.
     """
@@ -52,10 +50,19 @@ class ParametricQP:
         What to solve.
     u_min, u_max : array, shape (m,)
         Input limits, held exactly.
+    backend : Backend, optional
+        The solver for active sets not seen before; default: PIQP.
     """
 
-    def __init__(self, problem: CondensedProblem, u_min: FloatArray, u_max: FloatArray) -> None:
+    def __init__(
+        self,
+        problem: CondensedProblem,
+        u_min: FloatArray,
+        u_max: FloatArray,
+        backend: Backend | None = None,
+    ) -> None:
         self._u_min, self._u_max = u_min, u_max
+        self._backend = backend or PIQPBackend()
         self._active: ActiveSet = ()
         self._active_sets: dict[ActiveSet, ActiveSet] = {}
         self.replace(problem)
@@ -67,7 +74,7 @@ class ParametricQP:
         self._bounds = len(problem.excess_law)
         self._law = np.vstack([problem.excess_law, problem.move_law])
         self._laws: dict[ActiveSet, FloatArray | None] = {}
-        self._piqp: tuple[Any, FloatArray] | None = None
+        self._backend.load(problem.excess_gain)
 
     def solve(self, parameters: FloatArray) -> Move:
         """Return the optimal move, or the documented fallback with its reason.
@@ -79,20 +86,13 @@ class ParametricQP:
         """
         answer = np.dot(self._law, parameters)
         excess, u = answer[: self._bounds], answer[self._bounds :]
-        fault = self._find_conflict(parameters) if self._watches_conflict else ""
-        if self._bounds and not max(excess.tolist()) <= 0.0:
+        fault = find_conflict(self._problem.conflict_law, parameters) if self._watches_conflict else ""
+        if not self._bounds:
+            fault = zero_unless_finite(u) or fault
+        elif not max(excess.tolist()) <= 0.0:
             fault = self._respect_bounds(excess, u) or fault
-        np.maximum(u, self._u_min, out=u)
-        np.minimum(u, self._u_max, out=u)
+        clip_inputs(u, self._u_min, self._u_max)
         return Move(u, fault)
-
-    def _find_conflict(self, parameters: FloatArray) -> str:
-        size = float(np.abs(self._problem.conflict_law @ parameters).max())
-        if size <= _NO_CONFLICT * float(np.abs(parameters).max()):
-            return ""
-        return (
-            f"no combination of the recorded windows has this past (off by {size:.1e}); the nearest is used"
-        )
 
     def _respect_bounds(self, excess: FloatArray, u: FloatArray) -> str:
         """Correct the unconstrained optimum ``u`` in place."""
@@ -103,7 +103,7 @@ class ParametricQP:
         if guess and self._apply(guess, excess, u):
             self._active = guess
             return ""
-        return self._solve_with_piqp(excess, u, pattern)
+        return self._ask_solver(excess, u, pattern)
 
     def _apply(self, active: ActiveSet, excess: FloatArray, u: FloatArray) -> bool:
         """Apply the law of an active set where it proves optimal."""
@@ -132,45 +132,51 @@ class ParametricQP:
         certificate[rows] = -multipliers / np.abs(multipliers).max()
         return np.vstack([certificate, -self._problem.move_gain @ (gain.T @ multipliers)])
 
-    def _solve_with_piqp(self, excess: FloatArray, u: FloatArray, pattern: ActiveSet) -> str:
+    def _ask_solver(self, excess: FloatArray, u: FloatArray, pattern: ActiveSet) -> str:
         """Solve, read off the active set, and prefer its exact law to the solver's digits."""
-        if not np.isfinite(excess).all():
-            u[...] = 0.0
-            return "a measurement or a reference is not finite: inputs at zero, or at the limit nearest to it"
-        self._piqp = self._piqp or self._set_up_piqp()
-        solver, directions = self._piqp
-        solver.update(h_u=-excess)
-        status = solver.solve()
-        result = solver.result
-        active = tuple(np.flatnonzero(result.z_u > result.s_u).tolist())
+        if fault := zero_unless_finite(u, excess):
+            return fault
+        t, active, failure = self._backend.solve(excess)
         # Whatever the solver says of itself: a law that satisfies the optimality conditions is the optimum.
         if active and self._apply(active, excess, u):
             self._active = active
             _make_room(self._active_sets)
             self._active_sets[pattern] = active
             return ""
-        if status == piqp.PIQP_SOLVED:
-            u += self._problem.move_gain @ (directions @ result.x)
-            return ""
-        return (
-            f"no way to meet all bounds ({status.name}): unconstrained optimum, clipped at the input limits"
-        )
+        if failure:
+            return infeasible(failure, self._problem.excess_gain, excess, self._problem.labels)
+        u += self._problem.move_gain @ t
+        return ""
 
-    def _set_up_piqp(self) -> tuple[Any, FloatArray]:
-        """Return the solver over the independent directions of t, and these directions."""
-        _, values, right = np.linalg.svd(self._problem.excess_gain, full_matrices=False)
-        directions = right[values > np.finfo(float).eps * len(right) * values[0]].T
-        gain = self._problem.excess_gain @ directions
-        solver = piqp.DenseSolver()
-        for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
-            setattr(solver.settings, name, SOLVER_TOLERANCE)
-        size = directions.shape[1]
-        solver.setup(np.eye(size), np.zeros(size), G=np.asfortranarray(gain), h_u=np.zeros(self._bounds))
-        return solver, directions
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave PIQP's workspace behind: it is set up again when it is needed."""
-        return {**self.__dict__, "_piqp": None}
+def find_conflict(conflict_law: FloatArray, parameters: FloatArray) -> str:
+    """Say how far a past is from what the recorded windows can combine to; empty if it is not."""
+    size = float(np.abs(conflict_law @ parameters).max())
+    if size <= _NO_CONFLICT * float(np.abs(parameters).max()):
+        return ""
+    return f"no combination of the recorded windows has this past (off by {size:.1e}); the nearest is used"
+
+
+def zero_unless_finite(u: FloatArray, excess: FloatArray | None = None) -> str:
+    """Set the move to zero, in place, and say so, if the problem's numbers are not finite."""
+    if np.isfinite(u if excess is None else excess).all():
+        return ""
+    u[...] = 0.0
+    return NOT_FINITE
+
+
+def infeasible(failure: str, gain: FloatArray, excess: FloatArray, labels: Sequence[str]) -> str:
+    """Say that a solver failed, and which bounds contradict each other."""
+    conflicting = sorted({labels[row] for row in contradiction(gain, excess)}) if labels else []
+    which = f": {', '.join(conflicting)}" if conflicting else ""
+    return f"no way to meet all bounds ({failure}{which}): unconstrained optimum, clipped at the input limits"
+
+
+def clip_inputs(u: FloatArray, u_min: FloatArray, u_max: FloatArray) -> None:
+    """Hold the inputs, which stand first in ``u``, exactly within their limits, in place."""
+    inputs = u if len(u) == len(u_min) else u[: len(u_min)]
+    np.maximum(inputs, u_min, out=inputs)
+    np.minimum(inputs, u_max, out=inputs)
 
 
 def _make_room(store: dict[ActiveSet, Any]) -> None:

@@ -88,6 +88,10 @@ class ParameterVector:
         """Set a window, shape (length, width), time along axis 0; a single sample fills all of it."""
         self._windows[name][...] = values
 
+    def window(self, name: str) -> FloatArray:
+        """Return a window, shape (length, width), time along axis 0: a view of the array."""
+        return self._windows[name]
+
     def append(self, name: str, sample: FloatArray) -> None:
         """Forget a window's oldest sample and append one, shape (width,)."""
         older, newer, newest = self._moves[name]

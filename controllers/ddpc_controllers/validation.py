@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from ddpc_cosim import ConfigError, Controller, FloatArray, Weight, check_settings, weight_matrix
 
 
@@ -42,3 +44,26 @@ def weight_matrices(**weights: tuple[Weight, int]) -> list[FloatArray]:
     if faults:
         raise ConfigError(faults)
     return matrices
+
+
+def per_signal(name: str, value: Weight, size: int) -> FloatArray:
+    """Return a number, or one number for each signal, as an array of shape (size,).
+
+    Raises
+    ------
+    ConfigError
+        There are more or fewer numbers than signals.
+    """
+    array = np.asarray(value, dtype=float)
+    if array.ndim > 1 or (array.ndim == 1 and len(array) != size):
+        raise ConfigError(f"{name} has shape {array.shape}; needed: a number or {size} numbers")
+    return np.full(size, array)
+
+
+def all_positive(value: object) -> bool:
+    """Whether a value is a number, or numbers, finite and above zero."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # lists of different lengths
+        return False
+    return array.dtype.kind in "iuf" and bool(np.all(np.isfinite(array) & (array > 0.0)))

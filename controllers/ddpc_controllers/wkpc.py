@@ -7,14 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.behavioral import (
-    diagnose,
-    hankel_matrix,
-    least_samples,
-    require_excitation,
-    require_length,
-)
-from ddpc_controllers.dictionaries import Dictionary, ThinPlate
+from ddpc_controllers.adaptive_qp import AdaptiveQP
+from ddpc_controllers.backends import PIQPBackend
+from ddpc_controllers.behavioral import diagnose, least_samples, require_excitation, require_length
+from ddpc_controllers.dictionaries import Dictionary, ThinPlate, embed, memory_of
+from ddpc_controllers.learning import Learner, OnlineLearning
+from ddpc_controllers.lifting import StateWindow, without_first
 from ddpc_controllers.problem import Problem
 from ddpc_controllers.published_code import DoubleShift, PublishedThinPlate
 from ddpc_controllers.qp import ParametricQP
@@ -26,20 +24,23 @@ from ddpc_controllers.recorded import (
     setpoint_bounds,
 )
 from ddpc_controllers.validation import check_settings_and, weight_matrices
+from ddpc_controllers.windows import Block, WindowLayout
 from ddpc_cosim import Action, Controller, FloatArray, Loop, Recording, Sample, Weight, setting
 
 
 @dataclass(kw_only=True)
-class WKPC(Controller):
+class WKPC(OnlineLearning, Controller):
     """Willems-Koopman predictive control, equations (10)-(12).
 
     The lifted state is ``z = (x, psi_1(x), ..., psi_np(x))`` with x all that is measured. Future lifted
     states are not known, so the lifted rows cover the past window only. The defaults are those of Table 1.
     ``zero_padding``, ``redraw_centre``, ``squared_distance`` and ``double_shift`` do what the paper's
-    published program does and (10)-(12) do not.
+    published program does and (10)-(12) do not. ``online_data`` lets the data follow the plant: see
+    :class:`~ddpc_controllers.learning.OnlineLearning`.
     """
 
     uses_recording: ClassVar[bool] = True
+    accepts_missing: ClassVar[bool] = True
 
     initial_length: int = setting(2, low=1, doc="samples of the past that fix the initial condition, Tini")
     horizon: int = setting(5, low=1, doc="prediction horizon N, samples")
@@ -71,8 +72,12 @@ class WKPC(Controller):
         recording = matching_recording(loop, "WKPC")
         # A copy of the stream: another start draws the same centres.
         rng = copy.deepcopy(loop.rng)
-        self._observables = self._dictionary().draw(recording.measured.shape[1], rng)
-        lifted = self._lift(recording.measured)
+        memory = memory_of(self.dictionary)
+        self._states = StateWindow(recording.measured[-1 - memory :])
+        states = embed(recording.measured, memory)
+        recording = without_first(recording, memory)
+        self._observables = self._dictionary().draw(states, rng)
+        lifted = self._lift(states)
         m, p, past = len(loop.inputs), len(loop.outputs), self.initial_length
         self._parameters = ParameterVector(
             {
@@ -84,7 +89,18 @@ class WKPC(Controller):
         )
         self._data = self._stack(recording, lifted)
         self._problem = self._write_down(loop).prepare("u", m)
-        self._qp = ParametricQP(self._problem.condense(self._data), loop.bounds.u_min, loop.bounds.u_max)
+        condensed = self._problem.condense(self._data)
+        limits = loop.bounds.u_min, loop.bounds.u_max
+        self._bounds = loop.bounds
+        self._qp: ParametricQP | AdaptiveQP = ParametricQP(condensed, *limits)
+        self._learner: Learner | None = None
+        if self.online_data != "frozen":
+            signals = {"z": lifted, "u": recording.u, "y": recording.y}
+            continues = loop.continues_recording
+            self._learner = self._make_learner(
+                self._problem, self._data, self._layout, signals, continues, rng
+            )
+            self._qp = AdaptiveQP(self._problem, self._learner.data, *limits, PIQPBackend())
         self._begin(loop, recording, lifted)
 
     def step(self, sample: Sample) -> FloatArray | Action:
@@ -96,33 +112,44 @@ class WKPC(Controller):
             self._shift_lifted_data(self._double_shift, sample)
         parameters.fill("r", sample.reference)
         u, fault = self._qp.solve(parameters.array)
+        if self._learner:
+            self._learner.add_dither(u)
+            np.clip(u, self._bounds.u_min, self._bounds.u_max, out=u)
         parameters.append("u_ini", u)
         parameters.append("y_ini", sample.y)
         if self._double_shift is None:
-            parameters.append("z_ini", self._lift(sample.measured))
+            z = self._lift(self._states.append(sample.measured))
+            parameters.append("z_ini", z)
+            if self._learner:
+                self._learner.learn(z=z, u=u, y=sample.y)
         return Action(u, fault) if fault else u
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that can excite the inputs up to the order needed."""
         order = measurements + self.dictionary.functions(measurements)
-        return least_samples(self.initial_length + self.horizon + order, inputs)
+        return memory_of(self.dictionary) + least_samples(self.initial_length + self.horizon + order, inputs)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
-        return self._diagnostics.as_dict()
+        online = self._learner.data.figures() if self._learner else {}
+        return {**self._diagnostics.as_dict(), **online}
 
     def _faults_between_settings(self) -> list[str]:
         faults = []
         if not isinstance(self.dictionary, Dictionary):
             faults.append(
-                f"WKPC: dictionary = {self.dictionary!r} lacks draw(size, rng) or functions(size); "
+                f"WKPC: dictionary = {self.dictionary!r} lacks draw(states, rng) or functions(size); "
                 "an example is ThinPlate()"
             )
         elif (self.redraw_centre or self.squared_distance) and not isinstance(self.dictionary, ThinPlate):
             faults.append(
                 "WKPC: redraw_centre and squared_distance change ThinPlate; the dictionary is another"
             )
-        return faults
+        elif self.double_shift and memory_of(self.dictionary):
+            faults.append("WKPC: double_shift lifts single samples; the dictionary looks back")
+        if self.online_data != "frozen" and (self.double_shift or self.redraw_centre):
+            faults.append("WKPC: double_shift and redraw_centre leave no data that online_data could update")
+        return faults + self._online_faults("WKPC")
 
     def _dictionary(self) -> Dictionary:
         if isinstance(self.dictionary, ThinPlate) and (self.redraw_centre or self.squared_distance):
@@ -134,22 +161,25 @@ class WKPC(Controller):
         return self.dictionary
 
     def _lift(self, states: FloatArray) -> FloatArray:
-        """Return z = (x, psi(x)) for states of shape (..., q)."""
-        return np.concatenate([states, self._observables(states)], axis=-1)
+        """Return z = (x, psi(x)) for states of shape (..., q), with their past where psi looks back."""
+        newest = states[..., : self._states.size]
+        return np.concatenate([newest, self._observables(states)], axis=-1)
+
+    @property
+    def _layout(self) -> WindowLayout:
+        """Return how windows are stacked: lifted past, and past and future of inputs and outputs."""
+        past, horizon = self.initial_length, self.horizon
+        pasts = [Block(name, 0, past) for name in ("z", "u", "y")]
+        return WindowLayout([*pasts, Block("u", past, horizon), Block("y", past, horizon)])
 
     def _stack(self, recording: Recording, lifted: FloatArray) -> FloatArray:
-        """Return M: lifted past, and past and future of inputs and outputs."""
+        """Return M."""
         u, y = recording.u, recording.y
-        m, p, past, depth = u.shape[1], y.shape[1], self.initial_length, self.initial_length + self.horizon
-        order = lifted.shape[1]
-        require_length(len(u), depth + order, m, "WKPC")
+        depth, order = self.initial_length + self.horizon, lifted.shape[1]
+        require_length(len(u), depth + order, u.shape[1], "WKPC")
         if self.zero_padding:
-            u, y = padded_with_zeros(u, past), padded_with_zeros(y, past)
-        z_rows = hankel_matrix(lifted[: -self.horizon], past)
-        u_rows, y_rows = hankel_matrix(u, depth), hankel_matrix(y, depth)
-        stacked = np.vstack(
-            [z_rows, u_rows[: past * m], y_rows[: past * p], u_rows[past * m :], y_rows[past * p :]]
-        )
+            u, y = padded_with_zeros(u, self.initial_length), padded_with_zeros(y, self.initial_length)
+        stacked = self._layout.stack({"z": lifted, "u": u, "y": y})
         self._diagnostics = diagnose(stacked, u, depth + order)
         require_excitation(self._diagnostics, f"depth {depth} + lifted order {order}", "WKPC")
         return stacked
@@ -194,11 +224,11 @@ class WKPC(Controller):
         self._resting = False
         self._parameters.fill("y_ini", sample.y)
         if self._double_shift is None:
-            self._parameters.fill("z_ini", self._lift(sample.measured))
+            self._parameters.fill("z_ini", self._lift(self._states.fill(sample.measured)))
 
     def _shift_lifted_data(self, double_shift: DoubleShift, sample: Sample) -> None:
         hankel = double_shift.move(sample.measured)
         self._parameters.fill("z_ini", double_shift.past)
-        if hankel is not None:
+        if hankel is not None and isinstance(self._qp, ParametricQP):
             self._data[: len(hankel)] = hankel
             self._qp.replace(self._problem.condense(self._data))

@@ -7,20 +7,46 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ddpc_controllers import MFAPC, WKPC, DeePC
+from ddpc_controllers import IPID, MFAC, MFAPC, SPC, SPSA, WKPC, Cascade, DeePC, GammaDDPC
 from ddpc_cosim import Action, ConfigError, Controller, DataError, Loop, Recording, Sample, declared_settings
 
 from .loops import ANGLE, close_loop, make_loop, paper_reference, pendulum_loop, quick_pendulum
 
-ALL: list[Any] = [DeePC, WKPC, MFAPC]
+ALL: list[Any] = [DeePC, SPC, GammaDDPC, WKPC, MFAPC, MFAC, IPID, Cascade, SPSA]
 VARIANTS: list[Any] = [
     DeePC(),
     DeePC(affine_sum="first-horizon", zero_padding=True),
+    DeePC(regulariser="shifted-ridge", apply_steps=2, rate_bounds=0.5, soft_output_bounds=1e3),
+    DeePC(online_data="sliding-window", dither=0.2, use_current_output=True),
+    SPC(),
+    GammaDDPC(),
     WKPC(),
     WKPC(zero_padding=True, redraw_centre=True, squared_distance=True, double_shift=True),
     MFAPC(),
+    MFAPC(form="pfdl", limits="clip"),
+    MFAPC(form="ffdl", rate_bounds=0.5, assume_sign=False),
+    MFAC(form="ffdl"),
+    IPID(order=2, alpha=5.0, kp=4.0, kd=4.0),
+    Cascade(inner=IPID(order=2, alpha=5.0, kp=4.0, kd=4.0), outer_period=2),
+    SPSA(kp=2.0, kd=0.2),
 ]
-IDS = ["deepc", "deepc-published-code", "wkpc", "wkpc-published-code", "mfapc"]
+IDS = [
+    "deepc",
+    "deepc-published-code",
+    "deepc-options",
+    "deepc-online",
+    "spc",
+    "gamma-ddpc",
+    "wkpc",
+    "wkpc-published-code",
+    "mfapc",
+    "mfapc-pfdl",
+    "mfapc-ffdl",
+    "mfac",
+    "ipid",
+    "cascade",
+    "spsa",
+]
 
 
 @pytest.fixture
@@ -88,9 +114,14 @@ def test_every_setting_says_what_it_is(kind: Any) -> None:
 @pytest.mark.parametrize(
     ("kind", "settings"),
     [
+        (SPC, {"initial_length": 0, "apply_steps": 0, "backend": "other", "use_current_output": 1}),
+        (GammaDDPC, {"beta_2": -1.0, "beta_3": 0.0}),
         (DeePC, {"horizon": 0, "lambda_g": -1.0, "affine_sum": "some", "setpoint_margin": 2.0}),
         (WKPC, {"initial_length": 1.5, "input_weight": 0.0, "zero_padding": "yes"}),
         (MFAPC, {"eta": 2.5, "forecast_order": 0, "lambda_u": float("nan")}),
+        (MFAC, {"form": "xfdl", "step_factor": 0.0, "rate_bounds": -1.0}),
+        (IPID, {"order": 3, "window": 0, "kp": -1.0}),
+        (SPSA, {"window": 1, "perturbation": 0.0}),
     ],
 )
 def test_every_impossible_setting_is_named_at_once(kind: Any, settings: dict[str, Any]) -> None:

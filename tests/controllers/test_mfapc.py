@@ -1,13 +1,18 @@
-"""MFAPC-CFDL (14)-(21) against the authors' own program and the formulas."""
+"""MFAPC (14)-(21) in its three forms against the authors' own program and the formulas."""
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import nnls
 
-from ddpc_controllers import MFAPC
-from ddpc_controllers.pseudo_jacobian import Estimation, PseudoJacobian
-from ddpc_cosim import ConfigError, FloatArray, Sample
+from benchmarks.mfapc_transcription import FullFormTranscription, Transcription
+from ddpc_controllers.data_model import Form
+from ddpc_controllers.mfapc import MFAPC
+from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample
 
 from .loops import (
     ANGLE,
@@ -19,15 +24,17 @@ from .loops import (
     paper_reference,
     pendulum,
     pendulum_loop,
+    quick_pendulum,
 )
 
-TABLE_2 = Estimation(eta=1.0, mu=1.0, epsilon=1e-5, delta=0.5, theta_0=0.175, n_m=4, theta_limit=2.0)
 FREE = np.array([np.inf, np.inf])
 
 
 def test_the_published_program_is_reproduced_row_by_row() -> None:
     published = np.loadtxt(DATA / "mfapc_published_code.csv", delimiter=",", skiprows=1)
-    here = close_loop(MFAPC(lambda_u=0.37), pendulum_loop(None), pendulum, ANGLE, paper_reference())
+    here = close_loop(
+        MFAPC(lambda_u=0.37, limits="clip"), pendulum_loop(None), pendulum, ANGLE, paper_reference()
+    )
     # Row j of the file is sample j - 1: it has one rest sample more at its start.
     rows = len(published) - 1
     assert np.abs(here.y[:rows, 0] / DEGREE - published[1:, 2]).max() < 1e-5
@@ -43,54 +50,121 @@ def test_a_larger_lambda_is_smoother() -> None:
     assert restlessness(0.25) > restlessness(0.37) > restlessness(0.7)
 
 
-def formulas(dy: FloatArray, du: FloatArray, phi_1: float) -> tuple[float, FloatArray]:
-    """Return phi_k and the forecast phi_k ... phi_k+4 after a history, straight from (16)-(18)."""
-    phi, theta = [phi_1] * 5, np.full(4, 0.175)
-    for change, move in zip(dy, du, strict=True):
-        estimate = phi[-1] + 1.0 * move / (1.0 + move**2) * (change - phi[-1] * move)
-        if abs(estimate) < 1e-5 or abs(move) <= 1e-5 or np.sign(estimate) != np.sign(phi_1):
-            estimate = phi_1
-        past = np.array(phi[: -4 - 1 : -1])
-        theta = theta + past / (0.5 + past @ past) * (estimate - past @ theta)
-        if np.linalg.norm(theta) >= 2.0:
-            theta = np.full(4, 0.175)
-        phi.append(estimate)
-    ahead = list(phi)
-    for _ in range(4):
-        predicted = float(theta @ np.array(ahead[: -4 - 1 : -1]))
-        ahead.append(phi_1 if abs(predicted) < 1e-5 or np.sign(predicted) != np.sign(phi_1) else predicted)
-    return phi[-1], np.array(ahead[-5:])
+@pytest.mark.parametrize("form", ["cfdl", "pfdl", "ffdl"])
+def test_every_form_ends_at_its_reference(form: str) -> None:
+    # Table 2, with three changes of the torque in the longer forms. The last sample before the controller
+    # sees the next step is 95 of 100.
+    run = close_loop(MFAPC(form=form), pendulum_loop(None), pendulum, ANGLE, paper_reference())
+    error = np.abs(run.y - run.reference[: len(run.y)])[[95, 195, 295, 399], 0] / DEGREE
+    assert error.max() < 0.1
 
 
-changes = st.floats(-3.0, 3.0) | st.sampled_from([0.0, 1e-6, -1e-5])
+@pytest.mark.parametrize("form", ["cfdl", "pfdl", "ffdl"])
+def test_every_step_is_that_of_the_formulas_line_by_line(form: str) -> None:
+    lengths = {"pfdl": (0, 3), "ffdl": (2, 3)}
+    transcription = (
+        FullFormTranscription(400, 3.5, *lengths[form]) if form in lengths else Transcription(400, 3.5)
+    )
+    controller = MFAPC(form=form, output_length=2, limits="clip")
+    run = close_loop(controller, pendulum_loop(None), quick_pendulum, ANGLE, paper_reference())
+    expected = np.array([transcription.step(sample.y, sample.reference) for sample in run.samples])
+    assert np.abs(run.u - expected).max() < 1e-12
 
 
-@settings(deadline=None)
-@given(st.lists(st.tuples(changes, changes), min_size=1, max_size=12), st.sampled_from([0.1, -0.5, 2.0]))
-def test_estimate_and_forecast_are_those_of_the_formulas(
-    history: list[tuple[float, float]], phi_1: float
-) -> None:
-    jacobian = PseudoJacobian([[phi_1]], TABLE_2)
-    for dy, du in history:
-        jacobian.update([dy], [du])
-    estimate, forecast = formulas(*np.array(history).T, phi_1)
-    assert jacobian.forecast(5)[0][0] == pytest.approx(forecast.tolist(), rel=1e-9, abs=1e-12)
-    assert jacobian.forecast(1)[0][0] == pytest.approx([estimate], rel=1e-9, abs=1e-12)
+def test_at_the_papers_limits_the_whole_plan_never_meets_one() -> None:
+    clipped, planned = (
+        close_loop(MFAPC(limits=limits), pendulum_loop(None), quick_pendulum, ANGLE, paper_reference())
+        for limits in ("clip", "qp")
+    )
+    assert np.array_equal(clipped.u, planned.u)
 
 
-@settings(deadline=None)
-@given(st.lists(st.tuples(changes, changes), min_size=1, max_size=12))
-def test_the_direction_of_control_never_changes(history: list[tuple[float, float]]) -> None:
-    jacobian = PseudoJacobian([[0.1]], TABLE_2)
-    for dy, du in history:
-        jacobian.update([dy], [du])
-        assert min(jacobian.forecast(5)[0][0]) >= 1e-5
+@pytest.mark.parametrize("form", ["cfdl", "ffdl"])
+def test_active_limits_are_solved_for_as_the_full_qp_is(form: str) -> None:
+    class Watched(MFAPC):
+        """MFAPC that keeps every problem."""
+
+        def _prepare(self, loop: Loop, data_model: Form) -> None:
+            super()._prepare(loop, data_model)
+            self.problems: list[tuple[Any, ...]] = []
+            apply = self._limits.apply
+
+            def watched(*problem: Any) -> tuple[list[float], str]:
+                answer = apply(*problem)
+                self.problems.append((*problem, answer))
+                return answer
+
+            self._limits.apply = watched  # type: ignore[method-assign]
+
+    controller = Watched(form=form, rate_bounds=0.3)
+    run = close_loop(controller, pendulum_loop(None, 2.0), quick_pendulum, ANGLE, paper_reference())
+    sums, active = np.tri(5), 0
+    for u, changes, hessian, slope, (found, fault) in controller.problems:
+        best = optimum_by_duality(
+            hessian,
+            slope,
+            np.vstack([sums, -sums, np.eye(5), -np.eye(5)]),
+            [2.0 - u[0], 2.0 + u[0], 0.3, 0.3],
+        )
+        active += not np.allclose(best, changes)
+        assert fault == ""
+        assert found[0] - u[0] == pytest.approx(best[0], abs=1e-6)
+    assert active > 100
+    assert np.abs(run.u).max() <= 2.0
+    assert np.abs(np.diff(run.u, axis=0)).max() <= 0.3 + 1e-15
 
 
-def test_an_entry_of_unknown_direction_may_take_any_sign() -> None:
-    jacobian = PseudoJacobian([[0.5, 0.0]], TABLE_2)
-    jacobian.update([-1.0], [0.0, 1.0])
-    assert jacobian.forecast(1)[0][1][0] == pytest.approx(-0.5)
+def optimum_by_duality(
+    hessian: FloatArray, slope: FloatArray, rows: FloatArray, room: list[float]
+) -> FloatArray:
+    """Return the optimum of the QP from its dual, which is a problem of non-negative least squares."""
+    limits = np.repeat(room, 5)
+    root = np.linalg.cholesky(hessian)
+    free = np.linalg.solve(hessian, slope)
+    gain = np.linalg.solve(root, rows.T)
+    # min |gain mu|^2 / 2 + (limits - rows free)' mu, mu >= 0, as the distance to a cone.
+    stacked = np.vstack([gain, (rows @ free - limits)[np.newaxis]])
+    target = np.append(np.zeros(5), 1.0)
+    solution, _ = nnls(stacked, target)
+    residual = target - stacked @ solution
+    return free - np.linalg.solve(root.T, gain @ solution) / residual[-1]
+
+
+def test_a_shorter_control_horizon_is_the_plan_whose_later_changes_are_zero() -> None:
+    rng = np.random.default_rng(5)
+    short, long = (MFAPC(control_horizon=steps, initial_forecast=0.25) for steps in (2, 0))
+    loop = make_loop(None, np.array([np.inf]), FREE[:1])
+    for controller in (short, long):
+        controller.start(loop)
+    y, reference = rng.standard_normal(1), rng.standard_normal((5, 1))
+    a = np.tril(np.full((5, 5), 0.1))[:, :2]
+    expected = np.linalg.solve(a.T @ a + 0.37 * np.eye(2), a.T @ (reference - y).ravel())[0]
+    # Four coefficients of 1/4 forecast that the initial gradient stays.
+    assert short.step(Sample(0, 0.0, y, y, reference)) == pytest.approx([expected], abs=1e-12)
+    assert long.step(Sample(0, 0.0, y, y, reference)) != pytest.approx([expected], abs=1e-6)
+
+
+def test_a_control_horizon_beyond_the_prediction_is_refused() -> None:
+    with pytest.raises(ConfigError, match="control_horizon = 6 is longer than horizon = 5"):
+        MFAPC(control_horizon=6)
+
+
+def turning(sign: Callable[[int], float]) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    """Return the pendulum with a torque gain of its own at every sample."""
+    count = iter(range(10_000))
+    return lambda state, torque: quick_pendulum(state, sign(next(count)) * torque)
+
+
+@pytest.mark.parametrize("assume_sign", [True, False])
+def test_a_control_direction_that_turns_needs_the_assumption_off(assume_sign: bool) -> None:
+    # Remark 1: the torque gain turns to -1 at 20 s. A damping mu = 0.1 lets two samples outweigh the past.
+    controller = MFAPC(form="pfdl", mu=0.1, assume_sign=assume_sign)
+    plant = turning(lambda k: 1.0 if k < 200 else -1.0)
+    run = close_loop(controller, pendulum_loop(None), plant, ANGLE, paper_reference())
+    error = np.abs(run.y - run.reference[: len(run.y)]) / DEGREE
+    assert error[100:195].mean() < 3.0
+    assert (error[200:295].mean() < 3.0) is not assume_sign
+    assert (error[-1, 0] < 0.1) is not assume_sign
 
 
 @settings(max_examples=20, deadline=None)
@@ -139,6 +213,50 @@ def test_more_outputs_than_inputs_are_controlled_in_the_least_squares_sense() ->
     assert controller.step(Sample(0, 0.0, y, y, np.tile([1.0, -1.0], (5, 1)))) == pytest.approx([0.0])
 
 
-def test_an_initial_gradient_of_the_wrong_shape_is_told_the_right_ones() -> None:
-    with pytest.raises(ConfigError, match=r"initial_gradient has shape \(1, 2\); .* 2 numbers, or 2 x 2"):
-        MFAPC(initial_gradient=[[0.1, 0.2]]).start(make_loop(None, np.ones(2), FREE))
+@pytest.mark.parametrize("form", ["cfdl", "pfdl", "ffdl"])
+@pytest.mark.parametrize("limits", ["clip", "qp"])
+def test_a_diagonal_structure_is_one_loop_for_each_pair(form: str, limits: str) -> None:
+    a, b, c = np.diag([0.9, 0.6]), np.diag([0.2, -0.5]), np.eye(2)
+    reference = np.repeat([[1.0, -0.5], [0.3, 0.8]], 40, axis=0)
+    settings = {"form": form, "limits": limits, "rate_bounds": 0.3}
+    together = close_loop(
+        MFAPC(structure="diagonal", initial_gradient=[0.2, -0.5], **settings),
+        make_loop(None, np.array([0.6, 0.6]), FREE),
+        LinearPlant(a, b, c).advance,
+        c,
+        np.vstack([reference, reference[-5:]]),
+        steps=80,
+    )
+    for i, direction in enumerate((0.2, -0.5)):
+        alone = close_loop(
+            MFAPC(initial_gradient=direction, **settings),
+            make_loop(None, np.array([0.6]), FREE[:1]),
+            LinearPlant(a[i : i + 1, i : i + 1], b[i : i + 1, i : i + 1], np.eye(1)).advance,
+            np.eye(1),
+            np.vstack([reference, reference[-5:]])[:, i : i + 1],
+            steps=80,
+        )
+        assert np.abs(together.u[:, i] - alone.u[:, 0]).max() < 1e-7
+        assert np.abs(together.y[:, i] - alone.y[:, 0]).max() < 1e-7
+
+
+def test_a_measurement_that_is_missing_holds_the_inputs_and_is_counted() -> None:
+    controller = MFAPC()
+    controller.start(make_loop(None, np.array([3.0]), FREE[:1]))
+    reference = np.ones((5, 1))
+    before = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), reference))
+    missing = controller.step(Sample(1, 0.1, np.array([np.nan]), np.zeros(1), reference))
+    assert isinstance(missing, Action)
+    assert np.array_equal(missing.u, before)
+    assert "not finite" in missing.status
+    after = controller.step(Sample(2, 0.2, np.zeros(1), np.zeros(1), reference))
+    assert np.isfinite(after).all()
+
+
+def test_a_reference_that_is_missing_holds_the_inputs_and_is_counted() -> None:
+    controller = MFAPC()
+    controller.start(make_loop(None, np.array([3.0]), FREE[:1]))
+    answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((5, 1), np.nan)))
+    assert isinstance(answer, Action)
+    assert "not finite" in answer.status
+    assert np.array_equal(answer.u, [0.0])

@@ -145,14 +145,14 @@ def test_a_dictionary_of_ones_own(state_recording: Recording) -> None:
 
 def test_thin_plates_are_as_printed_and_vanish_at_their_centres() -> None:
     centres = np.random.default_rng(9).uniform(0.0, 1.0, (10, 2))
-    lift = ThinPlate().draw(2, np.random.default_rng(9))
+    lift = ThinPlate().draw(np.zeros((1, 2)), np.random.default_rng(9))
     states = np.array([[0.3, -2.0], [1.0, 0.5], centres[4]])
     assert lift(states) == pytest.approx(lifted(states, centres)[:, 2:], abs=1e-15)
     assert lift(states[2])[4] == 0.0
 
 
 def test_centres_lie_in_the_box() -> None:
-    functions = ThinPlate(count=200, low=-2.0, high=-1.0).draw(3, np.random.default_rng(0))
+    functions = ThinPlate(count=200, low=-2.0, high=-1.0).draw(np.zeros((1, 3)), np.random.default_rng(0))
     assert ((functions.centres >= -2.0) & (functions.centres <= -1.0)).all()
 
 

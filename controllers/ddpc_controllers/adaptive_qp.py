@@ -1,0 +1,171 @@
+"""The tracking problem on data that change at every sample.
+
+What the condensing eliminates before it meets the Gram matrix K of the data does not change with it: in the
+coordinates of :class:`~ddpc_controllers.online_data.OnlineData`, with ``K = L L'``, the cost of the free
+variables w at the parameters p is
+
+    |residual w + offset p|^2 + |L^-1 (own_gain w + own_law p)|_weights^2.
+
+One triangular solution, one product and one factorisation give its optimum; no law is made that would be used
+once.
+"""
+
+import numpy as np
+from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
+
+from ddpc_controllers.backends import ActiveSet, Backend
+from ddpc_controllers.condensing import Condenser
+from ddpc_controllers.online_data import OnlineData
+from ddpc_controllers.qp import Move, clip_inputs, find_conflict, infeasible, zero_unless_finite
+from ddpc_cosim import FloatArray
+
+_FEASIBLE = 1e-11
+_SINGULAR = 1e-6
+_ILL_CONDITIONED = 1e-5
+
+
+class AdaptiveQP:
+    """A tracking problem, solved on the present data for one parameter vector after another.
+
+    Parameters
+    ----------
+    condenser : Condenser
+        The problem.
+    data : OnlineData
+        What it meets; changed by its owner between solutions.
+    u_min, u_max : array, shape (m,)
+        Input limits, held exactly.
+    backend : Backend
+        The solver for active sets that the last one does not lead to.
+    """
+
+    def __init__(
+        self,
+        condenser: Condenser,
+        data: OnlineData,
+        u_min: FloatArray,
+        u_max: FloatArray,
+        backend: Backend,
+    ) -> None:
+        self._condenser, self._data, self._backend = condenser, data, backend
+        self._u_min, self._u_max = u_min, u_max
+        self._active: ActiveSet = ()
+        self._adopt_factor()
+
+    def solve(self, parameters: FloatArray) -> Move:
+        """Return the optimal move, or the documented fallback with its reason.
+
+        Parameters
+        ----------
+        parameters : array, shape (parameters,)
+            The parameter vector p; its last entry is 1.
+        """
+        gram_factor = self._gram_factor()
+        affine = np.dot(self._laws, parameters)
+        triangular, w = self._unconstrained_optimum(gram_factor, affine[: self._split], parameters)
+        answer = affine[self._split :] + np.dot(self._gains, w)
+        excess, u = answer[: self._bounds], answer[self._bounds :]
+        conflict = self._reduced.conflict_law
+        fault = find_conflict(conflict, parameters) if conflict.size else ""
+        if not self._bounds:
+            fault = zero_unless_finite(u) or fault
+        elif not max(excess.tolist()) <= 0.0:
+            fault = self._respect_bounds(excess, u, triangular) or fault
+        clip_inputs(u, self._u_min, self._u_max)
+        return Move(u, fault)
+
+    def _gram_factor(self) -> FloatArray:
+        """Return L, in new coordinates where K has become singular in the old ones."""
+        if self._factor is not self._data.factor:
+            self._adopt_factor()
+        factor, info = dpotrf(self._data.gram, lower=1)
+        diagonal = factor.diagonal().tolist()
+        if info or not min(diagonal) > _SINGULAR * max(diagonal):
+            self._data.renew()
+            self._adopt_factor()
+            return self._data.gram  # the identity, its own factor
+        return np.asarray(factor)
+
+    def _adopt_factor(self) -> None:
+        """Eliminate the equalities in the coordinates of the data's factor."""
+        self._factor = self._data.factor
+        reduced = self._reduced = self._condenser.reduce(self._factor)
+        rank, size = reduced.own_gain.shape
+        self._bounds, self._split = len(reduced.excess_law), size + rank
+        linear = reduced.residual.T @ reduced.offset
+        self._laws = np.vstack([linear, reduced.own_law, reduced.excess_law, reduced.move_law])
+        self._gains = np.vstack([reduced.excess_gain, reduced.move_gain])
+        self._curvature = reduced.residual.T @ reduced.residual
+        self._root = np.sqrt(reduced.weights)[:, np.newaxis]
+        self._own = np.zeros((rank, size + 1), order="F")
+        self._own[:, :size] = reduced.own_gain
+
+    def _unconstrained_optimum(
+        self, gram_factor: FloatArray, affine: FloatArray, parameters: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return R, ``R'R`` being the curvature of the cost, and the optimum w."""
+        size = len(self._curvature)
+        own = self._own
+        own[:, -1] = affine[size:]
+        deviation = dtrsm(1.0, gram_factor, own, lower=1)
+        deviation *= self._root
+        products = dsyrk(1.0, deviation, trans=1)
+        triangular, info = dpotrf(self._curvature + products[:size, :size])
+        diagonal = triangular.diagonal().tolist()
+        if info or (size and min(diagonal) < _ILL_CONDITIONED * max(diagonal)):
+            return self._optimum_by_roots(deviation, parameters)
+        return triangular, -dpotrs(triangular, affine[:size] + products[:size, size])[0]
+
+    def _optimum_by_roots(
+        self, deviation: FloatArray, parameters: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the same without squaring the condition: slower, for weights that are far apart."""
+        size = len(self._curvature)
+        offset = np.dot(self._reduced.offset, parameters)[:, np.newaxis]
+        stacked = np.vstack([np.hstack([self._reduced.residual, offset]), deviation])
+        factor = np.asarray(np.linalg.qr(stacked, mode="r"))[:size]
+        triangular = np.asfortranarray(factor[:, :size])
+        return triangular, -dtrtrs(triangular, factor[:, size])[0]
+
+    def _respect_bounds(self, excess: FloatArray, u: FloatArray, triangular: FloatArray) -> str:
+        """Correct the unconstrained optimum ``u`` in place; t = R (w - optimum) is the deviation."""
+        if fault := zero_unless_finite(u, excess):
+            return fault
+        gains = dtrsm(1.0, triangular, self._gains, side=1)
+        gain, move_gain = gains[: self._bounds], gains[self._bounds :]
+        t = self._deviation(gain, excess)
+        if t is None:
+            self._backend.load(gain)
+            t, active, failure = self._backend.solve(excess)
+            if failure:
+                return infeasible(failure, gain, excess, self._reduced.labels)
+            exact = _certified(gain, excess, active)
+            t, self._active = (t if exact is None else exact), active
+        u += move_gain @ t
+        return ""
+
+    def _deviation(self, gain: FloatArray, excess: FloatArray) -> FloatArray | None:
+        """Try the last active set, and then the bounds that are exceeded."""
+        for active in (self._active, tuple(np.flatnonzero(excess > 0.0).tolist())):
+            t = _certified(gain, excess, active)
+            if t is not None:
+                self._active = active
+                return t
+        return None
+
+
+def _certified(gain: FloatArray, excess: FloatArray, active: ActiveSet) -> FloatArray | None:
+    """Return the optimum on an active set where it proves to be that of the problem, None otherwise."""
+    if not active:
+        return None
+    rows = gain[list(active)]
+    factor, info = dpotrf(rows @ rows.T)
+    if info:
+        return None
+    multipliers = dpotrs(factor, excess[list(active)])[0]
+    if not min(multipliers.tolist()) >= 0.0:
+        return None
+    t = -(multipliers @ rows)
+    beyond = max((excess + gain @ t).tolist())
+    return np.asarray(t) if beyond <= _FEASIBLE else None

@@ -1,0 +1,148 @@
+"""A cascade: an inner controller stabilises the plant, an outer one gives it its reference.
+
+S. Liu, Z. Hou and J. Zheng, Attitude adjustment of quadrotor aircraft platform via a data-driven model free
+adaptive control cascaded with intelligent PID, Chinese Control and Decision Conference, 2016, pages
+4971-4976, reference [18] of the paper: data models in the compact and the partial form are for stable plants
+(section III), and what an i-PID controller has stabilised is one.
+"""
+
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from ddpc_controllers.ipid import IPID
+from ddpc_controllers.mfapc import MFAPC
+from ddpc_controllers.validation import check_settings_and
+from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Recording, Sample, setting
+
+
+@dataclass(kw_only=True)
+class Cascade(Controller):
+    """An inner and an outer controller; by default i-PID and MFAPC, as in [18].
+
+    The inner controller drives the plant's inputs. It controls the controlled outputs, or other measurements
+    named in ``inner_outputs``; their references are the inputs of the outer controller, for which plant and
+    inner loop are one plant, and have the limits of the outputs they are for. The outer controller takes one
+    sample for ``outer_period`` of the inner one. Neither may learn from a recording, because there is none
+    of the inner loop; an inner one may take over where the recording ended.
+
+    A status of either is passed on with its name.
+    """
+
+    uses_recording: ClassVar[bool] = False
+
+    inner: Controller = setting(default_factory=IPID, doc="the controller that drives the plant")
+    outer: Controller = setting(default_factory=MFAPC, doc="the controller that sets its reference")
+    inner_outputs: Sequence[str] = setting(
+        (), doc="measurements that the inner loop controls; empty: the controlled outputs"
+    )
+    outer_period: int = setting(1, low=1, doc="samples of the inner loop for one of the outer")
+
+    def __post_init__(self) -> None:
+        check_settings_and(self, self._faults)
+        self.horizon = self.outer.horizon * self.outer_period
+
+    @property
+    def accepts_missing(self) -> bool:  # type: ignore[override]  # its controllers decide
+        """Whether both controllers go on when a measurement is lost."""
+        return self.inner.accepts_missing and self.outer.accepts_missing
+
+    def start(self, loop: Loop) -> None:
+        """Start both controllers, each with a loop of its own.
+
+        Raises
+        ------
+        ConfigError
+            ``inner_outputs`` are no measurements, or a controller refuses its loop.
+        """
+        self._chosen = self._choose(loop)
+        inner = self._inner_loop(loop)
+        # Copies: what they learn is of this run, not of the settings.
+        self._inner, self._outer = deepcopy(self.inner), deepcopy(self.outer)
+        self._inner.start(inner)
+        bounds = Bounds(inner.bounds.y_min, inner.bounds.y_max, loop.bounds.y_min, loop.bounds.y_max)
+        self._outer.start(
+            replace(
+                loop,
+                sampling_time=loop.sampling_time * self.outer_period,
+                inputs=inner.outputs,
+                bounds=bounds,
+                recording=None,
+                continues_recording=False,
+            )
+        )
+        self._target = np.empty((self._inner.horizon, len(inner.outputs)))
+
+    def step(self, sample: Sample) -> Action:
+        """Return what the inner controller does about the outer one's latest reference."""
+        faults: list[str] = []
+        info: dict[str, float] = {}
+        if sample.k % self.outer_period == 0:
+            later = sample.reference[self.outer_period - 1 :: self.outer_period]
+            slow = sample._replace(k=sample.k // self.outer_period, reference=later)
+            outer = _as_action(self._outer.step(slow))
+            self._target[...] = outer.u
+            _report("outer", outer, faults, info)
+        y = sample.y if self._chosen is None else sample.measured[self._chosen]
+        inner = _as_action(self._inner.step(sample._replace(y=y, reference=self._target.copy())))
+        _report("inner", inner, faults, info)
+        return Action(inner.u, "; ".join(faults), info) if faults else Action(inner.u, info=info)
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """Return the figures of both, under their names."""
+        return {f"inner.{name}": value for name, value in self._inner.diagnostics().items()} | {
+            f"outer.{name}": value for name, value in self._outer.diagnostics().items()
+        }
+
+    def _choose(self, loop: Loop) -> list[int] | None:
+        """Return where the inner outputs stand among the measurements; None for the controlled outputs."""
+        if not self.inner_outputs:
+            return None
+        known = [variable.name for variable in loop.measurements]
+        unknown = [name for name in self.inner_outputs if name not in known]
+        if unknown:
+            raise ConfigError(
+                [
+                    f'Cascade: inner_outputs: no measurement "{name}"; there are {", ".join(known)}'
+                    for name in unknown
+                ]
+            )
+        return [known.index(name) for name in self.inner_outputs]
+
+    def _inner_loop(self, loop: Loop) -> Loop:
+        chosen, recording = self._chosen, loop.recording
+        if chosen is None:
+            return loop
+        outputs = tuple(loop.measurements[i] for i in chosen)
+        low, high = np.array([(v.min, v.max) for v in outputs]).T
+        if recording is not None:
+            y = recording.measured[:, chosen]
+            recording = Recording(recording.u, y, recording.measured, recording.sampling_time)
+        bounds = Bounds(loop.bounds.u_min, loop.bounds.u_max, low, high)
+        return replace(loop, outputs=outputs, bounds=bounds, recording=recording)
+
+    def _faults(self) -> list[str]:
+        faults = []
+        for name in ("inner", "outer"):
+            controller = getattr(self, name)
+            if not isinstance(controller, Controller):
+                faults.append(f"Cascade: {name} = {controller!r} is not a controller")
+            elif controller.uses_recording:
+                faults.append(
+                    f"Cascade: {name}: {type(controller).__name__} learns from a recording of its own"
+                )
+        return faults
+
+
+def _as_action(answer: FloatArray | Action) -> Action:
+    return answer if isinstance(answer, Action) else Action(answer)
+
+
+def _report(who: str, action: Action, faults: list[str], info: dict[str, float]) -> None:
+    """Add what a controller says besides its inputs."""
+    if action.status != Action(action.u).status:
+        faults.append(f"{who}: {action.status}")
+    info.update({f"{who}.{name}": value for name, value in action.info.items()})

@@ -1,0 +1,102 @@
+"""What is taken from python-control, and nothing else of it: arrays in, arrays out.
+
+python-control is imported inside the functions: its import costs a second, which only those pay whose
+controller needs it, and only once per run.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ddpc_cosim import ConfigError, FloatArray
+
+
+def discretise(a: FloatArray, b: FloatArray, sampling_time: float) -> tuple[FloatArray, FloatArray]:
+    """Return A and B of a continuous plant whose inputs are held between samples (``control.c2d``)."""
+    import control
+
+    c = np.zeros((1, len(a)))
+    sampled = control.c2d(control.ss(a, b, c, np.zeros((1, b.shape[1]))), sampling_time, method="zoh")
+    return np.asarray(sampled.A), np.asarray(sampled.B)
+
+
+def regulator_gain(
+    a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray, integrated: FloatArray
+) -> FloatArray:
+    """Return K of ``u = -K (x, z)`` with ``z+ = z + integrated @ x`` (``control.dlqr``).
+
+    Parameters
+    ----------
+    a, b : array, shapes (n, n) and (n, m)
+        The sampled plant.
+    q : array, shape (n + p, n + p)
+        Weight of (x, z).
+    r : array, shape (m, m)
+        Weight of u.
+    integrated : array, shape (p, n)
+        What is summed up.
+
+    Raises
+    ------
+    ConfigError
+        There is no stabilising gain.
+    """
+    import control
+
+    return _riccati(
+        "linear-quadratic regulator: the plant with its integrators cannot be stabilised",
+        lambda: control.dlqr(a, b, q, r, integral_action=integrated)[0],
+    )
+
+
+def estimator_covariance(a: FloatArray, c: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
+    """Return the covariance P of the prediction error of the steady Kalman filter (``control.dlqe``).
+
+    Parameters
+    ----------
+    a, c : array, shapes (n, n) and (p, n)
+        The sampled plant.
+    q, r : array, shapes (n, n) and (p, p)
+        Covariances of what drives the states and of the measurement noise.
+
+    Raises
+    ------
+    ConfigError
+        There is no stable filter.
+    """
+    import control
+
+    return _riccati(
+        "Kalman filter: the model has a mode that is not stable and that the outputs do not show",
+        lambda: control.dlqe(a, np.eye(len(a)), c, q, r)[1],
+    )
+
+
+def realise(markov: FloatArray, order: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return A, B and C of the balanced model of an impulse response (``control.eigensys_realization``).
+
+    Parameters
+    ----------
+    markov : array, shape (L, p, m)
+        ``C A^i B`` for i = 0 ... L - 1, with L at least 2 order + 1.
+    order : int
+        Number of states to keep; at most the rank of the response.
+    """
+    import control
+
+    response = np.concatenate([np.zeros((1, *markov.shape[1:])), markov]).transpose(1, 2, 0)  # y, u, time
+    depth = len(markov) // 2
+    model, _ = control.eigensys_realization(response, order, m=depth, n=depth)
+    return np.asarray(model.A), np.asarray(model.B), np.asarray(model.C)
+
+
+def _riccati(failure: str, solve: Any) -> FloatArray:
+    from control.exception import ControlArgument, ControlDimension
+
+    try:
+        solution = np.asarray(solve(), dtype=np.float64)
+    except (np.linalg.LinAlgError, ControlArgument, ControlDimension, ValueError) as error:
+        raise ConfigError(f"{failure} ({error})") from error
+    if not np.isfinite(solution).all():
+        raise ConfigError(failure)
+    return solution

@@ -1,0 +1,173 @@
+"""The data model (14) in its three forms, learned sample by sample.
+
+    compact (CFDL)   dy_k+1 = Phi_k du_k
+    partial (PFDL)   dy_k+1 = Phi_k (du_k, ..., du_k-Lu+1)
+    full    (FFDL)   dy_k+1 = Phi_k (dy_k, ..., dy_k-Ly+1, du_k, ..., du_k-Lu+1)
+
+Z. Hou and S. Jin, Model Free Adaptive Control: Theory and Applications, CRC Press, 2013, chapters 3 and 4.
+"""
+
+from dataclasses import dataclass
+from operator import sub
+
+import numpy as np
+
+from ddpc_controllers.pseudo_jacobian import Estimation, PseudoGradient, Regressor
+from ddpc_cosim import ConfigError, FloatArray, Recording, Weight
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """Size and structure of a data model.
+
+    Parameters
+    ----------
+    outputs, inputs : int
+        p and m.
+    output_length, input_length : int
+        Ly and Lu: 0 and 1 in the compact form, Ly = 0 in the partial form.
+    diagonal : bool
+        Each output follows its own input and its own past only; p = m.
+    """
+
+    outputs: int
+    inputs: int
+    output_length: int
+    input_length: int
+    diagonal: bool = False
+
+    def __post_init__(self) -> None:
+        if self.diagonal and self.outputs != self.inputs:
+            raise ConfigError(
+                f'structure = "diagonal" pairs each output with an input; there are {self.outputs} outputs '
+                f"and {self.inputs} inputs"
+            )
+
+    @property
+    def terms(self) -> int:
+        """Number of changes in H."""
+        return self.outputs * self.output_length + self.inputs * self.input_length
+
+    def regressors(self) -> tuple[Regressor, ...]:
+        """Return what explains the change of each output."""
+        lengths = self.output_length, self.input_length
+        if self.diagonal:
+            return tuple(Regressor((i,), (i,), *lengths) for i in range(self.outputs))
+        every = Regressor(tuple(range(self.outputs)), tuple(range(self.inputs)), *lengths)
+        return (every,) * self.outputs
+
+    def places(self, regressor: Regressor) -> list[int]:
+        """Return where the changes of a regressor stand in H."""
+        first_input = self.outputs * self.output_length
+        return [
+            lag * self.outputs + output for lag in range(self.output_length) for output in regressor.outputs
+        ] + [
+            first_input + lag * self.inputs + channel
+            for lag in range(self.input_length)
+            for channel in regressor.inputs
+        ]
+
+    def initial_gradients(self, given: Weight) -> FloatArray:
+        """Return Phi_1, shape (p, terms).
+
+        Parameters
+        ----------
+        given : number, list or matrix
+            The diagonal of the coefficients of the latest input changes, all of these (p x m), or
+            everything in the order of H (p x terms). Coefficients that are not given are 0.
+
+        Raises
+        ------
+        ConfigError
+            It has another shape.
+        """
+        p, m, paired = self.outputs, self.inputs, min(self.outputs, self.inputs)
+        values = np.asarray(given, dtype=float)
+        if values.shape == (p, self.terms):
+            return values
+        direct = values
+        if values.ndim == 0 or values.shape == (paired,):
+            direct = np.zeros((p, m))
+            np.fill_diagonal(direct, values)
+        if direct.shape != (p, m):
+            raise ConfigError(
+                f"initial_gradient has shape {values.shape}; needed: a number, {paired} numbers, "
+                f"{p} x {m} (outputs x inputs), or {p} x {self.terms} (outputs x changes)"
+            )
+        gradients = np.zeros((p, self.terms))
+        first = p * self.output_length
+        gradients[:, first : first + m] = direct
+        return gradients
+
+
+class DataModel:
+    """The data model of a loop: what it remembers of the signals, and the estimates.
+
+    Parameters
+    ----------
+    form : Form
+        See there.
+    initial : array, shape (p, terms)
+        Phi_1.
+    constants : Estimation
+        Of the estimation (16)-(17).
+
+    Attributes
+    ----------
+    gradients : list of PseudoGradient
+        One row for each output.
+    """
+
+    def __init__(self, form: Form, initial: FloatArray, constants: Estimation) -> None:
+        self._form = form
+        regressors = form.regressors()
+        # None: the whole of H.
+        self._places = [form.places(regressor) for regressor in regressors] if form.diagonal else None
+        rows = (row[form.places(regressor)] for row, regressor in zip(initial, regressors, strict=True))
+        self.gradients = [
+            PseudoGradient(row.tolist(), regressor, constants)
+            for row, regressor in zip(rows, regressors, strict=True)
+        ]
+        self._y: list[float] | None = None
+        self._newest_dy = [0.0] * (form.outputs * form.output_length)
+        self._newest_du = [0.0] * (form.inputs * form.input_length)
+
+    def resume(self, recording: Recording) -> None:
+        """Go on where a recording ended."""
+        form = self._form
+        self._y = recording.y[-1].tolist()
+        self._newest_dy = _newest_changes(recording.y, form.output_length)
+        self._newest_du = _newest_changes(recording.u, form.input_length)
+
+    def observe(self, y: list[float]) -> None:
+        """Learn from the outputs of a new sample."""
+        dy = list(map(sub, y, y if self._y is None else self._y))
+        h = self._newest_dy + self._newest_du
+        for i, gradient in enumerate(self.gradients):
+            gradient.update(dy[i], h if self._places is None else [h[place] for place in self._places[i]])
+        self._y = y
+        if self._newest_dy:
+            self._newest_dy = (dy + self._newest_dy)[: len(self._newest_dy)]
+
+    def apply(self, du: list[float]) -> None:
+        """Take note of the change of the inputs at this sample."""
+        self._newest_du = (du + self._newest_du)[: len(self._newest_du)]
+
+    def pause(self) -> None:
+        """Forget the signals, not the estimates: as after a long quiet."""
+        self._y = None
+        self._newest_dy = [0.0] * len(self._newest_dy)
+        self._newest_du = [0.0] * len(self._newest_du)
+
+    @property
+    def known(self) -> list[float]:
+        """The changes that H_k holds before du_k is decided, newest first: outputs, then inputs."""
+        return self._newest_dy + self._newest_du[: len(self._newest_du) - self._form.inputs]
+
+
+def _newest_changes(signal: FloatArray, length: int) -> list[float]:
+    """Return the last changes of a signal, newest first; those before its beginning are 0."""
+    changes = np.diff(signal, axis=0)[::-1][:length]
+    missing = np.zeros((length - len(changes), signal.shape[1]))
+    newest: list[float] = np.concatenate([changes, missing]).ravel().tolist()
+    return newest

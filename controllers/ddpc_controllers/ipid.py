@@ -1,0 +1,126 @@
+"""Intelligent PID control: what acts on the plant besides the input is estimated and cancelled.
+
+M. Fliess and C. Join, Model-free control, International Journal of Control 86(12), 2013,
+doi:10.1080/00207179.2013.810345. With the ultra-local model ``y^(nu) = F + alpha u`` and e = y* - y,
+
+    u = alpha^-1 (-F + y*^(nu) + Kp e + Ki int e + Kd e')
+
+leaves the error dynamics ``e^(nu) + Kd e' + Kp e + Ki int e = 0`` wherever F is estimated well.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ddpc_controllers.recorded import resting_input
+from ddpc_controllers.ultra_local_model import UltraLocalModel
+from ddpc_controllers.validation import check_settings_and, per_signal
+from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, Weight, setting
+
+
+@dataclass(kw_only=True)
+class IPID(Controller):
+    """Intelligent PID control; needs no recording and as many inputs as outputs.
+
+    The reference counts as constant, so that its derivatives are not followed. What enters the estimation are
+    the inputs within their limits, so that a limit does not wind it up; the integral of an output stands
+    still while its input is at a limit. A measurement that is not finite is replaced by what the model
+    expects, and counted.
+    """
+
+    uses_recording: ClassVar[bool] = False
+    accepts_missing: ClassVar[bool] = True
+
+    order: int = setting(1, choices=(1, 2), doc="nu, order of the ultra-local model")
+    alpha: Weight = setting(
+        1.0, doc="how the inputs act on the outputs' derivative of that order: a number, a list, or p x m"
+    )
+    kp: float = setting(1.0, low=0.0, doc="proportional gain [1/s^nu]")
+    ki: float = setting(0.0, low=0.0, doc="integral gain [1/s^(nu+1)]")
+    kd: float = setting(0.0, low=0.0, doc="derivative gain [1/s^(nu-1)]")
+    window: int = setting(4, low=1, doc="sampling intervals over which F is estimated, at least nu")
+
+    def __post_init__(self) -> None:
+        check_settings_and(self, self._faults)
+
+    def start(self, loop: Loop) -> None:
+        """Forget what was estimated.
+
+        Raises
+        ------
+        ConfigError
+            ``alpha`` does not fit the number of signals, or cannot be inverted.
+        """
+        alpha = self._alpha_matrix(len(loop.outputs), len(loop.inputs))
+        self._inverse = np.linalg.inv(alpha)
+        self._model = UltraLocalModel(self.order, self.window, loop.sampling_time, alpha)
+        self._h, self._bounds = loop.sampling_time, loop.bounds
+        self._u = resting_input(loop)
+        self._integral = np.zeros(len(loop.outputs))
+        self._started = False
+        if loop.continues_recording and loop.recording is not None:
+            self._take_over(loop.recording.u, loop.recording.y)
+
+    def step(self, sample: Sample) -> FloatArray | Action:
+        """Return the inputs that cancel F and correct the error."""
+        y, fault = sample.y, ""
+        if not np.isfinite(y).all():
+            if not self._started:
+                return Action(self._u.copy(), "no finite measurement yet: inputs at rest")
+            y = np.where(np.isfinite(y), y, self._model.ahead(self._u))
+            fault = "a measurement is not finite: replaced by what the model expects"
+        self._observe(y)
+        if not np.isfinite(sample.reference).all():
+            return Action(self._u.copy(), "a reference is not finite: inputs held")
+        error = sample.reference[0] - y
+        estimates = self._model.estimates()
+        integral = self._integral + self._h * error
+        correction = self.kp * error + self.ki * integral - estimates[-1]
+        if self.order > 1:
+            correction -= self.kd * estimates[1]
+        wanted = self._inverse @ correction
+        u: FloatArray = np.clip(wanted, self._bounds.u_min, self._bounds.u_max)
+        self._integral = np.where(u == wanted, integral, self._integral)
+        self._u = u
+        return Action(u.copy(), fault) if fault else u.copy()
+
+    def _observe(self, y: FloatArray) -> None:
+        if self._started:
+            self._model.append(self._u, y)
+        else:
+            self._model.start(y, self._u)
+            self._started = True
+
+    def _take_over(self, u: FloatArray, y: FloatArray) -> None:
+        """Go on where a recording ended."""
+        self._model.start(y[0], u[0])
+        for held, measured in zip(u[:-1], y[1:], strict=True):
+            self._model.append(held, measured)
+        self._u, self._started = u[-1].copy(), True
+
+    def _alpha_matrix(self, p: int, m: int) -> FloatArray:
+        """Return alpha, shape (p, m), p = m."""
+        if p != m:
+            raise ConfigError(f"IPID needs as many inputs as outputs; there are {m} inputs, {p} outputs")
+        given = np.asarray(self.alpha, dtype=float)
+        alpha = np.diag(per_signal("alpha", self.alpha, p)) if given.ndim < 2 else given
+        if alpha.shape != (p, p):
+            raise ConfigError(
+                f"IPID: alpha has shape {given.shape}; needed: a number, {p} numbers, or {p} x {p}"
+            )
+        if np.linalg.matrix_rank(alpha) < p:
+            raise ConfigError(
+                f"alpha = {given.tolist()} has no inverse: inputs that act on the outputs alike"
+            )
+        return alpha
+
+    def _faults(self) -> list[str]:
+        faults = []
+        if self.window < self.order:
+            faults.append(f"IPID: window = {self.window} is shorter than order = {self.order}")
+        if self.order == 1 and self.kd > 0.0:
+            faults.append(
+                f"IPID: kd = {self.kd:g} needs order = 2: a first-order model estimates no derivative"
+            )
+        return faults

@@ -1,0 +1,189 @@
+"""The tracking problem of a linear model, on the machinery of the data-driven ones.
+
+A model's trajectories over the horizon are all ``h = (x, u, y) = M (x, u)``: what the Hankel matrices are to
+a recording, the matrix M is to a model. Costs, limits, condensing and the online solution are shared.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ddpc_controllers.problem import Problem
+from ddpc_controllers.qp import Move, ParametricQP
+from ddpc_controllers.recorded import ParameterVector, setpoint_bounds
+from ddpc_controllers.validation import per_signal, weight_matrices
+from ddpc_cosim import Bounds, FloatArray, Weight, setting
+
+Setpoint = Literal["input", "input-output", "none"]
+SETPOINTS = ("input", "input-output", "none")
+
+
+@dataclass(kw_only=True)
+class TrackingSettings:
+    """What a predictive controller minimises, in the terms of (8) and (11)."""
+
+    horizon: int = setting(5, low=1, doc="prediction horizon N, samples")
+    setpoint: Setpoint = setting(
+        "input", choices=SETPOINTS, doc="artificial setpoints: u_s (11), u_s and y_s (8), or none"
+    )
+    output_weight: Weight = setting(1.0, low=0.0, doc="Q: predicted outputs off the reference, or off y_s")
+    input_weight: Weight = setting(0.1, low=0.0, doc="R: inputs off u_s, or off zero")
+    setpoint_weight: Weight = setting(1.0, low=0.0, doc="S: y_s off the reference")
+    change_weight: Weight = setting(0.0, low=0.0, doc="weight of the changes of the inputs")
+    setpoint_margin: float = setting(
+        0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoints"
+    )
+    terminal_length: int = setting(0, low=0, doc="samples at the horizon's end that equal the setpoints")
+    soft_output_bounds: float = setting(
+        0.0, low=0.0, doc="weight of |excess|^2 beyond the output bounds; 0: they are hard"
+    )
+    rate_bounds: float | Sequence[float] = setting(
+        default_factory=tuple, doc="largest change of each input per sample, in its unit; empty: none"
+    )
+
+    def tracking_faults(self) -> list[str]:
+        """Return how the settings contradict each other."""
+        who, faults = type(self).__name__, []
+        if self.terminal_length > self.horizon:
+            faults.append(
+                f"{who}: horizon = {self.horizon} is shorter than terminal_length = {self.terminal_length}"
+            )
+        if not np.all(np.asarray(self.rate_bounds, dtype=float) > 0.0):
+            faults.append(f"{who}: rate_bounds = {self.rate_bounds!r} is not possible; allowed: above 0")
+        return faults
+
+
+def trajectories(a: FloatArray, b: FloatArray, c: FloatArray, horizon: int) -> FloatArray:
+    """Return M of ``(x_0, u_-1, u_0 ... u_N-1, y_1 ... y_N) = M (x_0, u_-1, u_0 ... u_N-1)``.
+
+    The first predicted output is that of the next sample: the output of this one is measured already.
+    """
+    n, m = b.shape
+    size = n + m + horizon * m
+    states = np.eye(n, size)
+    outputs = []
+    for k in range(horizon):
+        states = a @ states
+        states[:, n + (k + 1) * m : n + (k + 2) * m] += b
+        outputs.append(c @ states)
+    return np.vstack([np.eye(size), *outputs])
+
+
+class Predictor:
+    """A model's tracking problem, condensed: from a state and a reference to the next inputs.
+
+    Parameters
+    ----------
+    a, b, c : array, shapes (n, n), (n, m), (p, n)
+        The model, inputs and outputs in their units.
+    settings : TrackingSettings
+        What to minimise.
+    bounds : Bounds
+        Limits of inputs and outputs.
+
+    Raises
+    ------
+    ConfigError
+        A weight or a rate bound does not fit the number of signals, or the weights leave the optimum
+        undetermined.
+    """
+
+    def __init__(
+        self, a: FloatArray, b: FloatArray, c: FloatArray, settings: TrackingSettings, bounds: Bounds
+    ) -> None:
+        n, m, p = len(a), b.shape[1], len(c)
+        self._bounds = bounds
+        self._rates = np.full(m, np.inf)
+        if np.size(settings.rate_bounds):
+            self._rates = per_signal("rate_bounds", settings.rate_bounds, m)
+        self._parameters = ParameterVector({"x": (1, n), "u_last": (1, m), "r": (settings.horizon, p)})
+        problem = _write_down(settings, bounds, self._rates, self._parameters.sizes)
+        condensed = problem.prepare("u", m).condense(trajectories(a, b, c, settings.horizon))
+        self._qp = ParametricQP(condensed, bounds.u_min, bounds.u_max)
+
+    def solve(self, state: FloatArray, last_input: FloatArray, reference: FloatArray) -> Move:
+        """Return the first optimal inputs.
+
+        Parameters
+        ----------
+        state : array, shape (n,)
+            State at this sample.
+        last_input : array, shape (m,)
+            Inputs applied at the last sample.
+        reference : array, shape (N, p)
+            References of the next samples, time along axis 0.
+        """
+        self._parameters.fill("x", state)
+        self._parameters.fill("u_last", last_input)
+        self._parameters.fill("r", reference)
+        u, fault = self._qp.solve(self._parameters.array)
+        np.clip(u, last_input - self._rates, last_input + self._rates, out=u)
+        np.clip(u, self._bounds.u_min, self._bounds.u_max, out=u)
+        return Move(u, fault)
+
+
+def _write_down(
+    settings: TrackingSettings, bounds: Bounds, rates: FloatArray, sizes: Mapping[str, int]
+) -> Problem:
+    n, m, horizon = sizes["x"], sizes["u_last"], settings.horizon
+    p = sizes["r"] // horizon
+    free = dict({"none": {}, "input": {"u_s": m}, "input-output": {"u_s": m, "y_s": p}}[settings.setpoint])
+    if settings.soft_output_bounds > 0.0:
+        free["y_excess"] = horizon * p
+    rows = {"x": n, "u_last": m, "u": horizon * m, "y": horizon * p}
+    problem = Problem(rows=rows, free=free, parameters=sizes)
+    for known in ("x", "u_last"):
+        problem.equate({known: np.eye(sizes[known])}, {known: np.eye(sizes[known])})
+    _penalise(problem, settings, m, p)
+    _bound(problem, settings, bounds, rates)
+    return problem
+
+
+def _penalise(problem: Problem, settings: TrackingSettings, m: int, p: int) -> None:
+    horizon, last = settings.horizon, settings.terminal_length
+    every_u, every_y = np.eye(horizon * m), np.eye(horizon * p)
+    held_u, held_y = np.tile(np.eye(m), (horizon, 1)), np.tile(np.eye(p), (horizon, 1))
+    q, r, s, change = weight_matrices(
+        output_weight=(settings.output_weight, p),
+        input_weight=(settings.input_weight, m),
+        setpoint_weight=(settings.setpoint_weight, p),
+        change_weight=(settings.change_weight, m),
+    )
+    u_off = {"u": every_u, "u_s": -held_u} if "u_s" in problem.free else {"u": every_u}
+    problem.penalise(r, u_off, {})  # |u_k - u_s|_R^2
+    if "y_s" in problem.free:
+        problem.penalise(q, {"y": every_y, "y_s": -held_y}, {})  # |y_k - y_s|_Q^2 of (8)
+        problem.penalise(s, {"y_s": held_y}, {"r": every_y})  # |r_t+k - y_s|_S^2
+    else:
+        problem.penalise(q, {"y": every_y}, {"r": every_y})  # |y_k - r_t+k|_Q^2 of (11)
+    if change.any():
+        before = _inputs_before(horizon, m)
+        problem.penalise(change, {"u": every_u - before["u"], "u_last": -before["u_last"]}, {})
+    if last and "u_s" in problem.free:
+        problem.equate({"u": every_u[-last * m :], "u_s": -held_u[-last * m :]}, {})
+    if last and "y_s" in problem.free:
+        problem.equate({"y": every_y[-last * p :], "y_s": -held_y[-last * p :]}, {})
+
+
+def _bound(problem: Problem, settings: TrackingSettings, bounds: Bounds, rates: FloatArray) -> None:
+    horizon, m, p = settings.horizon, len(bounds.u_min), len(bounds.y_min)
+    problem.bound("u", bounds.u_min, bounds.u_max)
+    if np.isfinite(rates).any():
+        problem.bound("u", -rates, rates, _inputs_before(horizon, m), name="change of u")
+    excess = {"y_excess": np.eye(horizon * p)} if "y_excess" in problem.free else None
+    if excess:
+        problem.penalise(settings.soft_output_bounds * np.eye(p), excess, {})
+    problem.bound("y", bounds.y_min, bounds.y_max, excess)
+    setpoint = setpoint_bounds(bounds, settings.setpoint_margin)
+    if "u_s" in problem.free:
+        problem.bound("u_s", setpoint.u_min, setpoint.u_max)
+    # Where outputs may leave their limits, a setpoint tied to them must not keep them back.
+    if "y_s" in problem.free and not excess:
+        problem.bound("y_s", setpoint.y_min, setpoint.y_max)
+
+
+def _inputs_before(horizon: int, m: int) -> dict[str, FloatArray]:
+    """Return the blocks of the inputs of the sample before each of the horizon."""
+    return {"u": np.eye(horizon * m, k=-m), "u_last": np.eye(horizon * m, m)}

@@ -1,0 +1,135 @@
+"""A Kalman filter for a linear model with a constant disturbance.
+
+The disturbance d is a state of its own, ``d+ = d``, that the outputs or the inputs carry; a regulator that
+rejects its estimate has no offset (G. Pannocchia, J. B. Rawlings, Disturbance models for offset-free
+model-predictive control, AIChE J. 49(2), 2003, doi:10.1002/aic.690490213).
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ddpc_controllers.behavioral import numerical_rank
+from ddpc_controllers.control_api import estimator_covariance
+from ddpc_controllers.models import SampledModel
+from ddpc_cosim import ConfigError, FloatArray
+
+Disturbance = Literal["none", "output", "input"]
+DISTURBANCES = ("none", "output", "input")
+
+LOST_MEASUREMENT = "a measurement is not finite: the model's prediction stands in for it"
+"""Status of a step that had to do without a measurement."""
+
+_DETECTABLE = 1e-9
+_EVERY_STATE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What a filter takes the loop's noise to be, standard deviations.
+
+    Parameters
+    ----------
+    process : float
+        Of what is added to the inputs.
+    disturbance : float
+        Of the change of the disturbance per sample.
+    measurement : float
+        Of the measured outputs.
+    """
+
+    process: float
+    disturbance: float
+    measurement: float
+
+
+class Observer:
+    """The steady Kalman filter of a model with a constant disturbance.
+
+    Parameters
+    ----------
+    model : SampledModel
+        The plant.
+    disturbance : {"none", "output", "input"}
+        What carries the disturbance.
+    noise : Noise
+        The noise.
+
+    Attributes
+    ----------
+    a, b, c : array
+        The model of ``(x, d, 1)``, the 1 carrying the operating point: inputs and outputs are in their units.
+    state : array, shape (n + nd + 1,)
+        The estimate of ``(x, d, 1)``; changed in place.
+
+    Raises
+    ------
+    ConfigError
+        The outputs do not tell the disturbance from the states.
+    """
+
+    def __init__(self, model: SampledModel, disturbance: Disturbance, noise: Noise) -> None:
+        n, m, p = len(model.a), model.b.shape[1], len(model.c)
+        carriers = {
+            "none": (np.zeros((n, 0)), np.zeros((p, 0))),
+            "output": (np.zeros((n, p)), np.eye(p)),
+            "input": (model.b, np.zeros((p, m))),
+        }
+        in_state, in_output = carriers[disturbance]
+        size = in_state.shape[1]
+        a = np.block([[model.a, in_state], [np.zeros((size, n)), np.eye(size)]])
+        b, c = np.vstack([model.b, np.zeros((size, m))]), np.hstack([model.c, in_output])
+        _require_detectable(a, c, disturbance)
+
+        drive = np.zeros((n + size, n + size))
+        drive[:n, :n] = noise.process**2 * (model.b @ model.b.T)
+        # A state that no input drives would make the Riccati equation singular.
+        drive[:n, :n] += (
+            _EVERY_STATE * max(float(np.trace(drive[:n, :n])) / n, np.finfo(float).tiny) * np.eye(n)
+        )
+        drive[n:, n:] = noise.disturbance**2 * np.eye(size)
+        r = noise.measurement**2 * np.eye(p)
+        covariance = estimator_covariance(a, c, drive, r)
+        self._gain = np.linalg.solve(c @ covariance @ c.T + r, c @ covariance).T  # P C' (C P C' + R)^-1
+
+        self.a = np.block([[a, -b @ model.u_0[:, np.newaxis]], [np.zeros((1, n + size)), np.ones((1, 1))]])
+        self.b = np.vstack([b, np.zeros((1, m))])
+        self.c = np.hstack([c, model.y_0[:, np.newaxis]])
+        self.state = np.zeros(n + size + 1)
+        self.state[-1] = 1.0
+
+    def rest(self, u: FloatArray, y: FloatArray) -> None:
+        """Suppose that the plant rests at u, shape (m,), and y, shape (p,), as nearly as it can."""
+        free = slice(None, -1)
+        steady = np.vstack([self.a[free, free] - np.eye(len(self.a) - 1), self.c[:, free]])
+        target = np.concatenate([-self.a[free, -1] - self.b[free] @ u, y - self.c[:, -1]])
+        self.state[free] = np.linalg.lstsq(steady, target, rcond=_DETECTABLE)[0]
+
+    def correct(self, y: FloatArray) -> None:
+        """Take a measurement, shape (p,), as far as it is finite."""
+        surprise = y - self.c @ self.state
+        self.state[:-1] += self._gain @ np.where(np.isfinite(surprise), surprise, 0.0)
+
+    def predict(self, u: FloatArray) -> None:
+        """Go on by one sample with inputs u, shape (m,)."""
+        self.state[:] = self.a @ self.state + self.b @ u
+
+    def follow(self, u: FloatArray, y: FloatArray) -> None:
+        """Run along a recording that begins at rest: u, shape (T, m), and y, shape (T, p)."""
+        self.rest(u[0], y[0])
+        for applied, measured in zip(u, y, strict=True):
+            self.correct(measured)
+            self.predict(applied)
+
+
+def _require_detectable(a: FloatArray, c: FloatArray, disturbance: Disturbance) -> None:
+    """Check that a constant disturbance cannot hide: rank (A - I; C) of the extended model."""
+    hidden = len(a) - numerical_rank(np.vstack([a - np.eye(len(a)), c]), _DETECTABLE)
+    if disturbance == "none" or not hidden:
+        return
+    other = {"output": '"input" (the plant integrates)', "input": '"output" (more inputs than outputs show)'}
+    raise ConfigError(
+        f'disturbance = "{disturbance}" cannot be told from the states: the outputs do not show '
+        f"{hidden} of {len(a)} constant modes; try {other[disturbance]}, or none"
+    )

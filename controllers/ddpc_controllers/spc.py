@@ -1,0 +1,68 @@
+"""Subspace predictive control and gamma-DDPC: prediction by the least-squares factor of the data.
+
+With the triangular factor of the stacked data, blocks past | u | y,
+
+    past = L_11 gamma_1,   u = L_21 gamma_1 + L_22 gamma_2,   y = L_31 gamma_1 + L_32 gamma_2 + L_33 gamma_3,
+
+gamma_1 is fixed by the past, gamma_2 is the choice of the inputs, and gamma_3 is what the least-squares
+prediction leaves unexplained. Subspace predictive control (W. Favoreel, B. De Moor, M. Gevers, *SPC: Subspace
+predictive control*, IFAC World Congress 1999, doi:10.1016/S1474-6670(17)56683-5) has gamma_3 = 0.
+Gamma-DDPC (V. Breschi, A. Chiuso, S. Formentin, *Data-driven predictive control in a stochastic setting: a
+unified framework*, Automatica 152, 2023, doi:10.1016/j.automatica.2023.110961) weighs both:
+``beta_2 |gamma_2|^2 + beta_3 |gamma_3|^2``.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ddpc_controllers.behavioral_tracking import BehavioralTracking
+from ddpc_controllers.problem import Problem
+from ddpc_controllers.regularisation import Regularisation
+from ddpc_cosim import Loop, setting
+
+
+@dataclass(kw_only=True)
+class SPC(BehavioralTracking):
+    """Subspace predictive control: the past is met exactly, the outputs are the least-squares prediction.
+
+    Tracks the reference itself by default; the artificial setpoint and the terminal condition of (8) can be
+    switched on. A past that no combination of the recorded windows has (noise on a recording without noise)
+    is a counted status; the nearest past is used.
+    """
+
+    artificial_setpoint: bool = setting(
+        False, doc="optimise a setpoint (u_s, y_s) online, (8); otherwise track the reference itself"
+    )
+    terminal_equality: bool = setting(
+        False, doc="the last initial_length predicted samples equal the artificial setpoint"
+    )
+
+    def _write_down(self, loop: Loop) -> Problem:
+        """Write down the problem over gamma_2 and gamma_3; gamma_1 follows from the past."""
+        problem = self._tracking_problem(loop)
+        past_y = np.eye(self._parameters.sizes["y_ini"])
+        problem.equate({"y_ini": past_y}, {"y_ini": past_y})
+        inputs, outputs = problem.rows["u"], problem.rows["y"]
+        past = sum(problem.rows.values()) - inputs - outputs
+        problem.regularise(Regularisation((past, inputs, outputs), self._weights()))
+        return problem
+
+    def _weights(self) -> tuple[float, float, float]:
+        """Return the weights of |gamma_1|^2, |gamma_2|^2 and |gamma_3|^2."""
+        return 0.0, 0.0, math.inf
+
+
+@dataclass(kw_only=True)
+class GammaDDPC(SPC):
+    """Gamma-DDPC: subspace prediction with a price on inputs away from the data, and on what it leaves open.
+
+    Very large ``beta_3`` gives SPC back.
+    """
+
+    beta_2: float = setting(0.0, low=0.0, doc="weight of |gamma_2|^2: inputs unlike those of the recording")
+    beta_3: float = setting(1e3, above=0.0, doc="weight of |gamma_3|^2: outputs off their prediction")
+
+    def _weights(self) -> tuple[float, float, float]:
+        return 0.0, self.beta_2, self.beta_3

@@ -1,0 +1,51 @@
+"""Every installed controller keeps the contract that is asked of anyone's."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from ddpc_controllers import MFAPC, WKPC, Decentralised, DeePC, Group, OffsetFree, Scaled
+from ddpc_cosim import Controller
+from ddpc_cosim.plugins import installed
+from ddpc_cosim.testing import ControllerConformance
+
+CONTROLLERS = {plugin.name: plugin.value for plugin in installed("controllers")}
+
+
+def two_loops() -> Controller:
+    """Return one MFAPC for each pair of signals."""
+    return Decentralised(
+        groups=[Group(inputs=[f"u{i}"], outputs=[f"y{i}"], controller=MFAPC()) for i in (1, 2)]
+    )
+
+
+WRAPPERS: dict[str, Callable[[], Controller]] = {
+    "decentralised": two_loops,
+    "offset-free": lambda: OffsetFree(controller=WKPC()),
+    "scaled": lambda: Scaled(controller=DeePC()),
+}
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+class TestInstalledControllers(ControllerConformance):
+    steps = 40
+
+    @pytest.fixture
+    def make_controller(self, name: str) -> Any:
+        return WRAPPERS.get(name, CONTROLLERS[name])
+
+
+@pytest.mark.parametrize("mode", ["sliding-window", "forgetting"])
+@pytest.mark.parametrize("kind", [DeePC, WKPC])
+class TestOnlineData(ControllerConformance):
+    steps = 40
+
+    @pytest.fixture
+    def make_controller(self, kind: Any, mode: str) -> Any:
+        return lambda: kind(online_data=mode, dither=0.02)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_every_installed_controller_survives_a_lost_measurement(name: str) -> None:
+    assert WRAPPERS.get(name, CONTROLLERS[name])().accepts_missing

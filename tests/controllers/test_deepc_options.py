@@ -1,0 +1,271 @@
+"""Every part of DeePC's problem, switched on and off, against the full problem over all entries of g."""
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from ddpc_controllers import DeePC
+from ddpc_controllers.full_problem import FullDeePC
+from ddpc_cosim import Action, Bounds, ConfigError, FloatArray, Recording, Sample
+
+from .loops import (
+    ANGLE,
+    DEGREE,
+    LinearPlant,
+    Run,
+    before,
+    close_loop,
+    experiment,
+    make_loop,
+    paper_reference,
+    pendulum_experiment,
+    pendulum_loop,
+    quick_pendulum,
+)
+
+REGULATION: dict[str, Any] = {"artificial_setpoint": False, "terminal_equality": False}
+
+OPTIONS: dict[str, dict[str, Any]] = {
+    "no terminal equality": {"terminal_equality": False},
+    "regulation": {**REGULATION, "output_weight": 1e3, "input_weight": 0.1},
+    "no slack": {"slack": False, "affine_sum": "all"},
+    "projection": {"regulariser": "projection", "lambda_g": 1e3},
+    "projection, affine": {"regulariser": "projection", "affine_sum": "all", **REGULATION},
+    "shifted ridge": {"regulariser": "shifted-ridge"},
+    "soft outputs": {"soft_output_bounds": 1e4},
+    "soft outputs, regulation": {"soft_output_bounds": 1e4, **REGULATION, "output_weight": 1e3},
+    "rate bounds": {"rate_bounds": 0.4},
+    "rate bounds, regulation": {"rate_bounds": [0.4], **REGULATION, "output_weight": 1e3},
+    "three inputs a plan": {"apply_steps": 3},
+    "current output": {"use_current_output": True},
+    "current output, shifted": {"use_current_output": True, "regulariser": "shifted-ridge"},
+    "all of it": {
+        "use_current_output": True,
+        "apply_steps": 2,
+        "rate_bounds": 0.5,
+        "soft_output_bounds": 1e3,
+        "regulariser": "shifted-ridge",
+        "affine_sum": "all",
+        "horizon": 8,
+    },
+}
+
+
+def compare(controller: DeePC, recording: Recording, run: Run, bounds: Bounds) -> float:
+    """Return the largest difference in u from the full problem."""
+    full = FullDeePC(controller, recording, bounds)
+    steps, previous, worst = controller.apply_steps, None, 0.0
+    for k in range(0, len(run.samples), steps):
+        u_ini = before(run.u, np.zeros(run.u.shape[1]), k, controller.initial_length)
+        now = int(controller.use_current_output)
+        y_ini = before(run.y, run.y[0], k + now, controller.initial_length + now)
+        solution = full.solve(u_ini, y_ini, run.samples[k].reference, previous)
+        assert solution.solved
+        if controller.regulariser == "shifted-ridge":
+            previous = solution.g
+        applied = run.u[k : k + steps]
+        worst = max(worst, float(np.abs(solution.u[: len(applied)] - applied).max()))
+    assert set(run.status) == {"ok"}
+    return worst
+
+
+@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
+def test_on_the_pendulum(paper_recording: Recording, options: dict[str, Any]) -> None:
+    controller = DeePC(**options)
+    # Soft output bounds are tight enough to be exceeded, input bounds to be active.
+    loop = pendulum_loop(paper_recording, 2.5, 15.0 if controller.soft_output_bounds else 70.0)
+    run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), steps=60)
+    assert compare(controller, paper_recording, run, loop.bounds) < 1e-6
+
+
+@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
+def test_on_two_inputs_and_two_outputs(options: dict[str, Any]) -> None:
+    rng = np.random.default_rng(8)
+    plant = LinearPlant.random(rng, 3, 2, 2)
+    recording = experiment(plant.advance, rng.uniform(-1.0, 1.0, (120, 2)), 3, plant.c)
+    noisy = Recording(
+        recording.u, recording.y + 1e-2 * rng.standard_normal((120, 2)), recording.measured, 0.1
+    )
+    rates = {"rate_bounds": [0.3, 0.5]} if "rate_bounds" in options else {}
+    controller = DeePC(
+        **{"output_weight": [2.0, 1.0], "input_weight": 0.1, "lambda_g": 1.0, "lambda_sigma": 1e4}
+        | options
+        | rates
+    )
+    soft = controller.soft_output_bounds > 0.0
+    loop = make_loop(noisy, 0.6 * np.ones(2), np.full(2, 1.0 if soft else np.inf))
+    reference = np.repeat(2.0 * rng.uniform(-1.0, 1.0, (6, 2)), 10, axis=0)
+    run = close_loop(controller, loop, plant.advance, plant.c, reference, steps=30)
+    assert compare(controller, noisy, run, loop.bounds) < 1e-6
+
+
+def test_rate_bounds_hold_exactly(paper_recording: Recording) -> None:
+    controller = DeePC(rate_bounds=0.25, apply_steps=2)
+    run = close_loop(
+        controller, pendulum_loop(paper_recording, 1.5), quick_pendulum, ANGLE, paper_reference(), 120
+    )
+    changes = np.abs(np.diff(np.concatenate([[0.0], run.u[:, 0]])))
+    assert changes.max() <= 0.25 + 1e-15
+    assert changes.max() > 0.249
+    assert np.abs(run.u).max() <= 1.5
+
+
+LAG = LinearPlant(np.array([[0.95, 0.1], [0.0, 0.9]]), np.array([[0.0], [0.1]]), np.array([[1.0, 0.0]]))
+
+
+def statuses_far_outside(controller: DeePC, steps: int = 6) -> tuple[list[str], FloatArray]:
+    """Start a slow plant at seven times its output limit; return what is said, and the inputs."""
+    u = np.random.default_rng(0).uniform(-1.0, 1.0, (100, 1))
+    loop = make_loop(experiment(LAG.advance, u, 2, LAG.c), np.array([1.0]), np.array([0.3]))
+    controller.start(loop)
+    state, said, applied = np.array([2.0, 0.0]), [], []
+    for k in range(steps):
+        # At rest at 2 the plant cannot have been: only its own past, from the second sample on, is.
+        y = LAG.c @ state
+        answer = controller.step(Sample(k, 0.1 * k, y, y, np.zeros((controller.horizon, 1))))
+        action = answer if isinstance(answer, Action) else Action(answer)
+        said.append(action.status)
+        applied.append(action.u)
+        state = LAG.advance(state, action.u)
+    return said, np.array(applied)
+
+
+def test_bounds_that_contradict_each_other_are_named() -> None:
+    said, u = statuses_far_outside(DeePC(slack=False, **REGULATION))
+    for status in said[3:]:
+        assert "no way to meet all bounds (PIQP" in status
+        assert "y at its upper bound" in status
+    assert np.abs(u).max() <= 1.0
+
+
+@pytest.mark.parametrize("setpoint", [REGULATION, {"terminal_equality": False}])
+def test_soft_output_bounds_are_feasible_where_hard_ones_are_not(setpoint: dict[str, Any]) -> None:
+    said, _ = statuses_far_outside(DeePC(slack=False, soft_output_bounds=1e3, **setpoint), steps=8)
+    assert set(said[3:]) == {"ok"}
+
+
+@pytest.mark.parametrize(("regulariser", "unbiased"), [("ridge", False), ("shifted-ridge", True)])
+def test_the_shifted_ridge_leaves_no_bias_at_rest(regulariser: str, unbiased: bool) -> None:
+    u = np.random.default_rng(1).uniform(-1.0, 1.0, (100, 1))
+    loop = make_loop(experiment(LAG.advance, u, 2, LAG.c), np.array([9.0]), np.array([9.0]))
+    controller = DeePC(regulariser=regulariser, horizon=8)
+    run = close_loop(controller, loop, LAG.advance, LAG.c, np.ones((320, 1)), 300)
+    assert (abs(run.y[-1, 0] - 1.0) < 1e-6) == unbiased
+    assert abs(run.y[-1, 0] - 1.0) < 0.5
+
+
+def test_a_plan_is_applied_to_its_end(paper_recording: Recording) -> None:
+    controller = DeePC(apply_steps=5)
+    run = close_loop(controller, pendulum_loop(paper_recording), quick_pendulum, ANGLE, paper_reference(), 10)
+    first = FullDeePC(controller, paper_recording, pendulum_loop(paper_recording).bounds)
+    plan = first.solve(np.zeros((3, 1)), np.zeros((3, 1)), paper_reference()[1:6])
+    assert run.u[:5] == pytest.approx(plan.u, abs=1e-7)
+
+
+def test_inputs_are_weighed_from_where_they_rest(paper_recording: Recording) -> None:
+    controller = DeePC(**REGULATION)
+    loop = pendulum_loop(paper_recording)
+    loop = replace(loop, inputs=(replace(loop.inputs[0], start=0.5),))
+    controller.start(loop)
+    run = close_loop(controller, loop, quick_pendulum, ANGLE, np.zeros((20, 1)), 1)
+    full = FullDeePC(controller, paper_recording, loop.bounds, rest=np.array([0.5]))
+    expected = full.solve(np.full((3, 1), 0.5), np.zeros((3, 1)), np.zeros((5, 1)))
+    assert run.u[0] == pytest.approx(expected.u[0], abs=1e-7)
+
+
+class TestL1:
+    """|g|_1 has no condensed form; its optimum is recognised by multipliers that a linear program finds."""
+
+    settings: ClassVar[dict[str, Any]] = {
+        "regulariser": "l1",
+        "lambda_g": 5.0,
+        "lambda_sigma": 1e4,
+        **REGULATION,
+    }
+
+    def short(self) -> Recording:
+        recording = pendulum_experiment(7)
+        return Recording(*(a[:60] for a in (recording.u, recording.y, recording.measured)), 0.1)
+
+    def test_the_optimum_has_its_multipliers(self) -> None:
+        recording = self.short()
+        controller = DeePC(**self.settings)
+        loop = pendulum_loop(recording, torque=50.0, degrees=1e4)
+        run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 12)
+        full = FullDeePC(controller, recording, loop.bounds, tolerance=1e-11)
+        windows = np.vstack([full._data[name][:, :53] for name in ("u_ini", "y_ini", "u", "y")])
+        for k in (1, 6, 11):
+            u_ini, y_ini = before(run.u, np.zeros(1), k, 3), before(run.y, run.y[0], k, 3)
+            reference = run.samples[k].reference
+            u, y, g, _ = full.solve(u_ini, y_ini, reference)
+            assert run.u[k] == pytest.approx(u[0], abs=1e-5)
+            misfit = windows[3:6] @ g - y_ini[:, 0]
+            gradient = np.concatenate([2e4 * misfit, 20.0 * u[:, 0], 200.0 * (y - reference)[:, 0]])
+            # With M' nu = -(subgradient of lambda |g|_1), nu free for the past inputs, which are fixed:
+            fixed = windows[3:].T @ gradient
+            used = np.abs(g) > 1e-6
+            sign, tolerance = np.sign(g), 1e-3
+            upper = np.where(used, -5.0 * sign, 5.0) - fixed + tolerance
+            lower = np.where(used, -5.0 * sign, -5.0) - fixed - tolerance
+            past = windows[:3].T
+            found = linprog(
+                np.zeros(3), np.vstack([past, -past]), np.concatenate([upper, -lower]), bounds=(None, None)
+            )
+            assert found.status == 0
+
+    def test_few_windows_are_used(self) -> None:
+        recording = self.short()
+        loop = pendulum_loop(recording)
+        full = FullDeePC(DeePC(**self.settings), recording, loop.bounds, tolerance=1e-11)
+        g = full.solve(np.zeros((3, 1)), np.zeros((3, 1)), np.full((5, 1), 0.2)).g
+        assert 0 < np.count_nonzero(np.abs(g) > 1e-6) < len(g) / 2
+
+    def test_bounds_hold_and_the_loop_tracks(self) -> None:
+        recording = self.short()
+        controller = DeePC(**self.settings | {"input_weight": 0.01, "output_weight": 1e3})
+        run = close_loop(
+            controller, pendulum_loop(recording, 3.4), quick_pendulum, ANGLE, paper_reference(), 60
+        )
+        assert set(run.status) == {"ok"}
+        assert np.abs(run.u).max() <= 3.4
+        assert abs(run.y[-1, 0] / DEGREE - 20.0) < 3.0
+
+    def test_where_the_solver_fails_the_last_input_is_held(self) -> None:
+        said, u = statuses_far_outside(DeePC(regulariser="l1", slack=False, **REGULATION))
+        assert all("the last input is held" in status for status in said[3:])
+        assert np.ptp(u[2:]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"artificial_setpoint": False},
+            "terminal_equality ties the horizon's end to the artificial setpoint",
+        ),
+        ({"apply_steps": 6}, "apply_steps = 6 is more than horizon = 5"),
+        ({"rate_bounds": [1.0, -1.0]}, r"rate_bounds = \[1.0, -1.0\] is not possible; allowed: above 0"),
+        ({"rate_bounds": "fast"}, "rate_bounds = 'fast' is not possible"),
+        ({"regulariser": "l1", "online_data": "forgetting"}, "has no condensed form to update"),
+        ({"affine_sum": "first-horizon", "online_data": "sliding-window"}, "use affine_sum = 'all'"),
+        ({"online_data": "forgetting", "forgetting_factor": 1.0}, "forgets nothing"),
+        ({"dither": 0.1}, "excites for online_data, which is 'frozen'"),
+    ],
+)
+def test_settings_that_do_not_fit_each_other_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        DeePC(**options)
+
+
+def test_rate_bounds_need_one_number_per_input(paper_recording: Recording) -> None:
+    with pytest.raises(ConfigError, match=r"rate_bounds has shape \(2,\); needed: a number or 1 numbers"):
+        DeePC(rate_bounds=[1.0, 2.0]).start(pendulum_loop(paper_recording))
+
+
+def test_weights_that_leave_the_optimum_open_are_refused(paper_recording: Recording) -> None:
+    controller = DeePC(regulariser="projection", input_weight=0.0, **REGULATION, output_weight=0.0)
+    with pytest.raises(ConfigError, match="leave the optimum undetermined"):
+        controller.start(pendulum_loop(paper_recording))

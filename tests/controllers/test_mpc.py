@@ -1,0 +1,206 @@
+"""Linear MPC: a bounded least-squares problem a sample, no offset, and DeePC and WKPC as its equals."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+from scipy.optimize import lsq_linear
+
+from ddpc_controllers import WKPC, DeePC
+from ddpc_controllers.dictionaries import Identity
+from ddpc_controllers.identification import Identified
+from ddpc_controllers.models import StateSpace
+from ddpc_controllers.mpc import MPC
+from ddpc_cosim import Action, ConfigError, DataError, FloatArray, Loop, Recording, Sample
+
+from .loops import (
+    ANGLE,
+    DEGREE,
+    LinearPlant,
+    close_loop,
+    experiment,
+    make_loop,
+    paper_reference,
+    pendulum_loop,
+    quick_pendulum,
+)
+
+TRUE: dict[str, Any] = {"disturbance": "none"}
+
+
+def true_model(plant: LinearPlant) -> StateSpace:
+    """The plant itself as a controller's model."""
+    return StateSpace(a=plant.a.tolist(), b=plant.b.tolist(), c=plant.c.tolist(), sampling_time=0.1)
+
+
+def steps(rng: np.random.Generator, outputs: int, samples: int = 440) -> FloatArray:
+    """A reference that steps every 20 samples."""
+    return np.repeat(rng.uniform(-1.0, 1.0, (samples // 20, outputs)), 20, axis=0)
+
+
+def noise_free(seed: int, u_limit: float) -> tuple[LinearPlant, Loop, FloatArray]:
+    """A plant of order two, a loop with a noise-free recording of it, and a reference."""
+    rng = np.random.default_rng(seed)
+    plant = LinearPlant.random(rng, 2, 1, 1)
+    recording = experiment(plant.advance, rng.uniform(-1.0, 1.0, (100, 1)), 2, plant.c)
+    return plant, make_loop(recording, np.full(1, u_limit), np.full(1, np.inf)), steps(rng, 1)
+
+
+def forced_response(plant: LinearPlant, horizon: int) -> tuple[FloatArray, FloatArray]:
+    """Free and forced response over the horizon, written with powers of A."""
+    power = np.linalg.matrix_power
+    free = np.vstack([plant.c @ power(plant.a, k) for k in range(1, horizon + 1)])
+    zero = np.zeros((len(plant.c), plant.b.shape[1]))
+    rows = [
+        [plant.c @ power(plant.a, k - i) @ plant.b if i <= k else zero for i in range(horizon)]
+        for k in range(horizon)
+    ]
+    return free, np.block(rows)
+
+
+@pytest.mark.parametrize(("inputs", "outputs"), [(1, 1), (2, 2)])
+def test_every_input_of_400_steps_is_that_of_bounded_least_squares(inputs: int, outputs: int) -> None:
+    rng = np.random.default_rng(11)
+    plant, n = LinearPlant.random(rng, 3, inputs, outputs), 6
+    loop = make_loop(None, np.full(inputs, 0.3), np.full(outputs, np.inf))
+    controller = MPC(
+        model=true_model(plant), horizon=n, setpoint="none", output_weight=2.0, input_weight=0.05, **TRUE
+    )
+    reference = steps(rng, outputs)
+    run = close_loop(controller, loop, plant.advance, plant.c, reference)
+
+    free, forced = forced_response(plant, n)
+    system = np.vstack([np.sqrt(2.0) * forced, np.sqrt(0.05) * np.eye(n * inputs)])
+    state, at_limit = np.zeros(3), 0
+    for k, u in enumerate(run.u):
+        wanted = np.sqrt(2.0) * (reference[k + 1 : k + 1 + n].ravel() - free @ state)
+        target = np.concatenate([wanted, np.zeros(n * inputs)])
+        best = lsq_linear(system, target, (-0.3, 0.3), method="bvls", tol=1e-14).x[:inputs]
+        assert np.abs(best - u).max() < 1e-6
+        at_limit += np.abs(u).max() == 0.3
+        state = plant.advance(state, u)
+    assert 20 < at_limit < 380
+    assert set(run.status) == {"ok"}
+
+
+def test_the_filter_is_the_steady_kalman_filter() -> None:
+    rng = np.random.default_rng(2)
+    plant = LinearPlant.random(rng, 2, 1, 1)
+    controller = MPC(model=true_model(plant), process_noise=0.3, disturbance_noise=0.2, measurement_noise=0.1)
+    controller.start(make_loop(None, np.ones(1), np.ones(1)))
+    a = np.block([[plant.a, np.zeros((2, 1))], [np.zeros((1, 2)), np.eye(1)]])
+    c = np.hstack([plant.c, np.eye(1)])
+    drive = np.zeros((3, 3))
+    drive[:2, :2], drive[2, 2] = 0.09 * plant.b @ plant.b.T, 0.04
+    p = solve_discrete_are(a.T, c.T, drive, np.array([[0.01]]))
+    gain = p @ c.T / (c @ p @ c.T + 0.01)
+    assert controller._observer._gain == pytest.approx(gain, abs=1e-6)
+
+
+def test_with_the_true_model_it_does_what_deepc_does_with_noise_free_data() -> None:
+    plant, loop, reference = noise_free(8, u_limit=0.3)
+    deepc = DeePC(lambda_g=1e-9, lambda_sigma=1e9, use_current_output=True, horizon=6)
+    mpc = MPC(
+        model=true_model(plant),
+        setpoint="input-output",
+        terminal_length=deepc.initial_length,
+        horizon=6,
+        output_weight=deepc.output_weight,
+        setpoint_weight=deepc.setpoint_weight,
+        input_weight=deepc.input_weight,
+        **TRUE,
+    )
+    ours = close_loop(mpc, loop, plant.advance, plant.c, reference)
+    theirs = close_loop(deepc, loop, plant.advance, plant.c, reference)
+    assert np.abs(ours.u - theirs.u).max() < 1e-6
+    assert 0.0 < (np.abs(ours.u) == 0.3).mean() < 0.9
+
+
+def test_with_the_true_model_it_does_what_wkpc_does_with_noise_free_data() -> None:
+    plant, loop, reference = noise_free(9, u_limit=0.3)
+    wkpc = WKPC(dictionary=Identity(), lambda_g=1e-9, horizon=6)
+    # The first sample that WKPC predicts is the present one: its last input reaches none.
+    mpc = MPC(model=true_model(plant), horizon=5, **TRUE)
+    theirs = close_loop(wkpc, loop, plant.advance, plant.c, reference)
+    ours = close_loop(mpc, loop, plant.advance, plant.c, reference[1:])
+    assert np.abs(ours.u - theirs.u).max() < 1e-6
+    assert 0.0 < (np.abs(ours.u) == 0.3).mean() < 0.9
+
+
+@pytest.mark.parametrize("disturbance", ["output", "input"])
+def test_it_ends_every_reference_step_of_the_pendulum_without_offset(
+    state_recording: Recording, disturbance: Any
+) -> None:
+    controller = MPC(disturbance=disturbance)
+    run = close_loop(controller, pendulum_loop(state_recording), quick_pendulum, ANGLE, paper_reference())
+    before_the_next = np.array([100, 200, 300, 400]) - controller.horizon - 1
+    error = (run.y - run.reference[:400])[before_the_next] / DEGREE
+    assert np.abs(error).max() < 0.1
+    assert np.abs(run.u).max() <= 3.5
+
+
+def test_rates_and_soft_output_limits_hold_as_far_as_they_should(state_recording: Recording) -> None:
+    loop = pendulum_loop(state_recording, degrees=15.0)
+    run = close_loop(
+        MPC(rate_bounds=0.5, soft_output_bounds=1e3), loop, quick_pendulum, ANGLE, paper_reference()
+    )
+    changes = np.diff(run.u[:, 0], prepend=0.0)
+    assert np.abs(changes).max() <= 0.5 + 1e-15
+    assert np.abs(run.y).max() / DEGREE < 17.0
+    assert set(run.status) == {"ok"}
+
+
+def test_a_loop_can_go_on_where_the_recording_ended(state_recording: Recording) -> None:
+    loop = replace(pendulum_loop(state_recording, degrees=500.0), continues_recording=True)
+    controller = MPC()
+    controller.start(loop)
+    state = state_recording.measured[-1]
+    predicted = controller._observer.c @ controller._observer.state
+    arrived = quick_pendulum(state, state_recording.u[-1])
+    assert abs(predicted[0] - arrived[0]) < 2.0 * DEGREE
+
+
+def test_a_lost_measurement_is_bridged_by_the_model(state_recording: Recording) -> None:
+    controller = MPC()
+    controller.start(pendulum_loop(state_recording))
+    reference, lost = np.full((5, 1), 0.2), np.array([np.nan])
+    first = controller.step(Sample(0, 0.0, lost, np.full(2, np.nan), reference))
+    assert isinstance(first, Action)
+    assert first.u.tolist() == [0.0]
+    controller.step(Sample(1, 0.1, np.zeros(1), np.zeros(2), reference))
+    bridged = controller.step(Sample(2, 0.2, lost, np.full(2, np.nan), reference))
+    assert isinstance(bridged, Action)
+    assert "prediction stands in" in bridged.status
+    assert np.isfinite(bridged.u).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"model": 3}, "model = 3 is no source of models"),
+        ({"terminal_length": 7}, "horizon = 5 is shorter than terminal_length = 7"),
+        ({"rate_bounds": [1.0, -1.0]}, "rate_bounds"),
+        ({"disturbance": "state"}, "disturbance = 'state' is not possible"),
+    ],
+)
+def test_impossible_settings_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        MPC(**changes)
+
+
+def test_an_integrating_plant_cannot_carry_an_output_disturbance() -> None:
+    integrator = StateSpace(a=[[1.0]], b=[[0.1]], c=[[1.0]], sampling_time=0.1)
+    loop = make_loop(None, np.ones(1), np.ones(1))
+    with pytest.raises(ConfigError, match='try "input"'):
+        MPC(model=integrator).start(loop)
+    MPC(model=integrator, disturbance="input").start(loop)
+
+
+def test_identification_needs_a_recording_and_numbers_do_not() -> None:
+    assert MPC().uses_recording
+    assert MPC().recording_length(1, 1, 1) == Identified().recording_length(1, 1)
+    assert not MPC(model=StateSpace(a=[[0.5]], b=[[1.0]], c=[[1.0]])).uses_recording
+    with pytest.raises(DataError, match="give the loop an excitation or a recording"):
+        MPC().start(make_loop(None, np.ones(1), np.ones(1)))

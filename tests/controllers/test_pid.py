@@ -1,0 +1,176 @@
+"""PID: the difference equations against python-control, anti-windup, and gains from a step test."""
+
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+
+from ddpc_controllers.pid import PID
+from ddpc_controllers.pid_tuning import SecondOrder, fit_second_order, simc
+from ddpc_cosim import Action, ConfigError, DataError, FloatArray, Recording, Sample
+
+from .loops import (
+    ANGLE,
+    DEGREE,
+    close_loop,
+    experiment,
+    make_loop,
+    paper_reference,
+    pendulum_experiment,
+    pendulum_loop,
+    quick_pendulum,
+)
+
+H = 0.1
+FREE = make_loop(None, np.full(1, np.inf), np.full(1, np.inf))
+
+
+def inputs(controller: PID, outputs: FloatArray, reference: FloatArray) -> FloatArray:
+    """Feed outputs to a controller and return its inputs."""
+    answers = [
+        controller.step(Sample(k, H * k, y, y, r[np.newaxis]))
+        for k, (y, r) in enumerate(zip(outputs, reference, strict=True))
+    ]
+    return np.array([a.u if isinstance(a, Action) else a for a in answers])
+
+
+def step_test(samples: int = 80, delay: int = 0) -> Recording:
+    """A step at the pendulum, after ten samples at rest."""
+    u = np.zeros((samples, 1))
+    u[10:] = 0.5
+    recorded = experiment(quick_pendulum, u, 2, ANGLE)
+    y = np.vstack([np.zeros((delay, 1)), recorded.y])[:samples]
+    return Recording(u, y, y, H)
+
+
+def test_the_transfer_function_is_that_of_python_control() -> None:
+    rng = np.random.default_rng(0)
+    y = np.vstack([np.zeros((1, 1)), rng.standard_normal((400, 1))])
+    controller = PID(proportional=1.3, integral=0.7, derivative=0.4, filter_time=0.25)
+    controller.start(FREE)
+    u = inputs(controller, y, np.zeros_like(y))
+    parts = [
+        control.c2d(control.tf(*parts), H, "backward_diff")
+        for parts in (([0.7], [1.0, 0.0]), ([0.4, 0.0], [0.25, 1.0]))
+    ]
+    time = H * np.arange(len(y))
+    expected = -1.3 * y[:, 0] - sum(control.forced_response(part, time, y[:, 0]).outputs for part in parts)
+    assert np.abs(u[:, 0] - expected).max() < 1e-9
+
+
+def test_a_share_of_the_reference_enters_the_proportional_part() -> None:
+    controller = PID(proportional=2.0, setpoint_share=0.25)
+    controller.start(FREE)
+    u = inputs(controller, np.zeros((3, 1)), np.ones((3, 1)))
+    assert u[:, 0].tolist() == [0.5, 0.5, 0.5]
+
+
+@pytest.mark.parametrize("method", ["back-calculation", "clamping"])
+def test_a_limit_does_not_wind_it_up(method: Any) -> None:
+    controller = PID(proportional=1.0, integral=1.0, anti_windup=method)
+    controller.start(make_loop(None, np.ones(1), np.ones(1)))
+    out_of_reach = inputs(controller, np.zeros((200, 1)), np.full((200, 1), 5.0))
+    assert (out_of_reach == 1.0).all()
+    back = inputs(controller, np.zeros((5, 1)), np.full((5, 1), -0.5))
+    assert (back < 1.0).all()
+
+
+def test_a_slower_back_calculation_leaves_the_limit_later() -> None:
+    def integral_after(tracking_time: float) -> float:
+        controller = PID(proportional=0.1, integral=1.0, tracking_time=tracking_time)
+        controller.start(make_loop(None, np.ones(1), np.ones(1)))
+        inputs(controller, np.zeros((50, 1)), np.full((50, 1), 5.0))
+        assert controller._integral is not None
+        return float(controller._integral[0])
+
+    assert integral_after(0.0) < integral_after(0.5) < integral_after(2.0)
+
+
+def test_loops_are_paired_as_told() -> None:
+    loop = make_loop(None, np.full(3, 9.0), np.full(2, 9.0))
+    controller = PID(proportional=[1.0, -2.0], pairing=[2, 0])
+    controller.start(loop)
+    u = inputs(controller, np.zeros((1, 2)), np.array([[1.0, 1.0]]))
+    assert u.tolist() == [[-2.0, 0.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("pairing", "sizes"), [([], (1, 2)), ([0, 0], (2, 2)), ([0, 2], (2, 2)), ([0], (2, 2))]
+)
+def test_an_output_without_an_input_of_its_own_is_refused(pairing: list[int], sizes: tuple[int, int]) -> None:
+    loop = make_loop(None, np.ones(sizes[0]), np.ones(sizes[1]))
+    with pytest.raises(ConfigError, match="an input of its own"):
+        PID(pairing=pairing).start(loop)
+
+
+def test_every_gain_of_the_wrong_size_is_named() -> None:
+    with pytest.raises(ConfigError) as caught:
+        PID(proportional=[1.0, 2.0], integral=[1.0, 2.0, 3.0]).start(FREE)
+    assert [fault.split()[1] for fault in caught.value.faults] == ["proportional", "integral"]
+
+
+def test_a_lost_measurement_holds_the_input() -> None:
+    controller = PID(proportional=1.0)
+    controller.start(FREE)
+    sample = Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((1, 1), 0.7))
+    controller.step(sample)
+    answer = controller.step(sample._replace(y=np.array([np.nan])))
+    assert isinstance(answer, Action)
+    assert (answer.u.tolist(), answer.status) == ([0.7], "a measurement is not finite: inputs held")
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+@pytest.mark.parametrize("source", ["step", "excitation"])
+def test_the_second_order_model_of_the_pendulum_is_found(delay: int, source: str) -> None:
+    recording = step_test(delay=delay)
+    if source == "excitation":
+        free = pendulum_experiment(3)
+        small = experiment(quick_pendulum, 0.1 * free.u, 2, ANGLE)
+        y = np.vstack([np.zeros((delay, 1)), small.y])[: len(small)]
+        recording = Recording(small.u, y, y, H)
+    model = fit_second_order(recording, 0, 0)
+    assert model.delay == pytest.approx(delay * H)
+    assert abs(model.poles[0]) == pytest.approx(np.sqrt(9.81 / 0.2), rel=0.01)
+    assert model.poles[0].real == pytest.approx(-1.0, rel=0.02)
+    assert model.gain == pytest.approx(1.0 / 9.81, rel=0.01)
+
+
+def test_the_rules_are_as_published() -> None:
+    """Skogestad (2003), Table 1: a second-order and a first-order process, tau_c = theta."""
+    lags = SecondOrder(gain=2.0, poles=(-1.0 / 8.0, -1.0 / 1.0), delay=0.5)
+    kp, ki, kd, filter_time = simc(lags, sampling_time=0.0)
+    series, integral_time, derivative_time = 8.0 / (2.0 * 1.0), min(8.0, 4.0), 1.0
+    assert kp == pytest.approx(series * (1.0 + derivative_time / integral_time))
+    assert ki == pytest.approx(series / integral_time)
+    assert kd == pytest.approx(series * derivative_time)
+    assert filter_time == pytest.approx(0.1 * kd / kp)
+
+
+def test_the_tuned_loop_tracks_the_pendulum_without_offset() -> None:
+    loop = pendulum_loop(step_test())
+    controller = PID(tuning="step-test")
+    run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference())
+    error = (run.y - run.reference[:400])[[98, 198, 298, 398]] / DEGREE
+    assert np.abs(error).max() < 0.1
+    assert np.abs(run.u).max() <= 3.5
+    assert controller.diagnostics()["integral[0]"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("recording", "message"),
+    [
+        (Recording(np.zeros((50, 1)), np.ones((50, 1)), np.ones((50, 1)), H), "does not follow input 0"),
+        (Recording(np.ones((5, 1)), np.ones((5, 1)), np.ones((5, 1)), H), "a step test takes at least 9"),
+    ],
+)
+def test_a_recording_without_a_step_is_refused(recording: Recording, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        PID(tuning="step-test").start(pendulum_loop(recording))
+
+
+def test_an_unstable_plant_is_not_tuned() -> None:
+    u = np.random.default_rng(1).uniform(-1.0, 1.0, (40, 1))
+    grows = experiment(lambda x, v: 1.3 * x + v, u, 1, np.eye(1))
+    with pytest.raises(DataError, match=r"grows by itself, by up to 1\.3 a sample"):
+        fit_second_order(grows, 0, 0)

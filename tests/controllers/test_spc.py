@@ -1,0 +1,192 @@
+"""SPC and gamma-DDPC against explicit formulas, and where DeePC, SPC and model predictive control are one."""
+
+from typing import Any
+
+import numpy as np
+import piqp
+import pytest
+
+from ddpc_controllers import SPC, DeePC, GammaDDPC, hankel_matrix
+from ddpc_cosim import Action, FloatArray, Recording, Sample
+
+from .loops import (
+    ANGLE,
+    LinearPlant,
+    before,
+    close_loop,
+    experiment,
+    make_loop,
+    paper_reference,
+    pendulum_loop,
+    quick_pendulum,
+)
+
+REGULATION: dict[str, Any] = {"artificial_setpoint": False, "terminal_equality": False}
+
+
+def tracked(response: FloatArray, free: FloatArray, q: float, r: float, limit: float) -> FloatArray:
+    """Minimise ``q |free + response u|^2 + r |u|^2`` within limits: a box problem of PIQP's."""
+    size = response.shape[1]
+    solver = piqp.DenseSolver()
+    for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
+        setattr(solver.settings, name, 1e-12)
+    hessian = q * response.T @ response + r * np.eye(size)
+    box = np.full(size, limit)
+    solver.setup(hessian, q * response.T @ free, x_l=-box, x_u=box)
+    assert solver.solve() == piqp.PIQP_SOLVED
+    return np.asarray(solver.result.x)
+
+
+def data_blocks(recording: Recording, past: int, horizon: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (past, future inputs, future outputs) as they stand in the textbooks."""
+    m, p = recording.u.shape[1], recording.y.shape[1]
+    u, y = hankel_matrix(recording.u, past + horizon), hankel_matrix(recording.y, past + horizon)
+    return np.vstack([u[: past * m], y[: past * p]]), u[past * m :], y[past * p :]
+
+
+@pytest.mark.parametrize("torque", [10.0, 1.8])
+def test_the_prediction_is_least_squares(paper_recording: Recording, torque: float) -> None:
+    controller = SPC(horizon=8, output_weight=500.0, input_weight=0.5)
+    run = close_loop(
+        controller, pendulum_loop(paper_recording, torque), quick_pendulum, ANGLE, paper_reference(), 130
+    )
+    past, u, y = data_blocks(paper_recording, 3, 8)
+    predictor = y @ np.linalg.pinv(np.vstack([past, u]))
+    for k, sample in enumerate(run.samples):
+        window = np.vstack([before(run.u, np.zeros(1), k, 3), before(run.y, run.y[0], k, 3)])[:, 0]
+        free = predictor[:, :6] @ window - sample.reference[:, 0]
+        optimum = tracked(predictor[:, 6:], free, 500.0, 0.5, torque)
+        assert run.u[k, 0] == pytest.approx(optimum[0], abs=1e-6)
+    assert (np.abs(run.u).max() == torque) == (torque < 3.0)
+
+
+def test_gamma_ddpc_is_the_factorised_problem(paper_recording: Recording) -> None:
+    controller = GammaDDPC(beta_2=0.3, beta_3=20.0, output_weight=50.0, input_weight=0.5)
+    run = close_loop(
+        controller, pendulum_loop(paper_recording, 1e3, 1e4), quick_pendulum, ANGLE, paper_reference(), 60
+    )
+    lower = np.linalg.qr(np.vstack(data_blocks(paper_recording, 3, 5)).T, mode="r").T
+    for k, sample in enumerate(run.samples):
+        window = np.vstack([before(run.u, np.zeros(1), k, 3), before(run.y, run.y[0], k, 3)])[:, 0]
+        gamma_1 = np.linalg.solve(lower[:6, :6], window)
+        fixed = lower[6:, :6] @ gamma_1
+        free = lower[6:, 6:]
+        weights = np.repeat([0.5, 50.0], 5)
+        target = np.concatenate([np.zeros(5), sample.reference[:, 0]]) - fixed
+        hessian = free.T @ (weights[:, np.newaxis] * free) + np.diag(np.repeat([0.3, 20.0], 5))
+        gamma = np.linalg.solve(hessian, free.T @ (weights * target))
+        assert run.u[k, 0] == pytest.approx((fixed + free @ gamma)[0], abs=1e-7)
+
+
+def test_a_high_price_of_gamma_3_gives_spc_back(paper_recording: Recording) -> None:
+    loop, reference = pendulum_loop(paper_recording), paper_reference()
+    spc = close_loop(SPC(), loop, quick_pendulum, ANGLE, reference, 60)
+    gamma = close_loop(GammaDDPC(beta_3=1e10), loop, quick_pendulum, ANGLE, reference, 60)
+    assert np.abs(spc.u - gamma.u).max() < 1e-6
+
+
+def test_a_high_price_of_the_projection_gives_spc_back(paper_recording: Recording) -> None:
+    loop, reference = pendulum_loop(paper_recording), paper_reference()
+    weights: dict[str, Any] = {**REGULATION, "output_weight": 500.0, "input_weight": 0.5}
+    spc = close_loop(SPC(**weights), loop, quick_pendulum, ANGLE, reference, 60)
+    deepc = DeePC(regulariser="projection", lambda_g=1e9, slack=False, **weights)
+    assert np.abs(spc.u - close_loop(deepc, loop, quick_pendulum, ANGLE, reference, 60).u).max() < 1e-6
+
+
+@pytest.mark.parametrize(("inputs", "outputs"), [(1, 1), (2, 2), (2, 1)])
+@pytest.mark.parametrize("limit", [0.4, 50.0])
+def test_on_a_linear_plant_deepc_spc_and_mpc_with_the_true_model_coincide(
+    inputs: int, outputs: int, limit: float
+) -> None:
+    rng = np.random.default_rng(10 * inputs + outputs)
+    plant = LinearPlant.random(rng, 3, inputs, outputs)
+    recording = experiment(plant.advance, rng.uniform(-1.0, 1.0, (150, inputs)), 3, plant.c)
+    loop = make_loop(recording, np.full(inputs, limit), np.full(outputs, np.inf))
+    reference = np.repeat(rng.uniform(-1.0, 1.0, (5, outputs)), 20, axis=0)
+    horizon = 8
+    # Outputs y_k ... y_k+N-1 of the state and the inputs u_k ... u_k+N-1: the model, written out.
+    powers = [np.linalg.matrix_power(plant.a, i) for i in range(horizon)]
+    observability = np.vstack([plant.c @ power for power in powers])
+    response = np.zeros((horizon * outputs, horizon * inputs))
+    for i in range(horizon):
+        for j in range(i):
+            rows, columns = slice(i * outputs, (i + 1) * outputs), slice(j * inputs, (j + 1) * inputs)
+            response[rows, columns] = plant.c @ powers[i - j - 1] @ plant.b
+
+    common: dict[str, Any] = {"horizon": horizon, "output_weight": 10.0, "input_weight": 0.1, **REGULATION}
+    controllers = [
+        SPC(**common),
+        DeePC(lambda_g=1e-9, slack=False, **common),
+        DeePC(lambda_g=1e-8, lambda_sigma=1e8, **common),
+        DeePC(regulariser="projection", lambda_g=1.0, slack=False, **common),
+    ]
+    for controller in controllers:
+        run = close_loop(controller, loop, plant.advance, plant.c, reference, 60)
+        assert set(run.status) == {"ok"}
+        state = np.zeros(3)
+        for k, sample in enumerate(run.samples):
+            free = observability @ state - sample.reference.ravel()
+            optimum = tracked(response, free, 10.0, 0.1, limit)
+            assert run.u[k] == pytest.approx(optimum[:inputs], abs=1e-6)
+            state = plant.advance(state, run.u[k])
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [
+        SPC(output_weight=5.0, input_weight=0.1),
+        DeePC(output_weight=5.0, input_weight=0.1, lambda_g=1e-9, slack=False, **REGULATION),
+        DeePC(output_weight=5.0, input_weight=0.1, lambda_g=1e-9, slack=False, rate_bounds=0.3),
+    ],
+    ids=["spc", "deepc", "deepc, printed, with rates"],
+)
+def test_two_loops_on_a_decoupled_plant(controller: Any) -> None:
+    rng = np.random.default_rng(3)
+    one, other = (LinearPlant.random(rng, 2, 1, 1) for _ in range(2))
+    zero = np.zeros((2, 2))
+    both = LinearPlant(
+        np.block([[one.a, zero], [zero, other.a]]),
+        np.block([[one.b, np.zeros((2, 1))], [np.zeros((2, 1)), other.b]]),
+        np.block([[one.c, np.zeros((1, 2))], [np.zeros((1, 2)), other.c]]),
+    )
+    u = rng.uniform(-1.0, 1.0, (150, 2))
+    recording = experiment(both.advance, u, 4, both.c)
+    reference = np.repeat(rng.uniform(-1.0, 1.0, (5, 2)), 20, axis=0)
+    unlimited = np.full(2, np.inf)
+    together = close_loop(
+        controller,
+        make_loop(recording, 0.8 * np.ones(2), unlimited),
+        both.advance,
+        both.c,
+        reference,
+        60,
+    )
+    for i, plant in enumerate((one, other)):
+        alone = experiment(plant.advance, u[:, i : i + 1], 2, plant.c)
+        loop = make_loop(alone, np.array([0.8]), np.array([np.inf]))
+        run = close_loop(controller, loop, plant.advance, plant.c, reference[:, i : i + 1], 60)
+        assert run.u[:, 0] == pytest.approx(together.u[:, i], abs=1e-6)
+
+
+@pytest.mark.parametrize("online_data", ["frozen", "sliding-window"])
+def test_a_plant_without_bounds(paper_recording: Recording, online_data: str) -> None:
+    infinite = np.array([np.inf])
+    controller = DeePC(online_data=online_data)
+    loop = make_loop(paper_recording, infinite, infinite)
+    run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 60)
+    wide = close_loop(
+        controller, pendulum_loop(paper_recording, 1e5, 1e5), quick_pendulum, ANGLE, paper_reference(), 60
+    )
+    assert run.u == pytest.approx(wide.u, abs=1e-9)
+    missing = np.array([np.nan])
+    controller.step(Sample(60, 6.0, missing, missing, np.zeros((5, 1))))
+    answer = controller.step(Sample(61, 6.1, np.zeros(1), np.zeros(1), np.zeros((5, 1))))
+    assert isinstance(answer, Action)
+    assert "not finite" in answer.status
+    assert answer.u == pytest.approx([0.0])
+
+
+def test_the_recording_is_diagnosed(paper_recording: Recording) -> None:
+    controller = SPC()
+    controller.start(pendulum_loop(paper_recording))
+    assert controller.diagnostics()["data_rank"] == 16
