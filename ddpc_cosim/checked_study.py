@@ -8,6 +8,7 @@ import numpy as np
 
 from ddpc_cosim.config import BoundsSection, Study
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.fmu.units import conversions
 from ddpc_cosim.plants import PlantSignals, PlantSource
 from ddpc_cosim.variables import FloatArray, Variable
 
@@ -42,15 +43,18 @@ def converter(variable: Variable, unit: str) -> Callable[[float], float]:
     Raises
     ------
     ConfigError
-        The unit is neither the variable's unit nor its display unit.
+        The unit is neither the variable's unit nor its display unit, and there is no usual conversion.
     """
     if unit in ("", variable.unit):
         return float
-    shown = variable.display_unit
-    if shown is not None and unit == shown.name:
-        return lambda value: (value - shown.offset) / shown.factor
-    known = [variable.unit or "1", *([shown.name] if shown else [])]
-    raise ConfigError(f'unit "{unit}" does not fit {variable.name}; allowed: {", ".join(known)}')
+    declared = () if variable.display_unit is None else (variable.display_unit,)
+    known = conversions(variable.unit, declared)
+    if unit not in known:
+        allowed = dict.fromkeys((variable.unit or "1", *(shown.name for shown in declared), *known))
+        names = ", ".join(name for name in allowed if name)
+        raise ConfigError(f'unit "{unit}" does not fit {variable.name}; allowed: {names}')
+    shown = known[unit]
+    return lambda value: (value - shown.offset) / shown.factor
 
 
 def limits(

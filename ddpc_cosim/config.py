@@ -11,6 +11,7 @@ from ddpc_cosim.signals import Constant, Ramp, Reference, Sine, Steps
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Value = bool | int | Finite | str
 
 
 _MOST_STEPS = 1e8
@@ -36,7 +37,17 @@ class PlantSection(Section):
     measurements: list[str] = Field(
         [], description="what the controller may measure; empty: the controlled outputs"
     )
-    parameters: dict[str, Finite] = Field({}, description="parameters that differ from the plant's defaults")
+    parameters: dict[str, Value] = Field({}, description="parameters that differ from the plant's defaults")
+    display_units: dict[str, str] = Field(
+        {}, description="units to show variables in; empty: those of the plant's description"
+    )
+    fmi_type: Literal["auto", "co-simulation", "model-exchange"] = Field(
+        "auto", description="how the FMU is run; auto: Co-Simulation if it has it"
+    )
+    isolated: Literal["auto"] | bool = Field(
+        "auto", description="run the FMU in a process of its own; auto: if it is a supplied file"
+    )
+    step_timeout: Positive = Field(60.0, description="longest time for any call of an isolated FMU [s]")
 
     def contradictions(self) -> list[str]:
         """Return what is wrong with the choice of the plant."""
@@ -174,29 +185,54 @@ class ExcitationSection(Section):
         return [f"low ({self.low:g}) must be below high ({self.high:g})"] if self.low >= self.high else []
 
 
+class StabiliserSection(Section):
+    """The controller that keeps the plant while it is recorded; the excitation is added to its inputs."""
+
+    type: str = Field(description="a controller of `ddpc-cosim list controllers`, or module:Class")
+    settings: dict[str, Any] = Field({}, description="settings that differ from the controller's defaults")
+
+
 class RecordingSection(Section):
-    """The open-loop experiment that data-driven controllers learn from."""
+    """The experiment that data-driven controllers learn from."""
 
     samples: Annotated[int, Field(ge=1)] = Field(description="number of samples T")
     excitation: dict[str, ExcitationSection] = Field(description="one for each input")
+    controller: StabiliserSection | None = Field(
+        None, description="stabilises the plant meanwhile, on the study's references; none: open loop"
+    )
 
 
 class EventSection(Section):
     """Tunable parameters that change during the run."""
 
     time: Finite
-    parameters: dict[str, Finite]
+    parameters: dict[str, Value]
+
+
+class DriftSection(Section):
+    """A tunable parameter that moves linearly from one value to another, in steps of one sample."""
+
+    parameter: str
+    from_value: Finite
+    to_value: Finite
+    from_time: Finite
+    to_time: Finite
+
+    def contradictions(self) -> list[str]:
+        """Return what is wrong with the order of the instants."""
+        return ["to_time must be after from_time"] if self.to_time <= self.from_time else []
 
 
 class ScenarioSection(Section):
     """One condition under which every controller is run."""
 
     label: str = ""
-    parameters: dict[str, Finite] = Field({}, description="plant parameters in this scenario")
+    parameters: dict[str, Value] = Field({}, description="plant parameters in this scenario")
     noise: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = Field(
         {}, description="standard deviation of the noise of each measurement, in its unit"
     )
     events: list[EventSection] = []
+    drifts: list[DriftSection] = []
 
 
 class ControllerSection(Section):

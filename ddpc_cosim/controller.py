@@ -160,6 +160,9 @@ class Controller(ABC):
     uses_recording: ClassVar[bool] = False
     """Whether ``start`` needs ``loop.recording``."""
 
+    accepts_missing: ClassVar[bool] = False
+    """Whether ``step`` answers NaN in a sample (a lost measurement) with finite inputs and a status."""
+
     def __post_init__(self) -> None:
         check_settings(self)
 

@@ -11,26 +11,33 @@ from typing import Any
 
 import numpy as np
 
-from ddpc_cosim.controller import OK, Action, Controller, Loop, Recording, Sample
-from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, FMUStepError, StepStatus
-from ddpc_cosim.plant import Plant
+from ddpc_cosim.controller import OK, Action, Bounds, Controller, Loop, Recording, Sample
+from ddpc_cosim.errors import (
+    ConfigError,
+    ControllerError,
+    CosimError,
+    DataError,
+    FMUStepError,
+    StepStatus,
+)
+from ddpc_cosim.experiment import Stabiliser, run_experiment
+from ddpc_cosim.finite import NotFiniteError, require_finite
+from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference, UniformRandom
 from ddpc_cosim.trace import Outcome, Trace
-from ddpc_cosim.variables import FloatArray, Variable
-from ddpc_cosim.wiring import Sensors, check_names, loop_bounds, reference_table, wire
+from ddpc_cosim.variables import FloatArray
+from ddpc_cosim.wiring import Sensors, Wiring, check_names, loop_bounds, reference_table, wire
 
 OUTCOME_OF = {
     StepStatus.ERROR: Outcome.FMU_ERROR,
     StepStatus.DISCARD: Outcome.FMU_DISCARDED,
     StepStatus.FATAL: Outcome.FMU_FATAL,
+    StepStatus.CRASHED: Outcome.CRASHED,
+    StepStatus.TIMED_OUT: Outcome.TIMED_OUT,
 }
 
 ProgressReport = Callable[[int, int], None]
 """Called now and then with the samples done and the samples planned."""
-
-
-class _DivergedError(Exception):
-    """The plant returned a value that is not finite."""
 
 
 def cosimulate(
@@ -41,11 +48,12 @@ def cosimulate(
     duration: float,
     reference: Reference | Mapping[str, Reference],
     excitation: UniformRandom | None = None,
+    stabiliser: Controller | None = None,
     recording: Recording | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     outputs: Sequence[str] | None = None,
     measurements: Sequence[str] | None = None,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Mapping[str, ParameterValue] | None = None,
     noise: GaussianNoise | None = None,
     events: Sequence[ParameterChange] = (),
     seed: int = 0,
@@ -66,14 +74,17 @@ def cosimulate(
     reference : Reference or mapping of str to Reference
         Reference of the controlled output, or of each by name, in their units.
     excitation : UniformRandom, optional
-        The open-loop experiment to record before the loop is closed.
+        The experiment to record before the loop is closed.
+    stabiliser : Controller, optional
+        Controls the plant during the experiment, on the same references from its start; the excitation is
+        added to its inputs. Without one the experiment is in open loop.
     recording : Recording, optional
         A recording made before, in place of ``excitation``.
     bounds : mapping of str to (float, float), optional
         Limits of inputs and controlled outputs by name; default: the plant's own min and max.
     outputs, measurements : sequence of str, optional
         Which of the plant's outputs are controlled and which are measured; default: all.
-    parameters : mapping of str to float, optional
+    parameters : mapping of str to float, int, bool or str, optional
         Plant parameters of this run.
     noise : GaussianNoise, optional
         Noise of the measurements.
@@ -106,12 +117,22 @@ def cosimulate(
     check_names("noise", noise.standard_deviation if noise else (), wiring.measurements)
     sensors = Sensors(wiring, noise, np.random.default_rng([seed, 1]))
     if excitation is not None:
-        recording, last = _record(plant, sensors, excitation, sampling_time, parameters)
+        onwards = duration if continue_recording else 0.0
+        helper = _helper(stabiliser, plant, wiring, limits, reference, excitation, sampling_time, seed)
+        recording, last, fallbacks = run_experiment(
+            plant, sensors, excitation, sampling_time, parameters, stabiliser=helper, onwards=onwards
+        )
+    elif stabiliser is not None:
+        raise ConfigError("stabiliser needs an excitation, which is added to its inputs")
     if continue_recording and excitation is None:
         raise ConfigError(
             "continue_recording needs an excitation: the experiment whose end the loop starts from"
         )
-    y_plant = last if continue_recording else plant.reset(parameters, start_time)
+    if continue_recording:
+        y_plant = last
+    else:
+        plant.plan(sampling_time, start_time + steps * sampling_time)
+        y_plant = plant.reset(parameters, start_time)
     if controller.uses_recording and recording is None:
         raise DataError(
             f"{type(controller).__name__} learns from a recording; give an excitation or a recording"
@@ -143,7 +164,8 @@ def cosimulate(
         outcome=outcome,
         reason=reason,
         settings=controller.settings(),
-        diagnostics=dict(controller.diagnostics()),
+        diagnostics=dict(controller.diagnostics())
+        | ({"stabiliser_fallbacks": fallbacks} if stabiliser is not None else {}),
         provenance=dict(plant.provenance()),
     )
 
@@ -153,17 +175,25 @@ def record(
     excitation: UniformRandom,
     *,
     sampling_time: float,
+    stabiliser: Controller | None = None,
+    reference: Reference | Mapping[str, Reference] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
     outputs: Sequence[str] | None = None,
     measurements: Sequence[str] | None = None,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Mapping[str, ParameterValue] | None = None,
     noise: GaussianNoise | None = None,
     seed: int = 0,
 ) -> Recording:
-    """Run an open-loop experiment from the plant's initial state; parameters as in :func:`cosimulate`."""
+    """Run an experiment from the plant's initial state; parameters as in :func:`cosimulate`.
+
+    Only a stabiliser follows ``reference``, which it needs, and keeps ``bounds``.
+    """
     wiring = wire(plant, outputs, measurements)
     check_names("noise", noise.standard_deviation if noise else (), wiring.measurements)
     sensors = Sensors(wiring, noise, np.random.default_rng([seed, 1]))
-    return _record(plant, sensors, excitation, sampling_time, parameters)[0]
+    limits = loop_bounds(plant, wiring, bounds or {})
+    helper = _helper(stabiliser, plant, wiring, limits, reference or {}, excitation, sampling_time, seed)
+    return run_experiment(plant, sensors, excitation, sampling_time, parameters, stabiliser=helper).recording
 
 
 class _Rows:
@@ -210,7 +240,7 @@ def _run(
     h, bounds = rows.loop.sampling_time, rows.loop.bounds
     try:
         while True:
-            _require_finite(y_plant, plant.outputs)
+            require_finite(y_plant, plant.outputs)
             while pending and pending[0].time <= rows.time[k] + 1e-9 * h:
                 plant.set_parameters(pending.pop(0).parameters)
             u = _decide(controller, sensors, rows, k, y_plant)
@@ -224,7 +254,7 @@ def _run(
             k += 1
     except FMUStepError as error:
         return OUTCOME_OF[error.status], str(error)
-    except _DivergedError as error:
+    except NotFiniteError as error:
         return Outcome.DIVERGED, f"{error} at t = {rows.time[k]:g} s"
     except ControllerError as error:
         return Outcome.CONTROLLER_ERROR, f"{error} at t = {rows.time[k]:g} s"
@@ -261,26 +291,33 @@ def _decide(controller: Controller, sensors: Sensors, rows: _Rows, k: int, y_pla
     return row
 
 
-def _record(
+def _helper(
+    stabiliser: Controller | None,
     plant: Plant,
-    sensors: Sensors,
+    wiring: Wiring,
+    limits: Bounds,
+    reference: Reference | Mapping[str, Reference],
     excitation: UniformRandom,
     sampling_time: float,
-    parameters: Mapping[str, float] | None,
-) -> tuple[Recording, FloatArray]:
-    """Run the open-loop experiment; return it and the plant's outputs at its end."""
-    inputs = excitation.draw(len(plant.inputs))
-    y_plant = plant.reset(parameters, 0.0)
-    rows = []
-    for i, u in enumerate(inputs):
-        rows.append(sensors.measure(y_plant))
-        y_plant = plant.step(u, sampling_time)
-        if not np.isfinite(y_plant).all():
-            raise DataError(
-                f"the plant diverged during the open-loop experiment, at t = {(i + 1) * sampling_time:g} s"
-            )
-    y, measured = (np.array(column) for column in zip(*rows, strict=True))
-    return Recording(inputs, y, measured, sampling_time), y_plant
+    seed: int,
+) -> Stabiliser | None:
+    """Start the controller of the experiment, if there is one."""
+    if stabiliser is None:
+        return None
+    if stabiliser.uses_recording:
+        raise ConfigError(f"stabiliser: {type(stabiliser).__name__} learns from a recording itself")
+    loop = Loop(
+        sampling_time=sampling_time,
+        inputs=plant.inputs,
+        outputs=wiring.outputs,
+        measurements=wiring.measurements,
+        bounds=limits,
+        recording=None,
+        rng=np.random.default_rng([seed, 2]),
+    )
+    _start(stabiliser, loop)
+    time = np.arange(excitation.samples + 1 + stabiliser.horizon, dtype=np.float64) * sampling_time
+    return Stabiliser(stabiliser, loop, reference_table(reference, wiring.outputs, time))
 
 
 def _start(controller: Controller, loop: Loop) -> None:
@@ -292,12 +329,6 @@ def _start(controller: Controller, loop: Loop) -> None:
         raise ControllerError(
             f"{type(controller).__name__}.start raised {type(error).__name__}: {error}"
         ) from error
-
-
-def _require_finite(y_plant: FloatArray, outputs: Sequence[Variable]) -> None:
-    if not np.isfinite(y_plant).all():
-        bad = int(np.flatnonzero(~np.isfinite(y_plant))[0])
-        raise _DivergedError(f"output {outputs[bad].name} is {y_plant[bad]}")
 
 
 def _whole_steps(duration: float, sampling_time: float) -> int:

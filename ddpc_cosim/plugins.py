@@ -1,8 +1,10 @@
 """Finding plug-ins: by entry point, for built-ins and third parties alike, or as ``module:attribute``."""
 
 import importlib
+import sys
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.errors import PluginError
@@ -86,12 +88,17 @@ def _load_entry_point(entry: EntryPoint) -> Plugin:
 def load_target(target: str, kind: str) -> Any:
     """Load anything as ``module:attribute``; ``kind`` is what the error calls it.
 
+    Modules in the current folder are found too, after everything that is installed.
+
     Raises
     ------
     PluginError
         It cannot be loaded, and why.
     """
     module_name, _, attribute = target.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
     try:
         value: Any = importlib.import_module(module_name)
         for part in attribute.split("."):

@@ -123,8 +123,19 @@ def _resolved(checked: CheckedStudy, selection: Selection) -> Study:
             "measurements": list(checked.measurements),
         }
     )
+    recording = study.recording
+    if recording is not None and recording.controller is not None:
+        settings = {"settings": all_settings(recording.controller)}
+        recording = recording.model_copy(
+            update={"controller": recording.controller.model_copy(update=settings)}
+        )
     return study.model_copy(
-        update={"controllers": controllers, "plant": plant, "seeds": selection.seeds or study.seeds}
+        update={
+            "controllers": controllers,
+            "plant": plant,
+            "recording": recording,
+            "seeds": selection.seeds or study.seeds,
+        }
     )
 
 

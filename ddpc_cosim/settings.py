@@ -34,6 +34,8 @@ class SettingInfo:
         The values allowed, if they can be listed.
     unit : str
         Unit, where there is one.
+    kind : type or None
+        Class that a table in a study file makes an object of, where it does not name one.
     """
 
     doc: str
@@ -42,6 +44,7 @@ class SettingInfo:
     above: float = -math.inf
     choices: tuple[Any, ...] = ()
     unit: str = ""
+    kind: type[Any] | None = None
 
     @property
     def allowed(self) -> str:
@@ -72,6 +75,7 @@ def setting(
     above: float = -math.inf,
     choices: Sequence[Any] = (),
     unit: str = "",
+    kind: type[Any] | None = None,
     default_factory: Any = dataclasses.MISSING,
 ) -> Any:
     """Declare a setting of a plug-in: a dataclass field that knows its range and its meaning.
@@ -80,10 +84,10 @@ def setting(
     ----------
     default, default_factory
         As in :func:`dataclasses.field`; without either the setting is required.
-    doc, low, high, above, choices, unit
+    doc, low, high, above, choices, unit, kind
         See :class:`SettingInfo`.
     """
-    info = SettingInfo(doc, low, high, above, tuple(choices), unit)
+    info = SettingInfo(doc, low, high, above, tuple(choices), unit, kind)
     if default_factory is not dataclasses.MISSING:
         return dataclasses.field(default_factory=default_factory, metadata={"setting": info})
     return dataclasses.field(default=default, metadata={"setting": info})
@@ -123,9 +127,9 @@ def to_plain(value: Any) -> Any:
     """Return a setting's value as a study file writes it: an object becomes a table of its own settings."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         kind = f"{type(value).__module__}:{type(value).__qualname__}"
-        return {"type": kind} | {
-            f.name: to_plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init
-        }
+        settings = {f.name: to_plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
+        # A study file cannot say None: what is left out is the default.
+        return {"type": kind} | {name: plain for name, plain in settings.items() if plain is not None}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, list | tuple):
@@ -143,19 +147,37 @@ def from_plain(plugin: type[Any], name: str, value: Any) -> Any:
     name : str
         Name of the setting.
     value : object
-        What the file says; a table makes an object of the class named by its key ``type`` (``module:Class``),
-        or of the class of the setting's default.
+        What the file says; a table makes an object of the class named by its key ``type`` (``module:Class``,
+        or a controller's name), or else of the setting's ``kind``, or of the class of its default. A list
+        makes a list of such objects.
 
     Raises
     ------
     ConfigError
         The object cannot be made, and why.
     """
-    if not isinstance(value, dict) or not dataclasses.is_dataclass(plugin):
+    if not isinstance(value, dict | list) or not dataclasses.is_dataclass(plugin):
         return value
+    kind = _kind_of_tables(plugin, name)
+    if isinstance(value, list):
+        return [_from_table(f"{name}[{i}]", item, kind) for i, item in enumerate(value)]
+    return _from_table(name, value, kind)
+
+
+def _kind_of_tables(plugin: type[Any], name: str) -> Any:
+    """Return the class that a setting's tables make objects of without naming one, if there is any."""
     field = next((f for f in dataclasses.fields(plugin) if f.name == name), None)
+    info = field.metadata.get("setting") if field else None
+    if info is not None and info.kind is not None:
+        return info.kind
     factory = field.default_factory if field else dataclasses.MISSING
-    kind: Any = None if factory is dataclasses.MISSING else type(factory())
+    return None if factory is dataclasses.MISSING else type(factory())
+
+
+def _from_table(name: str, value: Any, kind: Any) -> Any:
+    """Return the object that a table describes; anything else as it is."""
+    if not isinstance(value, dict):
+        return value
     entries = dict(value)
     if "type" in entries:
         kind = _load_class(name, str(entries.pop("type")))
@@ -210,10 +232,10 @@ def weight_matrix(weight: Weight, size: int, name: str) -> FloatArray:
 
 
 def _load_class(name: str, target: str) -> Any:
-    from ddpc_cosim.plugins import load_target
+    from ddpc_cosim.plugins import load_plugin, load_target
 
     try:
-        return load_target(target, "class")
+        return load_target(target, "class") if ":" in target else load_plugin("controllers", target)
     except PluginError as error:
         raise ConfigError(f"{name}.type: {error}") from error
 

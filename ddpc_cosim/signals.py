@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.variables import FloatArray
 
 # A sample time k*Ts can lie one rounding error before the instant it stands for.
@@ -167,4 +168,4 @@ class ParameterChange:
     """An event: tunable parameters that take new values at the first sample at or after ``time`` [s]."""
 
     time: float
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, ParameterValue] = field(default_factory=dict)

@@ -3,19 +3,21 @@
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from fnmatch import fnmatch
 from typing import Any
 
 import numpy as np
 
 from ddpc_cosim.checked_study import CheckedStudy, converter, excitation_range, limits
-from ddpc_cosim.config import ControllerSection, ScenarioSection
+from ddpc_cosim.config import ControllerSection, LoopSection, ScenarioSection, StabiliserSection
 from ddpc_cosim.controller import Bounds
-from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError, FMUStepError
+from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImportError, FMUStepError
 from ddpc_cosim.master import OUTCOME_OF, ProgressReport, cosimulate
+from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plants import PlantTarget
-from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference, UniformRandom
+from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference, UniformRandom
 from ddpc_cosim.study_controllers import all_settings, make_controller
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable, names
@@ -49,7 +51,9 @@ class Case:
     bounds : dict of str to (float, float)
         Limits in the variables' own units.
     excitation : UniformRandom or None
-        The open-loop experiment.
+        The experiment.
+    stabiliser : dict or None
+        Type and settings of the controller that keeps the plant during the experiment.
     parameters : dict of str to float
         Plant parameters.
     noise : dict of str to float
@@ -74,7 +78,8 @@ class Case:
     reference: dict[str, Reference]
     bounds: dict[str, tuple[float, float]]
     excitation: UniformRandom | None
-    parameters: dict[str, float]
+    stabiliser: dict[str, Any] | None
+    parameters: dict[str, ParameterValue]
     noise: dict[str, float]
     events: tuple[ParameterChange, ...] = field(default=())
 
@@ -87,7 +92,8 @@ class Case:
     @property
     def id(self) -> str:
         """Readable name and a hash of everything that decides the result, code version included."""
-        decisive = asdict(self) | {"code": code_version(self.section["type"])}
+        controllers = (self.section, self.stabiliser) if self.stabiliser else (self.section,)
+        decisive = asdict(self) | {"code": [code_version(section["type"]) for section in controllers]}
         del decisive["label"]
         decisive["plant"] = self.plant.content
         decisive |= {key: names(getattr(self, key)) for key in ("inputs", "outputs", "measurements")}
@@ -133,11 +139,27 @@ def cases_of(
 
 def run_case(case: Case, progress: ProgressReport | None = None) -> Trace:
     """Run one case; whatever goes wrong is in the trace's outcome and reason."""
-    inputs, outputs, measurements = map(names, (case.inputs, case.outputs, case.measurements))
+    read = (*names(case.outputs), *names(case.measurements))
     try:
-        plant = case.plant.open(inputs, tuple(dict.fromkeys((*outputs, *measurements))))
+        plant = case.plant.open(names(case.inputs), tuple(dict.fromkeys(read)))
     except CosimError as error:
         return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
+    try:
+        trace = _run(case, plant, progress)
+    except BaseException:
+        with suppress(CosimError):  # the first fault counts
+            plant.close()
+        raise
+    try:
+        plant.close()
+    except FMUStepError as error:
+        if trace.outcome is Outcome.COMPLETED:
+            return replace(trace, outcome=_outcome_of(error), reason=f"after the last sample: {error}")
+    return trace
+
+
+def _run(case: Case, plant: Plant, progress: ProgressReport | None) -> Trace:
+    """Close the loop of a case and an open plant."""
     try:
         return cosimulate(
             plant,
@@ -146,9 +168,10 @@ def run_case(case: Case, progress: ProgressReport | None = None) -> Trace:
             duration=case.duration,
             reference=case.reference,
             excitation=case.excitation,
+            stabiliser=make_controller(StabiliserSection(**case.stabiliser)) if case.stabiliser else None,
             bounds=case.bounds,
-            outputs=outputs,
-            measurements=measurements,
+            outputs=names(case.outputs),
+            measurements=names(case.measurements),
             parameters=case.parameters,
             noise=GaussianNoise(case.noise) if case.noise else None,
             events=case.events,
@@ -159,8 +182,6 @@ def run_case(case: Case, progress: ProgressReport | None = None) -> Trace:
         )
     except CosimError as error:
         return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
-    finally:
-        plant.close()
 
 
 def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
@@ -192,6 +213,8 @@ def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
 def _outcome_of(error: CosimError) -> Outcome:
     if isinstance(error, FMUStepError):
         return OUTCOME_OF[error.status]
+    if isinstance(error, DivergenceError):
+        return Outcome.DIVERGED
     return Outcome.FMU_ERROR if isinstance(error, FMUImportError) else Outcome.CONTROLLER_ERROR
 
 
@@ -202,6 +225,7 @@ def _all_cases(checked: CheckedStudy, target: PlantTarget, seeds: list[int]) -> 
         name: section.build(converter(variables[name], section.unit))
         for name, section in study.reference.items()
     }
+    stabiliser = _stabiliser(checked)
     for controller, section in study.controllers.items():
         settings = all_settings(section)
         bounds = limits({**study.bounds, **section.bounds}, variables, (*checked.inputs, *checked.outputs))
@@ -224,9 +248,10 @@ def _all_cases(checked: CheckedStudy, target: PlantTarget, seeds: list[int]) -> 
                     reference=reference,
                     bounds=bounds,
                     excitation=_excitation(checked, seed),
+                    stabiliser=stabiliser,
                     parameters={**study.plant.parameters, **scenario.parameters},
                     noise=dict(scenario.noise),
-                    events=_events(scenario),
+                    events=_events(scenario, study.loop),
                 )
 
 
@@ -238,5 +263,22 @@ def _excitation(checked: CheckedStudy, seed: int) -> UniformRandom | None:
     return UniformRandom(tuple(span[0].tolist()), tuple(span[1].tolist()), recording.samples, seed)
 
 
-def _events(scenario: ScenarioSection) -> tuple[ParameterChange, ...]:
-    return tuple(ParameterChange(event.time, dict(event.parameters)) for event in scenario.events)
+def _stabiliser(checked: CheckedStudy) -> dict[str, Any] | None:
+    recording = checked.study.recording
+    if recording is None or recording.controller is None:
+        return None
+    return {"type": recording.controller.type, "settings": all_settings(recording.controller)}
+
+
+def _events(scenario: ScenarioSection, loop: LoopSection) -> tuple[ParameterChange, ...]:
+    """Return the parameter changes of a scenario; a drift is a change at every sample."""
+    changes = [ParameterChange(event.time, dict(event.parameters)) for event in scenario.events]
+    time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
+    for drift in scenario.drifts:
+        path = Ramp(drift.from_value, drift.to_value, drift.from_time, drift.to_time)
+        moving = (time >= drift.from_time) & (time < drift.to_time + loop.sampling_time)
+        changes += [
+            ParameterChange(float(t), {drift.parameter: float(value)})
+            for t, value in zip(time[moving], path.at(time[moving]), strict=True)
+        ]
+    return tuple(changes)

@@ -4,10 +4,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ddpc_cosim.checked_study import CheckedStudy, converter, limits
-from ddpc_cosim.config import RecordingSection, Study
+from ddpc_cosim.config import ControllerSection, RecordingSection, StabiliserSection, Study
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, CosimError, PluginError
 from ddpc_cosim.faults import Faults
+from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.plants import PlantSource
 from ddpc_cosim.schema import Location
 from ddpc_cosim.study_controllers import make_controller
@@ -43,8 +44,8 @@ def check_study(study: Study, folder: Path, faults: Faults) -> CheckedStudy | No
     except CosimError as error:
         faults.add(("plant", "fmu" if study.plant.fmu else "name"), str(error))
         return None
-    inputs = tuple(study.plant.inputs) or tuple(signals.inputs)
-    outputs = tuple(study.plant.outputs) or tuple(signals.outputs)
+    inputs = tuple(study.plant.inputs) or signals.default_inputs or tuple(signals.inputs)
+    outputs = tuple(study.plant.outputs) or signals.default_outputs or tuple(signals.outputs)
     measurements = tuple(study.plant.measurements) or outputs
     checked = CheckedStudy(study, plant, signals, inputs, outputs, measurements)
     _check_plant(checked, faults)
@@ -58,15 +59,29 @@ def check_study(study: Study, folder: Path, faults: Faults) -> CheckedStudy | No
 def _check_controllers(study: Study, faults: Faults) -> dict[str, Controller]:
     controllers = {}
     for name, section in study.controllers.items():
-        place = ("controllers", name)
-        try:
-            controllers[name] = make_controller(section)
-        except ConfigError as error:
-            for fault in error.faults:
-                faults.add(place, fault, (*place, "settings"), (*place, "type"))
-        except PluginError as error:
-            faults.add((*place, "type"), str(error))
+        controller = _make(("controllers", name), section, faults)
+        if controller is not None:
+            controllers[name] = controller
+    if study.recording is not None and study.recording.controller is not None:
+        place = ("recording", "controller")
+        stabiliser = _make(place, study.recording.controller, faults)
+        if stabiliser is not None and stabiliser.uses_recording:
+            faults.add(place, "learns from a recording itself; needed: one that controls without", place)
     return controllers
+
+
+def _make(
+    place: Location, section: ControllerSection | StabiliserSection, faults: Faults
+) -> Controller | None:
+    """Return the controller of a section, None if it has faults."""
+    try:
+        return make_controller(section)
+    except ConfigError as error:
+        for fault in error.faults:
+            faults.add(place, fault, (*place, "settings"), (*place, "type"))
+    except PluginError as error:
+        faults.add((*place, "type"), str(error))
+    return None
 
 
 def _check_report(study: Study, faults: Faults) -> None:
@@ -94,20 +109,27 @@ def _check_plant(checked: CheckedStudy, faults: Faults) -> None:
         faults.require_known(place, what, given, known)
         for name in sorted({name for name in given if given.count(name) > 1}):
             faults.add(place, f'"{name}" is listed more than once')
+    shown = ("plant", "display_units")
+    faults.require_known(shown, "input or output", plant.display_units, (*signals.inputs, *signals.outputs))
     _check_parameters(("plant", "parameters"), "parameter", plant.parameters, signals.parameters, faults)
 
 
 def _check_parameters(
     place: Location,
     what: str,
-    values: Mapping[str, float],
+    values: Mapping[str, ParameterValue],
     known: Mapping[str, Variable],
     faults: Faults,
 ) -> None:
     faults.require_known(place, what, values, known)
     for name, value in values.items():
-        if name in known and not known[name].min <= value <= known[name].max:
-            faults.add((*place, name), f"{value:g} is outside [{known[name].min:g}, {known[name].max:g}]")
+        if not isinstance(value, str):  # a text, or the name of an enumeration's value: the plant knows
+            _check_value((*place, name), value, known.get(name), faults)
+
+
+def _check_value(place: Location, value: float, parameter: Variable | None, faults: Faults) -> None:
+    if parameter is not None and not parameter.min <= value <= parameter.max:
+        faults.add(place, f"{value:g} is outside [{parameter.min:g}, {parameter.max:g}]")
 
 
 def _check_references(checked: CheckedStudy, faults: Faults) -> None:
@@ -172,6 +194,14 @@ def _check_scenarios(checked: CheckedStudy, faults: Faults) -> None:
         for i, event in enumerate(scenario.events):
             at_event = (*place, "events", i, "parameters")
             _check_parameters(at_event, "tunable parameter", event.parameters, tunable, faults)
+        for i, drift in enumerate(scenario.drifts):
+            faults.require_known(
+                (*place, "drifts", i, "parameter"), "tunable parameter", [drift.parameter], tunable
+            )
+            for key in ("from_value", "to_value"):
+                _check_value(
+                    (*place, "drifts", i, key), getattr(drift, key), tunable.get(drift.parameter), faults
+                )
 
 
 def _check_recording(checked: CheckedStudy, controllers: Mapping[str, Controller], faults: Faults) -> None:

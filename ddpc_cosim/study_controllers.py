@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from ddpc_cosim.config import ControllerSection
+from ddpc_cosim.config import ControllerSection, StabiliserSection
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, PluginError
 from ddpc_cosim.plugins import load_plugin
@@ -10,7 +10,7 @@ from ddpc_cosim.settings import declared_settings, from_plain
 from ddpc_cosim.suggest import did_you_mean
 
 
-def make_controller(section: ControllerSection) -> Controller:
+def make_controller(section: ControllerSection | StabiliserSection) -> Controller:
     """Construct the controller of a section.
 
     Raises
@@ -38,13 +38,15 @@ def make_controller(section: ControllerSection) -> Controller:
     return controller
 
 
-def all_settings(section: ControllerSection) -> dict[str, Any]:
+def all_settings(section: ControllerSection | StabiliserSection) -> dict[str, Any]:
     """Return the settings of a section's controller in plain values, every default filled in."""
     settings = {**section.settings, **make_controller(section).settings()}
     return {name: value for name, value in settings.items() if value is not None}
 
 
-def _arguments(plugin: type[Controller], section: ControllerSection, faults: list[str]) -> dict[str, Any]:
+def _arguments(
+    plugin: type[Controller], section: ControllerSection | StabiliserSection, faults: list[str]
+) -> dict[str, Any]:
     """Return the settings that the class can be given; note what is wrong with the others."""
     known = declared_settings(plugin)
     arguments = {}

@@ -38,8 +38,11 @@ def wire(plant: Plant, outputs: Sequence[str] | None, measurements: Sequence[str
     Raises
     ------
     ConfigError
-        Names that the plant does not have among its outputs.
+        Names that the plant does not have among its outputs, or nothing to drive or to read.
     """
+    missing = [what for what, has in (("inputs", plant.inputs), ("outputs", plant.outputs)) if not has]
+    if missing:
+        raise ConfigError([f"the plant has no {what}: there is nothing to control" for what in missing])
     available = names(plant.outputs)
     controlled = tuple(outputs) if outputs else available
     measured = tuple(measurements) if measurements else available

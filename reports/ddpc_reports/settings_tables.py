@@ -142,6 +142,8 @@ def loop_table(results: StudyResults, condition: Condition | None, prefix: str) 
     }
     if study.recording:
         facts["recording"] = f"{study.recording.samples} samples"
+        if study.recording.controller:
+            facts["recorded under"] = f"{study.recording.controller.type}, excitation added to its inputs"
         facts |= {
             f"excitation of {name}": _signal(one, units.get(name, ""))
             for name, one in study.recording.excitation.items()
@@ -194,8 +196,9 @@ def _scenario(section: Any) -> str:
     return "; ".join(filter(None, parts)) or "nothing changed"
 
 
-def _mapping(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {as_given(value)}" for name, value in values.items()) or "none"
+def _mapping(values: Mapping[str, float | str]) -> str:
+    texts = (value if isinstance(value, str) else as_given(value) for value in values.values())
+    return ", ".join(f"{name} = {text}" for name, text in zip(values, texts, strict=True)) or "none"
 
 
 def _setting_text(value: Any) -> str:

@@ -169,9 +169,9 @@ def test_damaged_samples_do_not_give_a_traceback(folder: Path, write_study: Writ
 def test_fresh_runs_everything_again(folder: Path, write_study: WriteStudy) -> None:
     write_study("mfapc")
     arguments = ("run", "study.toml", "--no-report")
-    assert "1 cases to run" in invoke(*arguments).stderr
-    assert "0 cases to run, 1 are there already" in invoke(*arguments).stderr
-    assert "1 cases to run\n" in invoke(*arguments, "--fresh").stderr
+    assert "1 case to run" in invoke(*arguments).stderr
+    assert "0 cases to run, 1 there already" in invoke(*arguments).stderr
+    assert "1 case to run\n" in invoke(*arguments, "--fresh").stderr
 
 
 def test_an_out_folder_that_is_a_file_exits_with_2(folder: Path, write_study: WriteStudy) -> None:
@@ -218,7 +218,7 @@ def test_as_a_process_results_go_to_stdout_and_the_rest_to_stderr(
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report")
     assert done.returncode == 0, done.stderr
     assert "mfapc" in done.stdout
-    assert done.stderr.splitlines()[0] == "1 cases to run"
+    assert done.stderr.splitlines()[0] == "1 case to run"
     assert "\x1b" not in done.stdout + done.stderr
     shutil.rmtree(study.parent / "runs")
     study.write_text("x", encoding="utf-8")

@@ -189,7 +189,7 @@ def test_a_worker_that_dies_costs_one_case(write_study: WriteStudy, tmp_path: Pa
     assert list(scratch.iterdir()) == []
 
     again = run_program(*arguments)
-    assert "3 cases to run, 2 are there already" in again.stderr
+    assert "3 cases to run, 2 there already" in again.stderr
 
 
 @pytest.mark.parametrize("out", ["file", "file/below"])
