@@ -15,6 +15,7 @@ Value = bool | int | Finite | str
 
 
 _MOST_STEPS = 1e8
+_MOST_VARIANTS = 1000
 
 
 class Section(BaseModel):
@@ -235,6 +236,10 @@ class ScenarioSection(Section):
     drifts: list[DriftSection] = []
 
 
+def _as_list(tables: Any) -> Any:
+    return [tables] if isinstance(tables, dict) else tables
+
+
 class ControllerSection(Section):
     """One competitor."""
 
@@ -245,6 +250,21 @@ class ControllerSection(Section):
     bounds: dict[str, BoundsSection] = Field(
         {}, description="limits that replace the study's for this controller"
     )
+    sweep: Annotated[list[dict[str, list[Any]]], BeforeValidator(_as_list)] = Field(
+        [], description="tables of settings and values to try; of each table, all combinations are run"
+    )
+    variant_of: str = Field("", description="the controller whose sweep this one is part of")
+    varied: list[str] = Field([], description="settings in which it differs from that controller")
+
+    def contradictions(self) -> list[str]:
+        """Return what is wrong with the sweep."""
+        faults = [
+            f"sweep.{name}: no values" for table in self.sweep for name, values in table.items() if not values
+        ]
+        variants = sum(math.prod(map(len, table.values())) for table in self.sweep)
+        if variants > _MOST_VARIANTS:
+            faults.append(f"sweep: {variants} variants; allowed: {_MOST_VARIANTS}")
+        return faults
 
 
 class PublishedMethod(Section):

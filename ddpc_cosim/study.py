@@ -274,9 +274,11 @@ def _events(scenario: ScenarioSection, loop: LoopSection) -> tuple[ParameterChan
     """Return the parameter changes of a scenario; a drift is a change at every sample."""
     changes = [ParameterChange(event.time, dict(event.parameters)) for event in scenario.events]
     time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
+    early = 1e-6 * loop.sampling_time
     for drift in scenario.drifts:
         path = Ramp(drift.from_value, drift.to_value, drift.from_time, drift.to_time)
-        moving = (time >= drift.from_time) & (time < drift.to_time + loop.sampling_time)
+        # A sample time can lie a rounding error beside the instant it stands for.
+        moving = (time > drift.from_time - early) & (time < drift.to_time + loop.sampling_time - early)
         changes += [
             ParameterChange(float(t), {drift.parameter: float(value)})
             for t, value in zip(time[moving], path.at(time[moving]), strict=True)

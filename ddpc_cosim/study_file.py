@@ -10,6 +10,7 @@ from ddpc_cosim.errors import ConfigError, PluginError
 from ddpc_cosim.faults import validate_all
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study_checks import check_study
+from ddpc_cosim.sweeps import expand_sweeps
 
 
 def read_study(name: str) -> CheckedStudy:
@@ -30,7 +31,7 @@ def read_study(name: str) -> CheckedStudy:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     data.setdefault("name", _as_name(path.stem))
     study, faults = validate_all(Study, data)
-    checked = check_study(study, path.parent, faults) if study is not None else None
+    checked = check_study(expand_sweeps(study, faults), path.parent, faults) if study is not None else None
     if faults.listed or checked is None:
         raise ConfigError([f"{path.name}: {fault}" for fault in faults.listed])
     return checked

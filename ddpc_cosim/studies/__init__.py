@@ -2,4 +2,13 @@
 
 from pathlib import Path
 
-paper = Path(__file__).with_name("paper.toml")
+_FOLDER = Path(__file__).parent
+
+direction_change = _FOLDER / "direction-change.toml"
+mimo = _FOLDER / "mimo.toml"
+noise = _FOLDER / "noise.toml"
+paper = _FOLDER / "paper.toml"
+reactor = _FOLDER / "reactor.toml"
+time_varying = _FOLDER / "time-varying.toml"
+tuning = _FOLDER / "tuning.toml"
+unstable = _FOLDER / "unstable.toml"

@@ -6,7 +6,7 @@ chosen), ``at`` (the sample under the pointer) and ``hidden`` (the controllers t
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import altair as alt
 
@@ -254,6 +254,43 @@ def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Any:
         alt.Chart(limit).mark_rule(color="var(--limit)", strokeDash=[4, 3], strokeWidth=1.5).encode(x=x)
     )
     return _rows_of(alt.layer(deadline, line, points), len(labels))
+
+
+def heat_chart(rows: list[dict[str, Any]], titles: Sequence[str]) -> Any:
+    """Return a map of a figure over one or two settings, the value written into each cell.
+
+    Parameters
+    ----------
+    rows : list of dict
+        ``x``, ``y`` (values of the settings in words), ``value`` (None where there is none), ``shown``
+        (the value in words), ``own`` (bool, framed), in the order of the axes.
+    titles : sequence of str
+        Settings on the vertical and on the horizontal axis.
+    """
+    across, down = (list(dict.fromkeys(row[side] for row in rows)) for side in ("x", "y"))
+    frame = alt.Axis(domain=False, ticks=False, grid=False, labelAngle=0)
+    x = alt.X("x:N", sort=across).title(titles[1]).axis(frame)
+    y = alt.Y("y:N", sort=down).title(titles[0] or None).axis(frame)
+    known = [row["value"] for row in rows if row["value"] is not None]
+    best, worst = min(known, default=1.0), max(known, default=1.0)
+    kind: Literal["log", "linear"] = "log" if best > 0 else "linear"
+    # Small differences stay pale: full shade is for three times the best at least.
+    domain = [best, max(worst, 3 * best)]
+    shade = (
+        alt.Opacity("value:Q").legend(None).scale(type=kind, domain=domain, range=[0.04, 0.75], nice=False)
+    )
+    cells = alt.Chart(alt.InlineData(values=rows))
+    filled = (
+        cells.transform_filter("datum.value !== null").mark_rect(color="var(--accent)").encode(x, y, shade)
+    )
+    framed = (
+        cells.transform_filter("datum.own")
+        .mark_rect(fill=None, stroke="var(--ink)", strokeWidth=2)
+        .encode(x, y)
+    )
+    words = cells.mark_text(color="var(--ink)", fontSize=12).encode(x, y, alt.Text("shown:N"))
+    chart = alt.layer(filled, framed, words).add_params(alt.param(name="hidden", value=[]))
+    return chart.properties(height=34 * len(down) + 8)
 
 
 def _labels_and_colours(rows: list[dict[str, Any]]) -> tuple[list[str], list[str]]:

@@ -90,11 +90,12 @@ class Competitor:
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """One scenario of a study: all competitors under the same conditions."""
+    """One scenario of a study: all competitors under the same conditions, and the variants of sweeps."""
 
     results: StudyResults
     scenario: str
     competitors: tuple[Competitor, ...]
+    variants: tuple[Competitor, ...] = ()
 
     @property
     def label(self) -> str:
@@ -130,7 +131,19 @@ class Condition:
 def conditions(results: StudyResults) -> tuple[Condition, ...]:
     """Return one condition for each scenario that has cases, in the study's order."""
     scenarios = dict.fromkeys(case.scenario for case in results.cases)
-    return tuple(Condition(results, scenario, _competitors(results, scenario)) for scenario in scenarios)
+    return tuple(_condition(results, scenario) for scenario in scenarios)
+
+
+def _condition(results: StudyResults, scenario: str) -> Condition:
+    everyone = _competitors(results, scenario)
+    sections = results.study.controllers
+    varied = {one.key for one in everyone if one.key in sections and sections[one.key].variant_of}
+    return Condition(
+        results,
+        scenario,
+        tuple(one for one in everyone if one.key not in varied),
+        tuple(one for one in everyone if one.key in varied),
+    )
 
 
 def labels(results: StudyResults) -> dict[str, str]:

@@ -161,7 +161,7 @@ def _time_view(
     chart = time_chart(signal, names, dashes, sampling_time, last).properties(height=_PANEL_HEIGHT)
     who = ", ".join(one.label for one in panel.members)
     description = f"{signal.title} over time of {who}"
-    spec = _specification(chart)
+    spec = specification(chart)
     svg = static_svg(spec, identifier, description, {signal.id: signal.columns})
     return View(identifier, panel.title, description, spec, svg, signal.id, tuple(names), signal.unit)
 
@@ -190,7 +190,7 @@ def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure:
     )
     if not rows:
         return Figure(identifier, "Spread over seeds", f"{caption} No case completed.", ())
-    spec = _specification(spread_chart(rows, axis, logarithmic))
+    spec = specification(spread_chart(rows, axis, logarithmic))
     view = View(identifier + "-1", "", caption, spec, static_svg(spec, identifier + "-1", caption))
     return Figure(identifier, "Spread over seeds", caption, (view,))
 
@@ -228,7 +228,7 @@ def step_time_figure(condition: Condition, prefix: str) -> Figure | None:
         f"Dashed line: the sampling time, {duration(sampling_time)}. Logarithmic axis."
     )
     identifier = f"{prefix}step-time"
-    spec = _specification(step_time_chart(rows, sampling_time))
+    spec = specification(step_time_chart(rows, sampling_time))
     view = View(identifier + "-1", "", caption, spec, static_svg(spec, identifier + "-1", caption))
     return Figure(identifier, "Step time", caption, (view,))
 
@@ -243,7 +243,7 @@ def _step_time_row(one: Competitor, words: str, seconds: float) -> dict[str, Any
     }
 
 
-def _specification(chart: Any) -> dict[str, Any]:
+def specification(chart: Any) -> dict[str, Any]:
     """Return a chart without what the page sets for all of them."""
     # Checking against the schema takes longer than drawing; drawing fails on a faulty chart too.
     spec: dict[str, Any] = chart.to_dict(validate=False)

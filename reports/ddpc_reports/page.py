@@ -16,6 +16,7 @@ from ddpc_reports.limitations import limitations
 from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.reproduction import reproduction_table
 from ddpc_reports.samples import Column
+from ddpc_reports.sensitivity import sensitivity_figures
 from ddpc_reports.settings_tables import (
     bounds_table,
     compact_seeds,
@@ -48,6 +49,7 @@ class ConditionPart:
     verdict: Table
     time_figures: list[Figure]
     spread_figures: list[Figure]
+    sensitivity_figures: list[Figure]
     step_time_figure: Figure | None
     step_times: Table
     diagnostics: Table | None
@@ -79,6 +81,7 @@ class StudyPart:
             "reproduction": "Reproduction" if self.reproduction else "",
             "figures": "Figures" if self._has("time_figures") else "",
             "spread": "Spread over seeds" if self._has("spread_figures") else "",
+            "sensitivity": "Sensitivity" if self._has("sensitivity_figures") else "",
             "time": "Computation time",
             "data": "Data diagnostics" if self._has("diagnostics") else "",
             "settings": "Settings",
@@ -169,6 +172,7 @@ def _condition_part(
         verdict=verdict_table(condition, prefix),
         time_figures=figures,
         spread_figures=spread_figures(condition, prefix),
+        sensitivity_figures=sensitivity_figures(condition, prefix),
         step_time_figure=step_time_figure(condition, prefix),
         step_times=step_time_table(condition, prefix),
         diagnostics=diagnostics_table(condition, prefix),
@@ -199,7 +203,7 @@ def _data(studies: Sequence[StudyPart], data: dict[str, dict[str, Column]]) -> d
     for study in studies:
         for part in study.conditions:
             single = [part.step_time_figure] if part.step_time_figure else []
-            for figure in (*part.time_figures, *part.spread_figures, *single):
+            for figure in (*part.time_figures, *part.spread_figures, *part.sensitivity_figures, *single):
                 labels = {entry.name: entry.label for entry in figure.legend}
                 for view in figure.views:
                     views[view.id] = {

@@ -1,0 +1,122 @@
+"""The section on sweeps: a map of the tracking error over the settings that were varied."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from ddpc_reports.charts import heat_chart
+from ddpc_reports.comparison import TRACKING, Competitor, Condition, metric_label, metric_signal, metric_unit
+from ddpc_reports.comparison import spread as summed_up
+from ddpc_reports.figures import Figure, View, specification
+from ddpc_reports.numbers import as_given, significant, with_unit
+from ddpc_reports.static import static_svg
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The variants of one controller that differ from it in the same settings."""
+
+    condition: Condition
+    base: str
+    settings: tuple[str, ...]
+    variants: tuple[Competitor, ...]
+
+    @property
+    def label(self) -> str:
+        """Label of the controller that is varied."""
+        section = self.condition.results.study.controllers.get(self.base)
+        return (section.label if section else "") or self.base
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The one or two settings that are drawn."""
+        return self.settings[:2]
+
+    def words(self, controller: str, setting: str) -> str:
+        """Return a controller's value of a setting; of an object, what distinguishes it in this sweep."""
+        value = self._value(controller, setting)
+        if value is None:
+            return ""
+        if not isinstance(value, dict):
+            return as_given(value)
+        telling = (key for key in value if len(self._entries(setting, key)) > 1)
+        return ", ".join(f"{key} {as_given(value[key])}" for key in telling)
+
+    def _value(self, controller: str, setting: str) -> Any:
+        section = self.condition.results.study.controllers.get(controller)
+        return section.settings.get(setting) if section else None
+
+    def _entries(self, setting: str, key: str) -> set[str]:
+        values = [self._value(one.key, setting) for one in self.variants]
+        return {repr(value.get(key)) for value in values if isinstance(value, dict)}
+
+    @cached_property
+    def cells(self) -> dict[tuple[str, ...], list[Competitor]]:
+        """The variants by the values that are drawn, in the study's order."""
+        table: dict[tuple[str, ...], list[Competitor]] = {}
+        for one in self.variants:
+            table.setdefault(tuple(self.words(one.key, setting) for setting in self.axes), []).append(one)
+        return table
+
+
+def sweeps(condition: Condition) -> list[Sweep]:
+    """Return the sweeps of a condition, in the study's order."""
+    groups: dict[tuple[str, tuple[str, ...]], list[Competitor]] = {}
+    for one in condition.variants:
+        section = condition.results.study.controllers[one.key]
+        groups.setdefault((section.variant_of, tuple(section.varied)), []).append(one)
+    return [Sweep(condition, base, settings, tuple(group)) for (base, settings), group in groups.items()]
+
+
+def sensitivity_figures(condition: Condition, prefix: str) -> list[Figure]:
+    """Return one map for each sweep and controlled output; none without sweeps."""
+    pairs = [(sweep, key) for sweep in sweeps(condition) for key in condition.keys(TRACKING)]
+    return [
+        _figure(sweep, key, f"{prefix}sensitivity-{number}") for number, (sweep, key) in enumerate(pairs, 1)
+    ]
+
+
+def _figure(sweep: Sweep, key: str, identifier: str) -> Figure:
+    what = " of ".join(filter(None, (metric_label(key), metric_signal(key))))
+    unit = f" in {metric_unit(key)}" if metric_unit(key) else ""
+    caption = (
+        f"{sweep.label}: {what.lower()}{unit} over {' and '.join(sweep.axes)}; the darker, the worse. "
+        "Framed: the controller's own settings." + _summed_words(sweep)
+    )
+    rows = list(_rows(sweep, key))
+    # A map with one setting needs no second axis.
+    titles = sweep.axes if len(sweep.axes) > 1 else ("", *sweep.axes)
+    spec = specification(heat_chart(rows, titles))
+    view = View(identifier + "-1", sweep.label, caption, spec, static_svg(spec, identifier + "-1", caption))
+    return Figure(identifier, "Sensitivity", caption, (view,))
+
+
+def _summed_words(sweep: Sweep) -> str:
+    words = []
+    if len(sweep.condition.seeds) > 1:
+        words.append(f"{len(sweep.condition.seeds)} seeds")
+    if len(sweep.settings) > 2:
+        words.append(f"the values of {' and '.join(sweep.settings[2:])}")
+    return f" Median over {' and '.join(words)}." if words else ""
+
+
+def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
+    own = tuple(sweep.words(sweep.base, setting) for setting in sweep.axes)
+    for place, members in sweep.cells.items():
+        value = _median(members, key)
+        shown = significant(value) if math.isfinite(value) else "failed"
+        where = ", ".join(f"{name} = {given}" for name, given in zip(sweep.axes, place, strict=True))
+        yield {
+            "y": place[0] if len(place) > 1 else "",
+            "x": place[-1],
+            "value": value if math.isfinite(value) else None,
+            "shown": shown,
+            "own": place == own,
+            "text": f"{where}: {with_unit(shown, metric_unit(key)) if math.isfinite(value) else shown}",
+        }
+
+
+def _median(members: Sequence[Competitor], key: str) -> float:
+    return summed_up(value for one in members for value in one.by_seed(key).values()).median

@@ -1,0 +1,198 @@
+"""The built-in studies show what their summaries say."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import CaseResult, FloatArray, Outcome, StudyResults
+from ddpc_cosim.run import Selection, run_study
+from ddpc_cosim.study_file import read_study
+from fmu_plants import cstr
+from fmu_plants.linearisation import linearise
+
+STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
+SEED = {"direction-change": 1, "time-varying": 1, "tuning": 5489}
+BUILT_IN = sorted(path.stem for path in STUDIES.glob("*.toml") if path.stem != "paper")
+
+
+class Silent:
+    """A run that nobody watches."""
+
+    def start(self, total: int, kept: int) -> None:
+        """Say nothing."""
+
+    def update(self, update: object) -> None:
+        """Say nothing."""
+
+    def finished(self, case: object, result: object) -> None:
+        """Say nothing."""
+
+
+@pytest.fixture(scope="module")
+def results_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], StudyResults]:
+    """Run a study at one seed, once."""
+    done: dict[str, StudyResults] = {}
+
+    def run(name: str) -> StudyResults:
+        if name not in done:
+            selection = Selection(jobs=2, seeds=[SEED.get(name, 1)])
+            folder = tmp_path_factory.mktemp(name)
+            done[name] = run_study(read_study(str(STUDIES / f"{name}.toml")), folder, selection, Silent())
+        return done[name]
+
+    return run
+
+
+Results = Callable[[str], StudyResults]
+
+
+def case_of(results: StudyResults, controller: str, scenario: str = "") -> CaseResult:
+    (case,) = (
+        case
+        for case in results.cases
+        if case.controller == controller and (not scenario or case.scenario == scenario)
+    )
+    return case
+
+
+def errors(case: CaseResult) -> FloatArray:
+    """Return |reference - output| in display units, shape (samples, p)."""
+    trace = case.trace()
+    factors = [output.shown_in.factor for output in trace.outputs]
+    return np.abs(trace.reference - trace.y) * np.array(factors)
+
+
+def mean_error(case: CaseResult, since: float, until: float) -> float:
+    """Return the mean error over a time in s."""
+    time = case.trace().time
+    return float(errors(case)[(time >= since) & (time < until)].mean())
+
+
+def metric(case: CaseResult, name: str) -> float:
+    return next(value for key, value in case.metrics.items() if key.startswith(f"{name}."))
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_case_ends_and_holds_its_input_bounds_exactly(name: str, results_of: Results) -> None:
+    results = results_of(name)
+    assert results.study.summary.strip().endswith(".")
+    for case in results.cases:
+        assert case.outcome is Outcome.COMPLETED, case.reason
+        trace = case.trace()
+        assert (trace.u >= trace.bounds.u_min).all()
+        assert (trace.u <= trace.bounds.u_max).all()
+        assert any(key.startswith("bound_violation_max.") for key in case.metrics)
+
+
+@pytest.mark.parametrize("controller", ["deepc", "wkpc", "mfapc"])
+def test_what_learnt_once_fails_when_the_direction_turns(controller: str, results_of: Results) -> None:
+    case = case_of(results_of("direction-change"), controller)
+    assert mean_error(case, 10.0, 19.5) < 4.0
+    assert mean_error(case, 40.0, 80.0) > 8.0
+
+
+@pytest.mark.parametrize(
+    "controller", ["deepc-sliding-window", "deepc-forgetting", "wkpc-sliding-window", "mfapc-any-sign"]
+)
+def test_what_follows_the_plant_recovers(controller: str, results_of: Results) -> None:
+    case = case_of(results_of("direction-change"), controller)
+    assert mean_error(case, 50.0, 80.0) < 3.0
+
+
+def test_mfapc_recovers_within_a_step_of_the_reference(results_of: Results) -> None:
+    case = case_of(results_of("direction-change"), "mfapc-any-sign")
+    assert mean_error(case, 27.0, 29.5) < 1.0
+
+
+@pytest.mark.parametrize("drift", ["slow", "fast"])
+def test_frozen_data_age_and_forgetting_data_do_not(drift: str, results_of: Results) -> None:
+    results = results_of("time-varying")
+    for frozen in ("deepc", "wkpc", "mfapc"):
+        constant = mean_error(case_of(results, frozen, "constant"), 60.0, 80.0)
+        assert mean_error(case_of(results, frozen, drift), 60.0, 80.0) > 5.0 * constant
+    for following in ("deepc-forgetting", "wkpc-forgetting", "mfapc-pfdl"):
+        constant = metric(case_of(results, following, "constant"), "rmse")
+        assert metric(case_of(results, following, drift), "rmse") < 1.5 * constant
+
+
+def test_noise_costs_travel_and_not_tracking(results_of: Results) -> None:
+    results = results_of("noise")
+    growth = {}
+    for controller in results.study.controllers:
+        quiet, loud = (case_of(results, controller, scenario) for scenario in ("quiet", "loud"))
+        assert metric(loud, "rmse") < 1.1 * metric(quiet, "rmse")
+        growth[controller] = metric(loud, "total_variation") / metric(quiet, "total_variation")
+    assert growth["mfapc"] < 1.4
+    assert max(growth["deepc"], growth["wkpc"]) < 2.3
+    assert min(growth["spc"], growth["pid"], growth["mpc"]) > 2.3
+
+
+@pytest.mark.parametrize("controller", ["deepc", "spc", "mpc", "lqr"])
+def test_who_knows_of_the_coupling_hardly_moves_the_other_level(controller: str, results_of: Results) -> None:
+    results = results_of("mimo")
+    assert moved(case_of(results, controller)) < 0.1
+    assert min(moved(case_of(results, name)) for name in ("pid", "deepc-decentralised")) > 0.2
+
+
+def moved(case: CaseResult) -> float:
+    """Return how far level 1 moves at the step of level 2, at 500 s."""
+    time = case.trace().time
+    return float(errors(case)[(time >= 490.0) & (time < 900.0), 0].max())
+
+
+def test_every_method_but_one_brings_both_levels_to_their_references(results_of: Results) -> None:
+    ends = {case.controller: mean_error(case, 900.0, 1000.0) for case in results_of("mimo").cases}
+    assert ends.pop("deepc-decentralised") > 0.1
+    assert max(ends.values()) < 0.05
+
+
+def test_upright_mfapc_alone_falls_and_the_others_hold(results_of: Results) -> None:
+    ends = {case.controller: mean_error(case, 8.0, 10.0) for case in results_of("unstable").cases}
+    assert ends.pop("mfapc") > 90.0
+    assert max(ends.values()) < 0.5
+    assert ends["cascade"] < 0.01 * ends["ipid"]
+    assert max(ends["deepc"], ends["wkpc"]) < 0.02
+
+
+def test_predictive_control_of_recorded_data_is_faster_than_its_stabiliser(results_of: Results) -> None:
+    rise = {case.controller: mean_error(case, 0.5, 2.5) for case in results_of("unstable").cases}
+    assert max(rise["deepc"], rise["wkpc"]) < 0.5 * min(rise["ipid"], rise["cascade"], rise["spsa"])
+
+
+def test_the_reactor_is_held_where_it_is_unstable(results_of: Results) -> None:
+    ends = {case.controller: mean_error(case, 750.0, 870.0) for case in results_of("reactor").cases}
+    assert max(ends["mpc"], ends["koopman-mpc"]) < 0.2
+    assert 0.5 < ends["deepc"] < 4.0
+    assert min(ends["mfapc"], ends["pid"]) > 5.0
+
+
+def test_tuning_maps_say_what_the_summary_says(results_of: Results) -> None:
+    results = results_of("tuning")
+    figure = {case.controller: metric(case, "sum_abs_error") for case in results.cases}
+
+    def span(start: str, *ends: str) -> float:
+        values = [figure[f"{start}{end}"] for end in ends]
+        return max(values) / min(values)
+
+    assert span("deepc-lambda_g-50-lambda_sigma-", "1000", "100000", "1e07", "1e09") < 1.2
+    assert span("wkpc-dictionary-count", "2", "5", "10", "15", "20") < 1.2
+    assert span("deepc-lambda_g-", "0.5-lambda_sigma-1e07", "5-lambda_sigma-1e07") < 1.1
+    assert span("deepc-lambda_g-", "5-lambda_sigma-1e07", "500-lambda_sigma-1e07") > 4.0
+    assert span("deepc-setpoint_weight-", "30-lambda_g-50", "3000-lambda_g-50") > 4.0
+    assert span("deepc-input_weight-", "0.1-output_weight-100", "100-output_weight-100") > 4.0
+    assert figure["mfapc-lambda_u-0.1-forecast_order-4"] > 4.0 * figure["mfapc"]
+    assert 1.5 < figure["mfapc-lambda_u-0.7-forecast_order-4"] / figure["mfapc"] < 2.5
+    assert figure["mfapc-lambda_u-0.25-forecast_order-4"] < figure["mfapc"]
+
+
+def test_the_reactor_is_unstable_where_it_is_held() -> None:
+    """An eigenvalue of the linearised equations at 340 K is in the right half-plane."""
+    temperature = 340.0
+    reaction = cstr.RATE * math.exp(-cstr.ACTIVATION / temperature)
+    concentration = cstr.FLOW / (cstr.FLOW + cstr.VOLUME * reaction)  # what flows in reacts or flows out
+    model = linearise(cstr.MODEL, [concentration, temperature])
+    assert np.linalg.eigvals(model.A).real.max() > 0.0
+    assert np.linalg.eigvals(linearise(cstr.MODEL).A).real.max() < 0.0

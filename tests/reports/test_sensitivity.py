@@ -1,0 +1,116 @@
+"""Sweeps in the report: a map of the error for each, and nothing of them among the competitors."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_reports.comparison import conditions
+from ddpc_reports.page import render_page
+from ddpc_reports.sensitivity import sensitivity_figures
+
+from .synthetic import make_results_in, make_trace
+
+LAGS = {"slow": 1.0, "slow-a-1-b-1": 0.3, "slow-a-1-b-2": 0.6, "slow-a-2-b-1": 0.9, "slow-a-2-b-2": 1.2}
+
+
+def sections() -> dict[str, dict[str, Any]]:
+    """Return a controller and a sweep of two settings, as a resolved study lists them."""
+    varied = {
+        f"slow-a-{a}-b-{b}": {
+            "type": "slow",
+            "settings": {"a": a, "b": b},
+            "variant_of": "slow",
+            "varied": ["a", "b"],
+        }
+        for a in (1, 2)
+        for b in (1, 2)
+    }
+    objects = {
+        f"slow-c-{n}": {
+            "type": "slow",
+            "settings": {"c": {"type": "module:C", "count": n, "low": 0.0}},
+            "variant_of": "slow",
+            "varied": ["c"],
+        }
+        for n in (3, 5)
+    }
+    own = {"a": 1, "b": 2, "c": {"type": "module:C", "count": 5, "low": 0.0}}
+    return {"slow": {"type": "slow", "label": "Slow", "settings": own}} | varied | objects
+
+
+def trace_of(key: str, seed: int) -> Trace:
+    if key == "slow-a-2-b-2":
+        return make_trace(1.0, outcome=Outcome.DIVERGED, reason="angle is infinite")
+    return make_trace(LAGS.get(key, 1.0), noise_seed=seed)
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> StudyResults:
+    return make_results_in(tmp_path, trace_of, sections(), seeds=[7, 8, 9])
+
+
+def rows_of(results: StudyResults, number: int) -> list[dict[str, Any]]:
+    spec = sensitivity_figures(conditions(results)[0], "x-")[number].views[0].spec
+    rows: list[dict[str, Any]] = spec["datasets"][spec["data"]["name"]]
+    return rows
+
+
+def test_variants_are_no_competitors(results: StudyResults) -> None:
+    (condition,) = conditions(results)
+    assert [one.key for one in condition.competitors] == ["slow"]
+    assert len(condition.variants) == 6
+
+
+def test_each_cell_is_the_median_over_the_seeds(results: StudyResults) -> None:
+    cells = {(row["y"], row["x"]): row for row in rows_of(results, 0)}
+    assert list(cells) == [("1", "1"), ("1", "2"), ("2", "1"), ("2", "2")]
+    for (a, b), row in cells.items():
+        values = sorted(
+            case.metrics["sum_abs_error.angle [deg]"]
+            for case in results.cases
+            if case.controller == f"slow-a-{a}-b-{b}" and case.outcome is Outcome.COMPLETED
+        )
+        if (a, b) == ("2", "2"):
+            assert (row["value"], row["shown"], values) == (None, "failed", [])
+        else:
+            assert row["value"] == values[1]
+            assert f"a = {a}, b = {b}" in row["text"]
+
+
+def test_the_controllers_own_settings_are_framed(results: StudyResults) -> None:
+    assert [(row["y"], row["x"]) for row in rows_of(results, 0) if row["own"]] == [("1", "2")]
+    assert [row["x"] for row in rows_of(results, 1) if row["own"]] == ["count 5"]
+
+
+def test_one_setting_makes_a_strip_and_an_object_is_told_by_what_differs(results: StudyResults) -> None:
+    assert [(row["y"], row["x"]) for row in rows_of(results, 1)] == [("", "count 3"), ("", "count 5")]
+
+
+def test_the_page_has_the_section_only_with_sweeps(results: StudyResults, tmp_path: Path) -> None:
+    page = render_page([results])
+    assert 'id="s1-sensitivity"' in page
+    assert "Slow: absolute integral error of angle in ° over a and b" in page
+    assert "Median over 3 seeds" in page
+    assert 'id="s1-sensitivity"' not in render_page([make_results_in(tmp_path / "plain")])
+
+
+def test_three_settings_are_drawn_over_two(tmp_path: Path) -> None:
+    varied = {
+        f"slow-{a}{b}{c}": {
+            "type": "slow",
+            "settings": {"a": a, "b": b, "c": c},
+            "variant_of": "slow",
+            "varied": ["a", "b", "c"],
+        }
+        for a in (1, 2)
+        for b in (1, 2)
+        for c in (1, 2)
+    }
+    results = make_results_in(tmp_path, trace_of, {"slow": {"type": "slow"}} | varied)
+    (figure,) = sensitivity_figures(conditions(results)[0], "x-")
+    assert len(rows_of(results, 0)) == 4
+    assert "Median over the values of c." in figure.caption
+    assert all(math.isfinite(row["value"]) for row in rows_of(results, 0))
