@@ -239,7 +239,7 @@ def test_the_command_checks_fmus_and_names(pendulum_fmu: Path) -> None:
 
 
 PLANTS = """
-import os, time
+import os, threading
 import numpy as np
 from ddpc_cosim import Plant, Variable
 
@@ -250,8 +250,7 @@ class Crashing(Plant):
     def step(self, u, h):
         os._exit(7)
     def set_parameters(self, parameters):
-        while True:
-            time.sleep(0.01)
+        threading.Event().wait()
 """
 
 
