@@ -24,32 +24,12 @@ _NO_COMPILER = (
     "Install one of them: `pip install ziglang` works everywhere; Debian/Ubuntu: `apt install gcc`; "
     "macOS: `xcode-select --install`; or set CC to the compiler's command."
 )
-_NO_ZIG = (
-    "compiling for other platforms needs the Python package ziglang, which is not installed: "
-    '`pip install "ddpc-cosim[zig]"` (or `pip install ziglang`); without --platforms, the FMU is for this '
-    "platform and any C compiler will do."
-)
 
 # Results must be the same on every machine: no -ffast-math, no fused operations, nothing of the host's
 # processor.
-FLAGS = ("-std=c11", "-ffp-contract=off", "-fvisibility=hidden", "-shared")
-_FAST = ("-O2",)
-# Libraries for several platforms are carried about in one file. No exception passes through C code, so that
-# nothing unwinds its stack; errors of mathematical functions show in their results.
-_SMALL = (
-    "-Os",
-    "-fomit-frame-pointer",
-    "-fno-unwind-tables",
-    "-fno-asynchronous-unwind-tables",
-    "-fno-math-errno",
-    "-fno-ident",
-)
-_SMALL_BY_SYSTEM = {
-    "linux": ("-fPIC", "-s", "-flto", "-fno-plt", "-Wl,--hash-style=gnu", "-Wl,--build-id=none"),
-    "windows": ("-s", "-flto"),
-    "darwin": ("-fPIC", "-s", "-Wl,-x"),
-}
-_ZIG = (sys.executable, "-m", "ziglang", "cc")
+FLAGS = ("-std=c11", "-ffp-contract=off", "-fvisibility=hidden")
+_FAST = ("-O2", "-shared")
+ZIG = (sys.executable, "-m", "ziglang", "cc")
 
 _EXPORT_CHECK = """
 import ctypes, sys
@@ -75,21 +55,16 @@ class Compiler:
         Differs between two compilers that may give different code.
     platform : Platform
         What it compiles for; this machine by default.
-    is_cross : bool
-        Whether it compiles for several platforms in turn, and then for size; else for speed.
     """
 
     command: tuple[str, ...]
     identity: str
     platform: Platform = field(default_factory=host_platform)
-    is_cross: bool = False
 
     @property
     def flags(self) -> tuple[str, ...]:
         """The arguments for a shared library, without files."""
         system = self.platform.system
-        if self.is_cross:
-            return (*FLAGS, *_SMALL, *_SMALL_BY_SYSTEM[system])
         if system == "windows":
             return (*FLAGS, *_FAST)  # code is always position independent there
         return (*FLAGS, *_FAST, "-fPIC", *(("-s",) if system == "linux" else ()))
@@ -98,6 +73,14 @@ class Compiler:
     def libraries(self) -> tuple[str, ...]:
         """The arguments that come after the files."""
         return () if self.platform.system == "windows" else ("-lm",)
+
+    def own_files(self, sources: Sequence[str]) -> dict[str, str]:
+        """Return the text of further files that it needs to make a library of the sources, by name."""
+        return {}
+
+    def calls(self, sources: Sequence[str], library: str, extra_flags: Sequence[str]) -> list[list[str]]:
+        """Return the arguments of each call that it takes to make a library of the sources, in order."""
+        return [[*self.flags, *extra_flags, "-I.", "-o", library, *sources, *self.libraries]]
 
 
 def find_compiler() -> Compiler:
@@ -114,25 +97,12 @@ def find_compiler() -> Compiler:
         if path := shutil.which(name):
             return Compiler((path,), _identity(path))
     if importlib.util.find_spec("ziglang"):
-        return Compiler(_ZIG, _zig_identity())
+        return Compiler(ZIG, zig_identity())
     raise ExportError(_NO_COMPILER.format(names=", ".join(_SYSTEM_COMPILERS)))
 
 
-def cross_compiler(platform: Platform) -> Compiler:
-    """Return the compiler of the ziglang package for any platform, this one included.
-
-    Raises
-    ------
-    ExportError
-        ziglang is not installed.
-    """
-    if not importlib.util.find_spec("ziglang"):
-        raise ExportError(_NO_ZIG)
-    target = ("-target", platform.zig_target)
-    return Compiler((*_ZIG, *target), f"{_zig_identity()} {platform.zig_target}", platform, is_cross=True)
-
-
-def _zig_identity() -> str:
+def zig_identity() -> str:
+    """Return what tells versions of zig apart."""
     return f"ziglang {importlib.metadata.version('ziglang')}"
 
 
@@ -176,12 +146,12 @@ def compile_library(
     """
     with tempfile.TemporaryDirectory(prefix="fmu-plants-") as folder:
         # Everything is named relative to one folder: nothing depends on how its path is spelt.
-        for name, text in files.items():
-            Path(folder, name).write_text(text, encoding="utf-8", newline="\n")
         library = f"library{compiler.platform.suffix}"
         sources = sorted(name for name in files if name.endswith(".c"))
-        arguments = [*compiler.flags, *extra_flags, "-I.", "-o", library, *sources, *compiler.libraries]
-        _run([*compiler.command, *arguments], folder)
+        for name, text in {**files, **compiler.own_files(sources)}.items():
+            Path(folder, name).write_text(text, encoding="utf-8", newline="\n")
+        for arguments in compiler.calls(sources, library, extra_flags):
+            _run([*compiler.command, *arguments], folder)
         built = Path(folder, library)
         is_for_here = compiler.platform == host_platform()
         missing = _unloadable_exports(built, required) if is_for_here else _unlisted_exports(built, required)

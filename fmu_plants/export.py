@@ -14,7 +14,8 @@ from typing import Any
 
 from fmu_plants import fmi2, fmi3
 from fmu_plants.archive import write_atomically, zip_bytes
-from fmu_plants.compiler import Compiler, cache_dir, compile_library, cross_compiler, find_compiler
+from fmu_plants.compiler import Compiler, cache_dir, compile_library, find_compiler
+from fmu_plants.cross_compiler import cross_compiler
 from fmu_plants.description import Description
 from fmu_plants.errors import ExportError
 from fmu_plants.model import PlantModel

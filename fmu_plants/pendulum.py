@@ -26,11 +26,11 @@ ANGLE = Variable(
 ANGULAR_VELOCITY = Variable(
     "angular_velocity",
     "rad/s",
-    nominal=10.0,
+    nominal=1.0,
     description="Angular velocity",
     display_unit=DisplayUnit("deg/s", degrees(1)),
 )
-TORQUE = Variable("torque", "N.m", nominal=3.5, description="Applied torque")
+TORQUE = Variable("torque", "N.m", nominal=1.0, description="Applied torque")
 
 
 def equations(v: Symbols) -> Equations:

@@ -11,8 +11,10 @@ from fmpy.validation import validate_fmu
 
 from fmu_plants import Equations, ExportError, export_fmu, fmi2, fmi3
 from fmu_plants.compiler import Compiler, compile_library, find_compiler
+from fmu_plants.cross_compiler import cross_compiler
 from fmu_plants.export import fmi_headers, fmu_source
 from fmu_plants.pendulum import MODEL
+from fmu_plants.platforms import PLATFORMS
 
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror")
 ZIG = Compiler((sys.executable, "-m", "ziglang", "cc"), "zig")
@@ -34,7 +36,11 @@ def c_files(model, front_end=fmi2):
 
 
 @pytest.mark.parametrize("front_end", [fmi2, fmi3], ids=["FMI 2.0", "FMI 3.0"])
-@pytest.mark.parametrize("compiler", [find_compiler(), ZIG], ids=["system", "zig"])
+@pytest.mark.parametrize(
+    "compiler",
+    [find_compiler(), ZIG, *map(cross_compiler, PLATFORMS)],
+    ids=["system", "zig", *(platform.name for platform in PLATFORMS)],
+)
 def test_the_c_code_gives_no_warning(compiler, front_end):
     assert compile_library(compiler, c_files(MODEL, front_end), front_end.FUNCTIONS, STRICT)
 
