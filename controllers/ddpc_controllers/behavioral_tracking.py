@@ -14,10 +14,11 @@ from ddpc_controllers.learning import Learner
 from ddpc_controllers.problem import Problem
 from ddpc_controllers.qp import Move, ParametricQP
 from ddpc_controllers.recorded import ParameterVector, matching_recording, padded_with_zeros, resting_input
+from ddpc_controllers.scaling import ScaledSignals
 from ddpc_controllers.tracking_problem import SUM_G, write_tracking_problem
 from ddpc_controllers.validation import all_positive, check_settings_and, per_signal
 from ddpc_controllers.windows import ONE, Block, WindowLayout
-from ddpc_cosim import Action, Controller, FloatArray, Loop, Recording, Sample, Weight, setting
+from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, Weight, setting
 
 AffineSum = Literal["none", "all", "first-horizon"]
 RateBounds = float | Sequence[float]
@@ -31,7 +32,7 @@ class Solver(Protocol):
 
 
 @dataclass(kw_only=True)
-class BehavioralTracking(Controller):
+class BehavioralTracking(ScaledSignals):
     """Predict with recorded windows, track the reference; a subclass says how windows are combined."""
 
     uses_recording: ClassVar[bool] = True
@@ -74,20 +75,14 @@ class BehavioralTracking(Controller):
     def __post_init__(self) -> None:
         check_settings_and(self, self._faults_between_settings)
 
-    def start(self, loop: Loop) -> None:
-        """Condense the problem on the loop's recording.
-
-        Raises
-        ------
-        DataError
-            There is no recording, or it is too short or not persistently exciting enough.
-        ConfigError
-            A weight or a rate bound does not fit the number of signals, or a solver is not installed.
-        """
+    def _start(self, loop: Loop) -> None:
+        """Condense the problem on the loop's recording."""
         recording = matching_recording(loop, type(self).__name__)
         m, p = len(loop.inputs), len(loop.outputs)
         self._loop_bounds, self._inputs = loop.bounds, m
-        self._rates = per_signal("rate_bounds", self.rate_bounds, m) if self._has_rates else None
+        self._rates: FloatArray | None = None
+        if self._has_rates:
+            self._rates = per_signal("rate_bounds", self.rate_bounds, m) / self._scales.u
         self._resting: bool = not loop.continues_recording
         self._pending: list[FloatArray] = []
         data = self._stack(recording)
@@ -97,7 +92,7 @@ class BehavioralTracking(Controller):
         self._solver = self._make_solver(loop, recording, condenser, data)
         self._fill_past(loop, recording)
 
-    def step(self, sample: Sample) -> FloatArray | Action:
+    def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the optimal input for this sample, of the present plan or of a new one."""
         parameters, learner = self._parameters, self._learner
         if self._resting:

@@ -19,12 +19,13 @@ from ddpc_controllers.edmd import STATE_KINDS, LiftedState, StateKind, fit_lifte
 from ddpc_controllers.model_prediction import Predictor, TrackingSettings
 from ddpc_controllers.observer import LOST_MEASUREMENT
 from ddpc_controllers.recorded import matching_recording, resting_input
+from ddpc_controllers.scaling import ScaledSignals
 from ddpc_controllers.validation import check_settings_and
-from ddpc_cosim import Action, Controller, FloatArray, Loop, Sample, setting
+from ddpc_cosim import Action, FloatArray, Loop, Sample, setting
 
 
 @dataclass(kw_only=True)
-class KoopmanMPC(TrackingSettings, Controller):
+class KoopmanMPC(TrackingSettings, ScaledSignals):
     """Model predictive control with an EDMD model.
 
     A measurement that is not finite is replaced by the model's prediction; before the first finite one the
@@ -52,16 +53,8 @@ class KoopmanMPC(TrackingSettings, Controller):
         check_settings_and(self, self.tracking_faults)
         require_dictionary(self.dictionary, "KoopmanMPC: dictionary")
 
-    def start(self, loop: Loop) -> None:
-        """Lift the loop's recording, fit the model and condense its tracking problem.
-
-        Raises
-        ------
-        DataError
-            There is no recording, or it is too short.
-        ConfigError
-            A weight does not fit the number of signals.
-        """
+    def _start(self, loop: Loop) -> None:
+        """Lift the loop's recording, fit the model and condense its tracking problem."""
         recording = matching_recording(loop, "KoopmanMPC")
         # A copy of the stream: another start draws the same centres.
         rng = copy.deepcopy(loop.rng)
@@ -73,7 +66,7 @@ class KoopmanMPC(TrackingSettings, Controller):
         # The state of the problem is (z, w).
         a = np.block([[model.a, np.eye(n_z)], [np.zeros((n_z, n_z)), np.eye(n_z)]])
         b, c = np.vstack([model.b, np.zeros((n_z, m))]), np.hstack([model.c, np.zeros_like(model.c)])
-        self._predictor = Predictor(a, b, c, self, loop.bounds)
+        self._predictor = Predictor(a, b, c, self, loop.bounds, self._scales.u)
         self._disturbance = np.zeros(n_z)
         self._predicted: FloatArray | None = None
         self._u = resting_input(loop)
@@ -81,7 +74,7 @@ class KoopmanMPC(TrackingSettings, Controller):
             self._u = recording.u[-1].copy()
             self._predicted = model.a @ z[-1] + model.b @ self._u
 
-    def step(self, sample: Sample) -> FloatArray | Action:
+    def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal inputs of the horizon."""
         lost = "" if np.isfinite(sample.measured).all() and np.isfinite(sample.y).all() else LOST_MEASUREMENT
         if lost and self._predicted is None:

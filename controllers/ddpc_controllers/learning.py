@@ -7,6 +7,7 @@ import numpy as np
 
 from ddpc_controllers.condensing import Condenser
 from ddpc_controllers.online_data import ONLINE_MODES, OnlineData, OnlineMode
+from ddpc_controllers.scaling import ScaledSignals
 from ddpc_controllers.validation import per_signal
 from ddpc_controllers.windows import WindowBuffer, WindowLayout
 from ddpc_cosim import FloatArray, Weight, setting
@@ -48,7 +49,7 @@ class Learner:
 
 
 @dataclass(kw_only=True)
-class OnlineLearning:
+class OnlineLearning(ScaledSignals):
     """The settings of controllers whose data can follow the plant.
 
     ``"sliding-window"`` replaces the oldest window by the newest, ``"forgetting"`` weighs all windows down by
@@ -107,7 +108,7 @@ class OnlineLearning:
             ``dither`` does not fit the number of inputs.
         """
         widths = {name: values.shape[1] for name, values in signals.items()}
-        amplitude = per_signal("dither", self.dither, widths["u"])
+        amplitude = per_signal("dither", self.dither, widths["u"]) / self._scales.u
         keep = self.forgetting_factor if self.online_data == "forgetting" else 1.0
         rows = layout.rows_of("u", widths)
         online = OnlineData(data, condenser.regularisation, rows, keep, self.excitation_floor)

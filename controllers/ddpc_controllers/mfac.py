@@ -31,7 +31,7 @@ class MFAC(ModelFreeAdaptive):
     def _prepare(self, loop: Loop, form: Form) -> None:
         self._prediction = LinearisedPrediction(form.regressors(), form.inputs, 1, 1)
         self._ridge = self.lambda_u * np.eye(form.inputs)
-        rates = rate_limits(self.rate_bounds, form.inputs)
+        rates = rate_limits(self.rate_bounds, form.inputs) / self._scales.u
         self._limits = ChangeLimits(loop.bounds, rates, 1, optimise=False)
 
     def _decide(self, sample: Sample) -> tuple[list[float], str]:

@@ -49,7 +49,7 @@ class MFAPC(ModelFreeAdaptive):
         steps = self.control_horizon or self.horizon
         self._prediction = LinearisedPrediction(form.regressors(), form.inputs, self.horizon, steps)
         self._ridge = self.lambda_u * np.eye(steps * form.inputs)
-        rates = rate_limits(self.rate_bounds, form.inputs)
+        rates = rate_limits(self.rate_bounds, form.inputs) / self._scales.u
         self._limits = ChangeLimits(loop.bounds, rates, steps, self.limits == "qp")
         constants = Forecast(
             delta=self.delta,

@@ -12,11 +12,12 @@ from ddpc_controllers.change_limits import NOT_FINITE
 from ddpc_controllers.data_model import DataModel, Form
 from ddpc_controllers.pseudo_jacobian import Estimation
 from ddpc_controllers.recorded import resting_input
-from ddpc_cosim import Action, Controller, FloatArray, Loop, Sample, Weight, setting
+from ddpc_controllers.scaling import ScaledSignals
+from ddpc_cosim import Action, FloatArray, Loop, Sample, Weight, setting
 
 
 @dataclass(kw_only=True)
-class ModelFreeAdaptive(Controller):
+class ModelFreeAdaptive(ScaledSignals):
     """Base of the controllers on a data model (14); not a controller by itself.
 
     Needs no recording: it estimates how the outputs follow the inputs while it controls. A measurement that
@@ -52,17 +53,11 @@ class ModelFreeAdaptive(Controller):
         "the latest input changes, or p x (p Ly + m Lu) in the order of the data model",
     )
     rate_bounds: Weight = setting(
-        (), above=0.0, doc="largest change of the inputs in one sample, a number or one for each; empty: none"
+        (), above=0.0, doc="largest change of each input per sample, in its unit; empty: none"
     )
 
-    def start(self, loop: Loop) -> None:
-        """Forget what was learned.
-
-        Raises
-        ------
-        ConfigError
-            ``initial_gradient``, ``rate_bounds`` or ``structure`` does not fit the number of signals.
-        """
+    def _start(self, loop: Loop) -> None:
+        """Forget what was learned."""
         ly = self.output_length if self.form == "ffdl" else 0
         lu = self.input_length if self.form != "cfdl" else 1
         form = Form(len(loop.outputs), len(loop.inputs), ly, lu, self.structure == "diagonal")
@@ -74,7 +69,7 @@ class ModelFreeAdaptive(Controller):
             self._model.resume(loop.recording)
         self._prepare(loop, form)
 
-    def step(self, sample: Sample) -> FloatArray | Action:
+    def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the last inputs plus the change that the method finds."""
         y: list[float] = sample.y.tolist()
         if not isfinite(sum(y)):

@@ -10,10 +10,11 @@ from typing import Literal
 
 import numpy as np
 
+from ddpc_controllers.change_limits import rate_limits
 from ddpc_controllers.problem import Problem
 from ddpc_controllers.qp import Move, ParametricQP
 from ddpc_controllers.recorded import ParameterVector, setpoint_bounds
-from ddpc_controllers.validation import per_signal, weight_matrices
+from ddpc_controllers.validation import weight_matrices
 from ddpc_cosim import Bounds, FloatArray, Weight, setting
 
 Setpoint = Literal["input", "input-output", "none"]
@@ -77,11 +78,13 @@ class Predictor:
     Parameters
     ----------
     a, b, c : array, shapes (n, n), (n, m), (p, n)
-        The model, inputs and outputs in their units.
+        The model, its inputs and outputs those of ``bounds``.
     settings : TrackingSettings
         What to minimise.
     bounds : Bounds
         Limits of inputs and outputs.
+    input_scales : array, shape (m,)
+        What one unit of each input of the model is, in the unit of its rate bound.
 
     Raises
     ------
@@ -91,13 +94,17 @@ class Predictor:
     """
 
     def __init__(
-        self, a: FloatArray, b: FloatArray, c: FloatArray, settings: TrackingSettings, bounds: Bounds
+        self,
+        a: FloatArray,
+        b: FloatArray,
+        c: FloatArray,
+        settings: TrackingSettings,
+        bounds: Bounds,
+        input_scales: FloatArray,
     ) -> None:
         n, m, p = len(a), b.shape[1], len(c)
         self._bounds = bounds
-        self._rates = np.full(m, np.inf)
-        if np.size(settings.rate_bounds):
-            self._rates = per_signal("rate_bounds", settings.rate_bounds, m)
+        self._rates = rate_limits(settings.rate_bounds, m) / input_scales
         self._parameters = ParameterVector({"x": (1, n), "u_last": (1, m), "r": (settings.horizon, p)})
         problem = _write_down(settings, bounds, self._rates, self._parameters.sizes)
         condensed = problem.prepare("u", m).condense(trajectories(a, b, c, settings.horizon))

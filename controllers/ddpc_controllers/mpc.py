@@ -8,73 +8,40 @@ disturbance, estimated beside the states, removes the offset (G. Pannocchia, J. 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.identification import Identified
+from ddpc_controllers.model_based import ModelBased
 from ddpc_controllers.model_prediction import Predictor, TrackingSettings
-from ddpc_controllers.models import ModelSource, source_faults
-from ddpc_controllers.observer import DISTURBANCES, LOST_MEASUREMENT, Disturbance, Noise, Observer
-from ddpc_controllers.recorded import resting_input
-from ddpc_controllers.validation import check_settings_and
-from ddpc_cosim import Action, Controller, FloatArray, Loop, Sample, setting
+from ddpc_controllers.observer import DISTURBANCES, LOST_MEASUREMENT, Disturbance
+from ddpc_cosim import Action, FloatArray, Loop, Sample, setting
 
 
 @dataclass(kw_only=True)
-class MPC(TrackingSettings, Controller):
+class MPC(TrackingSettings, ModelBased):
     """Linear model predictive control with an estimated disturbance.
 
     A measurement that is not finite is replaced by the model's prediction; before the first finite one the
     inputs stay at rest. Either is a status.
     """
 
-    model: ModelSource = setting(default_factory=Identified, doc="where the linear model comes from")
     disturbance: Disturbance = setting(
-        "output", choices=DISTURBANCES, doc="what carries the constant disturbance that is estimated"
-    )
-    process_noise: float = setting(
-        1.0, above=0.0, doc="filter: standard deviation of what adds to the inputs"
+        "auto",
+        choices=DISTURBANCES,
+        doc="what carries the constant disturbance estimated; auto: the outputs, the inputs of a plant "
+        "that integrates",
     )
     disturbance_noise: float = setting(
         1.0, above=0.0, doc="filter: standard deviation of the disturbance's change per sample"
     )
-    measurement_noise: float = setting(0.1, above=0.0, doc="filter: standard deviation of the measurements")
 
-    def __post_init__(self) -> None:
-        check_settings_and(self, self._faults_between_settings)
+    def _start(self, loop: Loop) -> None:
+        """Set up the filter, and condense the model's tracking problem."""
+        self._observe(loop, self.disturbance, self.disturbance_noise)
+        model = self._observer
+        self._predictor = Predictor(model.a, model.b, model.c, self, loop.bounds, self._scales.u)
 
-    accepts_missing: ClassVar[bool] = True
-
-    @property
-    def uses_recording(self) -> bool:  # type: ignore[override]  # its model decides
-        """Whether ``start`` needs a recording."""
-        return self.model.uses_recording
-
-    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
-        """Return the fewest samples that the model's identification can work with."""
-        return self.model.recording_length(inputs, outputs)
-
-    def start(self, loop: Loop) -> None:
-        """Get the model, and condense its tracking problem.
-
-        Raises
-        ------
-        DataError
-            The recording cannot serve the model's identification.
-        ConfigError
-            The model or a weight does not fit the loop, or the disturbance cannot be estimated.
-        """
-        noise = Noise(self.process_noise, self.disturbance_noise, self.measurement_noise)
-        self._observer = Observer(self.model.model(loop), self.disturbance, noise)
-        self._predictor = Predictor(self._observer.a, self._observer.b, self._observer.c, self, loop.bounds)
-        self._u = resting_input(loop)
-        self._resting = True
-        if loop.continues_recording and loop.recording is not None:
-            self._observer.follow(loop.recording.u, loop.recording.y)
-            self._u, self._resting = loop.recording.u[-1], False
-
-    def step(self, sample: Sample) -> FloatArray | Action:
+    def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal inputs of the horizon."""
         observer = self._observer
         lost = "" if np.isfinite(sample.y).all() else LOST_MEASUREMENT
@@ -95,4 +62,4 @@ class MPC(TrackingSettings, Controller):
         return {"model_order": float(len(a)), "spectral_radius": float(np.abs(np.linalg.eigvals(a)).max())}
 
     def _faults_between_settings(self) -> list[str]:
-        return source_faults(self.model, "MPC") + self.tracking_faults()
+        return super()._faults_between_settings() + self.tracking_faults()

@@ -6,7 +6,7 @@ model-predictive control, AIChE J. 49(2), 2003, doi:10.1002/aic.690490213).
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from ddpc_controllers.control_api import estimator_covariance
 from ddpc_controllers.models import SampledModel
 from ddpc_cosim import ConfigError, FloatArray
 
-Disturbance = Literal["none", "output", "input"]
-DISTURBANCES = ("none", "output", "input")
+Disturbance = Literal["auto", "output", "input", "none"]
+DISTURBANCES: tuple[str, ...] = get_args(Disturbance)
 
 LOST_MEASUREMENT = "a measurement is not finite: the model's prediction stands in for it"
 """Status of a step that had to do without a measurement."""
@@ -51,8 +51,9 @@ class Observer:
     ----------
     model : SampledModel
         The plant.
-    disturbance : {"none", "output", "input"}
-        What carries the disturbance.
+    disturbance : {"auto", "output", "input", "none"}
+        What carries the disturbance; ``"auto"``: the outputs if they tell it from the states, else the inputs
+        (of a plant that integrates).
     noise : Noise
         The noise.
 
@@ -71,16 +72,9 @@ class Observer:
 
     def __init__(self, model: SampledModel, disturbance: Disturbance, noise: Noise) -> None:
         n, m, p = len(model.a), model.b.shape[1], len(model.c)
-        carriers = {
-            "none": (np.zeros((n, 0)), np.zeros((p, 0))),
-            "output": (np.zeros((n, p)), np.eye(p)),
-            "input": (model.b, np.zeros((p, m))),
-        }
-        in_state, in_output = carriers[disturbance]
-        size = in_state.shape[1]
-        a = np.block([[model.a, in_state], [np.zeros((size, n)), np.eye(size)]])
-        b, c = np.vstack([model.b, np.zeros((size, m))]), np.hstack([model.c, in_output])
-        _require_detectable(a, c, disturbance)
+        a, c = _with_disturbance(model, disturbance)
+        size = len(a) - n
+        b = np.vstack([model.b, np.zeros((size, m))])
 
         drive = np.zeros((n + size, n + size))
         drive[:n, :n] = noise.process**2 * (model.b @ model.b.T)
@@ -123,13 +117,26 @@ class Observer:
             self.predict(applied)
 
 
-def _require_detectable(a: FloatArray, c: FloatArray, disturbance: Disturbance) -> None:
-    """Check that a constant disturbance cannot hide: rank (A - I; C) of the extended model."""
-    hidden = len(a) - numerical_rank(np.vstack([a - np.eye(len(a)), c]), _DETECTABLE)
-    if disturbance == "none" or not hidden:
-        return
-    other = {"output": '"input" (the plant integrates)', "input": '"output" (more inputs than outputs show)'}
+def _with_disturbance(model: SampledModel, disturbance: Disturbance) -> tuple[FloatArray, FloatArray]:
+    """Return A and C of the model with a constant disturbance that does not hide behind the states."""
+    n, m, p = len(model.a), model.b.shape[1], len(model.c)
+    carriers = {
+        "output": (np.zeros((n, p)), np.eye(p)),
+        "input": (model.b, np.zeros((p, m))),
+        "none": (np.zeros((n, 0)), np.zeros((p, 0))),
+    }
+    hidden = {}
+    for kind in ("output", "input") if disturbance == "auto" else (disturbance,):
+        in_state, in_output = carriers[kind]
+        size = in_state.shape[1]
+        a = np.block([[model.a, in_state], [np.zeros((size, n)), np.eye(size)]])
+        c = np.hstack([model.c, in_output])
+        # What is constant is seen where (A - I; C) has full rank.
+        hidden[kind] = n + size - numerical_rank(np.vstack([a - np.eye(n + size), c]), _DETECTABLE)
+        if disturbance == "none" or not hidden[kind]:
+            return a, c
+    told = "; ".join(f'"{kind}": {count} constant mode(s) hidden' for kind, count in hidden.items())
     raise ConfigError(
-        f'disturbance = "{disturbance}" cannot be told from the states: the outputs do not show '
-        f"{hidden} of {len(a)} constant modes; try {other[disturbance]}, or none"
+        f'disturbance = "{disturbance}" cannot be told from the states by the outputs ({told}): '
+        'control more outputs, or choose another, "input" for a plant that integrates, or "none"'
     )

@@ -12,20 +12,18 @@ doi:10.1002/aic.690490213). While an input is at a limit, the estimate is held a
 output: what is off has another reason. The shifted reference stays within the output limits.
 """
 
-import copy
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, check_settings, setting
+from ddpc_controllers.wrapper import Wrapper
+from ddpc_cosim import Action, FloatArray, Loop, Sample, setting
 
 
 @dataclass(kw_only=True)
-class OffsetFree(Controller):
+class OffsetFree(Wrapper):
     """A controller whose reference is shifted until there is no offset."""
 
-    controller: Controller = setting(doc="the controller to correct")
     gain: float = setting(
         0.2,
         above=0.0,
@@ -36,35 +34,14 @@ class OffsetFree(Controller):
         0.0, low=0.0, unit="s", doc="time constant of the closed loop; 0: two samples"
     )
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-        if not isinstance(self.controller, Controller):
-            raise ConfigError(f"OffsetFree: controller = {self.controller!r} is no controller")
-        self.horizon = self.controller.horizon
-
-    @property
-    def uses_recording(self) -> bool:  # type: ignore[override]  # its controller decides
-        """Whether the controller needs a recording."""
-        return self.controller.uses_recording
-
-    @property
-    def accepts_missing(self) -> bool:  # type: ignore[override]  # its controller decides
-        """Whether the controller goes on when a measurement is lost."""
-        return self.controller.accepts_missing
-
-    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
-        """Return what the controller needs."""
-        return self.controller.recording_length(inputs, outputs, measurements)
-
     def start(self, loop: Loop) -> None:
         """Start the controller; there is no disturbance yet."""
         self._bounds = loop.bounds
-        self._inner = copy.deepcopy(self.controller)
         self._phi = float(np.exp(-loop.sampling_time / (self.response_time or 2.0 * loop.sampling_time)))
         self._disturbance = np.zeros(len(loop.outputs))
         self._expected: FloatArray | None = None
         self._limited = False
-        self._inner.start(loop)
+        self._start_inside(loop)
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the controller's inputs for the shifted reference."""
@@ -81,7 +58,3 @@ class OffsetFree(Controller):
         u = answer.u if isinstance(answer, Action) else answer
         self._limited = bool((u <= self._bounds.u_min).any() or (u >= self._bounds.u_max).any())
         return answer
-
-    def diagnostics(self) -> Mapping[str, float]:
-        """Return the controller's figures."""
-        return self._inner.diagnostics()

@@ -25,11 +25,11 @@ from ddpc_controllers.recorded import (
 )
 from ddpc_controllers.validation import check_settings_and, weight_matrices
 from ddpc_controllers.windows import Block, WindowLayout
-from ddpc_cosim import Action, Controller, FloatArray, Loop, Recording, Sample, Weight, setting
+from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, Weight, setting
 
 
 @dataclass(kw_only=True)
-class WKPC(OnlineLearning, Controller):
+class WKPC(OnlineLearning):
     """Willems-Koopman predictive control, equations (10)-(12).
 
     The lifted state is ``z = (x, psi_1(x), ..., psi_np(x))`` with x all that is measured. Future lifted
@@ -59,16 +59,8 @@ class WKPC(OnlineLearning, Controller):
     def __post_init__(self) -> None:
         check_settings_and(self, self._faults_between_settings)
 
-    def start(self, loop: Loop) -> None:
-        """Lift the loop's recording and condense the problem on it.
-
-        Raises
-        ------
-        DataError
-            There is no recording, or it is too short or not persistently exciting enough.
-        ConfigError
-            A weight does not fit the number of signals.
-        """
+    def _start(self, loop: Loop) -> None:
+        """Lift the loop's recording and condense the problem on it."""
         recording = matching_recording(loop, "WKPC")
         # A copy of the stream: another start draws the same centres.
         rng = copy.deepcopy(loop.rng)
@@ -103,7 +95,7 @@ class WKPC(OnlineLearning, Controller):
             self._qp = AdaptiveQP(self._problem, self._learner.data, *limits, PIQPBackend())
         self._begin(loop, recording, lifted)
 
-    def step(self, sample: Sample) -> FloatArray | Action:
+    def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal input of the horizon."""
         parameters = self._parameters
         if self._resting:

@@ -193,9 +193,19 @@ def test_impossible_settings_are_refused(changes: dict[str, Any], message: str) 
 def test_an_integrating_plant_cannot_carry_an_output_disturbance() -> None:
     integrator = StateSpace(a=[[1.0]], b=[[0.1]], c=[[1.0]], sampling_time=0.1)
     loop = make_loop(None, np.ones(1), np.ones(1))
-    with pytest.raises(ConfigError, match='try "input"'):
-        MPC(model=integrator).start(loop)
-    MPC(model=integrator, disturbance="input").start(loop)
+    with pytest.raises(ConfigError, match=r'"output" cannot be told .* 1 constant mode'):
+        MPC(model=integrator, disturbance="output").start(loop)
+    on_inputs, chosen = MPC(model=integrator, disturbance="input"), MPC(model=integrator)
+    sample = Sample(0, 0.0, np.full(1, 0.2), np.zeros(1), np.ones((5, 1)))
+    for controller in (on_inputs, chosen):
+        controller.start(loop)
+    assert on_inputs.step(sample) == pytest.approx(chosen.step(sample), abs=0.0)
+
+
+def test_a_disturbance_that_cannot_be_told_at_all_is_an_error() -> None:
+    two_inputs = StateSpace(a=[[1.0]], b=[[0.1, 0.2]], c=[[1.0]], sampling_time=0.1)
+    with pytest.raises(ConfigError, match=r'"output": 1 constant mode.*"input": 1 constant mode'):
+        MPC(model=two_inputs).start(make_loop(None, np.ones(2), np.ones(1)))
 
 
 def test_identification_needs_a_recording_and_numbers_do_not() -> None:

@@ -160,7 +160,7 @@ def test_without_a_range_the_nominal_value_is_the_unit() -> None:
     answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((1, 1), 0.25)))
     assert answer == pytest.approx([10.0])
     unknown = replace(loop, inputs=(Variable("u0", nominal=0.0),))
-    with pytest.raises(ConfigError, match='"u0" has neither a range nor a nominal value'):
+    with pytest.raises(ConfigError, match='"u0" cannot be scaled: its nominal value is 0'):
         controller.start(unknown)
 
 
