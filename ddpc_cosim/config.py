@@ -42,6 +42,10 @@ class PlantSection(Section):
     display_units: dict[str, str] = Field(
         {}, description="units to show variables in; empty: those of the plant's description"
     )
+    nominal: dict[str, Positive] = Field(
+        {},
+        description="sizes that controllers scale variables by, in their units; empty: the plant's own",
+    )
     fmi_type: Literal["auto", "co-simulation", "model-exchange"] = Field(
         "auto", description="how the FMU is run; auto: Co-Simulation if it has it"
     )

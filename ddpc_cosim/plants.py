@@ -2,7 +2,7 @@
 
 import hashlib
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -58,6 +58,8 @@ class PlantTarget:
         How the FMU is run.
     display_units : mapping of str to str
         Units to show variables in.
+    nominal : mapping of str to float
+        Nominal values in place of the plant's own.
     """
 
     fmu: str
@@ -67,14 +69,18 @@ class PlantTarget:
     step_timeout: float = 60.0
     fmi_type: FMIType = "auto"
     display_units: Mapping[str, str] = field(default_factory=dict)
+    nominal: Mapping[str, float] = field(default_factory=dict)
 
     def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
         """Open the plant with the chosen inputs and outputs."""
         if self.fmu:
-            return self._open_fmu(inputs, outputs)
-        plant: Plant = load_plugin("plants", self.python)()
-        plant.inputs = with_display_units(plant.inputs, self.display_units, {})
-        plant.outputs = with_display_units(plant.outputs, self.display_units, {})
+            plant = self._open_fmu(inputs, outputs)
+        else:
+            plant = load_plugin("plants", self.python)()
+            plant.inputs = with_display_units(plant.inputs, self.display_units, {})
+            plant.outputs = with_display_units(plant.outputs, self.display_units, {})
+        plant.inputs = _with_nominal(plant.inputs, self.nominal)
+        plant.outputs = _with_nominal(plant.outputs, self.nominal)
         return plant
 
     def _open_fmu(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
@@ -117,7 +123,7 @@ class PlantSource:
         self._isolated = bool(section.fmu) if section.isolated == "auto" else section.isolated
         self._step_timeout = section.step_timeout
         self._fmi_type: FMIType = section.fmi_type
-        self._display_units = section.display_units
+        self._display_units, self._nominal = section.display_units, section.nominal
         self._name = section.name
         self._plugin: Any = load_plugin("plants", section.name) if section.name else None
         if self._plugin is not None and not (_is_model(self._plugin) or _is_plant_class(self._plugin)):
@@ -143,7 +149,8 @@ class PlantSource:
         signals, defined = self._declared()
 
         def shown(variables: Mapping[str, Variable]) -> dict[str, Variable]:
-            return {v.name: v for v in with_display_units(variables.values(), self._display_units, defined)}
+            known = with_display_units(variables.values(), self._display_units, defined)
+            return {v.name: v for v in _with_nominal(known, self._nominal)}
 
         return replace(signals, inputs=shown(signals.inputs), outputs=shown(signals.outputs))
 
@@ -171,9 +178,15 @@ class PlantSource:
         if fmu is None:
             plugin = self._plugin
             content = f"{plugin.__module__}:{plugin.__qualname__} {source_hash(plugin.__module__)}"
-            return PlantTarget("", self._name, content + self._shown(), display_units=self._display_units)
+            return PlantTarget(
+                "",
+                self._name,
+                content + self._asked(),
+                display_units=self._display_units,
+                nominal=self._nominal,
+            )
         kind = "" if self._fmi_type == "auto" else f" {self._fmi_type}"
-        content = hashlib.sha256(fmu.read_bytes()).hexdigest() + kind + self._shown()
+        content = hashlib.sha256(fmu.read_bytes()).hexdigest() + kind + self._asked()
         return PlantTarget(
             str(fmu.resolve()),
             "",
@@ -182,11 +195,18 @@ class PlantSource:
             self._step_timeout,
             self._fmi_type,
             self._display_units,
+            self._nominal,
         )
 
-    def _shown(self) -> str:
-        """Return what the study says of display units, in which metrics are given; empty for nothing."""
-        return "".join(f" {name}[{unit}]" for name, unit in sorted(self._display_units.items()))
+    def _asked(self) -> str:
+        """Return what the study says of display units and nominal values, which decide figures too."""
+        units = [f" {name}[{unit}]" for name, unit in sorted(self._display_units.items())]
+        sizes = [f" {name}~{value!r}" for name, value in sorted(self._nominal.items())]
+        return "".join(units + sizes)
+
+
+def _with_nominal(variables: Iterable[Variable], nominal: Mapping[str, float]) -> tuple[Variable, ...]:
+    return tuple(replace(v, nominal=nominal.get(v.name, v.nominal)) for v in variables)
 
 
 def _build(model: Any) -> Path:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ddpc_cosim.checked_study import CheckedStudy, converter, limits
-from ddpc_cosim.config import ControllerSection, RecordingSection, StabiliserSection, Study
+from ddpc_cosim.config import ControllerSection, LoopSection, RecordingSection, StabiliserSection, Study
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, CosimError, PluginError
 from ddpc_cosim.faults import Faults
@@ -111,6 +111,8 @@ def _check_plant(checked: CheckedStudy, faults: Faults) -> None:
             faults.add(place, f'"{name}" is listed more than once')
     shown = ("plant", "display_units")
     faults.require_known(shown, "input or output", plant.display_units, (*signals.inputs, *signals.outputs))
+    nominal = ("plant", "nominal")
+    faults.require_known(nominal, "input or output", plant.nominal, (*signals.inputs, *signals.outputs))
     _check_parameters(("plant", "parameters"), "parameter", plant.parameters, signals.parameters, faults)
 
 
@@ -194,7 +196,13 @@ def _check_scenarios(checked: CheckedStudy, faults: Faults) -> None:
         for i, event in enumerate(scenario.events):
             at_event = (*place, "events", i, "parameters")
             _check_parameters(at_event, "tunable parameter", event.parameters, tunable, faults)
+            _check_in_run((*place, "events", i, "time"), event.time, checked.study.loop, faults)
         for i, drift in enumerate(scenario.drifts):
+            _check_in_run((*place, "drifts", i, "from_time"), drift.from_time, checked.study.loop, faults)
+            start = checked.study.loop.start_time
+            if drift.to_time <= start:
+                over = f"it would be over when the run starts at {start:g} s; use the scenario's parameters"
+                faults.add((*place, "drifts", i, "to_time"), over, ("loop",))
             faults.require_known(
                 (*place, "drifts", i, "parameter"), "tunable parameter", [drift.parameter], tunable
             )
@@ -202,6 +210,16 @@ def _check_scenarios(checked: CheckedStudy, faults: Faults) -> None:
                 _check_value(
                     (*place, "drifts", i, key), getattr(drift, key), tunable.get(drift.parameter), faults
                 )
+
+
+def _check_in_run(place: Location, time: float, loop: LoopSection, faults: Faults) -> None:
+    """Report a change that would never act on the plant; the scenario would not be what it says."""
+    end = loop.start_time + loop.duration
+    if time >= end:
+        advice = "choose an earlier time or a longer loop.duration"
+        faults.add(
+            place, f"the run ends at {end:g} s: it would not happen at {time:g} s; {advice}", ("loop",)
+        )
 
 
 def _check_recording(checked: CheckedStudy, controllers: Mapping[str, Controller], faults: Faults) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ddpc_cosim.diagnosis import design
 from ddpc_cosim.diagnosis.choice import MOST_OUTPUTS, Choice, choose, runs_away
-from ddpc_cosim.diagnosis.controller_defaults import Scales, competitors, recording_length
+from ddpc_cosim.diagnosis.controller_defaults import ScaledGains, competitors, recording_length
 from ddpc_cosim.diagnosis.defects import Severity
 from ddpc_cosim.diagnosis.proposal import Bounds, Proposal
 from ddpc_cosim.diagnosis.remarks import Circumstances, remarks
@@ -182,12 +182,14 @@ def _propose(
     references, duration = design.setpoints(tested, choice, candidates.outputs, working, sample)
     if unstable:  # there is nothing else to ask for before it is stabilised
         references = design.at_rest(tested, choice, candidates.outputs)
-    scales = Scales(
-        inputs=working.size,
-        outputs=_output_scales(choice, working),
-        first_gains=design.first_gains(tested, choice, sample),
+    nominal = _sizes(inputs, working.size) | _sizes(outputs, _output_sizes(choice, working))
+    u_size = np.array([nominal[v.name] for v in inputs])
+    y_size = np.array([nominal[v.name] for v in outputs])[:, np.newaxis]
+    gains = ScaledGains(
+        first=design.first_gains(tested, choice, sample) * u_size / y_size,
+        lasting=choice.gains * u_size / y_size,
     )
-    chosen = competitors(scales, may_record=not unstable)
+    chosen = competitors(gains, may_record=not unstable)
     needed = max(recording_length(c, len(inputs), len(outputs), len(measurements)) for c in chosen.values())
     circumstances = Circumstances(candidates.inputs, candidates.outputs, tested, choice, sample, unstable)
     return Proposal(
@@ -195,6 +197,7 @@ def _propose(
         inputs=inputs,
         outputs=outputs,
         measurements=measurements,
+        nominal=nominal,
         bounds={v.name: bounds[v.name] for v in inputs},
         setpoints=references,
         sampling_time=sample,
@@ -218,9 +221,15 @@ def _also_measured(
     return tuple(responding)[:MOST_OUTPUTS]
 
 
-def _output_scales(choice: Choice, working: design.Range) -> FloatArray:
+def _output_sizes(choice: Choice, working: design.Range) -> FloatArray:
     up, down = design.reachable(choice.gains, working)
-    scales = np.maximum(up, down)
+    sizes = np.maximum(up, down)
     # An output that the others leave no freedom is still as large as the inputs make it.
     spread: FloatArray = np.abs(choice.gains) @ working.size
-    return np.where(scales > 0.0, scales, np.where(spread > 0.0, spread, 1.0))
+    return np.where(sizes > 0.0, sizes, np.where(spread > 0.0, spread, 1.0))
+
+
+def _sizes(variables: Sequence[Variable], sizes: FloatArray) -> dict[str, float]:
+    return {
+        v.name: design.rounded(size, size / 100) for v, size in zip(variables, sizes.tolist(), strict=True)
+    }

@@ -1,7 +1,7 @@
 """Settings of the built-in controllers for a plant whose gains and ranges are known.
 
-The controllers' own defaults are those of the publications, for signals of size one or so. Here weights are
-divided by the squared size of what they weigh, so that the plant's units do not matter.
+The controllers scale signals by their nominal values, which the study gives: weights are for signals of size
+one.
 """
 
 from dataclasses import dataclass
@@ -13,94 +13,114 @@ from ddpc_cosim.plugins import plugin_names
 from ddpc_cosim.variables import FloatArray
 
 _HORIZON, _INITIAL_LENGTH = 15, 5
+_OUTPUT_WEIGHT, _SETPOINT_WEIGHT, _INPUT_WEIGHT = 10.0, 30.0, 0.1
 _DAMPING = 5.0
-_UNEQUAL = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Scales:
-    """Sizes of the signals, and how the outputs follow the inputs.
+class ScaledGains:
+    """How the outputs follow the inputs, all signals in parts of their nominal values.
 
     Parameters
     ----------
-    inputs : array, shape (m,)
-        How far each input goes from rest.
-    outputs : array, shape (p,)
-        How far each output's setpoints go from rest.
-    first_gains : array, shape (p, m)
+    first : array, shape (p, m)
         Change of the outputs one sample after a step of one unit.
+    lasting : array, shape (p, m)
+        Change in the end.
     """
 
-    inputs: FloatArray
-    outputs: FloatArray
-    first_gains: FloatArray
+    first: FloatArray
+    lasting: FloatArray
 
 
-def competitors(scales: Scales, *, may_record: bool) -> dict[str, Competitor]:
+def competitors(gains: ScaledGains, *, may_record: bool) -> dict[str, Competitor]:
     """Return the installed controllers that settings are known for, by key.
 
     Parameters
     ----------
-    scales : Scales
-        Sizes and gains.
+    gains : ScaledGains
+        The plant's.
     may_record : bool
         Whether the plant can be recorded in open loop.
     """
     installed = plugin_names("controllers")
-    suggested = {"mfapc": _mfapc(scales)} | ({"deepc": _deepc(scales)} if may_record else {})
-    return {key: competitor for key, competitor in suggested.items() if competitor.type in installed}
+    suggested = [_mfapc(gains)]
+    if may_record:
+        suggested += [_deepc(), _mpc(), *_pid(gains)]
+    return {competitor.type: competitor for competitor in suggested if competitor.type in installed}
 
 
-def _deepc(scales: Scales) -> Competitor:
-    per_output = 1.0 / scales.outputs**2
+def _deepc() -> Competitor:
     settings = {
         "initial_length": _INITIAL_LENGTH,
         "horizon": _HORIZON,
-        "output_weight": _plain(10.0 * per_output),
-        "setpoint_weight": _plain(30.0 * per_output),
-        "input_weight": _plain(0.1 / scales.inputs**2),
+        "output_weight": _OUTPUT_WEIGHT,
+        "setpoint_weight": _SETPOINT_WEIGHT,
+        "input_weight": _INPUT_WEIGHT,
         "lambda_g": 1.0,
-        "lambda_sigma": _significant(1e5 * float(np.max(per_output))),
+        "lambda_sigma": 1e5,
         "affine_sum": "all",
     }
     return Competitor(
         "deepc",
         "DeePC",
         settings,
-        "weights are divided by the squared size of the signals; "
         'affine_sum = "all" admits an operating point other than zero; '
         "lambda_g up: calmer with noise and nonlinear plants, down: faster",
     )
 
 
-def _mfapc(scales: Scales) -> Competitor:
-    gradient = scales.first_gains
+def _mfapc(gains: ScaledGains) -> Competitor:
+    gradient = gains.first
     strength = float(np.mean(np.sum(gradient**2, axis=0)))
     settings = {
         "horizon": _HORIZON,
         "lambda_u": _significant(_DAMPING * _HORIZON * strength),
-        "mu": _significant(float(np.min(scales.inputs) / 2) ** 2),
-        "epsilon": _significant(1e-5 * min(1.0, _smallest(gradient), float(np.min(scales.inputs)))),
+        "mu": 0.25,
+        "epsilon": _significant(1e-5 * min(1.0, _smallest(gradient))),
         "initial_gradient": [[_significant(float(entry)) for entry in row] for row in gradient],
     }
-    remark = (
-        "initial_gradient: change of the outputs one sample after a unit step; "
-        "lambda_u up: calmer, down: faster"
+    return Competitor(
+        "mfapc",
+        "MFAPC-CFDL",
+        settings,
+        "initial_gradient: change of the outputs one sample after a unit step, in parts of nominal values; "
+        "lambda_u up: calmer, down: faster",
     )
-    if np.max(scales.outputs) > _UNEQUAL * np.min(scales.outputs):
-        remark += "; it weighs all outputs alike in their units, so that the small ones count for little here"
-    return Competitor("mfapc", "MFAPC-CFDL", settings, remark)
+
+
+def _mpc() -> Competitor:
+    settings = {"horizon": _HORIZON, "output_weight": _OUTPUT_WEIGHT, "input_weight": _INPUT_WEIGHT}
+    return Competitor(
+        "mpc",
+        "MPC, model identified",
+        settings,
+        "the model is identified from the recording; input_weight up: calmer, down: faster",
+    )
+
+
+def _pid(gains: ScaledGains) -> list[Competitor]:
+    """Return PID loops, each output with the input that moves it most; none if inputs are too few."""
+    outputs, inputs = gains.lasting.shape
+    if outputs > inputs:
+        return []
+    from scipy.optimize import linear_sum_assignment
+
+    _, pairing = linear_sum_assignment(np.abs(gains.lasting), maximize=True)
+    settings = {"tuning": "step-test", "pairing": pairing.tolist()}
+    return [
+        Competitor(
+            "pid",
+            "PID, step test",
+            settings,
+            "gains from a step test on the recording; pairing: number of the input for each output",
+        )
+    ]
 
 
 def _smallest(gradient: FloatArray) -> float:
     magnitudes = np.abs(gradient[gradient != 0.0])
     return float(magnitudes.min()) if magnitudes.size else 1.0
-
-
-def _plain(weights: FloatArray) -> float | list[float]:
-    """Return one number for one signal, a list for several."""
-    values = [_significant(float(weight)) for weight in weights]
-    return values[0] if len(values) == 1 else values
 
 
 def _significant(value: float) -> float:

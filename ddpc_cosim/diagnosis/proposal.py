@@ -44,6 +44,8 @@ class Proposal:
         Name of the plant, for the title.
     inputs, outputs, measurements : tuple of Variable
         What is driven, controlled and measured.
+    nominal : mapping of str to float
+        Sizes of inputs and controlled outputs, in their units: what controllers scale them by.
     bounds : mapping of str to Bounds
         By input.
     setpoints : mapping of str to Setpoints
@@ -64,6 +66,7 @@ class Proposal:
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     measurements: tuple[Variable, ...]
+    nominal: Mapping[str, float]
     bounds: Mapping[str, Bounds]
     setpoints: Mapping[str, Setpoints]
     sampling_time: float

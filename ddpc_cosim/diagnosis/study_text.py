@@ -48,6 +48,9 @@ def _plant(proposal: Proposal, fmu: str) -> list[str]:
         *_names("inputs", proposal.inputs),
         *_names("outputs", proposal.outputs),
         *_names("measurements", proposal.measurements),
+        "# how far each signal goes: what controllers scale it by",
+        "[plant.nominal]",
+        *(f"{_key(name)} = {_value(size)}" for name, size in proposal.nominal.items()),
     ]
 
 

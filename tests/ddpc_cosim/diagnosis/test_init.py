@@ -36,7 +36,7 @@ def test_the_study_runs_and_deepc_reaches_the_setpoints(name, study_of, tmp_path
     result = ddpc("run", tmp_path / f"{name}.toml", "--out", folder, "--jobs", 1, "--no-report")
     assert result.exit_code == 0, result.output
     cases = load_results(folder).cases
-    assert {case.controller for case in cases} == {"deepc", "mfapc"}
+    assert {case.controller for case in cases} == {"deepc", "mfapc", "mpc", "pid"}
     assert {case.outcome for case in cases} == {Outcome.COMPLETED}
     reached = next(case for case in cases if case.controller == "deepc").trace().y[-1]
     for y, reference in zip(reached, study["reference"].values(), strict=True):
@@ -74,8 +74,12 @@ def test_not_more_outputs_than_inputs_are_controlled(model_fmu) -> None:
 def test_limits_are_the_declared_ones_or_called_a_guess(study_of, tmp_path) -> None:
     bounds = study_of("two_by_two")["bounds"]
     assert bounds == {"u1": {"min": -10.0, "max": 10.0}, "u2": {"min": 0.0, "max": 1.0}}
-    assert study_of("pendulum")["bounds"] == {"torque": {"min": -3.5, "max": 3.5}}
-    assert "guessed: start value +- nominal value" in (tmp_path / "pendulum.toml").read_text(encoding="utf-8")
+    assert study_of("pendulum")["bounds"] == {"torque": {"min": -1.0, "max": 1.0}}
+    study_of("fast_pendulum")
+    guess_by_nominal = (tmp_path / "fast_pendulum.toml").read_text(encoding="utf-8")
+    declares_nothing = (tmp_path / "pendulum.toml").read_text(encoding="utf-8")
+    assert "guessed: the FMU declares neither range nor nominal value" in declares_nothing
+    assert "guessed: start value +- nominal value" in guess_by_nominal
 
 
 def test_setpoints_are_within_reach_of_the_inputs(study_of) -> None:
