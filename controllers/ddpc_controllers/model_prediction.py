@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from ddpc_controllers.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.change_limits import rate_limits
 from ddpc_controllers.problem import Problem
 from ddpc_controllers.qp import Move, ParametricQP
@@ -43,6 +44,7 @@ class TrackingSettings:
     rate_bounds: float | Sequence[float] = setting(
         default_factory=tuple, doc="largest change of each input per sample, in its unit; empty: none"
     )
+    backend: BackendName = setting("piqp", choices=BACKENDS, doc="QP solver for active sets not seen before")
 
     def tracking_faults(self) -> list[str]:
         """Return how the settings contradict each other."""
@@ -108,7 +110,7 @@ class Predictor:
         self._parameters = ParameterVector({"x": (1, n), "u_last": (1, m), "r": (settings.horizon, p)})
         problem = _write_down(settings, bounds, self._rates, self._parameters.sizes)
         condensed = problem.prepare("u", m).condense(trajectories(a, b, c, settings.horizon))
-        self._qp = ParametricQP(condensed, bounds.u_min, bounds.u_max)
+        self._qp = ParametricQP(condensed, bounds.u_min, bounds.u_max, make_backend(settings.backend))
 
     def solve(self, state: FloatArray, last_input: FloatArray, reference: FloatArray) -> Move:
         """Return the first optimal inputs.

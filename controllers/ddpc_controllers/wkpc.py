@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from ddpc_controllers.adaptive_qp import AdaptiveQP
-from ddpc_controllers.backends import PIQPBackend
+from ddpc_controllers.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.behavioral import diagnose, least_samples, require_excitation, require_length
 from ddpc_controllers.dictionaries import Dictionary, ThinPlate, embed, memory_of
 from ddpc_controllers.learning import Learner, OnlineLearning
@@ -51,6 +51,7 @@ class WKPC(OnlineLearning):
         0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoint"
     )
     dictionary: Dictionary = setting(default_factory=ThinPlate, doc="observables that lift the state")
+    backend: BackendName = setting("piqp", choices=BACKENDS, doc="QP solver for active sets not seen before")
     zero_padding: bool = setting(False, doc="append initial_length samples of zero to the recorded u and y")
     redraw_centre: bool = setting(False, doc="one centre for all functions, drawn at every evaluation")
     squared_distance: bool = setting(False, doc="square the distance in front of the logarithm of (12)")
@@ -84,7 +85,8 @@ class WKPC(OnlineLearning):
         condensed = self._problem.condense(self._data)
         limits = loop.bounds.u_min, loop.bounds.u_max
         self._bounds = loop.bounds
-        self._qp: ParametricQP | AdaptiveQP = ParametricQP(condensed, *limits)
+        backend = make_backend(self.backend)
+        self._qp: ParametricQP | AdaptiveQP = ParametricQP(condensed, *limits, backend)
         self._learner: Learner | None = None
         if self.online_data != "frozen":
             signals = {"z": lifted, "u": recording.u, "y": recording.y}
@@ -92,7 +94,7 @@ class WKPC(OnlineLearning):
             self._learner = self._make_learner(
                 self._problem, self._data, self._layout, signals, continues, rng
             )
-            self._qp = AdaptiveQP(self._problem, self._learner.data, *limits, PIQPBackend())
+            self._qp = AdaptiveQP(self._problem, self._learner.data, *limits, backend)
         self._begin(loop, recording, lifted)
 
     def _step(self, sample: Sample) -> FloatArray | Action:

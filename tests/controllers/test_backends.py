@@ -2,14 +2,15 @@
 
 import pickle
 import sys
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from ddpc_controllers import DeePC
+from ddpc_controllers import MPC, WKPC, DeePC, KoopmanMPC
 from ddpc_controllers.backends import BACKENDS, contradiction, make_backend
 from ddpc_controllers.full_problem import FullDeePC
-from ddpc_cosim import ConfigError, Recording
+from ddpc_cosim import ConfigError, Controller, Recording
 
 from .loops import ANGLE, before, close_loop, paper_reference, pendulum_loop, quick_pendulum
 from .test_qp import least_distance
@@ -70,9 +71,26 @@ def test_400_steps_with_active_bounds_equal_the_full_problem(paper_recording: Re
     assert set(run.status) == {"ok"}
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [lambda name: WKPC(backend=name), lambda name: MPC(backend=name), lambda name: KoopmanMPC(backend=name)],
+)
+def test_the_other_methods_find_the_same_with_either(
+    state_recording: Recording, settings: Callable[[str], Controller]
+) -> None:
+    loop = pendulum_loop(state_recording, 1.7)
+    piqp, daqp = (
+        close_loop(settings(name), loop, quick_pendulum, ANGLE, paper_reference(), 150) for name in BACKENDS
+    )
+    assert (np.abs(piqp.u) > 1.7 - 1e-9).sum() > 5
+    assert daqp.u == pytest.approx(piqp.u, abs=1e-6)
+
+
 def test_a_solver_that_is_not_installed_is_an_error_that_says_how_to_get_it(
     paper_recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "daqp", None)
     with pytest.raises(ConfigError, match=r"install ddpc-cosim\[daqp\], or use backend = 'piqp'"):
         DeePC(backend="daqp").start(pendulum_loop(paper_recording))
+    with pytest.raises(ConfigError, match="daqp"):
+        WKPC(backend="daqp").start(pendulum_loop(paper_recording))

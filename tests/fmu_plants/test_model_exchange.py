@@ -111,7 +111,7 @@ def test_states_nominals_and_derivatives(exchange):
     slope = -9.81 / 0.2 * np.sin(0.3) - 0.4 / 0.2 * 2.0 + 1.0 / 0.2
     for name, expected in [
         ("GetContinuousStates", [0.3, 2.0]),
-        ("GetNominalsOfContinuousStates", [1.0, 10.0]),
+        ("GetNominalsOfContinuousStates", [1.0, 1.0]),
         ("GetContinuousStateDerivatives", [2.0, slope]),
     ]:
         status, values = exchange.numbers(name)
