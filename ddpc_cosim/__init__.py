@@ -14,13 +14,16 @@ if TYPE_CHECKING:
         CosimError,
         CosimWarning,
         DataError,
+        DivergenceError,
         FMUImportError,
         FMUStepError,
         PluginError,
+        StepStatus,
     )
+    from ddpc_cosim.fmu.linear_model import LinearModel
     from ddpc_cosim.fmu.plant import FMUPlant
     from ddpc_cosim.master import cosimulate, record
-    from ddpc_cosim.plant import Plant
+    from ddpc_cosim.plant import ParameterValue, Plant
     from ddpc_cosim.results import CaseResult, StudyResults, load_results
     from ddpc_cosim.settings import (
         SettingInfo,
@@ -30,7 +33,16 @@ if TYPE_CHECKING:
         setting,
         weight_matrix,
     )
-    from ddpc_cosim.signals import Constant, GaussianNoise, ParameterChange, Ramp, Sine, Steps, UniformRandom
+    from ddpc_cosim.signals import (
+        Constant,
+        GaussianNoise,
+        ParameterChange,
+        Ramp,
+        Reference,
+        Sine,
+        Steps,
+        UniformRandom,
+    )
     from ddpc_cosim.trace import Outcome, Trace
     from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
 
@@ -42,16 +54,28 @@ _HOME = {
         "CosimError",
         "CosimWarning",
         "DataError",
+        "DivergenceError",
         "FMUImportError",
         "FMUStepError",
         "PluginError",
+        "StepStatus",
     ),
+    "fmu.linear_model": ("LinearModel",),
     "fmu.plant": ("FMUPlant",),
     "master": ("cosimulate", "record"),
-    "plant": ("Plant",),
+    "plant": ("ParameterValue", "Plant"),
     "results": ("CaseResult", "StudyResults", "load_results"),
     "settings": ("SettingInfo", "Weight", "check_settings", "declared_settings", "setting", "weight_matrix"),
-    "signals": ("Constant", "GaussianNoise", "ParameterChange", "Ramp", "Sine", "Steps", "UniformRandom"),
+    "signals": (
+        "Constant",
+        "GaussianNoise",
+        "ParameterChange",
+        "Ramp",
+        "Reference",
+        "Sine",
+        "Steps",
+        "UniformRandom",
+    ),
     "trace": ("Outcome", "Trace"),
     "variables": ("DisplayUnit", "FloatArray", "Variable"),
 }
@@ -69,21 +93,26 @@ __all__ = [
     "CosimWarning",
     "DataError",
     "DisplayUnit",
+    "DivergenceError",
     "FMUImportError",
     "FMUPlant",
     "FMUStepError",
     "FloatArray",
     "GaussianNoise",
+    "LinearModel",
     "Loop",
     "Outcome",
     "ParameterChange",
+    "ParameterValue",
     "Plant",
     "PluginError",
     "Ramp",
     "Recording",
+    "Reference",
     "Sample",
     "SettingInfo",
     "Sine",
+    "StepStatus",
     "Steps",
     "StudyResults",
     "Trace",

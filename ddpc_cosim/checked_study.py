@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ class CheckedStudy:
     ----------
     study : Study
         The file's content.
+    folder : Path
+        The file's folder.
     plant : PlantSource
         The plant it names.
     signals : PlantSignals
@@ -30,6 +33,7 @@ class CheckedStudy:
     """
 
     study: Study
+    folder: Path
     plant: PlantSource
     signals: PlantSignals
     inputs: tuple[str, ...]

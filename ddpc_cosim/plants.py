@@ -12,6 +12,7 @@ from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.fmu.units import with_display_units
 from ddpc_cosim.plant import FMIType, Plant
 from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.python_plant import PythonPlant
 from ddpc_cosim.variables import DisplayUnit, Variable, names
 from ddpc_cosim.version import source_hash
 
@@ -76,7 +77,7 @@ class PlantTarget:
         if self.fmu:
             plant = self._open_fmu(inputs, outputs)
         else:
-            plant = load_plugin("plants", self.python)()
+            plant = PythonPlant(load_plugin("plants", self.python), inputs)
             plant.inputs = with_display_units(plant.inputs, self.display_units, {})
             plant.outputs = with_display_units(plant.outputs, self.display_units, {})
         plant.inputs = _with_nominal(plant.inputs, self.nominal)
@@ -137,6 +138,11 @@ class PlantSource:
     def fmu_path(self) -> str:
         """Absolute path of the FMU that the study supplies; empty for a plug-in."""
         return str(self._fmu.resolve()) if self._fmu else ""
+
+    @property
+    def is_fmu(self) -> bool:
+        """Whether the plant runs as an FMU, supplied or built from equations."""
+        return not _is_plant_class(self._plugin)
 
     def signals(self) -> PlantSignals:
         """Return the plant's variables, as they are to be shown, without building or running it.

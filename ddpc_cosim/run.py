@@ -112,7 +112,9 @@ def _resolved(checked: CheckedStudy, selection: Selection) -> Study:
     """Return the study as run: every default filled in, paths absolute."""
     study = checked.study
     controllers = {
-        name: section.model_copy(update={"settings": all_settings(section), "label": section.label or name})
+        name: section.model_copy(
+            update={"settings": all_settings(section, checked.folder), "label": section.label or name}
+        )
         for name, section in study.controllers.items()
     }
     plant = study.plant.model_copy(
@@ -125,7 +127,7 @@ def _resolved(checked: CheckedStudy, selection: Selection) -> Study:
     )
     recording = study.recording
     if recording is not None and recording.controller is not None:
-        settings = {"settings": all_settings(recording.controller)}
+        settings = {"settings": all_settings(recording.controller, checked.folder)}
         recording = recording.model_copy(
             update={"controller": recording.controller.model_copy(update=settings)}
         )

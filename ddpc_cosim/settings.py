@@ -3,8 +3,9 @@
 import dataclasses
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date, datetime, time
 from numbers import Integral, Real
 from typing import Any, TypeGuard
 
@@ -36,6 +37,9 @@ class SettingInfo:
         Unit, where there is one.
     kind : type or None
         Class that a table in a study file makes an object of, where it does not name one.
+    file : bool
+        Whether the value is the path of a file: in a study, it is relative to the study, ``"{plant}"`` is the
+        FMU of the plant, and the file's content is part of what decides a result.
     """
 
     doc: str
@@ -45,6 +49,7 @@ class SettingInfo:
     choices: tuple[Any, ...] = ()
     unit: str = ""
     kind: type[Any] | None = None
+    file: bool = False
 
     @property
     def allowed(self) -> str:
@@ -76,6 +81,7 @@ def setting(
     choices: Sequence[Any] = (),
     unit: str = "",
     kind: type[Any] | None = None,
+    file: bool = False,
     default_factory: Any = dataclasses.MISSING,
 ) -> Any:
     """Declare a setting of a plug-in: a dataclass field that knows its range and its meaning.
@@ -84,10 +90,10 @@ def setting(
     ----------
     default, default_factory
         As in :func:`dataclasses.field`; without either the setting is required.
-    doc, low, high, above, choices, unit, kind
+    doc, low, high, above, choices, unit, kind, file
         See :class:`SettingInfo`.
     """
-    info = SettingInfo(doc, low, high, above, tuple(choices), unit, kind)
+    info = SettingInfo(doc, low, high, above, tuple(choices), unit, kind, file)
     if default_factory is not dataclasses.MISSING:
         return dataclasses.field(default_factory=default_factory, metadata={"setting": info})
     return dataclasses.field(default=default, metadata={"setting": info})
@@ -134,7 +140,18 @@ def to_plain(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, list | tuple):
         return [to_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {key: to_plain(item) for key, item in value.items()}
     return value
+
+
+def is_plain(value: Any) -> bool:
+    """Whether a study file can say a value: not so None, functions, and objects without settings."""
+    if isinstance(value, dict):
+        return all(isinstance(key, str) and is_plain(item) for key, item in value.items())
+    if isinstance(value, list):
+        return all(map(is_plain, value))
+    return type(value) in (str, bool, int, float, datetime, date, time)
 
 
 def from_plain(plugin: type[Any], name: str, value: Any) -> Any:
@@ -180,7 +197,7 @@ def _from_table(name: str, value: Any, kind: Any) -> Any:
         return value
     entries = dict(value)
     if "type" in entries:
-        kind = _load_class(name, str(entries.pop("type")))
+        kind = load_class(name, str(entries.pop("type")))
     if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
         return value
     known = [f.name for f in dataclasses.fields(kind) if f.init]
@@ -231,7 +248,14 @@ def weight_matrix(weight: Weight, size: int, name: str) -> FloatArray:
     return matrix
 
 
-def _load_class(name: str, target: str) -> Any:
+def load_class(name: str, target: str) -> Any:
+    """Return the class that the key ``type`` of a setting's table names.
+
+    Raises
+    ------
+    ConfigError
+        There is none.
+    """
     from ddpc_cosim.plugins import load_plugin, load_target
 
     try:

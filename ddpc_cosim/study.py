@@ -17,11 +17,14 @@ from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImpor
 from ddpc_cosim.master import OUTCOME_OF, ProgressReport, cosimulate
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plants import PlantTarget
+from ddpc_cosim.setting_files import contents, with_plant
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference, UniformRandom
 from ddpc_cosim.study_controllers import all_settings, make_controller
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable, names
-from ddpc_cosim.version import code_version
+from ddpc_cosim.version import code_version, types_in
+
+_MOST_LISTED = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +96,8 @@ class Case:
     def id(self) -> str:
         """Readable name and a hash of everything that decides the result, code version included."""
         controllers = (self.section, self.stabiliser) if self.stabiliser else (self.section,)
-        decisive = asdict(self) | {"code": [code_version(section["type"]) for section in controllers]}
+        decisive = asdict(self) | {"code": [code_version(kind) for kind in types_in([*controllers])]}
+        decisive["files"] = [contents(section["type"], section["settings"]) for section in controllers]
         del decisive["label"]
         decisive["plant"] = self.plant.content
         decisive |= {key: names(getattr(self, key)) for key in ("inputs", "outputs", "measurements")}
@@ -131,9 +135,9 @@ def cases_of(
     cases = list(_all_cases(checked, target, seeds or checked.study.seeds))
     chosen = [case for case in cases if fnmatch(case.name, only) or fnmatch(case.controller, only)]
     if not chosen:
-        raise ConfigError(
-            f"--only {only}: no case matches; there are {', '.join(c.name for c in cases[:8])}, ..."
-        )
+        listed = ", ".join(case.name for case in cases[:_MOST_LISTED])
+        more = f" and {len(cases) - _MOST_LISTED} more" if len(cases) > _MOST_LISTED else ""
+        raise ConfigError(f"--only {only}: no case matches; there are {listed}{more}")
     return chosen
 
 
@@ -163,12 +167,14 @@ def _run(case: Case, plant: Plant, progress: ProgressReport | None) -> Trace:
     try:
         return cosimulate(
             plant,
-            make_controller(ControllerSection(**case.section)),
+            make_controller(ControllerSection(**_ready(case.section, case.plant))),
             sampling_time=case.sampling_time,
             duration=case.duration,
             reference=case.reference,
             excitation=case.excitation,
-            stabiliser=make_controller(StabiliserSection(**case.stabiliser)) if case.stabiliser else None,
+            stabiliser=make_controller(StabiliserSection(**_ready(case.stabiliser, case.plant)))
+            if case.stabiliser
+            else None,
             bounds=case.bounds,
             outputs=names(case.outputs),
             measurements=names(case.measurements),
@@ -182,6 +188,11 @@ def _run(case: Case, plant: Plant, progress: ProgressReport | None) -> Trace:
         )
     except CosimError as error:
         return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
+
+
+def _ready(section: dict[str, Any], plant: PlantTarget) -> dict[str, Any]:
+    """Return a controller's section in which the plant's FMU has its path."""
+    return section | {"settings": with_plant(section["type"], section["settings"], plant.fmu)}
 
 
 def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
@@ -227,7 +238,7 @@ def _all_cases(checked: CheckedStudy, target: PlantTarget, seeds: list[int]) -> 
     }
     stabiliser = _stabiliser(checked)
     for controller, section in study.controllers.items():
-        settings = all_settings(section)
+        settings = all_settings(section, checked.folder)
         bounds = limits({**study.bounds, **section.bounds}, variables, (*checked.inputs, *checked.outputs))
         for name, scenario in study.scenarios.items():
             for seed in seeds:
@@ -267,7 +278,8 @@ def _stabiliser(checked: CheckedStudy) -> dict[str, Any] | None:
     recording = checked.study.recording
     if recording is None or recording.controller is None:
         return None
-    return {"type": recording.controller.type, "settings": all_settings(recording.controller)}
+    controller = recording.controller
+    return {"type": controller.type, "settings": all_settings(controller, checked.folder)}
 
 
 def _events(scenario: ScenarioSection, loop: LoopSection) -> tuple[ParameterChange, ...]:

@@ -11,7 +11,8 @@ from ddpc_cosim.faults import Faults
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.plants import PlantSource
 from ddpc_cosim.schema import Location
-from ddpc_cosim.study_controllers import make_controller
+from ddpc_cosim.setting_files import PLANT, files_of
+from ddpc_cosim.study_controllers import all_settings, make_controller
 from ddpc_cosim.variables import Variable
 
 _INPUTS, _OUTPUTS, _MEASUREMENTS = (("plant", key) for key in ("inputs", "outputs", "measurements"))
@@ -47,12 +48,13 @@ def check_study(study: Study, folder: Path, faults: Faults) -> CheckedStudy | No
     inputs = tuple(study.plant.inputs) or signals.default_inputs or tuple(signals.inputs)
     outputs = tuple(study.plant.outputs) or signals.default_outputs or tuple(signals.outputs)
     measurements = tuple(study.plant.measurements) or outputs
-    checked = CheckedStudy(study, plant, signals, inputs, outputs, measurements)
+    checked = CheckedStudy(study, folder, plant, signals, inputs, outputs, measurements)
     _check_plant(checked, faults)
     _check_references(checked, faults)
     _check_bounds(checked, faults)
     _check_scenarios(checked, faults)
     _check_recording(checked, controllers, faults)
+    _check_files(checked, controllers, faults)
     return checked
 
 
@@ -82,6 +84,18 @@ def _make(
     except PluginError as error:
         faults.add((*place, "type"), str(error))
     return None
+
+
+def _check_files(checked: CheckedStudy, controllers: Mapping[str, Controller], faults: Faults) -> None:
+    """Check that there are the files that controllers name."""
+    for name in controllers:
+        section = checked.study.controllers[name]
+        for path in files_of(section.type, all_settings(section, checked.folder)):
+            place = ("controllers", name, "settings")
+            if path == PLANT and not checked.plant.is_fmu:
+                faults.add(place, f'"{PLANT}" stands for the FMU of the plant, which is a Python class')
+            elif path != PLANT and not Path(path).is_file():
+                faults.add(place, f"{path}: no such file")
 
 
 def _check_report(study: Study, faults: Faults) -> None:

@@ -1,12 +1,15 @@
 """From the controller sections of a study to controllers."""
 
+from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.config import ControllerSection, StabiliserSection
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, PluginError
+from ddpc_cosim.guards import controller_settings
 from ddpc_cosim.plugins import load_plugin
-from ddpc_cosim.settings import declared_settings, from_plain
+from ddpc_cosim.setting_files import placed
+from ddpc_cosim.settings import declared_settings, from_plain, is_plain
 from ddpc_cosim.suggest import did_you_mean
 
 
@@ -38,10 +41,15 @@ def make_controller(section: ControllerSection | StabiliserSection) -> Controlle
     return controller
 
 
-def all_settings(section: ControllerSection | StabiliserSection) -> dict[str, Any]:
-    """Return the settings of a section's controller in plain values, every default filled in."""
-    settings = {**section.settings, **make_controller(section).settings()}
-    return {name: value for name, value in settings.items() if value is not None}
+def all_settings(section: ControllerSection | StabiliserSection, folder: Path) -> dict[str, Any]:
+    """Return the settings of a section's controller in plain values, every default filled in.
+
+    Paths become absolute; in the section they are relative to the folder.
+    """
+    settings = controller_settings(make_controller(section))
+    # What a file cannot say is a default, or what the controller has made of what the file says.
+    said = section.settings | {name: value for name, value in settings.items() if is_plain(value)}
+    return placed(section.type, said, folder)
 
 
 def _arguments(

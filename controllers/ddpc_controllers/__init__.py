@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ddpc_controllers.dictionaries import OwnFunction as OwnFunction
     from ddpc_controllers.dictionaries import Polynomials as Polynomials
     from ddpc_controllers.dictionaries import ThinPlate as ThinPlate
+    from ddpc_controllers.fmu_model import FMUModel as FMUModel
     from ddpc_controllers.identification import Identified as Identified
     from ddpc_controllers.ipid import IPID as IPID
     from ddpc_controllers.koopman_mpc import KoopmanMPC as KoopmanMPC
@@ -54,6 +55,7 @@ _HOME = {
         "Polynomials",
         "ThinPlate",
     ),
+    "fmu_model": ("FMUModel",),
     "identification": ("Identified",),
     "ipid": ("IPID",),
     "koopman_mpc": ("KoopmanMPC",),
@@ -90,6 +92,7 @@ __all__ = [
     "DeePC",
     "Delays",
     "Dictionary",
+    "FMUModel",
     "GammaDDPC",
     "Gaussian",
     "Group",

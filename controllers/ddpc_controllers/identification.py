@@ -51,7 +51,7 @@ class Identified:
             )
         arx = fit_arx(recording, self.lags, self.ridge)
         model = arx.state_space()
-        return _reduced(model, self.order) if 0 < self.order < len(model.a) else model
+        return reduced(model, self.order)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,13 @@ def markov_parameters(model: SampledModel, count: int) -> FloatArray:
     return response
 
 
-def _reduced(model: SampledModel, order: int) -> SampledModel:
+def reduced(model: SampledModel, order: int) -> SampledModel:
+    """Return the balanced model of an impulse response with ``order`` states; 0: the model as it is.
+
+    States that the inputs do not reach or the outputs do not show are the first to go.
+    """
+    if not 0 < order < len(model.a):
+        return model
     response = markov_parameters(model, 2 * len(model.a) + 1)
     a, b, c = realise(response, order)
     return SampledModel(a, b, c, model.u_0, model.y_0)

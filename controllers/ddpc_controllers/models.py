@@ -1,8 +1,9 @@
 """Linear models for the model-based controllers, and where they come from.
 
 A source of models is a setting: :class:`~ddpc_controllers.identification.Identified` (from the recording),
-:class:`StateSpace` (numbers) or :class:`ModelFunction` (a function of the user's own, which may linearise a
-plant with :mod:`ddpc_controllers.pulse_response`). A controller sees the loop only, never the plant.
+:class:`~ddpc_controllers.fmu_model.FMUModel` (from an FMU about an operating point), :class:`StateSpace`
+(numbers) or :class:`ModelFunction` (a function of the user's own, which may linearise any plant with
+:mod:`ddpc_controllers.pulse_response`). A controller sees the loop only, never the plant.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from ddpc_controllers.control_api import discretise
-from ddpc_cosim import ConfigError, FloatArray, Loop, check_settings, setting
+from ddpc_cosim import ConfigError, FloatArray, LinearModel, Loop, check_settings, setting
 from ddpc_cosim.plugins import load_target
 
 Matrix = Sequence[Sequence[float]]
@@ -113,15 +114,25 @@ class StateSpace:
     @classmethod
     def about(
         cls,
-        matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+        model: LinearModel | tuple[FloatArray, FloatArray, FloatArray, FloatArray],
         u_0: Sequence[float] = (),
         y_0: Sequence[float] = (),
     ) -> "StateSpace":
-        """Return the continuous model (A, B, C, D) about an operating point.
+        """Return the continuous model about an operating point.
 
-        ``fmu_plants.linearisation.linearise`` gives the matrices of a plant's equations.
+        Parameters
+        ----------
+        model : LinearModel or tuple of array
+            From :meth:`ddpc_cosim.FMUPlant.linearise`, with its operating point; or (A, B, C, D), as
+            ``fmu_plants.linearisation.linearise`` gives them for a plant's equations.
+        u_0, y_0 : sequence of float
+            Inputs and outputs at the operating point; empty: the model's own, or zero.
         """
-        a, b, c, d = (np.asarray(matrix, dtype=np.float64).tolist() for matrix in matrices)
+        if isinstance(model, LinearModel):
+            u_0 = u_0 if len(u_0) else model.u_0.tolist()
+            y_0 = y_0 if len(y_0) else model.y_0.tolist()
+            model = model.a, model.b, model.c, model.d
+        a, b, c, d = (np.asarray(matrix, dtype=np.float64).tolist() for matrix in model)
         return cls(a=a, b=b, c=c, d=d, u_0=tuple(u_0), y_0=tuple(y_0))
 
     @property

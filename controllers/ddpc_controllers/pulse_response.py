@@ -1,9 +1,10 @@
 """Linear models from a plant itself, by finite differences of what it answers to pulses.
 
 Any :class:`~ddpc_cosim.Plant` will do: an FMU, or one written in Python. Nothing but ``reset`` and ``step``
-is asked of it, and no state is seen: a pulse of one sample at each input, up and down, gives the impulse
-response at an operating point by central differences; its balanced realisation is the model (J.-N. Juang,
-R. S. Pappa, J. Guidance 8(5), 1985, doi:10.2514/3.20031). A controller gets it through
+is asked of it (and where it can, ``restore_state`` to return to the operating point), and no state is seen:
+a pulse of one sample at each input, up and down, gives the impulse response at an operating point by central
+differences; its balanced realisation is the model (J.-N. Juang, R. S. Pappa, J. Guidance 8(5), 1985,
+doi:10.2514/3.20031). A controller gets it through :class:`~ddpc_controllers.fmu_model.FMUModel` or
 :class:`~ddpc_controllers.models.ModelFunction`.
 """
 
@@ -67,10 +68,21 @@ def pulse_model(
             f"pulse_model: operating_input has shape {u_0.shape}; needed: {len(plant.inputs)} numbers"
         )
 
-    def response(change: FloatArray) -> FloatArray:
+    def settle() -> None:
         plant.reset(parameters)
         for _ in range(settling_samples):
             plant.step(u_0, sampling_time)
+
+    settled = None
+    if plant.can_save_state:
+        settle()
+        settled = plant.save_state()
+
+    def response(change: FloatArray) -> FloatArray:
+        if settled is None:
+            settle()
+        else:
+            plant.restore_state(settled)
         rows = [plant.step(u_0 + change, sampling_time)]
         rows += [plant.step(u_0, sampling_time) for _ in range(samples - 1)]
         return np.array(rows)

@@ -15,6 +15,7 @@ from xml.parsers import expat
 from ddpc_cosim.errors import FMUImportError
 
 MODEL_DESCRIPTION = "modelDescription.xml"
+_RESOURCES = "resources"
 # What is read with an XML parser after unpacking.
 _XML_FILES = (MODEL_DESCRIPTION, "sources/buildDescription.xml")
 
@@ -144,6 +145,9 @@ def _unpack_entries(archive: zipfile.ZipFile, folder: Path, limits: UnpackLimits
     remaining = limits.max_unpacked_size
     if sum(entry.file_size for entry in files.values()) > remaining:  # what the archive itself admits
         raise too_large
+    # FMUs look into folders, empty or not; and all of them are told of one for resources.
+    for name in (*_folders(entries), _RESOURCES):
+        (folder / name).mkdir(parents=True, exist_ok=True)
     for name, entry in files.items():
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -176,6 +180,11 @@ def _checked(entries: list[zipfile.ZipInfo], label: str) -> dict[str, zipfile.Zi
         elif (twin.CRC, twin.file_size) != (entry.CRC, entry.file_size):
             raise FMUImportError(f'{label}: illegal entry "{_printable(raw)}": there are two of this name')
     return files
+
+
+def _folders(entries: list[zipfile.ZipInfo]) -> Iterator[str]:
+    """Yield the paths of folders that have entries of their own."""
+    return ("/".join(_parts(e.orig_filename)) for e in entries if e.orig_filename.endswith("/"))
 
 
 def _parts(name: str) -> Iterator[str]:

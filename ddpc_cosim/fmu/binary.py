@@ -44,7 +44,7 @@ def find_library(
     folders = platform_folders(description.major)
     proper = f"{_BINARIES}/{folders[0]}/{name}{library_extension()}"
     for candidate in folders:
-        found = _library_in(folder / _BINARIES / candidate, name)
+        found = library_in(folder / _BINARIES / candidate, name, description.major)
         if found is not None:
             place = f"{_BINARIES}/{candidate}/{found.name}"
             return found, () if place == proper else (f"the library is {place} instead of {proper}",)
@@ -52,8 +52,8 @@ def find_library(
         compile_sources(folder, name, folder / proper, label)
         return folder / proper, ("no binary for this platform: compiled from the FMU's C sources",)
     raise FMUImportError(
-        f"{label}: no binary for this platform ({proper}); "
-        f"it has binaries for: {', '.join(platforms(folder)) or 'none'}. Export the FMU for {folders[0]}."
+        f"{label}: no binary for this platform ({proper}); it has {listed(folder)}. "
+        f"Export the FMU for {folders[0]}."
     )
 
 
@@ -63,10 +63,31 @@ def platforms(folder: Path) -> list[str]:
     return sorted(p.name for p in binaries.iterdir() if p.is_dir()) if binaries.is_dir() else []
 
 
-def _library_in(folder: Path, name: str) -> Path | None:
-    """Return the library of a name, or the only one there is."""
+def listed(folder: Path) -> str:
+    """Return in words for which platforms an unpacked FMU has binaries, and for this one, which."""
+    known = {*platform_folders(2)}
+    here = [path.name for p in sorted(known) for path in sorted((folder / _BINARIES / p).glob("*"))]
+    names = f" ({', '.join(here)}, none of which is the FMU's library for sure)" if here else ""
+    return f"binaries for: {', '.join(platforms(folder)) or 'none'}{names}"
+
+
+def library_in(folder: Path, name: str, major: int) -> Path | None:
+    """Return the library of a name; else the only one there is, or the only one with functions of FMI."""
     library = folder / f"{name}{library_extension()}"
     if library.is_file():
         return library
     others = sorted(p for p in folder.glob(f"*{library_extension()}") if p.is_file())
+    if len(others) > 1:
+        others = [path for path in others if _has_functions(path, major)]
     return others[0] if len(others) == 1 else None
+
+
+def _has_functions(library: Path, major: int) -> bool:
+    """Whether a library exports what an FMU's has to, whatever the prefix."""
+    from fmu_plants.binaries import exported_symbols
+
+    name = "fmiInstantiate" if major == 1 else f"fmi{major}Instantiate"
+    try:
+        return any(name in symbol for symbol in exported_symbols(library.read_bytes()))
+    except ValueError:
+        return False

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from ddpc_cosim.fmu.calls import WARNING, failed_call
 from ddpc_cosim.fmu.instance import BareStep, Slave
@@ -45,6 +46,13 @@ class CoSimulationRun(Run):
         if self._substeps > 1:
             self._do_other_substeps()
         return self._read()
+
+    def _bookkeeping(self) -> tuple[Any, ...]:
+        return *super()._bookkeeping(), self._sample, self._substeps
+
+    def _go_back(self, *bookkeeping: Any) -> None:
+        *clock, self._sample, self._substeps = bookkeeping
+        super()._go_back(*clock)
 
     def _do_other_substeps(self) -> None:
         for _ in range(self._substeps - 1):

@@ -3,6 +3,7 @@
 import hashlib
 import importlib.resources
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -23,6 +24,7 @@ _DEFINITIONS = (
 )
 _CPP = (".cpp", ".cc", ".cxx")
 _OUTPUT_SHOWN = 1500
+_INCLUSION = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([\x21-\x7e]+\.c)"', re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,7 @@ def _source_sets(folder: Path, model_identifier: str, label: str) -> list[_Sourc
     ]
     sources = folder / "sources"
     if not any(source_set.files for source_set in sets):
-        sets = [_SourceSet(tuple(sorted(path.name for path in sources.glob("*.c"))))]
+        sets = [_SourceSet(_compiled_by_themselves(sources))]
     for source_set in sets:
         for name in (*source_set.files, *source_set.include_folders):
             if not (sources / name).resolve().is_relative_to(sources.resolve()):
@@ -107,6 +109,13 @@ def _source_sets(folder: Path, model_identifier: str, label: str) -> list[_Sourc
                     f"{label}: no binary for this platform, and the source {name} is missing"
                 )
     return sets
+
+
+def _compiled_by_themselves(sources: Path) -> tuple[str, ...]:
+    """Return the C files that none of the others includes, as templates of FMUs are."""
+    files = sorted(sources.glob("*.c"))
+    included = {name.decode() for path in files for name in _INCLUSION.findall(path.read_bytes())}
+    return tuple(path.name for path in files if path.name not in included)
 
 
 def _definition(definition: Any) -> str:

@@ -37,8 +37,8 @@ class _Fmi1(Instance):
         "String": ValueType("fmi1GetString", "fmi1SetString", ctypes.c_char_p),
     }
 
-    def _instantiate(self, **options: Any) -> None:
-        self._fmu.instantiate(functions=FMI1_CALLBACKS)
+    def _instantiate(self, *, logging: bool, **options: Any) -> None:
+        self._fmu.instantiate(functions=FMI1_CALLBACKS, loggingOn=logging)
 
     def value_arguments(self, references: Any, count: int, memory: Any) -> tuple[Any, ...]:
         if isinstance(memory, ctypes.Array) and memory._type_ is _BOOLEAN:

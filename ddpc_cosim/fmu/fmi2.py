@@ -35,8 +35,8 @@ class _Fmi2(Instance):
         "String": ValueType("fmi2GetString", "fmi2SetString", ctypes.c_char_p),
     }
 
-    def _instantiate(self, **options: Any) -> None:
-        self._fmu.instantiate(callbacks=fmi2_callbacks(self.log))
+    def _instantiate(self, *, logging: bool, **options: Any) -> None:
+        self._fmu.instantiate(callbacks=fmi2_callbacks(self.log), loggingOn=logging)
 
     def value_arguments(self, references: Any, count: int, memory: Any) -> tuple[Any, ...]:
         return references, len(references), memory
@@ -112,6 +112,7 @@ class Fmi2Model(_Fmi2, Model):
         "fmi2GetDerivatives",
         "fmi2GetNominalsOfContinuousStates",
         "fmi2GetEventIndicators",
+        "fmi2GetDirectionalDerivative",
     )
 
     def __init__(self, origin: Origin, *, states: int, event_indicators: int) -> None:
@@ -123,6 +124,11 @@ class Fmi2Model(_Fmi2, Model):
     def sizes(self) -> tuple[int, int]:
         """Return the numbers of continuous states and of event indicators."""
         return self._sizes
+
+    def get_directional_derivative(self, unknowns: Any, known: Any, seed: Any, sensitivity: Any) -> None:
+        """Read by how much unknowns change per step ``seed`` of a known."""
+        name = self.functions.get_directional_derivative
+        self.call(name, unknowns, len(unknowns), known, len(known), seed, sensitivity)
 
     def enter_event_mode(self) -> None:
         """Go from continuous-time mode to event mode."""

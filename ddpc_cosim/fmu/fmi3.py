@@ -33,8 +33,8 @@ class _Fmi3(Instance):
         "Enumeration": ValueType("fmi3GetInt64", "fmi3SetInt64", ctypes.c_int64),
     }
 
-    def _instantiate(self, **options: Any) -> None:
-        self._fmu.instantiate(logMessage=fmi3_logger(self.log), **options)
+    def _instantiate(self, *, logging: bool, **options: Any) -> None:
+        self._fmu.instantiate(logMessage=fmi3_logger(self.log), loggingOn=logging, **options)
 
     def value_arguments(self, references: Any, count: int, memory: Any) -> tuple[Any, ...]:
         return references, len(references), memory, count
@@ -169,6 +169,7 @@ class Fmi3Model(_Fmi3, Model):
         "fmi3GetContinuousStateDerivatives",
         "fmi3GetNominalsOfContinuousStates",
         "fmi3GetEventIndicators",
+        "fmi3GetDirectionalDerivative",
     )
 
     def __init__(self, origin: Origin, *, states: int, event_indicators: int) -> None:
@@ -192,6 +193,12 @@ class Fmi3Model(_Fmi3, Model):
         except CallError:
             return described
         return size.value
+
+    def get_directional_derivative(self, unknowns: Any, known: Any, seed: Any, sensitivity: Any) -> None:
+        """Read by how much unknowns change per step ``seed`` of a known."""
+        references = (unknowns, len(unknowns), known, len(known))
+        numbers = (seed, len(seed), sensitivity, len(sensitivity))
+        self.call(self.functions.get_directional_derivative, *references, *numbers)
 
     def enter_continuous_time_mode(self) -> None:
         """Go from event mode to continuous-time mode."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ddpc_cosim.fmu.calls import WARNING, CallError, failed_call
-from ddpc_cosim.fmu.library import CFunction, load_library
+from ddpc_cosim.fmu.calls import FATAL, WARNING, CallError, failed_call
+from ddpc_cosim.fmu.library import CFunction, is_missing, load_library
 from ddpc_cosim.fmu.messages import Log
 from ddpc_cosim.variables import FloatArray
 
@@ -95,9 +95,7 @@ class Instance(ABC):
             self.log.close()
             raise
         try:
-            self._instantiate(**options)
-            if not self._fmu.component:
-                raise RuntimeError("the FMU refuses to be instantiated")
+            self._instantiate_or_ask_why(options)
         except BaseException as error:
             self._fmu.freeLibrary()
             self.log.close()
@@ -106,6 +104,20 @@ class Instance(ABC):
             raise
         self.component = self._fmu.component
         self.is_alive = True
+
+    def _instantiate_or_ask_why(self, options: Mapping[str, Any]) -> None:
+        """Instantiate; an FMU that refuses without a word is asked again with its log on."""
+        try:
+            self._instantiate(logging=False, **options)
+        except CallError:
+            raise
+        except Exception:  # FMPy's own, for an FMU that returns no instance
+            if self.log.lines:
+                raise
+        if not self._fmu.component and not self.log.lines:
+            self._instantiate(logging=True, **options)
+        if not self._fmu.component:
+            raise RuntimeError("the FMU refuses to be instantiated")
 
     def function(self, name: str) -> CFunction:
         """Return a function of the library."""
@@ -140,7 +152,7 @@ class Instance(ABC):
         self.log.close()
 
     @abstractmethod
-    def _instantiate(self, **options: Any) -> None:
+    def _instantiate(self, *, logging: bool, **options: Any) -> None:
         """Instantiate through FMPy's object."""
 
     @abstractmethod
@@ -231,6 +243,7 @@ class ModelFunctions(NamedTuple):
     get_derivatives: str
     get_nominals: str
     get_event_indicators: str
+    get_directional_derivative: str = ""
 
 
 class Model(Instance):
@@ -275,12 +288,37 @@ class Model(Instance):
         self.call(self.functions.get_derivatives, dx, n)
 
     def get_nominals(self, x: DoubleArray, n: int) -> None:
-        """Read the nominal values of the continuous states."""
-        self.call(self.functions.get_nominals, x, n)
+        """Read the nominal values of the continuous states; zeros where the FMU does not tell."""
+        try:
+            self.call(self.functions.get_nominals, x, n)
+        except CallError as error:
+            if error.code == FATAL:
+                raise
+            ctypes.memset(x, 0, n * ctypes.sizeof(ctypes.c_double))
 
     def get_event_indicators(self, z: DoubleArray, n: int) -> None:
         """Read the event indicators."""
         self.call(self.functions.get_event_indicators, z, n)
+
+    @property
+    def has_directional_derivatives(self) -> bool:
+        """Whether the library has the function for them; whether it works, the model description says."""
+        name = self.functions.get_directional_derivative
+        return bool(name) and not is_missing(self.function(name))
+
+    def get_directional_derivative(
+        self, unknowns: Any, known: Any, seed: DoubleArray, sensitivity: DoubleArray
+    ) -> None:
+        """Read by how much unknowns change per step ``seed`` of a known.
+
+        Parameters
+        ----------
+        unknowns, known : ctypes array
+            Value references of the variables that change, and of the one that is changed.
+        seed, sensitivity : ctypes array
+            A number for every element of ``known``, and for every element of ``unknowns``.
+        """
+        raise CallError("FMI 1.0 has no directional derivatives")
 
 
 def reference_array(references: list[int]) -> Any:

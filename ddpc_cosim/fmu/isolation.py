@@ -17,6 +17,7 @@ from ddpc_cosim.fmu.archive import UnpackLimits
 from ddpc_cosim.fmu.isolation_frames import Frame, pack, unpack, write_all
 from ddpc_cosim.fmu.isolation_launch import Child, Ending, launch
 from ddpc_cosim.fmu.isolation_messages import FREE_STATES, RESTORE_STATE, SAVE_STATE, Call, Job, Opened, Reply
+from ddpc_cosim.fmu.linear_model import Derivatives, LinearModel
 from ddpc_cosim.fmu.scratch import ScratchFolder
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.variables import FloatArray
@@ -123,6 +124,11 @@ class IsolatedSession:
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters from the next step on."""
         self._call("set_parameters", dict(parameters))
+
+    def linearise(self, u: FloatArray | None = None, derivatives: Derivatives = "auto") -> LinearModel:
+        """Return the linear model about where the run is: as :meth:`FMUSession.linearise`."""
+        model: LinearModel = self._call("linearise", u, derivatives)
+        return model
 
     @property
     def can_save_state(self) -> bool:

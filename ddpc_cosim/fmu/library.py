@@ -23,6 +23,7 @@ import fmpy.fmi2
 import fmpy.fmi3
 
 from ddpc_cosim.fmu.calls import missing_function
+from ddpc_cosim.fmu.companions import Companions
 
 CFunction = Callable[..., int]
 
@@ -48,6 +49,11 @@ class _MissingFunction:
 
     def __call__(self, *_: Any) -> int:
         raise missing_function(self.name)
+
+
+def is_missing(function: CFunction) -> bool:
+    """Whether the library does not have a function of the table."""
+    return isinstance(function, _MissingFunction)
 
 
 class _LenientLoading:
@@ -137,15 +143,20 @@ def load_library(
     lenient = _lenient_class(major, kind)
     fmu = lenient.__new__(lenient)
     fmu.library_stem = library.stem
-    with _kept_working_directory():
-        fmu.__init__(
-            guid=guid,
-            modelIdentifier=model_identifier,
-            unzipDirectory=str(folder),
-            instanceName=name,
-            libraryPath=str(library),
-        )
-    return fmu
+    with _kept_working_directory(), Companions(library.parent, folder / "resources") as companions:
+        while True:
+            try:
+                fmu.__init__(
+                    guid=guid,
+                    modelIdentifier=model_identifier,
+                    unzipDirectory=str(folder),
+                    instanceName=name,
+                    libraryPath=str(library),
+                )
+                return fmu
+            except Exception as error:  # FMPy's own, for whatever the loader says
+                if not companions.supply(error):
+                    raise
 
 
 @contextmanager

@@ -174,6 +174,8 @@ class FMUDescription:
         What the FMU offers, by kind.
     display_units : mapping of str to tuple of DisplayUnit
         The display units that the FMU defines for each unit.
+    derivatives : tuple of str
+        Names of the continuous states' derivatives, in the order of the states' vector; arrays as a whole.
     direct_feedthrough : mapping of str to tuple of str or None
         The variables that each output depends on directly; None where the FMU does not say.
     warnings : tuple of str
@@ -194,6 +196,7 @@ class FMUDescription:
     text: str = ""
     continuous_states: int = 0
     event_indicators: int = 0
+    derivatives: tuple[str, ...] = ()
     default_experiment: DefaultExperiment = field(default_factory=DefaultExperiment)
     display_units: Mapping[str, tuple[DisplayUnit, ...]] = field(default_factory=dict)
     dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
@@ -235,6 +238,12 @@ class FMUDescription:
             for i, size in zip(indices, variable.dimensions, strict=True)
         )
         return element(variable, indices) if fits else None
+
+    @property
+    def state_order(self) -> tuple[str, ...]:
+        """Names of the continuous states in the order of their vector; empty where one has no name."""
+        known = [self.variables[name].derivative_of for name in self.derivatives if name in self.variables]
+        return tuple(known) if all(name in self.variables for name in known) else ()
 
     @cached_property
     def states(self) -> tuple[str, ...]:

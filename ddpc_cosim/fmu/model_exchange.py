@@ -49,7 +49,7 @@ class ModelExchangeRun(Run):
         needs_completed_step: bool,
     ) -> None:
         super().__init__(model, inputs, outputs, t0)
-        self._model = model
+        self.model = model
         self._needs_completed_step = needs_completed_step
         self._held: FloatArray | None = None
         self._next_event = inf
@@ -61,16 +61,20 @@ class ModelExchangeRun(Run):
         """Hold u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
         if h != self._step_size:
             self._base_time, self._steps, self._step_size = self.time, 0, h
-        if self._held is None or not np.array_equal(u, self._held):
-            self._held = np.array(u, dtype=np.float64)
-            self._event(self.time, lambda: self._write(u))
+        self.hold(u)
         self._integrate(self.time, self._base_time + (self._steps + 1) * h)
         self._steps += 1
         return self._read()
 
+    def hold(self, u: FloatArray) -> None:
+        """Hold u, shape (m,), from now on: an event, if it is another than before."""
+        if self._held is None or not np.array_equal(u, self._held):
+            self._held = np.array(u, dtype=np.float64)
+            self._event(self.time, lambda: self._write(u))
+
     def change(self, set_values: Callable[[Instance], None]) -> None:
         """Set parameters or inputs between two samples: an event."""
-        self._event(self.time, lambda: set_values(self._model))
+        self._event(self.time, lambda: set_values(self.model))
 
     def end(self, *, abandoned: bool = False) -> None:
         """Free all saved states and the integrator."""
@@ -102,7 +106,7 @@ class ModelExchangeRun(Run):
         """Do one integrator step towards a time; return where it ended, and whether an event is due there."""
         t, event = self._integrator.advance(target)
         if self._needs_completed_step:
-            wanted, end = self._model.completed_integrator_step()
+            wanted, end = self.model.completed_integrator_step()
             if end:
                 raise termination("a completed integrator step")
             event = event or wanted
@@ -110,8 +114,8 @@ class ModelExchangeRun(Run):
 
     def _event(self, t: float, change: Callable[[], None] | None = None) -> None:
         """Handle an event at a time, at which inputs or parameters may change."""
-        self._model.set_time(t)
-        self._model.enter_event_mode()
+        self.model.set_time(t)
+        self.model.enter_event_mode()
         if change is not None:
             change()
         info = self._settle()
@@ -119,9 +123,9 @@ class ModelExchangeRun(Run):
 
     def _settle(self) -> EventInfo:
         """Let the discrete states settle and go on to continuous time."""
-        info = self._model.update_discrete_states()
+        info = self.model.update_discrete_states()
         if info.terminate:
             raise termination("an event")
         self._next_event = inf if info.next_event is None else info.next_event
-        self._model.enter_continuous_time_mode()
+        self.model.enter_continuous_time_mode()
         return info

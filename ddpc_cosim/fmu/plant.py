@@ -7,8 +7,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+import numpy as np
+
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
 from ddpc_cosim.fmu.archive import UnpackLimits
+from ddpc_cosim.fmu.linear_model import Derivatives, LinearModel
+from ddpc_cosim.fmu.linearisation import linearisation_faults
 from ddpc_cosim.fmu.model_description import FMUDescription
 from ddpc_cosim.fmu.session import FMUSession
 from ddpc_cosim.fmu.units import with_display_units
@@ -145,6 +149,52 @@ class FMUPlant(Plant):
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, and inputs that are not driven, from the next step on."""
         self._session.set_parameters(parameters)
+
+    @property
+    def can_linearise(self) -> bool:
+        """Whether :meth:`linearise` works if the FMU is opened for Model Exchange."""
+        signals = ([self.description.signal(v.name) for v in group] for group in (self.inputs, self.outputs))
+        inputs, outputs = ([signal for signal in group if signal is not None] for group in signals)
+        return not linearisation_faults(self.description, inputs, outputs)
+
+    def linearise(
+        self, u: FloatArray | Sequence[float] | None = None, *, derivatives: Derivatives = "auto"
+    ) -> LinearModel:
+        """Return the continuous-time linear model about where the run is; the run goes on from there.
+
+        Only an FMU for Model Exchange, opened for it, tells the derivatives of its states.
+
+        Parameters
+        ----------
+        u : array, shape (m,), optional
+            Inputs at the operating point, held from now on; default: as they are.
+        derivatives : str
+            ``"directional"``: the FMU's own; ``"differences"``: central differences, whose steps follow the
+            nominal values; ``"auto"``: the former if the FMU has them.
+
+        Returns
+        -------
+        model : LinearModel
+            Matrices from the plant's inputs to its outputs, and the operating point.
+
+        Raises
+        ------
+        ConfigError
+            The FMU cannot be linearised, or not in this way; all faults at once.
+        FMUStepError
+            The FMU fails beside the point, or a derivative there is not finite.
+
+        Examples
+        --------
+        >>> plant = FMUPlant(pendulum_fmu, inputs=["torque"], outputs=["angle"], fmi_type="model-exchange")
+        >>> _ = plant.reset()
+        >>> plant.linearise().b
+        array([[0.],
+               [5.]])
+        >>> plant.close()
+        """
+        held = None if u is None else np.array(u, dtype=np.float64)
+        return self._session.linearise(held, derivatives)
 
     @property
     def can_save_state(self) -> bool:

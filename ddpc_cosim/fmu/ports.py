@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import prod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,19 +122,51 @@ class Port:
                 block.read()
 
 
+class Layout(NamedTuple):
+    """How signals lie in the memory that a call of C moves: whole variables, one after the other.
+
+    Parameters
+    ----------
+    references : list of int
+        Value references of the variables, each once.
+    size : int
+        Numbers in the memory.
+    elements : list of int
+        Where each signal is.
+    """
+
+    references: list[int]
+    size: int
+    elements: list[int]
+
+
+def layout(signals: Sequence[Signal], shapes: Shapes) -> Layout:
+    """Return how signals lie in memory.
+
+    Raises
+    ------
+    ConfigError
+        A signal is outside its array.
+    """
+    variables = {signal.source.reference: signal.source for signal in signals}
+    offsets, size = {}, 0
+    for reference, variable in variables.items():
+        offsets[reference] = size
+        size += prod(shapes.get(variable.name, variable.shape))
+    elements = [offsets[s.source.reference] + _place(s, shapes) for s in signals]
+    return Layout(list(variables), size, elements)
+
+
 def _block(
     instance: Instance, fmi_type: str, signals: Sequence[Signal], positions: list[int], shapes: Shapes
 ) -> Block:
     value_type = instance.types[fmi_type]
-    variables = {signal.source.reference: signal.source for signal in signals}
-    offsets, total = {}, 0
-    for reference, variable in variables.items():
-        offsets[reference] = total
-        total += prod(shapes.get(variable.name, variable.shape))
-    memory = (value_type.c_type * total)()
-    references = reference_array(list(variables))
-    elements = [offsets[s.source.reference] + _place(s, shapes) for s in signals]
-    arguments = (instance.component, *instance.value_arguments(references, total, memory))
+    references, size, elements = layout(signals, shapes)
+    memory = (value_type.c_type * size)()
+    arguments = (
+        instance.component,
+        *instance.value_arguments(reference_array(references), size, memory),
+    )
     return Block(
         get=partial(instance.function(value_type.get), *arguments),
         set=partial(instance.function(value_type.set), *arguments),

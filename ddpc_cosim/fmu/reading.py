@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import fmpy.model_description
+from lxml import etree  # type: ignore[import-untyped]
 
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.model_description import (
@@ -24,6 +25,7 @@ from ddpc_cosim.fmu.repairs import repair
 from ddpc_cosim.variables import DisplayUnit, Variable
 
 _PROBLEMS_SHOWN = 3
+_AS_GOOD_AS_INFINITE = 1e30
 _TYPES_3 = {"Real": "Float64", "Integer": "Int32"}
 _OLD_TYPES = frozenset({"Real", "Integer", "Boolean", "String", "Enumeration"})
 _NEW_TYPES = (NUMERIC_TYPES - {"Real", "Integer"}) | {"String", "Binary", "Clock"}
@@ -54,6 +56,8 @@ def read_description(folder: Path, label: str) -> FMUDescription:
                 f"{label}: modelDescription.xml offers neither Co-Simulation nor Model Exchange"
             )
         _check_types(model, label)
+        if str(model.fmiVersion).startswith("3"):
+            _add_directional_derivatives(folder / "modelDescription.xml", model)
         return _description(model, tuple(warnings))
     except FMUImportError:
         raise
@@ -74,6 +78,19 @@ def _read(folder: Path, warnings: list[str]) -> Any:
     except Exception:
         warnings += repair(folder / "modelDescription.xml")
     return read(str(folder), validate=False)
+
+
+def _add_directional_derivatives(path: Path, model: Any) -> None:
+    """Add what FMPy leaves out of FMI 3.0's interfaces: it knows the attribute by FMI 2.0's name only."""
+    interfaces = {"ModelExchange": model.modelExchange, "CoSimulation": model.coSimulation}
+    with path.open("rb") as file:
+        for _, element in etree.iterparse(file, events=("start",)):
+            if element.tag == "ModelVariables":  # the interfaces come before
+                return
+            interface = interfaces.get(element.tag)
+            if interface is not None:
+                provided = element.get("providesDirectionalDerivatives") in ("true", "1")
+                interface.providesDirectionalDerivative = provided
 
 
 def _check_types(model: Any, label: str) -> None:
@@ -122,6 +139,7 @@ def _description(model: Any, warnings: tuple[str, ...]) -> FMUDescription:
         text=str(model.description or ""),
         continuous_states=int(model.numberOfContinuousStates or 0),
         event_indicators=int(model.numberOfEventIndicators or 0),
+        derivatives=tuple(str(u.variable.name) for u in model.derivatives),
         default_experiment=_default_experiment(model.defaultExperiment),
         display_units=definitions,
         dependencies={str(u.variable.name): _dependencies(u) for u in model.outputs},
@@ -149,10 +167,7 @@ def _interface(kind: Kind, interface: Any, fmi_version: str) -> Interface:
         only_one_instance=bool(interface.canBeInstantiatedOnlyOncePerProcess),
         can_save_state=bool(interface.canGetAndSetFMUstate),
         can_serialize_state=bool(interface.canSerializeFMUstate),
-        provides_directional_derivatives=bool(
-            interface.providesDirectionalDerivative
-            or getattr(interface, "providesDirectionalDerivatives", False)
-        ),
+        provides_directional_derivatives=bool(interface.providesDirectionalDerivative),
         variable_step=is_fmi1 or bool(getattr(interface, "canHandleVariableCommunicationStepSize", True)),
         fixed_step=number(fixed_step, 0.0) or None,
         has_event_mode=bool(getattr(interface, "hasEventMode", False)),
@@ -163,7 +178,7 @@ def _interface(kind: Kind, interface: Any, fmi_version: str) -> Interface:
 def _default_experiment(experiment: Any) -> DefaultExperiment:
     def value(name: str) -> float | None:
         found = number(getattr(experiment, name, None), math.nan)
-        return None if math.isnan(found) else found
+        return found if math.isfinite(found) else None
 
     return DefaultExperiment(value("startTime"), value("stopTime"), value("tolerance"), value("stepSize"))
 
@@ -188,8 +203,8 @@ def _variable(variable: Any, definitions: Mapping[str, tuple[DisplayUnit, ...]],
         variable=Variable(
             name=str(variable.name),
             unit=unit,
-            min=number(attribute("min"), low),
-            max=number(attribute("max"), high),
+            min=_bound(attribute("min"), low),
+            max=_bound(attribute("max"), high),
             nominal=number(attribute("nominal"), 1.0),
             start=_start(variable.start),
             description=str(variable.description or ""),
@@ -215,6 +230,12 @@ def _variable(variable: Any, definitions: Mapping[str, tuple[DisplayUnit, ...]],
 def find_display_unit(candidates: tuple[DisplayUnit, ...], name: str) -> DisplayUnit | None:
     """Return the display unit of a name."""
     return next((unit for unit in candidates if unit.name == name), None)
+
+
+def _bound(text: object, none: float) -> float:
+    """Return a limit; many tools write the largest number that they know where there is none."""
+    bound = number(text, none)
+    return none if abs(bound) >= _AS_GOOD_AS_INFINITE else bound
 
 
 def _range(fmi_type: str) -> tuple[float, float]:

@@ -63,14 +63,21 @@ def repair(path: Path) -> list[str]:
     Exception
         It is no model description at all.
     """
-    root = _parse(path)
+    root = parse(path)
     notes = [note for mend in _REPAIRS for note in mend(root)]
     path.write_bytes(etree.tostring(root, encoding="UTF-8", xml_declaration=True))
     return list(dict.fromkeys(notes))
 
 
-def _parse(path: Path) -> Element:
-    content = path.read_bytes()
+def parse(path: Path) -> Element:
+    """Parse an XML file, also one that is not in the encoding that it claims or begins with blanks.
+
+    Raises
+    ------
+    Exception
+        It is no XML.
+    """
+    content = path.read_bytes().lstrip()
     parser = etree.XMLParser(remove_comments=True, remove_pis=True, resolve_entities=False, no_network=True)
     try:
         return etree.fromstring(content, parser)
@@ -91,8 +98,8 @@ def _namespaces(root: Element) -> Iterator[str]:
 
 
 def _version(root: Element) -> Iterator[str]:
-    version = (root.get("fmiVersion") or "").strip()
-    usual = {"1": "1.0", "2": "2.0"}.get(version[:1])
+    version = root.get("fmiVersion") or ""
+    usual = {"1": "1.0", "2": "2.0"}.get(version.strip()[:1])
     if usual and version != usual:
         root.set("fmiVersion", usual)
         yield f'fmiVersion "{version}" was read as {usual}'

@@ -8,14 +8,19 @@ import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.binary import find_library
 from ddpc_cosim.fmu.calls import DISCARD, FATAL, CallError
 from ddpc_cosim.fmu.flavours import choose_interface, make_instance, start_run
 from ddpc_cosim.fmu.instance import Instance, Origin
+from ddpc_cosim.fmu.linear_model import DERIVATIVES, Derivatives, LinearModel
+from ddpc_cosim.fmu.linearisation import has_directions, linearisation_faults, linearise
+from ddpc_cosim.fmu.model_exchange import ModelExchangeRun
 from ddpc_cosim.fmu.output import quiet, step_mute
-from ddpc_cosim.fmu.ports import Port
+from ddpc_cosim.fmu.ports import Port, Shapes
 from ddpc_cosim.fmu.reading import one_line, read_description
 from ddpc_cosim.fmu.run import Run
 from ddpc_cosim.fmu.scratch import ScratchFolder
@@ -95,6 +100,7 @@ class FMUSession:
         self.inputs = tuple(signal.variable for signal in self._inputs)
         self.outputs = tuple(signal.variable for signal in self._outputs)
         self._mute = step_mute(library.parent)
+        self._shapes: Shapes = {}
         self._stop_time: float | None = None
         self._may_terminate = False
         self._time = 0.0
@@ -141,6 +147,7 @@ class FMUSession:
             instance.initialize(t0, self._stop_time, self._tolerance)
             instance.complete_initialization()
             self._may_terminate = True
+            self._shapes = values.shapes
             inputs = Port(instance, self._inputs, values.shapes)
             outputs = Port(instance, self._outputs, values.shapes)
             inputs.fetch()
@@ -196,6 +203,46 @@ class FMUSession:
         values = StartValues(self.description, self._label, parameters, self._inputs, tunable_only=True)
         try:
             run.change(values.set_during_run)
+        except CallError as error:
+            raise self._failure(error) from error
+
+    @quiet()
+    def linearise(self, u: FloatArray | None = None, derivatives: Derivatives = "auto") -> LinearModel:
+        """Return the linear model about where the run is, with the inputs u, shape (m,), held from now on.
+
+        Raises
+        ------
+        ConfigError
+            The FMU cannot be linearised, or not in this way; all faults at once.
+        FMUStepError
+            The FMU fails beside the point, or a derivative there is not finite.
+        """
+        run = self._started("linearise")
+        faults = linearisation_faults(self.description, self._inputs, self._outputs)
+        if not faults and not isinstance(run, ModelExchangeRun):
+            faults = ['the FMU runs for Co-Simulation; open it with fmi_type = "model-exchange"']
+        if derivatives not in DERIVATIVES:
+            faults.append(f'derivatives = "{derivatives}" is not possible; allowed: {", ".join(DERIVATIVES)}')
+        if u is not None and np.shape(u) != (len(self._inputs),):
+            faults.append(f"u has shape {np.shape(u)}; needed: {len(self._inputs)} numbers")
+        if faults or not isinstance(run, ModelExchangeRun):
+            raise ConfigError([f"{self._label}: {fault}" for fault in faults])
+        told = has_directions(run.model, self.description, self._shapes)
+        if derivatives == "directional" and not told:
+            raise ConfigError(
+                f"{self._label}: the FMU has no directional derivatives; differences do without"
+            )
+        try:
+            if u is not None:
+                run.hold(u)
+            return linearise(
+                run.model,
+                self._inputs,
+                self._outputs,
+                self._shapes,
+                self.description,
+                directional=told and derivatives != "differences",
+            )
         except CallError as error:
             raise self._failure(error) from error
 
