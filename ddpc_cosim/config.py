@@ -77,6 +77,12 @@ class LoopSection(Section):
         if not math.isclose(steps, round(steps), rel_tol=1e-9):
             whole = f"a whole multiple of sampling_time ({self.sampling_time:g})"
             return [f"duration ({self.duration:g}) must be {whole}"]
+        if (
+            math.ulp(max(abs(self.start_time), abs(self.start_time + self.duration)))
+            > 1e-3 * self.sampling_time
+        ):
+            where = f"start_time ({self.start_time:g}) is too large"
+            return [f"{where}: samples {self.sampling_time:g} s apart coincide there"]
         return []
 
     @property

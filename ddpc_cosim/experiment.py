@@ -5,9 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddpc_cosim.controller import OK, Action, Controller, Loop, Recording, Sample
+from ddpc_cosim.controller import OK, Controller, Loop, Recording, Sample
 from ddpc_cosim.errors import ControllerError, DivergenceError
 from ddpc_cosim.finite import NotFiniteError, require_finite
+from ddpc_cosim.guards import ask_controller, reset_plant, step_plant
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.signals import UniformRandom
 from ddpc_cosim.variables import FloatArray
@@ -53,21 +54,14 @@ class Stabiliser:
         """Return the excited inputs of sample k within their limits, shape (m,)."""
         time = k * self._loop.sampling_time
         reference = self._reference[k + 1 : k + 1 + self._controller.horizon]
+        sample = Sample(k, time, y, measured, reference)
         try:
-            answer = self._controller.step(Sample(k, time, y, measured, reference))
-            action = answer if isinstance(answer, Action) else Action(answer)
-            u = np.asarray(action.u, dtype=float) + excitation
-        except Exception as error:  # a third party's controller can fail in any way
-            raise self._error(f"raised {type(error).__name__}: {error}", time) from error
-        if u.shape != excitation.shape or not np.isfinite(u).all():
-            raise self._error(f"returned {np.asarray(action.u).tolist()}", time)
-        self.fallbacks += action.status != OK
+            decided, status, _ = ask_controller(self._controller, sample, len(excitation))
+        except ControllerError as error:
+            raise ControllerError(f"{error}, during the experiment, at t = {time:g} s") from error
+        self.fallbacks += status != OK
         bounds = self._loop.bounds
-        return np.asarray(np.clip(u, bounds.u_min, bounds.u_max))
-
-    def _error(self, what: str, time: float) -> ControllerError:
-        name = type(self._controller).__name__
-        return ControllerError(f"{name}.step {what}, during the experiment, at t = {time:g} s")
+        return np.asarray(np.clip(decided + excitation, bounds.u_min, bounds.u_max))
 
 
 def run_experiment(
@@ -95,14 +89,14 @@ def run_experiment(
     """
     inputs = excitation.draw(len(plant.inputs))
     plant.plan(sampling_time, len(inputs) * sampling_time + onwards)
-    y_plant = plant.reset(parameters, 0.0)
+    y_plant = reset_plant(plant, parameters, 0.0)
     rows = []
     for k, u in enumerate(inputs):
         seen = sensors.measure(y_plant)
         rows.append(seen)
         if stabiliser is not None:
             u[:] = stabiliser.inputs(k, *seen, excitation=u)  # a row of what is recorded
-        y_plant = plant.step(u, sampling_time)
+        y_plant = step_plant(plant, u.copy(), sampling_time, k * sampling_time)
         try:
             require_finite(y_plant, plant.outputs)
         except NotFiniteError as error:

@@ -24,6 +24,7 @@ _EXPECTED = {
 }
 _NAME_RULE = "be letters, digits, dots, hyphens and underscores, the first one a letter or digit"
 _MAX_ROUNDS = 20
+_LONGEST_VALUE = 100
 
 
 class Faults:
@@ -211,12 +212,18 @@ def _in_words(model: type[BaseModel], fault: Any) -> str:
     if kind == "too_short":
         return "must not be empty"
     if kind == "string_pattern_mismatch":
-        return f"must {_NAME_RULE}, got {value!r}"
+        return f"must {_NAME_RULE}, got {_shown(value)}"
     expected = _EXPECTED.get(kind.split("_")[0])
     if expected and kind.endswith(("_type", "_parsing", "_from_float")):
-        return f"must be {expected}, got {value!r}"
-    return f"must {re.sub(r'^[A-Z][a-z]+ should ', '', fault['msg'])}, got {value!r}"
+        return f"must be {expected}, got {_shown(value)}"
+    return f"must {re.sub(r'^[A-Z][a-z]+ should ', '', fault['msg'])}, got {_shown(value)}"
 
 
 def _got(value: Any, context: dict[str, Any]) -> str:
-    return repr(context["tag"]) if "tag" in context else repr(value)
+    return _shown(context.get("tag", value))
+
+
+def _shown(value: Any) -> str:
+    """Return a value as a message can show it."""
+    text = repr(value)
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."

@@ -6,23 +6,33 @@ inputs until the next sample.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from ddpc_cosim.controller import OK, Action, Bounds, Controller, Loop, Recording, Sample
-from ddpc_cosim.errors import (
-    ConfigError,
-    ControllerError,
-    CosimError,
-    DataError,
-    FMUStepError,
-    StepStatus,
-)
+from ddpc_cosim.controller import OK, Bounds, Controller, Loop, Recording, Sample
+from ddpc_cosim.errors import ConfigError, ControllerError, DataError, FMUStepError, StepStatus
 from ddpc_cosim.experiment import Stabiliser, run_experiment
 from ddpc_cosim.finite import NotFiniteError, require_finite
+from ddpc_cosim.guards import (
+    ask_controller,
+    controller_diagnostics,
+    controller_settings,
+    plant_provenance,
+    reset_plant,
+    set_plant_parameters,
+    start_controller,
+    step_plant,
+)
 from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.run_checks import (
+    check_events,
+    check_recording,
+    check_sampling_time,
+    check_seed,
+    end_time,
+    whole_steps,
+)
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference, UniformRandom
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import FloatArray
@@ -35,6 +45,9 @@ OUTCOME_OF = {
     StepStatus.CRASHED: Outcome.CRASHED,
     StepStatus.TIMED_OUT: Outcome.TIMED_OUT,
 }
+
+# A sample time can lie a rounding error before the instant it stands for; in sampling times.
+_EARLY = 1e-6
 
 ProgressReport = Callable[[int, int], None]
 """Called now and then with the samples done and the samples planned."""
@@ -89,7 +102,7 @@ def cosimulate(
     noise : GaussianNoise, optional
         Noise of the measurements.
     events : sequence of ParameterChange, optional
-        Tunable parameters that change during the run.
+        Tunable parameters that change during the run, before its end.
     seed : int
         Seed of the noise and of the controller's random numbers.
     start_time : float
@@ -103,19 +116,25 @@ def cosimulate(
     -------
     trace : Trace
         The samples of the run, n + 1 rows for n sampling intervals if it completed. A fault of the plant or
-        of the controller during the run ends it: the outcome says how, the reason why and when.
+        of the controller during the run ends it, and so does a parameter change that the plant refuses: the
+        outcome says how, the reason why and when.
 
     Raises
     ------
     CosimError
-        What can be known before the first sample: settings, signals and data that do not fit, a plant that
-        cannot be initialised. A parameter change that the plant does not know is told when it is due.
+        What can be known before the first sample: settings, signals and data that do not fit, a parameter
+        change after the end of the run, a plant that cannot be initialised.
     """
     wiring = wire(plant, outputs, measurements)
-    steps = _whole_steps(duration, sampling_time)
+    steps = whole_steps(duration, sampling_time)
+    end = end_time(start_time, steps, sampling_time)
+    check_seed(seed)
+    check_events(events, end)
     limits = loop_bounds(plant, wiring, bounds or {})
     check_names("noise", noise.standard_deviation if noise else (), wiring.measurements)
     sensors = Sensors(wiring, noise, np.random.default_rng([seed, 1]))
+    if excitation is not None and recording is not None:
+        raise ConfigError("give an excitation or a recording, not both")
     if excitation is not None:
         onwards = duration if continue_recording else 0.0
         helper = _helper(stabiliser, plant, wiring, limits, reference, excitation, sampling_time, seed)
@@ -131,8 +150,8 @@ def cosimulate(
     if continue_recording:
         y_plant = last
     else:
-        plant.plan(sampling_time, start_time + steps * sampling_time)
-        y_plant = plant.reset(parameters, start_time)
+        plant.plan(sampling_time, end)
+        y_plant = reset_plant(plant, parameters, start_time)
     if controller.uses_recording and recording is None:
         raise DataError(
             f"{type(controller).__name__} learns from a recording; give an excitation or a recording"
@@ -143,16 +162,27 @@ def cosimulate(
         outputs=wiring.outputs,
         measurements=wiring.measurements,
         bounds=limits,
-        recording=recording,
+        recording=_protected(recording),
         rng=np.random.default_rng([seed, 0]),
         continues_recording=continue_recording,
     )
-    _start(controller, loop)
+    if recording is not None:
+        check_recording(recording, loop)
+    start_controller(controller, loop)
+    settings, provenance = controller_settings(controller), plant_provenance(plant)
     time = start_time + np.arange(steps + 1 + controller.horizon, dtype=np.float64) * sampling_time
     rows = _Rows(time, reference_table(reference, wiring.outputs, time), loop, steps, controller.horizon)
     outcome, reason = _run(
         plant, controller, sensors, rows, sorted(events, key=lambda e: e.time), y_plant, progress
     )
+    try:
+        diagnostics = controller_diagnostics(controller)
+    except ControllerError as error:
+        diagnostics = {}
+        if outcome is Outcome.COMPLETED:
+            outcome, reason = Outcome.CONTROLLER_ERROR, f"after the last sample: {error}"
+    if stabiliser is not None:
+        diagnostics["stabiliser_fallbacks"] = fallbacks
     return Trace(
         **rows.written(),
         inputs=plant.inputs,
@@ -163,10 +193,9 @@ def cosimulate(
         planned_samples=steps + 1,
         outcome=outcome,
         reason=reason,
-        settings=controller.settings(),
-        diagnostics=dict(controller.diagnostics())
-        | ({"stabiliser_fallbacks": fallbacks} if stabiliser is not None else {}),
-        provenance=dict(plant.provenance()),
+        settings=settings,
+        diagnostics=diagnostics,
+        provenance=provenance,
     )
 
 
@@ -188,6 +217,8 @@ def record(
 
     Only a stabiliser follows ``reference``, which it needs, and keeps ``bounds``.
     """
+    check_sampling_time(sampling_time)
+    check_seed(seed)
     wiring = wire(plant, outputs, measurements)
     check_names("noise", noise.standard_deviation if noise else (), wiring.measurements)
     sensors = Sensors(wiring, noise, np.random.default_rng([seed, 1]))
@@ -241,8 +272,8 @@ def _run(
     try:
         while True:
             require_finite(y_plant, plant.outputs)
-            while pending and pending[0].time <= rows.time[k] + 1e-9 * h:
-                plant.set_parameters(pending.pop(0).parameters)
+            while pending and pending[0].time <= rows.time[k] + _EARLY * h:
+                set_plant_parameters(plant, pending.pop(0).parameters, rows.time[k])
             u = _decide(controller, sensors, rows, k, y_plant)
             np.maximum(u, bounds.u_min, out=u)
             np.minimum(u, bounds.u_max, out=u)
@@ -250,8 +281,12 @@ def _run(
                 progress(k, planned - 1)
             if k + 1 == planned:
                 return Outcome.COMPLETED, ""
-            y_plant = plant.step(u, h)
+            y_plant = step_plant(plant, u.copy(), h, rows.time[k])  # a plant may use its inputs up
             k += 1
+    except ConfigError as error:
+        if k == 0:
+            raise
+        return Outcome.FMU_ERROR, f"{error} at t = {rows.time[k]:g} s"
     except FMUStepError as error:
         return OUTCOME_OF[error.status], str(error)
     except NotFiniteError as error:
@@ -267,27 +302,12 @@ def _decide(controller: Controller, sensors: Sensors, rows: _Rows, k: int, y_pla
     rows.measured[k] = measured
     rows.count = k + 1
     sample = Sample(k, float(rows.time[k]), y, measured, rows.reference[k + 1 : k + 1 + rows.horizon])
-    started = perf_counter()
     try:
-        answer = controller.step(sample)
-        rows.solve_time[k] = perf_counter() - started
-        if isinstance(answer, Action):
-            rows.status[k] = answer.status
-            answer = answer.u
-        answered = np.asarray(answer, dtype=float)
-    except Exception as error:
+        rows.u[k], rows.status[k], rows.solve_time[k] = ask_controller(controller, sample, rows.u.shape[1])
+    except ControllerError:
         rows.status[k] = "error"
-        raise ControllerError(
-            f"{type(controller).__name__}.step raised {type(error).__name__}: {error}"
-        ) from error
+        raise
     row: FloatArray = rows.u[k]
-    if answered.shape != row.shape or not np.isfinite(answered).all():
-        rows.status[k] = "error"
-        raise ControllerError(
-            f"{type(controller).__name__}.step returned {answered.tolist()}, shape {answered.shape}; "
-            f"needed: finite values, shape {row.shape}"
-        )
-    row[:] = answered
     return row
 
 
@@ -315,28 +335,16 @@ def _helper(
         recording=None,
         rng=np.random.default_rng([seed, 2]),
     )
-    _start(stabiliser, loop)
+    start_controller(stabiliser, loop)
     time = np.arange(excitation.samples + 1 + stabiliser.horizon, dtype=np.float64) * sampling_time
     return Stabiliser(stabiliser, loop, reference_table(reference, wiring.outputs, time))
 
 
-def _start(controller: Controller, loop: Loop) -> None:
-    try:
-        controller.start(loop)
-    except CosimError:
-        raise
-    except Exception as error:
-        raise ControllerError(
-            f"{type(controller).__name__}.start raised {type(error).__name__}: {error}"
-        ) from error
-
-
-def _whole_steps(duration: float, sampling_time: float) -> int:
-    if not (np.isfinite(sampling_time) and sampling_time > 0):
-        raise ConfigError(f"sampling_time = {sampling_time} is not possible; allowed: a number > 0")
-    steps = round(duration / sampling_time) if np.isfinite(duration) else 0
-    if steps < 1 or abs(steps * sampling_time - duration) > 1e-9 * max(duration, sampling_time):
-        raise ConfigError(
-            f"duration = {duration:g} must be a whole multiple of sampling_time = {sampling_time:g}"
-        )
-    return steps
+def _protected(recording: Recording | None) -> Recording | None:
+    """Return a recording that a controller can only read: others may learn from the same one."""
+    if recording is None:
+        return None
+    u, y, measured = (array.view() for array in (recording.u, recording.y, recording.measured))
+    for view in (u, y, measured):
+        view.setflags(write=False)
+    return Recording(u, y, measured, recording.sampling_time)

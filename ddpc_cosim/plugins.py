@@ -2,7 +2,7 @@
 
 import importlib
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
@@ -40,12 +40,20 @@ class Plugin:
 
 def installed(kind: str) -> list[Plugin]:
     """Load all plug-ins of a kind (one of ``KINDS``), by name; a broken one carries its error."""
-    return [_load_entry_point(entry) for entry in sorted(_entry_points(kind), key=lambda entry: entry.name)]
+    entries = _entry_points(kind)
+    plugins = [_load_entry_point(entry) for entry in sorted(entries, key=lambda entry: entry.name)]
+    names = [plugin.name for plugin in plugins]
+    return [
+        plugin
+        if plugin.error or names.count(plugin.name) == 1
+        else replace(plugin, value=None, error=f"another package has a {plugin.name} too; uninstall one")
+        for plugin in plugins
+    ]
 
 
 def plugin_names(kind: str) -> list[str]:
     """Return the names of the installed plug-ins of a kind, without loading them."""
-    return sorted(entry.name for entry in _entry_points(kind))
+    return sorted({entry.name for entry in _entry_points(kind)})
 
 
 def load_plugin(kind: str, name: str) -> Any:
@@ -62,6 +70,12 @@ def load_plugin(kind: str, name: str) -> Any:
     matches = [entry for entry in _entry_points(kind) if entry.name == name]
     if not matches:
         raise PluginError(f'no {singular} "{name}"; {did_you_mean(name, plugin_names(kind))}')
+    if len(matches) > 1:
+        origins = " and ".join(f"{_package(entry)} ({entry.value})" for entry in matches)
+        raise PluginError(
+            f'there are several {kind} called "{name}": of {origins}; '
+            f"write {matches[0].value} for the first, or uninstall one"
+        )
     plugin = _load_entry_point(matches[0])
     if plugin.error:
         raise PluginError(
@@ -74,11 +88,16 @@ def _entry_points(kind: str) -> list[EntryPoint]:
     if kind not in KINDS:
         raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
     # An editable installation beside a wheel lists an entry point twice.
-    return list({entry.name: entry for entry in entry_points(group=f"ddpc_cosim.{kind}")}.values())
+    found = entry_points(group=f"ddpc_cosim.{kind}")
+    return list({(entry.name, entry.value): entry for entry in found}.values())
+
+
+def _package(entry: EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "unknown package"
 
 
 def _load_entry_point(entry: EntryPoint) -> Plugin:
-    package = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "unknown package"
+    package = _package(entry)
     try:
         return Plugin(entry.name, entry.value, package, entry.load())
     except (Exception, SystemExit) as error:  # a third party's import can fail in any way

@@ -2,6 +2,7 @@
 
 import csv
 import hashlib
+import io
 import json
 import math
 from collections.abc import Iterable, Sequence
@@ -10,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.config import Study
-from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.storage import read_run, read_trace
+from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.storage import read_run, read_trace, write_whole
 from ddpc_cosim.trace import Outcome, Trace
 
 STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
@@ -162,26 +163,36 @@ def study_hash(study: Study) -> str:
 def write_results(
     folder: Path, study: Study, cases: Sequence[CaseResult], provenance: dict[str, str]
 ) -> None:
-    """Write ``study.toml``, ``metrics.csv`` and ``provenance.json`` beside the cases."""
+    """Write ``study.toml``, ``metrics.csv`` and ``provenance.json`` beside the cases.
+
+    Raises
+    ------
+    CosimError
+        They cannot be written, and why.
+    """
     import tomli_w
 
-    folder.mkdir(parents=True, exist_ok=True)
     content = study.model_dump(mode="python", exclude_none=True)
-    (folder / STUDY_FILE).write_text(tomli_w.dumps(content), encoding="utf-8")
     facts: dict[str, Any] = {**provenance, "cases": [case.id for case in cases]}
-    (folder / PROVENANCE_FILE).write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
-    _write_metrics(folder / METRICS_FILE, study, cases)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / STUDY_FILE, tomli_w.dumps(content))
+        write_whole(folder / PROVENANCE_FILE, json.dumps(facts, indent=1) + "\n")
+        write_whole(folder / METRICS_FILE, _metrics_table(study, cases))
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise CosimError(f"{folder}: results cannot be written: {reason}; finished cases are kept") from error
 
 
-def _write_metrics(path: Path, study: Study, cases: Sequence[CaseResult]) -> None:
+def _metrics_table(study: Study, cases: Sequence[CaseResult]) -> str:
+    """Return ``metrics.csv``."""
     keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
     plant = study.plant.name or Path(study.plant.fmu).name
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["study", "plant", "controller", "scenario", "seed", "outcome", *keys])
-        for case in cases:
-            values = [case.metrics.get(key, math.nan) for key in keys]
-            cells = ["" if math.isnan(value) else repr(value) for value in values]
-            writer.writerow(
-                [study.name, plant, case.controller, case.scenario, case.seed, case.outcome, *cells]
-            )
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(["study", "plant", "controller", "scenario", "seed", "outcome", *keys])
+    for case in cases:
+        values = [case.metrics.get(key, math.nan) for key in keys]
+        cells = ["" if math.isnan(value) else repr(value) for value in values]
+        writer.writerow([study.name, plant, case.controller, case.scenario, case.seed, case.outcome, *cells])
+    return file.getvalue()

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,18 @@ def files_of(controller: str, settings: Mapping[str, Any]) -> list[str]:
 def contents(controller: str, settings: Mapping[str, Any]) -> list[str]:
     """Return a hash of each file that a controller's plain settings name; empty for one that is not there."""
     paths = [Path(path) for path in files_of(controller, settings) if path != PLANT]
-    return [hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "" for path in paths]
+    return [_content(path, *_stamp(path)) if path.is_file() else "" for path in paths]
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
+
+
+@lru_cache(maxsize=64)
+def _content(path: Path, size: int, changed: int) -> str:
+    """Return a hash of a file of this size that was last changed then: one reading serves all cases."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _changed(plugin: type[Any], settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:

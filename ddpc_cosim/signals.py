@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Integral
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.variables import FloatArray
 
 # A sample time k*Ts can lie one rounding error before the instant it stands for.
-_RELATIVE_TIME_TOLERANCE = 1e-9
+_RELATIVE_TIME_TOLERANCE = 1e-12
 
 
 class Reference(ABC):
@@ -57,7 +58,7 @@ class Steps(Reference):
         if len(self.times) != len(self.values) or not self.times:
             lengths = f"times ({len(self.times)}) and values ({len(self.values)})"
             raise ConfigError(f"steps: {lengths} need the same length, at least 1")
-        if np.any(np.diff(self.times) <= 0):
+        if not np.all(np.diff(self.times) > 0):
             raise ConfigError(f"steps: times must increase, got {list(self.times)}")
 
     def at(self, time: FloatArray) -> FloatArray:
@@ -77,7 +78,7 @@ class Ramp(Reference):
     stop_time: float
 
     def __post_init__(self) -> None:
-        if self.stop_time <= self.start_time:
+        if not self.start_time < self.stop_time:
             raise ConfigError(
                 f"ramp: stop_time ({self.stop_time:g}) must be after start_time ({self.start_time:g})"
             )
@@ -125,15 +126,31 @@ class UniformRandom:
 
     def __post_init__(self) -> None:
         faults = []
-        if self.samples < 1:
-            faults.append(f"uniform excitation: samples = {self.samples} is not possible; allowed: >= 1")
-        if np.any(np.asarray(self.low) >= np.asarray(self.high)):
-            faults.append(f"uniform excitation: low ({self.low}) must be below high ({self.high})")
+        if not isinstance(self.samples, Integral) or self.samples < 1:
+            faults.append(f"samples = {self.samples} is not possible; allowed: a whole number >= 1")
+        if not isinstance(self.seed, Integral) or not 0 <= self.seed < 2**32:
+            faults.append(f"seed = {self.seed} is not possible; allowed: a whole number from 0 to 2**32 - 1")
+        if not np.all(np.isfinite(self.low)) or not np.all(np.isfinite(self.high)):
+            faults.append(f"low ({self.low}) and high ({self.high}) must be finite")
+        elif np.ndim(self.low) == np.ndim(self.high) == 1 and np.shape(self.low) != np.shape(self.high):
+            faults.append(f"low ({self.low}) and high ({self.high}) need the same length")
+        elif not np.all(np.asarray(self.low) < np.asarray(self.high)):
+            faults.append(f"low ({self.low}) must be below high ({self.high})")
         if faults:
-            raise ConfigError(faults)
+            raise ConfigError([f"uniform excitation: {fault}" for fault in faults])
 
     def draw(self, inputs: int) -> FloatArray:
-        """Return the excitation of all inputs, shape (samples, inputs)."""
+        """Return the excitation of all inputs, shape (samples, inputs).
+
+        Raises
+        ------
+        ConfigError
+            There are ranges for another number of inputs.
+        """
+        for name in ("low", "high"):
+            if np.shape(getattr(self, name)) not in ((), (inputs,)):
+                values = getattr(self, name)
+                raise ConfigError(f"uniform excitation: {name} = {values}; needed: a number, or {inputs}")
         unit = np.random.RandomState(self.seed).random_sample((self.samples, inputs))
         low, high = np.asarray(self.low, dtype=float), np.asarray(self.high, dtype=float)
         # Twice the centred half range, in the order of the authors' program, gives its data to the last bit.

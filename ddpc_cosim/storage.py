@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import shutil
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim.controller import Bounds
+from ddpc_cosim.errors import CosimError
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
 
 
-def write_case(folder: Path, trace: Trace, head: dict[str, Any]) -> None:
+def write_case(folder: Path, trace: Trace, head: dict[str, Any], drafts: Path | None = None) -> None:
     """Write a case's folder in one move, replacing an older one.
 
     Parameters
@@ -26,6 +28,13 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any]) -> None:
         What the run left behind.
     head : dict
         What the case is: id, controller, scenario, seed, ...
+    drafts : Path, optional
+        Where it stands until it is complete, on the same disk; default: beside the folder.
+
+    Raises
+    ------
+    CosimError
+        It cannot be written, and why; an older one is kept.
     """
     run = head | {
         "outcome": trace.outcome.value,
@@ -43,23 +52,44 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any]) -> None:
         },
         "provenance": trace.provenance,
     }
-    draft = folder.with_name(f"{_draft_prefix(folder)}{os.getpid()}")
-    shutil.rmtree(draft, ignore_errors=True)
-    draft.mkdir(parents=True)
-    (draft / "run.json").write_text(json.dumps(_finite(run), indent=1) + "\n", encoding="utf-8")
-    _write_signals(draft / "signals.csv", trace)
-    shutil.rmtree(folder, ignore_errors=True)
-    draft.replace(folder)
-
-
-def remove_drafts(folder: Path) -> None:
-    """Remove what processes left behind that died while they wrote this case's folder."""
-    for draft in folder.parent.glob(f"{_draft_prefix(folder)}*"):
+    draft = (drafts or folder.parent) / f".{folder.name}.{os.getpid()}"
+    shutil.rmtree(draft, ignore_errors=True)  # of a process of the same number that died here
+    try:
+        draft.mkdir(parents=True)
+        (draft / "run.json").write_text(json.dumps(_finite(run), indent=1) + "\n", encoding="utf-8")
+        _write_signals(draft / "signals.csv", trace)
+        _move_into_place(draft, folder)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise CosimError(f"{folder}: cannot be written: {reason}; finished cases are kept") from error
+    finally:
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def _draft_prefix(folder: Path) -> str:
-    return f".{folder.name}."
+def _move_into_place(draft: Path, folder: Path) -> None:
+    """Put a complete draft in the place of its folder, while other runs may do the same."""
+    older = draft.with_name(f"{draft.name}.older")
+    with suppress(FileNotFoundError):
+        folder.replace(older)  # quicker than removing it: hardly a moment without a case
+    try:
+        draft.replace(folder)
+    except OSError:
+        if not (folder / "run.json").is_file():
+            with suppress(FileNotFoundError):
+                older.replace(folder)
+            raise
+        # Another run has just written the same case, and what decides its result is the same.
+    shutil.rmtree(older, ignore_errors=True)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file in one move, so that nobody ever finds half of it."""
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        draft.write_text(text, encoding="utf-8", newline="")
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
 
 
 def read_run(folder: Path) -> dict[str, Any]:

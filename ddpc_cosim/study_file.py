@@ -25,7 +25,7 @@ def read_study(name: str) -> CheckedStudy:
     try:
         # Some editors put a byte order mark in front, which TOML does not know.
         data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are no TOML errors
         raise ConfigError(f"{path.name}: not a TOML file: {error}") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +45,8 @@ def wire(plant: Plant, outputs: Sequence[str] | None, measurements: Sequence[str
     if missing:
         raise ConfigError([f"the plant has no {what}: there is nothing to control" for what in missing])
     available = names(plant.outputs)
-    controlled = tuple(outputs) if outputs else available
-    measured = tuple(measurements) if measurements else available
+    controlled = _listed("outputs", outputs) or available
+    measured = _listed("measurements", measurements) or available
     check_names("outputs and measurements", dict.fromkeys((*controlled, *measured)), plant.outputs)
     output_index = np.array([available.index(name) for name in controlled], dtype=np.intp)
     measured_index = np.array([available.index(name) for name in measured], dtype=np.intp)
@@ -55,6 +56,16 @@ def wire(plant: Plant, outputs: Sequence[str] | None, measurements: Sequence[str
         output_index,
         measured_index,
     )
+
+
+def _listed(what: str, chosen: Sequence[str] | None) -> tuple[str, ...]:
+    if isinstance(chosen, str):
+        raise ConfigError(f'{what}: needed: a list of names, got the text "{chosen}"')
+    listed = tuple(chosen or ())
+    twice = [name for name in dict.fromkeys(listed) if listed.count(name) > 1]
+    if twice:
+        raise ConfigError([f'{what}: "{name}" is listed more than once' for name in twice])
+    return listed
 
 
 class Sensors:
@@ -86,18 +97,24 @@ class Sensors:
 def loop_bounds(plant: Plant, wiring: Wiring, given: Mapping[str, tuple[float, float]]) -> Bounds:
     """Return the limits of inputs and controlled outputs: those given, else the plant's own."""
     check_names("bounds", given, (*plant.inputs, *wiring.outputs))
+    faults = [fault for name, pair in given.items() if (fault := _bounds_fault(name, pair))]
+    if faults:
+        raise ConfigError(faults)
     limits = [
         np.array([given.get(v.name, (v.min, v.max)) for v in variables], dtype=float).reshape(-1, 2)
         for variables in (plant.inputs, wiring.outputs)
     ]
-    faults = [
-        f"bounds of {name}: {low:g} must be below {high:g}"
-        for name, (low, high) in given.items()
-        if not low < high
-    ]
-    if faults:
-        raise ConfigError(faults)
+    for table in limits:
+        table.setflags(write=False)  # the master saturates at what controllers are shown
     return Bounds(limits[0][:, 0], limits[0][:, 1], limits[1][:, 0], limits[1][:, 1])
+
+
+def _bounds_fault(name: str, pair: Any) -> str:
+    try:
+        low, high = map(float, pair)
+    except (TypeError, ValueError):
+        return f"bounds of {name}: needed: two numbers, got {pair!r}"
+    return "" if low < high else f"bounds of {name}: {low:g} must be below {high:g}"
 
 
 def reference_table(
@@ -112,7 +129,21 @@ def reference_table(
     missing = [name for name in names(outputs) if name not in reference]
     if missing:
         raise ConfigError(f"reference: none for {', '.join(missing)}")
-    return np.column_stack([reference[name].at(time) for name in names(outputs)])
+    return np.column_stack([_values(name, reference[name], time) for name in names(outputs)])
+
+
+def _values(name: str, reference: Reference, time: FloatArray) -> FloatArray:
+    """Return the values of one reference, which may be anybody's class, shape (len(time),)."""
+    try:
+        values = np.asarray(reference.at(time.copy()), dtype=np.float64)
+    except Exception as error:
+        raise ConfigError(f"reference of {name}: {type(error).__name__}: {error}") from error
+    if values.shape != time.shape:
+        raise ConfigError(f"reference of {name}: has shape {values.shape}; needed: {time.shape}")
+    if not np.isfinite(values).all():
+        first = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise ConfigError(f"reference of {name}: {values[first]} at t = {time[first]:g} s; needed: finite")
+    return values
 
 
 def check_names(what: str, given: Iterable[str], known: Sequence[Variable]) -> None:

@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 from ddpc_controllers.backends import ActiveSet, Backend
 from ddpc_controllers.condensing import Condenser
 from ddpc_controllers.online_data import OnlineData
-from ddpc_controllers.qp import Move, clip_inputs, find_conflict, infeasible, zero_unless_finite
+from ddpc_controllers.qp import InputLimits, Move, find_conflict, infeasible, zero_unless_finite
 from ddpc_cosim import FloatArray
 
 _FEASIBLE = 1e-11
@@ -49,7 +49,7 @@ class AdaptiveQP:
         backend: Backend,
     ) -> None:
         self._condenser, self._data, self._backend = condenser, data, backend
-        self._u_min, self._u_max = u_min, u_max
+        self._limits = InputLimits(u_min, u_max)
         self._active: ActiveSet = ()
         self._adopt_factor()
 
@@ -68,11 +68,12 @@ class AdaptiveQP:
         excess, u = answer[: self._bounds], answer[self._bounds :]
         conflict = self._reduced.conflict_law
         fault = find_conflict(conflict, parameters) if conflict.size else ""
-        if not self._bounds:
-            fault = zero_unless_finite(u) or fault
-        elif not max(excess.tolist()) <= 0.0:
+        if self._bounds and not max(excess.tolist()) <= 0.0:
             fault = self._respect_bounds(excess, u, triangular) or fault
-        clip_inputs(u, self._u_min, self._u_max)
+            self._limits.reach(u)
+        elif self._limits.endless or not self._bounds:
+            fault = zero_unless_finite(u) or fault
+        self._limits.hold(u)
         return Move(u, fault)
 
     def _gram_factor(self) -> FloatArray:
@@ -138,9 +139,10 @@ class AdaptiveQP:
         if t is None:
             self._backend.load(gain)
             t, active, failure = self._backend.solve(excess)
-            if failure:
-                return infeasible(failure, gain, excess, self._reduced.labels)
+            # Whatever the solver says of itself: what satisfies the optimality conditions is the optimum.
             exact = _certified(gain, excess, active)
+            if failure and exact is None:
+                return infeasible(failure, gain, excess, self._reduced.labels)
             t, self._active = (t if exact is None else exact), active
         u += move_gain @ t
         return ""

@@ -21,7 +21,10 @@ PIQP_TOLERANCE = 1e-12
 """Tolerances of PIQP, all of them: its defaults leave errors of 3e-4 in the input."""
 
 _DAQP_TOLERANCE = 1e-10
+_DAQP_INFEASIBLE = -1
+_EXCEEDED = 1e-8
 _CONTRADICTION = 1e-6
+_INSIGNIFICANT = 1e-9
 
 
 class Answer(NamedTuple):
@@ -52,6 +55,24 @@ class Backend(Protocol):
         """Solve for one excess, shape (n,)."""
 
 
+class _ScaledProblems:
+    """Bounds in units of their own gain, t in units of the excess: solvers have absolute tolerances."""
+
+    def __init__(self, gain: FloatArray) -> None:
+        norms = np.linalg.norm(gain, axis=1)
+        largest = float(norms.max()) or 1.0
+        # What hardly depends on t is rounding: it stays small.
+        norms[norms <= _INSIGNIFICANT * largest] = largest
+        self.gain, self._norms = gain / norms[:, np.newaxis], norms
+
+    def scale(self, excess: FloatArray) -> tuple[FloatArray, float]:
+        """Return the excess in these units, and the unit of t."""
+        distance = excess / self._norms
+        unit = float(distance.max())
+        unit = unit if unit > 0.0 else 1.0
+        return distance / unit, unit
+
+
 class PIQPBackend:
     """PIQP's dense interior-point method."""
 
@@ -60,28 +81,32 @@ class PIQPBackend:
 
     def load(self, gain: FloatArray) -> None:
         """See :class:`Backend`."""
-        self._gain, self._solver = gain, None
+        self._problems = _ScaledProblems(gain)
+        self._set_up()
 
     def solve(self, excess: FloatArray) -> Answer:
         """See :class:`Backend`."""
         if self._solver is None:
             self._set_up()
+        excess, unit = self._problems.scale(excess)
         solver = self._solver
         solver.update(h_u=-excess)
         status = solver.solve()
         result = solver.result
         active = tuple(np.flatnonzero(result.z_u > result.s_u).tolist())
-        return Answer(self._directions @ result.x, active, "" if status == piqp.PIQP_SOLVED else status.name)
+        t = unit * (self._directions @ result.x)
+        return Answer(t, active, "" if status == piqp.PIQP_SOLVED else status.name)
 
     def _set_up(self) -> None:
         """Set the solver up over the independent directions of t."""
-        _, values, right = np.linalg.svd(self._gain, full_matrices=False)
+        gain = self._problems.gain
+        _, values, right = np.linalg.svd(gain, full_matrices=False)
         self._directions = right[values > np.finfo(float).eps * len(right) * values[0]].T
-        bounds, size = len(self._gain), self._directions.shape[1]
+        bounds, size = len(gain), self._directions.shape[1]
         solver = piqp.DenseSolver()
         for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
             setattr(solver.settings, name, PIQP_TOLERANCE)
-        gain = np.asfortranarray(self._gain @ self._directions)
+        gain = np.asfortranarray(gain @ self._directions)
         solver.setup(np.eye(size), np.zeros(size), G=gain, h_u=np.zeros(bounds))
         self._solver = solver
 
@@ -110,23 +135,29 @@ class DAQPBackend:
 
     def load(self, gain: FloatArray) -> None:
         """See :class:`Backend`."""
-        self._gain, self._model = np.ascontiguousarray(gain), None
+        self._problems = _ScaledProblems(gain)
+        self._set_up()
 
     def solve(self, excess: FloatArray) -> Answer:
         """See :class:`Backend`."""
         if self._model is None:
-            self._set_up(excess)
-        else:
-            self._model.update(bupper=-excess)
+            self._set_up()
+        excess, unit = self._problems.scale(excess)
+        self._model.update(bupper=-excess)
         t, _, flag, info = self._model.solve()
         active = tuple(np.flatnonzero(info["lam"] > 0.0).tolist())
-        return Answer(t, active, "" if flag > 0 else f"DAQP_EXIT_{flag}")
+        # It passes over bounds that no t moves.
+        if flag > 0 and not (excess + self._problems.gain @ t).max() <= _EXCEEDED:
+            flag = _DAQP_INFEASIBLE
+        return Answer(unit * t, active, "" if flag > 0 else f"DAQP_EXIT_{flag}")
 
-    def _set_up(self, excess: FloatArray) -> None:
-        size = self._gain.shape[1]
+    def _set_up(self) -> None:
+        """Set the solver up at no excess: it refuses to be set up with bounds that no t meets."""
+        gain = np.ascontiguousarray(self._problems.gain)
+        bounds, size = gain.shape
         self._model = import_module("daqp").Model()
         self._model.settings = {"primal_tol": _DAQP_TOLERANCE}
-        self._model.setup(np.eye(size), np.zeros(size), self._gain, -excess)
+        self._model.setup(np.eye(size), np.zeros(size), gain, np.zeros(bounds))
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave DAQP's workspace behind: it is set up again when it is needed."""
@@ -151,7 +182,8 @@ def contradiction(gain: FloatArray, excess: FloatArray) -> ActiveSet:
     """
     from scipy.optimize import nnls
 
-    system = np.vstack([gain.T, excess])
+    system = np.vstack([gain.T / (np.abs(gain).max(initial=0.0) or 1.0), excess])
+    system /= np.maximum(np.linalg.norm(system, axis=0), np.finfo(float).tiny)
     target = np.append(np.zeros(gain.shape[1]), 1.0)
     multipliers, distance = nnls(system, target)
     if distance > _CONTRADICTION:

@@ -29,7 +29,8 @@ class DataDiagnostics:
     data_rows, data_columns : int
         Its size.
     smallest_singular_value, condition : float
-        The smallest singular value that counts towards the rank, and the ratio of the largest to it.
+        The smallest singular value that counts towards the rank, and the ratio of the largest to it, of the
+        matrix with rows of root mean square 1: the units of the signals do not matter.
     """
 
     pe_order: int
@@ -114,7 +115,7 @@ def least_samples(order: int, inputs: int) -> int:
 
 
 def diagnose(stacked: FloatArray, u: FloatArray, order_needed: int) -> DataDiagnostics:
-    """Return rank, smallest singular value and order of excitation of a recording.
+    """Return rank, smallest singular value and order of excitation of a recording, whatever its units.
 
     Parameters
     ----------
@@ -125,7 +126,9 @@ def diagnose(stacked: FloatArray, u: FloatArray, order_needed: int) -> DataDiagn
     order_needed : int
         Order of persistency of excitation that the controller needs.
     """
-    values = np.linalg.svd(stacked, compute_uv=False).astype(np.float64)
+    size = np.sqrt(np.mean(np.square(stacked), axis=1, keepdims=True))
+    size[size == 0.0] = 1.0
+    values = np.linalg.svd(stacked / size, compute_uv=False).astype(np.float64)
     rank = _count_nonzero(values, RANK_TOLERANCE)
     smallest = float(values[rank - 1]) if rank else 0.0
     look_up_to = max(order_needed, _LARGEST_HANKEL // u.shape[1])

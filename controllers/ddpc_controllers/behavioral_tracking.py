@@ -9,10 +9,13 @@ import numpy as np
 
 from ddpc_controllers.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.behavioral import diagnose, least_samples, require_excitation, require_length
+from ddpc_controllers.change_limits import NOT_FINITE as INPUTS_HELD
 from ddpc_controllers.condensing import Condenser
 from ddpc_controllers.learning import Learner
+from ddpc_controllers.lost_measurements import all_finite, stand_in
+from ddpc_controllers.observer import LOST_MEASUREMENT
 from ddpc_controllers.problem import Problem
-from ddpc_controllers.qp import Move, ParametricQP
+from ddpc_controllers.qp import NOT_FINITE, Move, ParametricQP
 from ddpc_controllers.recorded import ParameterVector, matching_recording, padded_with_zeros, resting_input
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_controllers.tracking_problem import SUM_G, write_tracking_problem
@@ -40,7 +43,7 @@ class BehavioralTracking(ScaledSignals):
 
     initial_length: int = setting(3, low=1, doc="samples of the past that fix the initial condition, Tini")
     horizon: int = setting(
-        5, low=1, doc="prediction horizon N, samples; with terminal_equality at least initial_length"
+        5, low=1, doc="prediction horizon N, samples; with terminal_equality longer than initial_length"
     )
     output_weight: Weight = setting(
         100.0, low=0.0, doc="Q: predicted outputs off the artificial setpoint, or off the reference"
@@ -79,7 +82,10 @@ class BehavioralTracking(ScaledSignals):
         """Condense the problem on the loop's recording."""
         recording = matching_recording(loop, type(self).__name__)
         m, p = len(loop.inputs), len(loop.outputs)
-        self._loop_bounds, self._inputs = loop.bounds, m
+        self._loop_bounds, self._inputs, self._outputs = loop.bounds, m, p
+        # Where the inputs of a plan and its predicted outputs end in the solver's answer.
+        self._planned = self.apply_steps * m, self.apply_steps * (m + p)
+        self._forecast = recording.y[-1]
         self._rates: FloatArray | None = None
         if self._has_rates:
             self._rates = per_signal("rate_bounds", self.rate_bounds, m) / self._scales.u
@@ -88,24 +94,30 @@ class BehavioralTracking(ScaledSignals):
         data = self._stack(recording)
         self._parameters = self._make_parameters(m, p, len(data))
         self._learner: Learner | None = None
-        condenser = self._write_down(loop).prepare("u", self.apply_steps * m)
+        condenser = self._write_down(loop).prepare("u", self.apply_steps * m, self.apply_steps * p)
         self._solver = self._make_solver(loop, recording, condenser, data)
+        changes_answer = self._has_rates or self._remembers_plan or self._learner is not None
+        self._applies_answer: bool = self.apply_steps == 1 and not changes_answer
         self._fill_past(loop, recording)
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the optimal input for this sample, of the present plan or of a new one."""
-        parameters, learner = self._parameters, self._learner
+        parameters, learner, y = self._parameters, self._learner, sample.y
+        lost = "" if all_finite(y) else LOST_MEASUREMENT
         if self._resting:
-            parameters.fill("y_ini", sample.y)
+            if lost:
+                return Action(parameters.window("u_ini")[-1].copy(), lost)
+            parameters.fill("y_ini", y)
             self._resting = False
         elif self.use_current_output:
-            parameters.append("y_ini", sample.y)
-        u, fault = (self._pending.pop(0), "") if self._pending else self._plan(sample.reference)
+            parameters.append("y_ini", self._known(y) if lost else y)
+        u, fault = self._continue_plan() if self._pending else self._plan(sample.reference)
         parameters.append("u_ini", u)
         if not self.use_current_output:
-            parameters.append("y_ini", sample.y)
+            parameters.append("y_ini", self._known(y) if lost else y)
         if learner:
-            learner.learn(u=u, y=sample.y)
+            learner.learn(u=u, y=y)
+        fault = fault or lost
         return Action(u, fault) if fault else u
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
@@ -160,10 +172,16 @@ class BehavioralTracking(ScaledSignals):
                 f"{name}: terminal_equality ties the horizon's end to the artificial setpoint: switch it off "
                 "too, or artificial_setpoint on"
             )
-        if self.terminal_equality and self.horizon < self.initial_length:
+        if self.terminal_equality and self.horizon <= self.initial_length:
             faults.append(
-                f"{name}: horizon = {self.horizon} is shorter than initial_length = {self.initial_length}; "
-                "the terminal condition holds over the last initial_length samples of the horizon"
+                f"{name}: horizon = {self.horizon} is not longer than initial_length = "
+                f"{self.initial_length}; the terminal condition holds over the last initial_length samples "
+                "of the horizon, and leaves no input free to get there"
+            )
+        if self.horizon == 1 and not self.use_current_output:
+            faults.append(
+                f"{name}: horizon = 1 predicts the present output alone, which no input changes any more: "
+                "at least 2, or use_current_output on"
             )
         if self.apply_steps > self.horizon:
             faults.append(f"{name}: apply_steps = {self.apply_steps} is more than horizon = {self.horizon}")
@@ -217,11 +235,14 @@ class BehavioralTracking(ScaledSignals):
         parameters = self._parameters
         parameters.fill("r", reference)
         answer, fault = self._solver.solve(parameters.array)
-        if len(answer) == self._inputs and self._rates is None and self._learner is None:
-            return answer, fault
-        planned = self.apply_steps * self._inputs
+        if fault == NOT_FINITE:
+            return parameters.window("u_ini")[-1].copy(), INPUTS_HELD
+        planned, forecast = self._planned
+        self._forecast = answer[planned:forecast]
+        if self._applies_answer:
+            return answer[:planned], fault
         if self._remembers_plan and not fault:
-            parameters.fill("h_previous", answer[planned:])
+            parameters.fill("h_previous", answer[forecast:])
         plan = answer[:planned].reshape(-1, self._inputs)
         if self._learner:
             self._learner.add_dither(plan)
@@ -229,6 +250,15 @@ class BehavioralTracking(ScaledSignals):
         if not fault:
             self._pending = list(plan[1:])
         return plan[0].copy(), fault
+
+    def _continue_plan(self) -> tuple[FloatArray, str]:
+        """Return the next input of the present plan."""
+        self._forecast = self._forecast[self._outputs :]
+        return self._pending.pop(0), ""
+
+    def _known(self, y: FloatArray) -> FloatArray:
+        """Return outputs, shape (p,), with what the plan predicted in the place of those that are lost."""
+        return stand_in(y, self._forecast[: self._outputs])
 
     def _hold_limits(self, plan: FloatArray) -> None:
         """Hold input and rate bounds exactly, in place, along the inputs that will be applied."""

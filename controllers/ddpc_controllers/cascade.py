@@ -9,6 +9,7 @@ adaptive control cascaded with intelligent PID, Chinese Control and Decision Con
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import ClassVar
 
 import numpy as np
@@ -25,9 +26,10 @@ class Cascade(Controller):
 
     The inner controller drives the plant's inputs. It controls the controlled outputs, or other measurements
     named in ``inner_outputs``; their references are the inputs of the outer controller, for which plant and
-    inner loop are one plant, and have the limits of the outputs they are for. The outer controller takes one
-    sample for ``outer_period`` of the inner one. Neither may learn from a recording, because there is none
-    of the inner loop; an inner one may take over where the recording ended.
+    inner loop are one plant, and have the limits of the outputs they are for. They begin where the first
+    sample finds these outputs, so that a plant at rest is left alone. The outer controller takes one sample
+    for ``outer_period`` of the inner one. Neither may learn from a recording, because there is none of the
+    inner loop; an inner one may take over where the recording ended.
 
     A status of either is passed on with its name.
     """
@@ -64,29 +66,31 @@ class Cascade(Controller):
         self._inner, self._outer = deepcopy(self.inner), deepcopy(self.outer)
         self._inner.start(inner)
         bounds = Bounds(inner.bounds.y_min, inner.bounds.y_max, loop.bounds.y_min, loop.bounds.y_max)
-        self._outer.start(
-            replace(
-                loop,
-                sampling_time=loop.sampling_time * self.outer_period,
-                inputs=inner.outputs,
-                bounds=bounds,
-                recording=None,
-                continues_recording=False,
-            )
+        self._outer_loop = replace(
+            loop,
+            sampling_time=loop.sampling_time * self.outer_period,
+            inputs=inner.outputs,
+            bounds=bounds,
+            recording=None,
+            continues_recording=False,
         )
+        self._begun = False
+        self._start_outer()  # refused here, not at the first sample
         self._target = np.empty((self._inner.horizon, len(inner.outputs)))
 
     def step(self, sample: Sample) -> Action:
         """Return what the inner controller does about the outer one's latest reference."""
         faults: list[str] = []
         info: dict[str, float] = {}
+        y = sample.y if self._chosen is None else sample.measured[self._chosen]
+        if not self._begun:
+            self._begin_at(y)
         if sample.k % self.outer_period == 0:
             later = sample.reference[self.outer_period - 1 :: self.outer_period]
             slow = sample._replace(k=sample.k // self.outer_period, reference=later)
             outer = _as_action(self._outer.step(slow))
             self._target[...] = outer.u
             _report("outer", outer, faults, info)
-        y = sample.y if self._chosen is None else sample.measured[self._chosen]
         inner = _as_action(self._inner.step(sample._replace(y=y, reference=self._target.copy())))
         _report("inner", inner, faults, info)
         return Action(inner.u, "; ".join(faults), info) if faults else Action(inner.u, info=info)
@@ -96,6 +100,21 @@ class Cascade(Controller):
         return {f"inner.{name}": value for name, value in self._inner.diagnostics().items()} | {
             f"outer.{name}": value for name, value in self._outer.diagnostics().items()
         }
+
+    def _begin_at(self, y: FloatArray) -> None:
+        """Let the outer controller's inputs begin where the inner outputs are, if these are known."""
+        self._begun = True
+        inputs = tuple(
+            replace(variable, start=value) if isfinite(value) else variable
+            for variable, value in zip(self._outer_loop.inputs, y.tolist(), strict=True)
+        )
+        if inputs != self._outer_loop.inputs:
+            self._outer_loop = replace(self._outer_loop, inputs=inputs)
+            self._start_outer()
+
+    def _start_outer(self) -> None:
+        # A copy of the stream: a second start draws the same numbers.
+        self._outer.start(replace(self._outer_loop, rng=deepcopy(self._outer_loop.rng)))
 
     def _choose(self, loop: Loop) -> list[int] | None:
         """Return where the inner outputs stand among the measurements; None for the controlled outputs."""

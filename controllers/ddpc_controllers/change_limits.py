@@ -12,6 +12,9 @@ from ddpc_controllers.backends import PIQP_TOLERANCE
 from ddpc_controllers.validation import per_signal
 from ddpc_cosim import Bounds, FloatArray, Weight
 
+_CORRECTIONS = 5
+_ROUNDING = 1e-12
+
 NOT_FINITE = "a measurement or a reference is not finite: inputs held"
 
 
@@ -48,6 +51,11 @@ class ChangeLimits:
         self._u_min, self._u_max = bounds.u_min, bounds.u_max
         self._rates, self._steps = rates, steps
         self._optimise = optimise
+        self._spans = _spans(bounds.u_max - bounds.u_min, rates)
+        self._scales = np.tile(self._spans, steps)
+        # In parts of the spans. Limits are for the levels of the inputs, then for their changes.
+        self._limited = np.vstack([np.kron(np.tri(steps), np.eye(len(rates))), np.eye(steps * len(rates))])
+        self._largest = np.tile(rates / self._spans, steps)
         self._channels = list(zip(bounds.u_min.tolist(), bounds.u_max.tolist(), rates.tolist(), strict=True))
         self._piqp: Any = None
 
@@ -94,11 +102,13 @@ class ChangeLimits:
     def _constrained(
         self, u: Sequence[float], plan: list[float], hessian: FloatArray, slope: FloatArray
     ) -> tuple[list[float], str]:
-        # Nothing depends on the unit of the cost, and the solver's tolerances are absolute.
+        # The solver's tolerances are absolute: changes in parts of their span, and a cost of size one.
+        scales = self._scales
+        hessian, slope = hessian * np.outer(scales, scales), slope * scales
         unit = float(np.abs(hessian).max())
         hessian, slope = np.asfortranarray(hessian / unit), slope / unit
-        room_below = np.tile(self._u_min - u, self._steps)
-        room_above = np.tile(self._u_max - u, self._steps)
+        room_below = np.tile((self._u_min - u) / self._spans, self._steps)
+        room_above = np.tile((self._u_max - u) / self._spans, self._steps)
         if self._piqp is None:
             self._piqp = self._set_up(hessian, slope, room_below, room_above)
         else:
@@ -106,18 +116,52 @@ class ChangeLimits:
         status = self._piqp.solve()
         if status != piqp.PIQP_SOLVED:
             return plan, f"no changes keep all limits ({status.name}): unconstrained optimum, clipped"
-        optimum: list[float] = self._piqp.result.x.tolist()
+        optimum: list[float] = (self._exact(hessian, slope, room_below, room_above) * scales).tolist()
         return optimum, ""
+
+    def _exact(
+        self, hessian: FloatArray, slope: FloatArray, below: FloatArray, above: FloatArray
+    ) -> FloatArray:
+        """Return the optimum on the limits that PIQP found active, or its own if that is not the optimum.
+
+        A limit that is only just active costs an interior-point method half of its digits.
+        """
+        result, n = self._piqp.result, len(slope)
+        at_low = np.append(result.z_l > result.s_l, result.z_bl > result.s_bl)
+        at_high = np.append(result.z_u > result.s_u, result.z_bu > result.s_bu)
+        low, high = np.append(below, -self._largest), np.append(above, self._largest)
+        for _ in range(_CORRECTIONS):
+            active = at_low | at_high
+            rows, values = self._limited[active], np.where(at_high, high, low)[active]
+            system = np.block([[hessian, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
+            try:
+                solution = np.linalg.solve(system, np.append(slope, values))
+            except np.linalg.LinAlgError:  # limits that coincide
+                break
+            reached, force = self._limited @ solution[:n], np.zeros(len(low))
+            force[active] = solution[n:]
+            beyond_low, beyond_high = reached < low - _ROUNDING, reached > high + _ROUNDING
+            weak = _ROUNDING * np.abs(force).max(initial=0.0)
+            released = active & np.where(at_high, force < -weak, force > weak) & (low < high)
+            if not (beyond_low | beyond_high | released).any():
+                return np.asarray(solution[:n])
+            at_low, at_high = (at_low & ~released) | beyond_low, (at_high & ~released) | beyond_high
+        return np.asarray(result.x)
 
     def _set_up(self, hessian: FloatArray, slope: FloatArray, below: FloatArray, above: FloatArray) -> Any:
         solver = piqp.DenseSolver()
         for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
             setattr(solver.settings, name, PIQP_TOLERANCE)
-        sums = np.kron(np.tri(self._steps), np.eye(len(self._rates)))
-        rates = np.tile(self._rates, self._steps)
-        solver.setup(hessian, -slope, G=np.asfortranarray(sums), h_l=below, h_u=above, x_l=-rates, x_u=rates)
+        sums = np.asfortranarray(self._limited[: len(slope)])
+        solver.setup(hessian, -slope, G=sums, h_l=below, h_u=above, x_l=-self._largest, x_u=self._largest)
         return solver
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave PIQP's workspace behind: it is set up again when it is needed."""
         return {**self.__dict__, "_piqp": None}
+
+
+def _spans(ranges: FloatArray, rates: FloatArray) -> FloatArray:
+    """Return what a change of each input is measured by: its range, else its rate, else its unit."""
+    of_rates = np.where(np.isfinite(rates), rates, 1.0)
+    return np.where(np.isfinite(ranges) & (ranges > 0.0), ranges, of_rates)

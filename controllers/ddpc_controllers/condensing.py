@@ -44,7 +44,8 @@ class CondensedProblem:
     move_law, move_gain : arrays, shapes (m, parameters) and (m, k)
         The inputs to apply now, likewise, in their units; after them whatever else is asked for.
     conflict_law : array, shape (c, parameters)
-        What must vanish: the part of the past that no combination of the recorded windows has.
+        What must vanish: the part of the past that no combination of the recorded windows has, in parts of
+        what they hold.
     labels : tuple of str
         What each bound is called; empty where nobody needs to know.
     """
@@ -126,7 +127,8 @@ class ReducedProblem:
             ratio = 0.0 if len(triangular) < size else diagonal.min() / diagonal.max()
             raise ConfigError(
                 f"the weights leave the optimum undetermined ({size} directions, the weakest with "
-                f"{ratio:.1e} of the strongest's root of a curvature): make them positive, and alike in size"
+                f"{ratio:.1e} of the strongest's root of a curvature): make them positive and alike in "
+                "size, or do without the artificial setpoint where several leave the outputs the same"
             )
         # Not solve_triangular: its LAPACK routine starts threads even for a handful of rows.
         gain = dtrsm(1.0, triangular, np.eye(size), side=1)
@@ -240,7 +242,10 @@ def _eliminate(equality: FloatArray, target: FloatArray) -> tuple[FloatArray, Fl
     rotated = left.T @ (target / scale)
     particular = right[:rank].T @ (rotated[:rank] / values[:rank, np.newaxis])
     conflict = rotated[rank:]
-    significant = np.linalg.norm(conflict, axis=1) > _INSIGNIFICANT * np.linalg.norm(rotated)
+    # In parts of each parameter's column: parameters have units of their own.
+    size = np.linalg.norm(rotated, axis=0)
+    size[size == 0.0] = 1.0
+    significant = np.linalg.norm(conflict / size, axis=1) > _INSIGNIFICANT
     return particular, right[rank:].T, conflict[significant]
 
 

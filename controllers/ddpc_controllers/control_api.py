@@ -43,10 +43,14 @@ def regulator_gain(
     """
     import control
 
-    return _riccati(
+    # Inputs of unit cost: in their own units R may be all but singular.
+    unit = 1.0 / np.sqrt(np.diag(r))
+    weights = _symmetric(q), _symmetric(r * unit * unit[:, np.newaxis])
+    gain = _riccati(
         "linear-quadratic regulator: the plant with its integrators cannot be stabilised",
-        lambda: control.dlqr(a, b, q, r, integral_action=integrated)[0],
+        lambda: control.dlqr(a, b * unit, *weights, integral_action=integrated)[0],
     )
+    return gain * unit[:, np.newaxis]
 
 
 def estimator_covariance(a: FloatArray, c: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
@@ -68,7 +72,7 @@ def estimator_covariance(a: FloatArray, c: FloatArray, q: FloatArray, r: FloatAr
 
     return _riccati(
         "Kalman filter: the model has a mode that is not stable and that the outputs do not show",
-        lambda: control.dlqe(a, np.eye(len(a)), c, q, r)[1],
+        lambda: control.dlqe(a, np.eye(len(a)), c, _symmetric(q), _symmetric(r))[1],
     )
 
 
@@ -88,6 +92,11 @@ def realise(markov: FloatArray, order: int) -> tuple[FloatArray, FloatArray, Flo
     depth = len(markov) // 2
     model, _ = control.eigensys_realization(response, order, m=depth, n=depth)
     return np.asarray(model.A), np.asarray(model.B), np.asarray(model.C)
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    """Take away what rounding leaves between a matrix and its transpose: in mixed units it can be large."""
+    return np.asarray((matrix + matrix.T) / 2.0, dtype=np.float64)
 
 
 def _riccati(failure: str, solve: Any) -> FloatArray:

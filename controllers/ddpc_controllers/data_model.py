@@ -140,8 +140,11 @@ class DataModel:
         self._newest_du = _newest_changes(recording.u, form.input_length)
 
     def observe(self, y: list[float]) -> None:
-        """Learn from the outputs of a new sample."""
-        dy = list(map(sub, y, y if self._y is None else self._y))
+        """Learn from the outputs of a new sample, if there is one before it."""
+        if self._y is None:
+            self._y = y
+            return
+        dy = list(map(sub, y, self._y))
         h = self._newest_dy + self._newest_du
         for i, gradient in enumerate(self.gradients):
             gradient.update(dy[i], h if self._places is None else [h[place] for place in self._places[i]])
@@ -154,7 +157,7 @@ class DataModel:
         self._newest_du = (du + self._newest_du)[: len(self._newest_du)]
 
     def pause(self) -> None:
-        """Forget the signals, not the estimates: as after a long quiet."""
+        """Forget the signals, not the estimates."""
         self._y = None
         self._newest_dy = [0.0] * len(self._newest_dy)
         self._newest_du = [0.0] * len(self._newest_du)

@@ -4,6 +4,7 @@ A state comes as its newest sample, followed by as many past ones as the diction
 ``(x_k, x_k-1, ...)``. Observables are what is added to ``x_k``; the state itself is always kept.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
@@ -72,8 +73,37 @@ def embed(samples: FloatArray, memory: int) -> FloatArray:
     return np.hstack([samples[memory - back : memory - back + rows] for back in range(memory + 1)])
 
 
+class _Radial(ABC):
+    """What radial functions share besides their shape: where their centres come from.
+
+    The settings are declared by each kind, in an order of its own.
+    """
+
+    count: int
+    low: float
+    high: float
+    centres: Centres
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.low > self.high:
+            raise ConfigError(f"{type(self).__name__}: low = {self.low:g} is above high = {self.high:g}")
+
+    def functions(self, size: int) -> int:
+        """Return n_p: it does not depend on the state's size."""
+        return self.count
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Place the centres and return the functions; see :class:`Dictionary`."""
+        return self._about(place_centres(self.centres, self.count, states, (self.low, self.high), rng))
+
+    @abstractmethod
+    def _about(self, centres: FloatArray) -> Lift:
+        """Return the functions about given centres, shape (n_p, q)."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class ThinPlate:
+class ThinPlate(_Radial):
     """Thin-plate radial functions, equation (12): psi_i(x) = |x - c_i| log10 |x - c_i|.
 
     The centres c_i are placed once per run, by default drawn uniformly from a box.
@@ -84,16 +114,8 @@ class ThinPlate:
     high: float = setting(1.0, doc="upper end of every coordinate of a centre in the box")
     centres: Centres = setting("box", choices=CENTRES, doc="where centres come from")
 
-    def __post_init__(self) -> None:
-        _check_radial(self, self.low, self.high)
-
-    def functions(self, size: int) -> int:
-        """Return n_p: it does not depend on the state's size."""
-        return self.count
-
-    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
-        """Place the centres and return the functions; see :class:`Dictionary`."""
-        return ThinPlateFunctions(place_centres(self.centres, self.count, states, (self.low, self.high), rng))
+    def _about(self, centres: FloatArray) -> Lift:
+        return ThinPlateFunctions(centres)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +147,7 @@ def thin_plate(difference: FloatArray, power: int) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gaussian:
+class Gaussian(_Radial):
     """Gaussian radial functions: psi_i(x) = exp(-|x - c_i|^2 / (2 width^2))."""
 
     count: int = setting(10, low=1, doc="number of functions, n_p")
@@ -134,16 +156,7 @@ class Gaussian:
     high: float = setting(1.0, doc="upper end of every coordinate of a centre in the box")
     centres: Centres = setting("box", choices=CENTRES, doc="where centres come from")
 
-    def __post_init__(self) -> None:
-        _check_radial(self, self.low, self.high)
-
-    def functions(self, size: int) -> int:
-        """Return n_p: it does not depend on the state's size."""
-        return self.count
-
-    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
-        """Place the centres and return the functions; see :class:`Dictionary`."""
-        centres = place_centres(self.centres, self.count, states, (self.low, self.high), rng)
+    def _about(self, centres: FloatArray) -> Lift:
         return _GaussianFunctions(centres, self.width)
 
 
@@ -253,9 +266,3 @@ class OwnFunction:
     def _load(self) -> Lift:
         function: Lift = load_target(self.function, "function")
         return function
-
-
-def _check_radial(dictionary: Any, low: float, high: float) -> None:
-    check_settings(dictionary)
-    if low > high:
-        raise ConfigError(f"{type(dictionary).__name__}: low = {low:g} is above high = {high:g}")

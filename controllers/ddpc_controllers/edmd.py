@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from ddpc_controllers.dictionaries import Dictionary, embed, memory_of
+from ddpc_controllers.informative import require_informative
 from ddpc_controllers.lifting import StateWindow
 from ddpc_cosim import DataError, FloatArray, Recording
 
@@ -43,7 +44,9 @@ class LiftedModel:
 
 
 def fit_lifted_model(z: FloatArray, u: FloatArray, y: FloatArray, ridge: float = 0.0) -> LiftedModel:
-    """Fit ``z+ = A z + B u`` and ``y = C z`` by regularised least squares.
+    """Fit ``z+ = A z + B u`` by regularised least squares, and ``y = C z``.
+
+    C reads off the outputs that are among the lifted states, and is fitted to others.
 
     Parameters
     ----------
@@ -51,14 +54,20 @@ def fit_lifted_model(z: FloatArray, u: FloatArray, y: FloatArray, ridge: float =
         Lifted states, inputs and outputs, time along axis 0.
     ridge : float
         Weight of the squared coefficients, for observables and inputs scaled to unit size.
+
+    Raises
+    ------
+    DataError
+        The inputs do not tell their own effect from that of the state.
     """
+    require_informative(u[:-1], z[:-1], "EDMD")
     size = _root_mean_square(np.hstack([z, u]))
     scaled = np.hstack([z, u]) / size
     n_z = z.shape[1]
     dynamics = _least_squares(scaled[:-1], z[1:] / size[:n_z], ridge)
-    shown = _least_squares(scaled[:, :n_z], y, 0.0)
+    shown = _least_squares(scaled[:, :n_z], y, 0.0).T / size[:n_z]
     both = (dynamics.T / size) * size[:n_z, np.newaxis]
-    model = both[:, :n_z], both[:, n_z:], shown.T / size[:n_z]
+    model = both[:, :n_z], both[:, n_z:], _reading_off(shown, z, y)
     errors = z[1:] - np.hstack([z, u])[:-1] @ both.T
     return LiftedModel(*model, error=_root_mean_square(errors))
 
@@ -142,6 +151,20 @@ def require_samples(samples: int, unknowns: int, who: str) -> None:
             f"{who}: {samples} samples are left of the recording for a model of {unknowns} lifted states and "
             "inputs: record longer, or take fewer observables or delays"
         )
+
+
+def _reading_off(c: FloatArray, z: FloatArray, y: FloatArray) -> FloatArray:
+    """Return C with every output that is a lifted state itself read off it.
+
+    Least squares over states that depend on each other, as those of delays do over the recording, would leave
+    ``C z`` different from y as soon as a disturbance parts them: an offset.
+    """
+    for row, output in zip(c, y.T, strict=True):
+        same = np.flatnonzero((output == z.T).all(axis=1))
+        if same.size:
+            row[:] = 0.0
+            row[same[0]] = 1.0
+    return c
 
 
 def _least_squares(known: FloatArray, wanted: FloatArray, ridge: float) -> FloatArray:

@@ -59,6 +59,8 @@ class FullDeePC:
         Inputs at rest, which the regulation form weighs inputs from; default: zero.
     column_scale : array, shape (columns,), optional
         Factor of every recorded window.
+    relaxed : float, optional
+        Tolerance of a second attempt where the first fails; default: there is none.
     """
 
     def __init__(
@@ -69,6 +71,7 @@ class FullDeePC:
         tolerance: float = TOLERANCE,
         rest: FloatArray | None = None,
         column_scale: FloatArray | None = None,
+        relaxed: float | None = None,
     ) -> None:
         self._settings, self._bounds = settings, bounds
         m, p = recording.u.shape[1], recording.y.shape[1]
@@ -84,7 +87,9 @@ class FullDeePC:
         if self._l1:  # g is the difference of two parts that are not negative
             self._data = {name: np.hstack([rows, -rows]) for name, rows in self._data.items()}
         limits = {name: limit for name, limit in self._limits(sizes).items() if name in sizes}
-        self._qp = SparseQP(sizes, self._half_hessian(sizes), self._equalities(sizes), limits, tolerance)
+        self._qp = SparseQP(
+            sizes, self._half_hessian(sizes), self._equalities(sizes), limits, tolerance, relaxed
+        )
         self._set_constants(np.zeros(m) if rest is None else rest)
 
     def solve(

@@ -7,24 +7,29 @@ Identification, 2nd ed., section 7.3). The model can be reduced to fewer states 
 of its impulse response (J.-N. Juang, R. S. Pappa, J. Guidance 8(5), 1985, doi:10.2514/3.20031).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ddpc_controllers.control_api import realise
+from ddpc_controllers.informative import require_informative
 from ddpc_controllers.models import SampledModel
 from ddpc_controllers.recorded import matching_recording
 from ddpc_cosim import DataError, FloatArray, Loop, Recording, check_settings, setting
 
 _AT_REST = 1e-8
 _NEGLIGIBLE = 1e-10
+_MOST_LAGS = 20
+_EXACT = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
     """A model identified from the loop's recording."""
 
-    lags: int = setting(4, low=1, doc="past samples that the outputs are explained by")
+    lags: int = setting(
+        0, low=0, doc="past samples that the outputs are explained by; 0: by the recording, up to 20"
+    )
     order: int = setting(0, low=0, doc="states kept by balanced reduction; 0: all, lags x outputs")
     ridge: float = setting(0.0, low=0.0, doc="weight of the squared coefficients in the least squares")
 
@@ -37,21 +42,29 @@ class Identified:
         return True
 
     def recording_length(self, inputs: int, outputs: int) -> int:
-        """Return the samples at which there are as many equations as coefficients."""
+        """Return the samples with as many equations as coefficients, twice as many where lags are chosen."""
+        if not self.lags:
+            return _samples_to_choose(1, inputs + outputs)
         return self.lags + self.lags * (inputs + outputs) + 1
 
     def model(self, loop: Loop) -> SampledModel:
         """Identify the model; see :class:`~ddpc_controllers.models.ModelSource`."""
         recording = matching_recording(loop, "Identified")
-        needed = self.recording_length(recording.u.shape[1], recording.y.shape[1])
+        m, p = recording.u.shape[1], recording.y.shape[1]
+        needed = self.recording_length(m, p)
         if len(recording) < needed:
+            take = f"{self.lags} lags take" if self.lags else "choosing the lags takes"
             raise DataError(
-                f"Identified: the recording has {len(recording)} samples; {self.lags} lags take at least "
-                f"{needed}: record longer, or lower lags"
+                f"Identified: the recording has {len(recording)} samples; {take} at least {needed}: "
+                "record longer, or lower lags"
             )
-        arx = fit_arx(recording, self.lags, self.ridge)
-        model = arx.state_space()
-        return reduced(model, self.order)
+        lags = self.lags or choose_lags(recording)
+        past, newest_u = _past(_standardised(recording)[0], lags), slice(p, p + m)
+        require_informative(past[:, newest_u], np.delete(past, newest_u, axis=1), "Identified")
+        arx = fit_arx(recording, lags, self.ridge)
+        fit = {"lags": float(lags), "one_step_error": float(arx.error.max())}
+        model = reduced(arx.state_space(), self.order)
+        return replace(model, samples=len(recording), fit=fit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,13 +118,9 @@ def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> ARX:
     ridge : float
         Weight of the squared coefficients, for signals scaled to unit size; the constant goes free.
     """
-    u, y = recording.u, recording.y
-    m, p, rows = u.shape[1], y.shape[1], len(u) - lags
-    means = np.concatenate([y.mean(axis=0), u.mean(axis=0)])
-    size = np.maximum(np.concatenate([y.std(axis=0), u.std(axis=0)]), np.finfo(float).tiny)
-    size[size < _NEGLIGIBLE * np.maximum(np.abs(means), 1.0)] = 1.0
-    signals = (np.hstack([y, u]) - means) / size
-    past = np.hstack([signals[lags - i : lags - i + rows] for i in range(1, lags + 1)] + [np.ones((rows, 1))])
+    m, p, rows = recording.u.shape[1], recording.y.shape[1], len(recording) - lags
+    signals, means, size = _standardised(recording)
+    past = np.hstack([_past(signals, lags), np.ones((rows, 1))])
     penalty = np.sqrt(ridge) * np.eye(past.shape[1] - 1, past.shape[1])
     system = np.vstack([past, penalty])
     target = np.vstack([signals[lags:, :p], np.zeros((len(penalty), p))])
@@ -128,6 +137,48 @@ def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> ARX:
         constant=constant,
         error=np.sqrt(np.square(error).mean(axis=0)),
     )
+
+
+def choose_lags(recording: Recording) -> int:
+    """Return the number of past samples that explains a recording best for its size.
+
+    Schwarz's criterion, each output with noise of its own (G. Schwarz, Estimating the dimension of a model,
+    Annals of Statistics 6(2), 1978, doi:10.1214/aos/1176344136). All numbers are tried, not only until the
+    next one is worse: of a dead time nothing shows before the last of its samples. What is explained to eight
+    digits counts as explained.
+    """
+    m, p, samples = recording.u.shape[1], recording.y.shape[1], len(recording)
+    enough = (n for n in range(2, _MOST_LAGS + 1) if _samples_to_choose(n, m + p) <= samples)
+    most = max(enough, default=1)
+    signals, _, _ = _standardised(recording)
+    rows = samples - most
+    # The newest first: a triangular factor shows what is left of the outputs after every number of lags.
+    known = [np.ones((rows, 1)), _past(signals, most), signals[most:, :p]]
+    left = np.square(np.asarray(np.linalg.qr(np.hstack(known), mode="r"))[:, -p:])
+    lags = np.arange(1, most + 1)
+    variance = np.array([left[1 + n * (m + p) :].sum(axis=0) / rows for n in lags.tolist()])
+    criterion = rows * np.log(variance + _EXACT**2).sum(axis=1) + np.log(rows) * lags * (m + p) * p
+    return int(lags[np.argmin(criterion)])
+
+
+def _samples_to_choose(lags: int, signals: int) -> int:
+    """Return the samples that leave two equations for every coefficient of a model with so many lags."""
+    return lags + 2 * (1 + lags * signals)
+
+
+def _standardised(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return outputs and inputs side by side, off their means and in parts of their size; means; sizes."""
+    signals = np.hstack([recording.y, recording.u])
+    means = signals.mean(axis=0)
+    size = np.maximum(signals.std(axis=0), np.finfo(float).tiny)
+    size[size < _NEGLIGIBLE * np.maximum(np.abs(means), 1.0)] = 1.0
+    return (signals - means) / size, means, size
+
+
+def _past(signals: FloatArray, lags: int) -> FloatArray:
+    """Return the samples before each from sample ``lags`` on, the newest first, side by side."""
+    rows = len(signals) - lags
+    return np.hstack([signals[lags - i : lags - i + rows] for i in range(1, lags + 1)])
 
 
 def markov_parameters(model: SampledModel, count: int) -> FloatArray:

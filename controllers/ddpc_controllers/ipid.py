@@ -25,8 +25,8 @@ class IPID(Controller):
 
     The reference counts as constant, so that its derivatives are not followed. What enters the estimation are
     the inputs within their limits, so that a limit does not wind it up; the integral of an output stands
-    still while its input is at a limit. A measurement that is not finite is replaced by what the model
-    expects, and counted.
+    still while an input that it moves is at a limit. A measurement that is not finite is replaced by what the
+    model expects, and counted.
     """
 
     uses_recording: ClassVar[bool] = False
@@ -54,6 +54,7 @@ class IPID(Controller):
         """
         alpha = self._alpha_matrix(len(loop.outputs), len(loop.inputs))
         self._inverse = np.linalg.inv(alpha)
+        self._moves = (self._inverse != 0.0).T.astype(float)  # which inputs an output's error moves
         self._model = UltraLocalModel(self.order, self.window, loop.sampling_time, alpha)
         self._h, self._bounds = loop.sampling_time, loop.bounds
         self._u = resting_input(loop)
@@ -81,7 +82,8 @@ class IPID(Controller):
             correction -= self.kd * estimates[1]
         wanted = self._inverse @ correction
         u: FloatArray = np.clip(wanted, self._bounds.u_min, self._bounds.u_max)
-        self._integral = np.where(u == wanted, integral, self._integral)
+        limited = self._moves @ (u != wanted) > 0
+        self._integral = np.where(limited, self._integral, integral)
         self._u = u
         return Action(u.copy(), fault) if fault else u.copy()
 

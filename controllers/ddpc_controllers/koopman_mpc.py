@@ -28,7 +28,7 @@ from ddpc_cosim import Action, FloatArray, Loop, Sample, setting
 class KoopmanMPC(TrackingSettings, ScaledSignals):
     """Model predictive control with an EDMD model.
 
-    A measurement that is not finite is replaced by the model's prediction; before the first finite one the
+    Where what is lifted is not finite, the model's prediction replaces it; before the first finite sample the
     inputs stay at rest. Either is a status.
     """
 
@@ -66,17 +66,18 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         # The state of the problem is (z, w).
         a = np.block([[model.a, np.eye(n_z)], [np.zeros((n_z, n_z)), np.eye(n_z)]])
         b, c = np.vstack([model.b, np.zeros((n_z, m))]), np.hstack([model.c, np.zeros_like(model.c)])
-        self._predictor = Predictor(a, b, c, self, loop.bounds, self._scales.u)
         self._disturbance = np.zeros(n_z)
         self._predicted: FloatArray | None = None
         self._u = resting_input(loop)
+        self._predictor = Predictor(a, b, c, self, loop.bounds, self._scales.u, self._u)
         if loop.continues_recording:
             self._u = recording.u[-1].copy()
             self._predicted = model.a @ z[-1] + model.b @ self._u
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal inputs of the horizon."""
-        lost = "" if np.isfinite(sample.measured).all() and np.isfinite(sample.y).all() else LOST_MEASUREMENT
+        lifted = sample.y if self.state == "delays" else sample.measured
+        lost = "" if np.isfinite(lifted).all() else LOST_MEASUREMENT
         if lost and self._predicted is None:
             return Action(self._u.copy(), lost)
         z = self._state(sample, bool(lost))

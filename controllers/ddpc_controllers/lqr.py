@@ -18,13 +18,16 @@ from ddpc_controllers.observer import LOST_MEASUREMENT
 from ddpc_controllers.validation import weight_matrices
 from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, Weight, setting
 
+LOST_REFERENCE = "a reference is not finite: the sum of its error is held"
+"""Status of a step that had to do without a reference."""
+
 
 @dataclass(kw_only=True)
 class LQR(ModelBased):
     """Linear-quadratic regulator with integral action and a Kalman filter.
 
     A measurement that is not finite is replaced by the model's prediction; before the first finite one the
-    inputs stay at rest. Either is a status.
+    inputs stay at rest. Without a finite reference the sum of its error is held. Each is a status.
     """
 
     output_weight: Weight = setting(1.0, low=0.0, doc="Q: outputs off the operating point")
@@ -67,13 +70,16 @@ class LQR(ModelBased):
         feedback = self._u_0 - self._state_gain @ observer.state[:-1]
         if self._sum is None:  # the loop closes without a bump
             self._sum = self._sums_of_inputs @ (feedback - self._u)
-        total = self._sum + y - sample.reference[0]
+        error = y - sample.reference[0]
+        known = np.isfinite(error)
+        total = self._sum + np.where(known, error, 0.0)
         wanted = feedback - self._sum_gain @ total
         u: FloatArray = np.clip(wanted, self._bounds.u_min, self._bounds.u_max)
         self._sum = total - self._sums_of_inputs @ (u - wanted)
         observer.predict(u)
-        return Action(u, LOST_MEASUREMENT) if lost else u
+        fault = LOST_MEASUREMENT if lost else "" if known.all() else LOST_REFERENCE
+        return Action(u, fault) if fault else u
 
     def diagnostics(self) -> Mapping[str, float]:
-        """Return the order of the model."""
-        return {"model_order": float(len(self._observer.state) - 1)}
+        """Return the order of the model, and its fit."""
+        return {"model_order": float(len(self._observer.state) - 1)} | self._model.fit

@@ -8,7 +8,6 @@ and outputs).
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 
 from ddpc_controllers.change_limits import ChangeLimits, rate_limits
 from ddpc_controllers.data_model import Form
@@ -38,7 +37,8 @@ class MFAC(ModelFreeAdaptive):
         gradients = [phi for gradient in self._model.gradients for phi in gradient.value]
         # y_k+1 = y_k + f + A du_k
         a, f = self._prediction(gradients, self._model.known)
-        hessian, slope = a.T @ a + self._ridge, a.T @ (sample.reference[0] - sample.y - f)
+        error = sample.reference[0] - sample.y - f
+        hessian, slope = a.T @ a + self._ridge, a.T @ error
         # The cost |y*_k+1 - y_k+1|^2 + lambda |du_k|^2 has its minimum where hessian @ du = slope.
-        changes = self.step_factor * dposv(hessian, slope)[1]
+        changes = self.step_factor * self._unlimited(a, error, hessian, slope)
         return self._limits.apply(self._u, changes, hessian, slope)

@@ -7,7 +7,6 @@ and Applications, CRC Press, 2013, chapter 5, for the partial (PFDL) and the ful
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 
 from ddpc_controllers.change_limits import ChangeLimits, rate_limits
 from ddpc_controllers.data_model import Form
@@ -70,5 +69,5 @@ class MFAPC(ModelFreeAdaptive):
         # Products in place and by np.dot: on matrices this small the calls are what costs.
         hessian, slope = np.dot(a.T, a), np.dot(a.T, error)
         hessian += self._ridge
-        changes = dposv(hessian, slope)[1]  # (20)
+        changes = self._unlimited(a, error, hessian, slope)  # (20)
         return self._limits.apply(self._u, changes, hessian, slope)  # (21)

@@ -1,6 +1,6 @@
 """What the controllers on a linear model share: where it comes from, and a Kalman filter on it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from ddpc_controllers.identification import Identified
@@ -59,12 +59,12 @@ class ModelBased(ScaledSignals):
         if self.model.uses_recording:
             return self.model.model(scales.scaled_loop(loop))
         given = self.model.model(loop)
-        return SampledModel(
-            given.a,
-            given.b * scales.u,
-            given.c / scales.y[:, None],
-            given.u_0 / scales.u,
-            given.y_0 / scales.y,
+        return replace(
+            given,
+            b=given.b * scales.u,
+            c=given.c / scales.y[:, None],
+            u_0=given.u_0 / scales.u,
+            y_0=given.y_0 / scales.y,
         )
 
     def _observe(self, loop: Loop, disturbance: Disturbance, disturbance_noise: float) -> None:

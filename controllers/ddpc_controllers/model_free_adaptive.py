@@ -2,11 +2,12 @@
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, sqrt
 from operator import sub
 from typing import ClassVar
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from ddpc_controllers.change_limits import NOT_FINITE
 from ddpc_controllers.data_model import DataModel, Form
@@ -22,7 +23,7 @@ class ModelFreeAdaptive(ScaledSignals):
 
     Needs no recording: it estimates how the outputs follow the inputs while it controls. A measurement that
     is not finite is a counted failure: the inputs are held, nothing is learned, and the signals before it
-    are forgotten as after a long quiet.
+    are forgotten, but not the estimates.
     """
 
     uses_recording: ClassVar[bool] = False
@@ -80,6 +81,22 @@ class ModelFreeAdaptive(ScaledSignals):
         self._model.apply(list(map(sub, u, self._u)))
         self._u = u
         return Action(np.array(u), fault) if fault else np.array(u)
+
+    def _unlimited(
+        self, a: FloatArray, error: FloatArray, hessian: FloatArray, slope: FloatArray
+    ) -> FloatArray:
+        """Return the changes that minimise ``|error - a dU|^2 + lambda_u |dU|^2``, limits aside.
+
+        Their normal equations ``hessian dU = slope`` are the fast way. Where lambda_u is lost in the rounding
+        of a'a the factorisation fails, and the least squares that they come from are solved instead.
+        """
+        _, changes, fault = dposv(hessian, slope)
+        if fault and isfinite(hessian.sum() + slope.sum()):
+            n = len(slope)
+            stacked = np.vstack([a, sqrt(self.lambda_u) * np.eye(n)])
+            changes = np.linalg.lstsq(stacked, np.append(error, np.zeros(n)))[0]
+        answer: FloatArray = changes
+        return answer
 
     @abstractmethod
     def _prepare(self, loop: Loop, form: Form) -> None:

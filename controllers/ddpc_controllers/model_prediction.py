@@ -11,10 +11,18 @@ from typing import Literal
 import numpy as np
 
 from ddpc_controllers.backends import BACKENDS, BackendName, make_backend
+from ddpc_controllers.change_limits import NOT_FINITE as INPUTS_HELD
 from ddpc_controllers.change_limits import rate_limits
 from ddpc_controllers.problem import Problem
-from ddpc_controllers.qp import Move, ParametricQP
-from ddpc_controllers.recorded import ParameterVector, setpoint_bounds
+from ddpc_controllers.qp import NOT_FINITE, Move, ParametricQP
+from ddpc_controllers.recorded import ParameterVector
+from ddpc_controllers.tracking_problem import (
+    bound_signals,
+    end_at_setpoints,
+    excess_variables,
+    penalise_tracking,
+    prefer_rest,
+)
 from ddpc_controllers.validation import weight_matrices
 from ddpc_cosim import Bounds, FloatArray, Weight, setting
 
@@ -31,7 +39,7 @@ class TrackingSettings:
         "input", choices=SETPOINTS, doc="artificial setpoints: u_s (11), u_s and y_s (8), or none"
     )
     output_weight: Weight = setting(1.0, low=0.0, doc="Q: predicted outputs off the reference, or off y_s")
-    input_weight: Weight = setting(0.1, low=0.0, doc="R: inputs off u_s, or off zero")
+    input_weight: Weight = setting(0.1, low=0.0, doc="R: inputs off u_s, or off their values at rest")
     setpoint_weight: Weight = setting(1.0, low=0.0, doc="S: y_s off the reference")
     change_weight: Weight = setting(0.0, low=0.0, doc="weight of the changes of the inputs")
     setpoint_margin: float = setting(
@@ -52,6 +60,11 @@ class TrackingSettings:
         if self.terminal_length > self.horizon:
             faults.append(
                 f"{who}: horizon = {self.horizon} is shorter than terminal_length = {self.terminal_length}"
+            )
+        if self.terminal_length and self.setpoint == "none":
+            faults.append(
+                f"{who}: terminal_length = {self.terminal_length} ties the horizon's end to the artificial "
+                'setpoints: set it to 0, or setpoint to "input" or "input-output"'
             )
         if not np.all(np.asarray(self.rate_bounds, dtype=float) > 0.0):
             faults.append(f"{who}: rate_bounds = {self.rate_bounds!r} is not possible; allowed: above 0")
@@ -87,6 +100,8 @@ class Predictor:
         Limits of inputs and outputs.
     input_scales : array, shape (m,)
         What one unit of each input of the model is, in the unit of its rate bound.
+    rest : array, shape (m,)
+        Inputs at rest: where they are weighed from without an artificial setpoint.
 
     Raises
     ------
@@ -103,12 +118,13 @@ class Predictor:
         settings: TrackingSettings,
         bounds: Bounds,
         input_scales: FloatArray,
+        rest: FloatArray,
     ) -> None:
         n, m, p = len(a), b.shape[1], len(c)
         self._bounds = bounds
         self._rates = rate_limits(settings.rate_bounds, m) / input_scales
         self._parameters = ParameterVector({"x": (1, n), "u_last": (1, m), "r": (settings.horizon, p)})
-        problem = _write_down(settings, bounds, self._rates, self._parameters.sizes)
+        problem = _write_down(settings, bounds, self._rates, rest, self._parameters.sizes)
         condensed = problem.prepare("u", m).condense(trajectories(a, b, c, settings.horizon))
         self._qp = ParametricQP(condensed, bounds.u_min, bounds.u_max, make_backend(settings.backend))
 
@@ -128,69 +144,43 @@ class Predictor:
         self._parameters.fill("u_last", last_input)
         self._parameters.fill("r", reference)
         u, fault = self._qp.solve(self._parameters.array)
+        if fault == NOT_FINITE:
+            return Move(last_input.copy(), INPUTS_HELD)
         np.clip(u, last_input - self._rates, last_input + self._rates, out=u)
         np.clip(u, self._bounds.u_min, self._bounds.u_max, out=u)
         return Move(u, fault)
 
 
 def _write_down(
-    settings: TrackingSettings, bounds: Bounds, rates: FloatArray, sizes: Mapping[str, int]
+    settings: TrackingSettings, bounds: Bounds, rates: FloatArray, rest: FloatArray, sizes: Mapping[str, int]
 ) -> Problem:
     n, m, horizon = sizes["x"], sizes["u_last"], settings.horizon
-    p = sizes["r"] // horizon
-    free = dict({"none": {}, "input": {"u_s": m}, "input-output": {"u_s": m, "y_s": p}}[settings.setpoint])
-    if settings.soft_output_bounds > 0.0:
-        free["y_excess"] = horizon * p
+    p, soft = sizes["r"] // horizon, settings.soft_output_bounds
+    setpoints = dict(
+        {"none": {}, "input": {"u_s": m}, "input-output": {"u_s": m, "y_s": p}}[settings.setpoint]
+    )
+    free = setpoints | (excess_variables(setpoints, horizon, p) if soft > 0.0 else {})
     rows = {"x": n, "u_last": m, "u": horizon * m, "y": horizon * p}
     problem = Problem(rows=rows, free=free, parameters=sizes)
     for known in ("x", "u_last"):
         problem.equate({known: np.eye(sizes[known])}, {known: np.eye(sizes[known])})
-    _penalise(problem, settings, m, p)
-    _bound(problem, settings, bounds, rates)
-    return problem
-
-
-def _penalise(problem: Problem, settings: TrackingSettings, m: int, p: int) -> None:
-    horizon, last = settings.horizon, settings.terminal_length
-    every_u, every_y = np.eye(horizon * m), np.eye(horizon * p)
-    held_u, held_y = np.tile(np.eye(m), (horizon, 1)), np.tile(np.eye(p), (horizon, 1))
-    q, r, s, change = weight_matrices(
+    *_, change = weight_matrices(  # all faults at once
         output_weight=(settings.output_weight, p),
         input_weight=(settings.input_weight, m),
         setpoint_weight=(settings.setpoint_weight, p),
         change_weight=(settings.change_weight, m),
     )
-    u_off = {"u": every_u, "u_s": -held_u} if "u_s" in problem.free else {"u": every_u}
-    problem.penalise(r, u_off, {})  # |u_k - u_s|_R^2
-    if "y_s" in problem.free:
-        problem.penalise(q, {"y": every_y, "y_s": -held_y}, {})  # |y_k - y_s|_Q^2 of (8)
-        problem.penalise(s, {"y_s": held_y}, {"r": every_y})  # |r_t+k - y_s|_S^2
-    else:
-        problem.penalise(q, {"y": every_y}, {"r": every_y})  # |y_k - r_t+k|_Q^2 of (11)
+    penalise_tracking(problem, settings, rest, p)
+    prefer_rest(problem, settings.input_weight, rest, p)
     if change.any():
         before = _inputs_before(horizon, m)
-        problem.penalise(change, {"u": every_u - before["u"], "u_last": -before["u_last"]}, {})
-    if last and "u_s" in problem.free:
-        problem.equate({"u": every_u[-last * m :], "u_s": -held_u[-last * m :]}, {})
-    if last and "y_s" in problem.free:
-        problem.equate({"y": every_y[-last * p :], "y_s": -held_y[-last * p :]}, {})
-
-
-def _bound(problem: Problem, settings: TrackingSettings, bounds: Bounds, rates: FloatArray) -> None:
-    horizon, m, p = settings.horizon, len(bounds.u_min), len(bounds.y_min)
-    problem.bound("u", bounds.u_min, bounds.u_max)
+        problem.penalise(change, {"u": np.eye(horizon * m) - before["u"], "u_last": -before["u_last"]}, {})
+    if settings.terminal_length:
+        end_at_setpoints(problem, settings.terminal_length, {"u": m, "y": p})
+    bound_signals(problem, bounds, settings.setpoint_margin, soft)
     if np.isfinite(rates).any():
         problem.bound("u", -rates, rates, _inputs_before(horizon, m), name="change of u")
-    excess = {"y_excess": np.eye(horizon * p)} if "y_excess" in problem.free else None
-    if excess:
-        problem.penalise(settings.soft_output_bounds * np.eye(p), excess, {})
-    problem.bound("y", bounds.y_min, bounds.y_max, excess)
-    setpoint = setpoint_bounds(bounds, settings.setpoint_margin)
-    if "u_s" in problem.free:
-        problem.bound("u_s", setpoint.u_min, setpoint.u_max)
-    # Where outputs may leave their limits, a setpoint tied to them must not keep them back.
-    if "y_s" in problem.free and not excess:
-        problem.bound("y_s", setpoint.y_min, setpoint.y_max)
+    return problem
 
 
 def _inputs_before(horizon: int, m: int) -> dict[str, FloatArray]:

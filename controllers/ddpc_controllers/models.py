@@ -7,7 +7,7 @@ A source of models is a setting: :class:`~ddpc_controllers.identification.Identi
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -29,6 +29,10 @@ class SampledModel:
         The matrices.
     u_0, y_0 : array, shapes (m,) and (p,)
         The operating point.
+    samples : int
+        What it is good for: a pole nearer to 1 than ``1 / samples`` may be an integrator's.
+    fit : dict of str to float
+        Figures of its identification, by name.
     """
 
     a: FloatArray
@@ -36,6 +40,8 @@ class SampledModel:
     c: FloatArray
     u_0: FloatArray
     y_0: FloatArray
+    samples: int = 1000
+    fit: dict[str, float] = field(default_factory=dict)
 
 
 @runtime_checkable

@@ -14,6 +14,7 @@ import numpy as np
 from ddpc_controllers.model_based import ModelBased
 from ddpc_controllers.model_prediction import Predictor, TrackingSettings
 from ddpc_controllers.observer import DISTURBANCES, LOST_MEASUREMENT, Disturbance
+from ddpc_controllers.recorded import resting_input
 from ddpc_cosim import Action, FloatArray, Loop, Sample, setting
 
 
@@ -29,7 +30,7 @@ class MPC(TrackingSettings, ModelBased):
         "auto",
         choices=DISTURBANCES,
         doc="what carries the constant disturbance estimated; auto: the outputs, the inputs of a plant "
-        "that integrates",
+        "that integrates, or is too slow to tell",
     )
     disturbance_noise: float = setting(
         1.0, above=0.0, doc="filter: standard deviation of the disturbance's change per sample"
@@ -39,7 +40,9 @@ class MPC(TrackingSettings, ModelBased):
         """Set up the filter, and condense the model's tracking problem."""
         self._observe(loop, self.disturbance, self.disturbance_noise)
         model = self._observer
-        self._predictor = Predictor(model.a, model.b, model.c, self, loop.bounds, self._scales.u)
+        self._predictor = Predictor(
+            model.a, model.b, model.c, self, loop.bounds, self._scales.u, resting_input(loop)
+        )
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal inputs of the horizon."""
@@ -57,9 +60,10 @@ class MPC(TrackingSettings, ModelBased):
         return Action(u, fault or lost) if fault or lost else u
 
     def diagnostics(self) -> Mapping[str, float]:
-        """Return the order of the model with its disturbances, and its slowest or most unstable pole."""
+        """Return the order of the model with its disturbances, its slowest or most unstable pole, its fit."""
         a = self._observer.a[:-1, :-1]
-        return {"model_order": float(len(a)), "spectral_radius": float(np.abs(np.linalg.eigvals(a)).max())}
+        figures = {"model_order": float(len(a)), "spectral_radius": float(np.abs(np.linalg.eigvals(a)).max())}
+        return figures | self._model.fit
 
     def _faults_between_settings(self) -> list[str]:
         return super()._faults_between_settings() + self.tracking_faults()

@@ -52,8 +52,9 @@ class Observer:
     model : SampledModel
         The plant.
     disturbance : {"auto", "output", "input", "none"}
-        What carries the disturbance; ``"auto"``: the outputs if they tell it from the states, else the inputs
-        (of a plant that integrates).
+        What carries the disturbance; ``"auto"``: the outputs if they tell it from the states, else the
+        inputs. Of a model with a pole that may be an integrator's the inputs come first: a disturbance at its
+        outputs would hardly show, and leave an offset for as long.
     noise : Noise
         The noise.
 
@@ -117,6 +118,18 @@ class Observer:
             self.predict(applied)
 
 
+def _preferred(model: SampledModel) -> tuple[Disturbance, Disturbance]:
+    """Return what may carry a disturbance, the better first."""
+    nearest = np.abs(np.linalg.eigvals(model.a) - 1.0).min()
+    return ("input", "output") if nearest < 1.0 / model.samples else ("output", "input")
+
+
+def _size(matrix: FloatArray, axis: int) -> FloatArray:
+    """Return the Euclidean length of a matrix's rows (axis 1) or columns (axis 0), 1 where it is zero."""
+    length = np.linalg.norm(matrix, axis=axis, keepdims=True)
+    return np.where(length > 0.0, length, 1.0)
+
+
 def _with_disturbance(model: SampledModel, disturbance: Disturbance) -> tuple[FloatArray, FloatArray]:
     """Return A and C of the model with a constant disturbance that does not hide behind the states."""
     n, m, p = len(model.a), model.b.shape[1], len(model.c)
@@ -126,16 +139,21 @@ def _with_disturbance(model: SampledModel, disturbance: Disturbance) -> tuple[Fl
         "none": (np.zeros((n, 0)), np.zeros((p, 0))),
     }
     hidden = {}
-    for kind in ("output", "input") if disturbance == "auto" else (disturbance,):
+    # Units must not decide what is seen: every output, and every disturbance, counts in its own size.
+    seen = model.c / _size(model.c, 1)
+    for kind in _preferred(model) if disturbance == "auto" else (disturbance,):
         in_state, in_output = carriers[kind]
         size = in_state.shape[1]
         a = np.block([[model.a, in_state], [np.zeros((size, n)), np.eye(size)]])
         c = np.hstack([model.c, in_output])
         # What is constant is seen where (A - I; C) has full rank.
-        hidden[kind] = n + size - numerical_rank(np.vstack([a - np.eye(n + size), c]), _DETECTABLE)
+        constant = np.block([[model.a - np.eye(n), in_state / _size(in_state, 0)], [seen, in_output]])
+        hidden[kind] = n + size - numerical_rank(constant, _DETECTABLE)
         if disturbance == "none" or not hidden[kind]:
             return a, c
-    told = "; ".join(f'"{kind}": {count} constant mode(s) hidden' for kind, count in hidden.items())
+    told = "; ".join(
+        f'"{kind}": {count} constant mode(s) hidden' for kind, count in sorted(hidden.items(), reverse=True)
+    )
     raise ConfigError(
         f'disturbance = "{disturbance}" cannot be told from the states by the outputs ({told}): '
         'control more outputs, or choose another, "input" for a plant that integrates, or "none"'

@@ -8,16 +8,32 @@ is a lag of first order and gain one from the shifted reference r - d to the out
 
 It rests only where y = r (internal model control: C. E. Garcia, M. Morari, Ind. Eng. Chem. Process Des.
 Dev. 21(2), 1982, doi:10.1021/i200016a007; the estimate: G. Pannocchia, J. B. Rawlings, AIChE J. 49(2), 2003,
-doi:10.1002/aic.690490213). While an input is at a limit, the estimate is held and the lag follows the
-output: what is off has another reason. The shifted reference stays within the output limits.
+doi:10.1002/aic.690490213). The shifted reference stays within the output limits, and d does not grow where
+they cut it off.
+
+A dead time of n samples, which the lag does not know, is taken for a disturbance until it is over: what d
+sees of itself at the frequency w per sample is |1 - exp(-i n w)| <= n w, of which the estimate passes on
+about gain / sqrt(gain^2 + w^2). With gain <= 1 / n that is less than d at every frequency, and the loop is
+stable (small gain theorem). A controller's horizon is longer than the dead time, or it could not control.
+
+Where inputs are at a limit, what is off has another reason. Both d and the lag then move only in those
+directions of the outputs in which the free inputs can move them; in the others d is held and the lag follows
+the output. The directions are read from the recording. Where there is none, all are held while there are
+fewer free inputs than outputs. An input whose limits leave it no room is as good as none.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ddpc_controllers.reachable_outputs import projector, spread, step_gain
 from ddpc_controllers.wrapper import Wrapper
-from ddpc_cosim import Action, FloatArray, Loop, Sample, setting
+from ddpc_cosim import Action, Bounds, FloatArray, Loop, Sample, setting
+
+_LARGEST_GAIN = 0.2
+_AT_A_LIMIT = 1e-9
 
 
 @dataclass(kw_only=True)
@@ -25,10 +41,11 @@ class OffsetFree(Wrapper):
     """A controller whose reference is shifted until there is no offset."""
 
     gain: float = setting(
-        0.2,
-        above=0.0,
+        0.0,
+        low=0.0,
         high=1.0,
-        doc="share of a new difference that the estimate of the disturbance takes up",
+        doc="share of a new difference that the estimate of the disturbance takes up; 0: one over the "
+        "controller's horizon, at most 0.2",
     )
     response_time: float = setting(
         0.0, low=0.0, unit="s", doc="time constant of the closed loop; 0: two samples"
@@ -37,24 +54,69 @@ class OffsetFree(Wrapper):
     def start(self, loop: Loop) -> None:
         """Start the controller; there is no disturbance yet."""
         self._bounds = loop.bounds
+        self._low, self._high = _just_within(loop.bounds)
         self._phi = float(np.exp(-loop.sampling_time / (self.response_time or 2.0 * loop.sampling_time)))
+        self._gain = self.gain or min(_LARGEST_GAIN, 1.0 / self.controller.horizon)
         self._disturbance = np.zeros(len(loop.outputs))
+        self._largest = np.zeros(len(loop.outputs))
+        self._clipped = np.zeros(len(loop.outputs), dtype=bool)
         self._expected: FloatArray | None = None
-        self._limited = False
         self._start_inside(loop)
+        self._start_directions(loop)
+        self._reachable = self._directions(self._high > self._low)
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the controller's inputs for the shifted reference."""
         expected = self._expected
         if np.isfinite(sample.y).all():
-            if expected is None or self._limited:  # nothing to compare with
+            if expected is None:  # nothing to compare with
                 expected = sample.y - self._disturbance
-            self._disturbance += self.gain * (sample.y - expected - self._disturbance)
+            off = sample.y - expected - self._disturbance
+            correctable = self._reachable @ off
+            correctable[self._clipped & (correctable * self._disturbance > 0.0)] = 0.0
+            self._disturbance = self._disturbance + self._gain * correctable
+            self._largest = np.maximum(self._largest, np.abs(self._disturbance))
+            expected = expected + (off - correctable)
         elif expected is None:
             expected = sample.reference[0]
-        shifted = np.clip(sample.reference - self._disturbance, self._bounds.y_min, self._bounds.y_max)
+        wanted = sample.reference - self._disturbance
+        shifted = np.clip(wanted, self._bounds.y_min, self._bounds.y_max)
+        self._clipped = shifted[0] != wanted[0]
         self._expected = self._phi * expected + (1.0 - self._phi) * shifted[0]
         answer = self._inner.step(sample._replace(reference=shifted))
         u = answer.u if isinstance(answer, Action) else answer
-        self._limited = bool((u <= self._bounds.u_min).any() or (u >= self._bounds.u_max).any())
+        self._reachable = self._directions((u > self._low) & (u < self._high))
         return answer
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """Return the controller's figures, and the largest disturbance of each output, in its unit."""
+        largest = {f"largest_disturbance[{i}]": value for i, value in enumerate(self._largest.tolist())}
+        return {**self._inner.diagnostics(), **largest}
+
+    def _start_directions(self, loop: Loop) -> None:
+        """Learn how the inputs move the outputs, where it matters and there is a recording."""
+        p, recording = len(loop.outputs), loop.recording
+        self._all = np.eye(p)
+        # A single output is reached by whatever input is free.
+        self._needed = min(p, max(1, int((self._high > self._low).sum())))
+        self._plant: tuple[FloatArray, FloatArray] | None = None
+        if p > 1 and recording is not None:
+            self._plant = step_gain(recording, self.controller.horizon), spread(recording)
+
+    def _directions(self, free: NDArray[np.bool_]) -> FloatArray:
+        """Return what part of a change of the outputs the free inputs can bring about, shape (p, p)."""
+        if free.all() and len(free) >= len(self._all):
+            return self._all
+        if self._plant is not None:
+            gain, unit = self._plant
+            return np.asarray(unit[:, np.newaxis] * projector(gain, free) / unit)
+        return self._all if free.sum() >= self._needed else np.zeros_like(self._all)
+
+
+def _just_within(bounds: Bounds) -> tuple[FloatArray, FloatArray]:
+    """Return the input limits, drawn in by what a solver leaves between its answer and an active limit."""
+    low, high = bounds.u_min, bounds.u_max
+    span = high - low
+    one_sided = np.where(np.isfinite(low), np.abs(low), np.where(np.isfinite(high), np.abs(high), 0.0))
+    room = _AT_A_LIMIT * np.where(np.isfinite(span), span, one_sided)
+    return low + room, high - room

@@ -3,11 +3,12 @@
     v = K_p (b r - y) + I + D,   u = v within its limits
     I = I + h K_i (r - y) + min(h / T_t, 1) (u - v)    (back-calculation), or
     I = I + h K_i (r - y) unless that drives v further beyond its limit (clamping)
-    D = (T_f D - K_d (y - y_before)) / (T_f + h)        (backward difference of K_d s / (T_f s + 1))
+    D = (T_f D - K_d (y - y_before)) / (T_f + t)        (backward difference of K_d s / (T_f s + 1))
 
 after K. J. Astrom, T. Hagglund, Advanced PID Control, ISA 2006, sections 3.4, 3.5 and 13.2. The integral is
-the backward difference too, so that v of a sample contains its error. As r the loop takes the reference of
-the next sample: the first that this input can reach.
+the backward difference too, so that v of a sample contains its error; without integral action, K_i = 0, it
+is a constant. The time t since y_before is h, and longer after samples that were lost. As r the loop takes
+the reference of the next sample: the first that this input can reach.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,6 +35,7 @@ Tuning = Literal["manual", "step-test"]
 AntiWindup = Literal["back-calculation", "clamping"]
 
 _LOST_MEASUREMENT = "a measurement is not finite: inputs held"
+_NO_REFERENCE = "a reference is not finite: inputs held"
 
 
 @dataclass(kw_only=True)
@@ -41,7 +43,7 @@ class PID(Controller):
     """PID control with anti-windup, derivative filter and setpoint weight.
 
     A gain is a number for all loops or one per loop. Output i is controlled by input ``pairing[i]``. While a
-    measurement is not finite the inputs are held, which is a status.
+    measurement or a reference is not finite the inputs are held, which is a status.
     """
 
     tuning: Tuning = setting(
@@ -91,8 +93,9 @@ class PID(Controller):
         self._pairs = self._checked_pairs(len(loop.inputs), len(loop.outputs))
         self._gains = self._tuned(loop) if self.tuning == "step-test" else self._given()
         h = loop.sampling_time
-        self._sampling_time = h
-        self._tracking = h / max(self.tracking_time, h)
+        self._sampling_time = self._elapsed = h
+        # A loop without integral action has nothing that winds up, and would not get its bias back.
+        self._tracking = np.where(self._gains.integral != 0.0, h / max(self.tracking_time, h), 0.0)
         self._u = resting_input(loop)
         self._low, self._high = loop.bounds.u_min[self._pairs], loop.bounds.u_max[self._pairs]
         self._derivative = np.zeros(len(self._pairs))
@@ -105,11 +108,13 @@ class PID(Controller):
         """Return the inputs of all loops, within their limits."""
         gains, h, y, r = self._gains, self._sampling_time, sample.y, sample.reference[0]
         if not np.isfinite(y).all():
-            return Action(self._u.copy(), _LOST_MEASUREMENT)
+            return self._hold(_LOST_MEASUREMENT)
+        if not np.isfinite(r).all():
+            return self._hold(_NO_REFERENCE)
         before = y if self._y is None else self._y
         proportional = gains.proportional * (self.setpoint_share * r - y)
         self._derivative = (gains.filter_time * self._derivative - gains.derivative * (y - before)) / (
-            gains.filter_time + h
+            gains.filter_time + self._elapsed
         )
         if self._integral is None:  # as if the loop had held the output where it is
             self._integral = self._u[self._pairs] + gains.proportional * (1.0 - self.setpoint_share) * y
@@ -117,7 +122,7 @@ class PID(Controller):
         wanted = proportional + self._integral + increment + self._derivative
         limited = np.clip(wanted, self._low, self._high)
         self._integral = self._integral + self._kept(increment, limited - wanted)
-        self._y = y.copy()
+        self._y, self._elapsed = y.copy(), h
         self._u[self._pairs] = limited
         return self._u.copy()
 
@@ -133,6 +138,11 @@ class PID(Controller):
             for name, values in gains.items()
             for i, value in enumerate(np.broadcast_to(values, len(self._pairs)))
         }
+
+    def _hold(self, why: str) -> Action:
+        """Return the last inputs; the next change of the outputs spans a sample more."""
+        self._elapsed += self._sampling_time
+        return Action(self._u.copy(), why)
 
     def _kept(self, increment: FloatArray, excess: FloatArray) -> FloatArray:
         """Return by how much the integral changes, given by how much the limits changed the inputs."""

@@ -3,12 +3,13 @@
 A second-order model with delay, ``k exp(-theta s) / (tau^2 s^2 + 2 zeta tau s + 1)``, is fitted to the
 recording; the gains make the closed loop a first-order lag with delay (S. Skogestad, Simple analytic rules
 for model reduction and PID controller tuning, J. Process Control 13, 2003,
-doi:10.1016/S0959-1524(02)00062-8). A lag that is long against the delay gets his shorter integral time; an
-oscillatory pair has none to shorten.
+doi:10.1016/S0959-1524(02)00062-8). An inverse response counts as delay. A lag that is long against the delay
+gets his shorter integral time; an oscillatory pair has none to shorten.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +52,7 @@ class SecondOrder:
     poles : (complex, complex)
         The poles [1/s].
     delay : float
-        theta [s].
+        theta [s], inverse response included.
     """
 
     gain: float
@@ -112,7 +113,8 @@ def fit_second_order(recording: Recording, output: int, chosen: int) -> SecondOr
     if gain == 0.0 or not np.isfinite(gain):
         raise DataError(f"PID: output {output} of the recording does not follow input {chosen}: tune by hand")
     first, second = np.log(discrete.astype(complex)) / h
-    return SecondOrder(gain, (complex(first), complex(second)), delay * h)
+    inverse = _inverse_response(fit.past_u[:, 0, chosen], h)
+    return SecondOrder(gain, (complex(first), complex(second)), delay * h + inverse)
 
 
 def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0) -> tuple[float, ...]:
@@ -139,12 +141,25 @@ def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0
         squared = 1.0 / abs(model.poles[0]) ** 2  # tau^2
         damping = -2.0 * model.poles[0].real * squared  # 2 zeta tau
         gains = damping / (model.gain * rest), 1.0 / (model.gain * rest), squared / (model.gain * rest)
-    return *gains, _FILTER * abs(gains[2] / gains[0])
+    kp, ki, kd = gains
+    # K_d / K_p alone is longer than the period of a lightly damped pair, which the filter would destabilise.
+    return *gains, _FILTER * min(abs(kd / kp), sqrt(kd / ki))
 
 
 def _delayed(u: FloatArray, samples: int) -> FloatArray:
     """Return inputs, time along axis 0, that come later; before, they were as at the beginning."""
     return np.vstack([np.repeat(u[:1], samples, axis=0), u[: len(u) - samples]])
+
+
+def _inverse_response(past_u: FloatArray, h: float) -> float:
+    """Return T_0 [s] of the factor ``1 - T_0 s`` that a sampled zero beyond 1 stands for; 0 if there is none.
+
+    A negative zero is not an inverse response: sampling alone brings it about.
+    """
+    latest, older = past_u.tolist()
+    if -older * latest <= latest**2:  # the zero, -older / latest, is not beyond 1
+        return 0.0
+    return h / log(-older / latest)
 
 
 def _within(pole: complex, fastest: float, slowest: float) -> complex:

@@ -83,17 +83,17 @@ class Problem:
             _Bounded(name or variable, blocks, np.tile(lower, samples), np.tile(upper, samples))
         )
 
-    def prepare(self, move: str, inputs: int) -> Condenser:
+    def prepare(self, move: str, inputs: int, outputs: int = 0) -> Condenser:
         """Assemble what does not depend on the data.
 
-        The first ``inputs`` entries of ``move`` are applied. Where the regularisation is about earlier data
-        rows, all new ones are asked for after them.
+        The first ``inputs`` entries of ``move`` are applied. After them the first ``outputs`` entries of y
+        are asked for, and, where the regularisation is about earlier data rows, all new ones.
         """
         variables = _places({**self.rows, **self.free})
         parameters = _places(self.parameters)
         row_count = sum(self.rows.values())
         origin = np.zeros((row_count, sum(self.parameters.values())))
-        wanted = _selection(move, variables)[:inputs]
+        wanted = np.vstack([_selection(move, variables)[:inputs], _selection("y", variables)[:outputs]])
         if self._about:
             origin[:, parameters[self._about]] = np.eye(row_count)
             wanted = np.vstack([wanted, np.eye(row_count, wanted.shape[1])])

@@ -20,6 +20,7 @@ from ddpc_cosim import FloatArray
 NOT_FINITE = "a measurement or a reference is not finite: inputs at zero, or at the limit nearest to it"
 """The fault of a problem that cannot be posed."""
 
+_AT_LIMIT = 1e-9
 _FEASIBLE = 1e-11
 _NO_CONFLICT = 1e-6
 _LARGEST_CONDITION = 1e12
@@ -61,7 +62,7 @@ class ParametricQP:
         u_max: FloatArray,
         backend: Backend | None = None,
     ) -> None:
-        self._u_min, self._u_max = u_min, u_max
+        self._limits = InputLimits(u_min, u_max)
         self._backend = backend or PIQPBackend()
         self._active: ActiveSet = ()
         self._active_sets: dict[ActiveSet, ActiveSet] = {}
@@ -74,7 +75,10 @@ class ParametricQP:
         self._bounds = len(problem.excess_law)
         self._law = np.vstack([problem.excess_law, problem.move_law])
         self._laws: dict[ActiveSet, FloatArray | None] = {}
-        self._backend.load(problem.excess_gain)
+        # Where nothing else would hold it back, an input that is not finite would pass.
+        self._checks_inputs = self._limits.endless or not self._bounds
+        if self._bounds:
+            self._backend.load(problem.excess_gain)
 
     def solve(self, parameters: FloatArray) -> Move:
         """Return the optimal move, or the documented fallback with its reason.
@@ -87,11 +91,12 @@ class ParametricQP:
         answer = np.dot(self._law, parameters)
         excess, u = answer[: self._bounds], answer[self._bounds :]
         fault = find_conflict(self._problem.conflict_law, parameters) if self._watches_conflict else ""
-        if not self._bounds:
-            fault = zero_unless_finite(u) or fault
-        elif not max(excess.tolist()) <= 0.0:
+        if self._bounds and not max(excess.tolist()) <= 0.0:
             fault = self._respect_bounds(excess, u) or fault
-        clip_inputs(u, self._u_min, self._u_max)
+            self._limits.reach(u)
+        elif self._checks_inputs:
+            fault = zero_unless_finite(u) or fault
+        self._limits.hold(u)
         return Move(u, fault)
 
     def _respect_bounds(self, excess: FloatArray, u: FloatArray) -> str:
@@ -152,7 +157,9 @@ class ParametricQP:
 def find_conflict(conflict_law: FloatArray, parameters: FloatArray) -> str:
     """Say how far a past is from what the recorded windows can combine to; empty if it is not."""
     size = float(np.abs(conflict_law @ parameters).max())
-    if size <= _NO_CONFLICT * float(np.abs(parameters).max()):
+    if size <= _NO_CONFLICT:  # of what the recorded windows hold
+        return ""
+    if size <= _NO_CONFLICT * float((np.abs(conflict_law) @ np.abs(parameters)).max()):
         return ""
     return f"no combination of the recorded windows has this past (off by {size:.1e}); the nearest is used"
 
@@ -172,11 +179,45 @@ def infeasible(failure: str, gain: FloatArray, excess: FloatArray, labels: Seque
     return f"no way to meet all bounds ({failure}{which}): unconstrained optimum, clipped at the input limits"
 
 
-def clip_inputs(u: FloatArray, u_min: FloatArray, u_max: FloatArray) -> None:
-    """Hold the inputs, which stand first in ``u``, exactly within their limits, in place."""
-    inputs = u if len(u) == len(u_min) else u[: len(u_min)]
-    np.maximum(inputs, u_min, out=inputs)
-    np.minimum(inputs, u_max, out=inputs)
+class InputLimits:
+    """The limits of the inputs, which stand first in a move.
+
+    Parameters
+    ----------
+    u_min, u_max : array, shape (m,)
+        The limits.
+
+    Attributes
+    ----------
+    endless : bool
+        Whether an input has none on a side.
+    """
+
+    def __init__(self, u_min: FloatArray, u_max: FloatArray) -> None:
+        self._u_min, self._u_max, self._inputs = u_min, u_max, len(u_min)
+        self._low, self._high = u_min.tolist(), u_max.tolist()
+        self.endless = not (np.isfinite(u_min).all() and np.isfinite(u_max).all())
+        span = np.zeros(len(u_min))
+        np.subtract(u_max, u_min, out=span, where=np.isfinite(u_min) & np.isfinite(u_max))
+        self._near_low = (u_min + _AT_LIMIT * span).tolist()
+        self._near_high = (u_max - _AT_LIMIT * span).tolist()
+
+    def reach(self, u: FloatArray) -> None:
+        """Put inputs that are at a limit but for rounding exactly there, in place."""
+        for i, value in enumerate(u[: self._inputs].tolist()):
+            if value <= self._near_low[i]:
+                u[i] = self._low[i]
+            elif value >= self._near_high[i]:
+                u[i] = self._high[i]
+
+    def hold(self, u: FloatArray) -> None:
+        """Keep the inputs exactly within their limits, in place."""
+        inputs = u[: self._inputs]
+        for low, value, high in zip(self._low, inputs.tolist(), self._high, strict=True):
+            if not low <= value <= high:  # seldom: comparing a few numbers takes less time than a clip
+                np.maximum(inputs, self._u_min, out=inputs)
+                np.minimum(inputs, self._u_max, out=inputs)
+                return
 
 
 def _make_room(store: dict[ActiveSet, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from ddpc_controllers.qp import InputLimits
 from ddpc_controllers.scaling import ScaleBy, Scales
 from ddpc_controllers.wrapper import Wrapper
 from ddpc_cosim import Action, FloatArray, Loop, Sample, setting
@@ -32,9 +33,9 @@ class Scaled(Wrapper):
             The controller does not start.
         """
         self._scales = Scales.of(loop, self.scale_by)
-        self._bounds = loop.bounds
+        self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
         self._start_inside(self._scales.scaled_loop(loop))
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the controller's inputs in their own units."""
-        return self._scales.in_units(self._inner.step(self._scales.scaled_sample(sample)), self._bounds)
+        return self._scales.in_units(self._inner.step(self._scales.scaled_sample(sample)), self._limits)

@@ -10,6 +10,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from ddpc_controllers.qp import InputLimits
 from ddpc_cosim import (
     Action,
     Bounds,
@@ -107,15 +108,18 @@ class Scales:
             reference=sample.reference / self.y,
         )
 
-    def in_units(self, answer: FloatArray | Action, bounds: Bounds) -> FloatArray | Action:
+    def in_units(self, answer: FloatArray | Action, limits: InputLimits) -> FloatArray | Action:
         """Return a controller's answer with inputs in their units, within their limits."""
         if isinstance(answer, Action):
-            return answer._replace(u=self._inputs(answer.u, bounds))
-        return self._inputs(answer, bounds)
+            return answer._replace(u=self._inputs(answer.u, limits))
+        return self._inputs(answer, limits)
 
-    def _inputs(self, u: FloatArray, bounds: Bounds) -> FloatArray:
-        # The product can round to beyond a limit.
-        return np.clip(u * self.u, bounds.u_min, bounds.u_max)
+    def _inputs(self, u: FloatArray, limits: InputLimits) -> FloatArray:
+        inputs: FloatArray = u * self.u
+        # The product can round to beside a limit that the scaled input is at.
+        limits.reach(inputs)
+        limits.hold(inputs)
+        return inputs
 
 
 @dataclass(kw_only=True)
@@ -144,14 +148,14 @@ class ScaledSignals(Controller):
         """
         self._scales = Scales.of(loop, self.scaling)
         self._as_it_is = self._scales.trivial
-        self._unscaled_bounds = loop.bounds
+        self._limits_in_units = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
         self._start(self._scales.scaled_loop(loop))
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the inputs that the method finds, in their units."""
         if self._as_it_is:
             return self._step(sample)
-        return self._scales.in_units(self._step(self._scales.scaled_sample(sample)), self._unscaled_bounds)
+        return self._scales.in_units(self._step(self._scales.scaled_sample(sample)), self._limits_in_units)
 
     @abstractmethod
     def _start(self, loop: Loop) -> None:

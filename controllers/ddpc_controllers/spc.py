@@ -9,7 +9,8 @@ prediction leaves unexplained. Subspace predictive control (W. Favoreel, B. De M
 predictive control*, IFAC World Congress 1999, doi:10.1016/S1474-6670(17)56683-5) has gamma_3 = 0.
 Gamma-DDPC (V. Breschi, A. Chiuso, S. Formentin, *Data-driven predictive control in a stochastic setting: a
 unified framework*, Automatica 152, 2023, doi:10.1016/j.automatica.2023.110961) weighs both:
-``beta_2 |gamma_2|^2 + beta_3 |gamma_3|^2``.
+``beta_2 |gamma_2|^2 + beta_3 |gamma_3|^2``. As there, the stacked data are divided by the root of the number
+of windows, so that a weight means the same for a recording of any length.
 """
 
 import math
@@ -19,7 +20,9 @@ import numpy as np
 
 from ddpc_controllers.behavioral_tracking import BehavioralTracking
 from ddpc_controllers.problem import Problem
+from ddpc_controllers.recorded import resting_input
 from ddpc_controllers.regularisation import Regularisation
+from ddpc_controllers.tracking_problem import prefer_rest
 from ddpc_cosim import Loop, setting
 
 
@@ -39,9 +42,16 @@ class SPC(BehavioralTracking):
         False, doc="the last initial_length predicted samples equal the artificial setpoint"
     )
 
+    use_current_output: bool = setting(
+        True,
+        doc="the output measured now ends the past window and the next is the first predicted; otherwise the "
+        "sample before does, and what is measured now is held against the next reference",
+    )
+
     def _write_down(self, loop: Loop) -> Problem:
         """Write down the problem over gamma_2 and gamma_3; gamma_1 follows from the past."""
         problem = self._tracking_problem(loop)
+        prefer_rest(problem, self.input_weight, resting_input(loop), len(loop.outputs))
         past_y = np.eye(self._parameters.sizes["y_ini"])
         problem.equate({"y_ini": past_y}, {"y_ini": past_y})
         inputs, outputs = problem.rows["u"], problem.rows["y"]
@@ -62,7 +72,9 @@ class GammaDDPC(SPC):
     """
 
     beta_2: float = setting(0.0, low=0.0, doc="weight of |gamma_2|^2: inputs unlike those of the recording")
-    beta_3: float = setting(1e3, above=0.0, doc="weight of |gamma_3|^2: outputs off their prediction")
+    beta_3: float = setting(5.0, above=0.0, doc="weight of |gamma_3|^2: outputs off their prediction")
 
     def _weights(self) -> tuple[float, float, float]:
-        return 0.0, self.beta_2, self.beta_3
+        # The factor of the data as they are has the coordinates gamma / sqrt(windows).
+        windows = self._diagnostics.data_columns
+        return 0.0, windows * self.beta_2, windows * self.beta_3

@@ -1,4 +1,4 @@
-"""The tracking problem of DeePC and SPC, equation (8), with or without each of its parts."""
+"""The tracking problem (8), with or without each of its parts: that of DeePC and SPC, and its pieces."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -8,20 +8,28 @@ import numpy as np
 from ddpc_controllers.problem import Problem
 from ddpc_controllers.recorded import resting_input, setpoint_bounds
 from ddpc_controllers.validation import weight_matrices
-from ddpc_cosim import FloatArray, Loop, Weight
+from ddpc_cosim import Bounds, FloatArray, Loop, Weight
 
 SUM_G = "sum_g"
 """The data row that holds the sum of the entries of g."""
 
 
-class TrackingSettings(Protocol):
+_PREFERENCE = 1e-6
+
+
+class TrackingWeights(Protocol):
+    """The weights of (8)."""
+
+    output_weight: Weight
+    setpoint_weight: Weight
+    input_weight: Weight
+
+
+class TrackingSettings(TrackingWeights, Protocol):
     """The settings that decide the problem."""
 
     initial_length: int
     horizon: int
-    output_weight: Weight
-    setpoint_weight: Weight
-    input_weight: Weight
     artificial_setpoint: bool
     terminal_equality: bool
     setpoint_margin: float
@@ -57,73 +65,92 @@ def write_tracking_problem(
         Every weight that does not fit the number of signals.
     """
     m, p, horizon = len(loop.inputs), len(loop.outputs), settings.horizon
-    free = {"u_s": m, "y_s": p} if settings.artificial_setpoint else {}
-    soft = settings.soft_output_bounds > 0.0
-    if soft:
-        free |= {"y_excess": horizon * p} | ({"y_s_excess": p} if settings.artificial_setpoint else {})
+    sizes = {"u_s": m, "y_s": p} if settings.artificial_setpoint else {}
+    soft = settings.soft_output_bounds
+    free = sizes | (excess_variables(sizes, horizon, p) if soft > 0.0 else {})
     problem = Problem(rows={**past, "u": horizon * m, "y": horizon * p}, free=free, parameters=parameters)
 
     problem.equate({"u_ini": np.eye(past["u_ini"])}, {"u_ini": np.eye(past["u_ini"])})
     if SUM_G in past:
         problem.equate({SUM_G: np.eye(1)}, {"one": np.eye(1)})
-    if settings.artificial_setpoint:
-        _track_artificial_setpoint(problem, settings, loop)
-    else:
-        _track_reference(problem, settings, loop)
-    _bound_signals(problem, settings, loop)
+    penalise_tracking(problem, settings, resting_input(loop), p)
+    if settings.terminal_equality:
+        end_at_setpoints(problem, settings.initial_length, {"u": m, "y": p})
+    bound_signals(problem, loop.bounds, settings.setpoint_margin, soft)
     if rates is not None:
         _bound_rates(problem, horizon, rates)
     return problem
 
 
-def _track_artificial_setpoint(problem: Problem, settings: TrackingSettings, loop: Loop) -> None:
-    """Add the cost of (8) and its terminal condition."""
-    m, p, past, horizon = len(loop.inputs), len(loop.outputs), settings.initial_length, settings.horizon
+def excess_variables(setpoints: Mapping[str, int], horizon: int, outputs: int) -> dict[str, int]:
+    """Return the sizes of what soft output bounds are exceeded by: the outputs, and their setpoint."""
+    return {"y_excess": horizon * outputs} | ({"y_s_excess": outputs} if "y_s" in setpoints else {})
+
+
+def penalise_tracking(problem: Problem, weights: TrackingWeights, rest: FloatArray, outputs: int) -> None:
+    """Add the cost for the artificial setpoints that the problem has.
+
+    With u_s and y_s it is that of (8), with u_s that of (11), with none that of the regulation form [8], the
+    inputs weighed from ``rest``, shape (m,).
+    """
+    m, p, horizon = len(rest), outputs, problem.rows["u"] // len(rest)
     every_u, every_y = np.eye(horizon * m), np.eye(horizon * p)
     held_u, held_y = np.tile(np.eye(m), (horizon, 1)), np.tile(np.eye(p), (horizon, 1))
     q, s, r = weight_matrices(
-        output_weight=(settings.output_weight, p),
-        setpoint_weight=(settings.setpoint_weight, p),
-        input_weight=(settings.input_weight, m),
+        output_weight=(weights.output_weight, p),
+        setpoint_weight=(weights.setpoint_weight, p),
+        input_weight=(weights.input_weight, m),
     )
-    problem.penalise(q, {"y": every_y, "y_s": -held_y}, {})  # |y_k - y_s|_Q^2
-    problem.penalise(s, {"y_s": held_y}, {"r": every_y})  # |r_t+k - y_s|_S^2
-    problem.penalise(r, {"u": every_u, "u_s": -held_u}, {})  # |u_k - u_s|_R^2
-    if settings.terminal_equality:
-        problem.equate({"u": every_u[-past * m :], "u_s": -held_u[-past * m :]}, {})
-        problem.equate({"y": every_y[-past * p :], "y_s": -held_y[-past * p :]}, {})
+    if "y_s" in problem.free:
+        problem.penalise(q, {"y": every_y, "y_s": -held_y}, {})  # |y_k - y_s|_Q^2
+        problem.penalise(s, {"y_s": held_y}, {"r": every_y})  # |r_t+k - y_s|_S^2
+    else:
+        problem.penalise(q, {"y": every_y}, {"r": every_y})  # |y_k - r_t+k|_Q^2
+    if "u_s" in problem.free:
+        problem.penalise(r, {"u": every_u, "u_s": -held_u}, {})  # |u_k - u_s|_R^2
+    else:
+        problem.penalise(r, {"u": every_u}, {"one": held_u @ rest[:, np.newaxis]})  # |u_k|_R^2, off rest
 
 
-def _track_reference(problem: Problem, settings: TrackingSettings, loop: Loop) -> None:
-    """Add the cost of the regulation form [8]; inputs are weighed from where they rest."""
-    m, p, horizon = len(loop.inputs), len(loop.outputs), settings.horizon
-    q, r = weight_matrices(output_weight=(settings.output_weight, p), input_weight=(settings.input_weight, m))
-    rest = np.tile(resting_input(loop), horizon)[:, np.newaxis]
-    problem.penalise(q, {"y": np.eye(horizon * p)}, {"r": np.eye(horizon * p)})  # |y_k - r_t+k|_Q^2
-    problem.penalise(r, {"u": np.eye(horizon * m)}, {"one": rest})  # |u_k|_R^2, off rest
+def prefer_rest(problem: Problem, input_weight: Weight, rest: FloatArray, outputs: int) -> None:
+    """Where inputs outnumber outputs, choose among setpoints u_s alike in cost the one nearest to rest."""
+    m = len(rest)
+    if "u_s" not in problem.free or m <= outputs:
+        return
+    (r,) = weight_matrices(input_weight=(input_weight, m))
+    problem.penalise(_PREFERENCE * r, {"u_s": np.eye(m)}, {"one": rest[:, np.newaxis]})
 
 
-def _bound_signals(problem: Problem, settings: TrackingSettings, loop: Loop) -> None:
-    """Bound inputs, outputs and the artificial setpoint; soft output bounds give way at a quadratic cost.
+def end_at_setpoints(problem: Problem, samples: int, widths: Mapping[str, int]) -> None:
+    """Require that the horizon's last samples equal the artificial setpoints that the problem has."""
+    for name, width in widths.items():
+        if f"{name}_s" in problem.free:
+            last = np.eye(problem.rows[name])[-samples * width :]
+            problem.equate({name: last, f"{name}_s": -np.tile(np.eye(width), (samples, 1))}, {})
+
+
+def bound_signals(problem: Problem, bounds: Bounds, margin: float, soft: float) -> None:
+    """Bound inputs, outputs and artificial setpoints; soft output bounds give way at a quadratic cost.
 
     The setpoint's output bounds give way with them: the terminal condition would make them hard again.
     """
-    bounds, horizon = loop.bounds, settings.horizon
-    soft = settings.soft_output_bounds * np.eye(len(loop.outputs))
-    y_less = y_s_less = None
-    if settings.soft_output_bounds > 0.0:
-        y_less = {"y_excess": np.eye(horizon * len(loop.outputs))}
-        problem.penalise(soft, y_less, {})
+    setpoint = setpoint_bounds(bounds, margin)
     problem.bound("u", bounds.u_min, bounds.u_max)
-    problem.bound("y", bounds.y_min, bounds.y_max, y_less)
-    if not settings.artificial_setpoint:
-        return
-    if settings.soft_output_bounds > 0.0:
-        y_s_less = {"y_s_excess": np.eye(len(loop.outputs))}
-        problem.penalise(soft, y_s_less, {})
-    setpoint = setpoint_bounds(bounds, settings.setpoint_margin)
-    problem.bound("u_s", setpoint.u_min, setpoint.u_max)
-    problem.bound("y_s", setpoint.y_min, setpoint.y_max, y_s_less)
+    problem.bound("y", bounds.y_min, bounds.y_max, _excess(problem, "y", soft, len(bounds.y_min)))
+    if "u_s" in problem.free:
+        problem.bound("u_s", setpoint.u_min, setpoint.u_max)
+    if "y_s" in problem.free:
+        problem.bound("y_s", setpoint.y_min, setpoint.y_max, _excess(problem, "y_s", soft, len(bounds.y_min)))
+
+
+def _excess(problem: Problem, name: str, soft: float, width: int) -> dict[str, FloatArray] | None:
+    """Weigh what a soft bound is exceeded by, and return it; None where the bound is hard."""
+    excess = f"{name}_excess"
+    if excess not in problem.free:
+        return None
+    blocks = {excess: np.eye(problem.free[excess])}
+    problem.penalise(soft * np.eye(width), blocks, {})
+    return blocks
 
 
 def _bound_rates(problem: Problem, horizon: int, rates: FloatArray) -> None:

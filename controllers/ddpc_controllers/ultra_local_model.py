@@ -34,9 +34,11 @@ class UltraLocalModel:
 
     def __init__(self, order: int, samples: int, sampling_time: float, alpha: FloatArray) -> None:
         self._order, self._h, self._alpha = order, sampling_time, alpha
-        times = -sampling_time * np.arange(samples, -1, -1)  # oldest first, 0 is now
+        # Times in samples, oldest first, 0 is now: powers of seconds can be too unlike for one matrix.
+        times = -np.arange(samples, -1.0, -1.0)
         powers = np.array([times**i / factorial(i) for i in range(order + 1)]).T
-        self._of_outputs = np.linalg.pinv(powers)
+        derivatives = sampling_time ** np.arange(order + 1)[:, np.newaxis]
+        self._of_outputs = np.linalg.pinv(powers) / derivatives
         self._of_inputs = self._of_outputs @ _response(order, samples, sampling_time)
         self._y = np.zeros((samples + 1, len(alpha)))
         self._u = np.zeros((samples, alpha.shape[1]))

@@ -10,12 +10,15 @@ import numpy as np
 from ddpc_controllers.adaptive_qp import AdaptiveQP
 from ddpc_controllers.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.behavioral import diagnose, least_samples, require_excitation, require_length
+from ddpc_controllers.change_limits import NOT_FINITE as INPUTS_HELD
 from ddpc_controllers.dictionaries import Dictionary, ThinPlate, embed, memory_of
 from ddpc_controllers.learning import Learner, OnlineLearning
 from ddpc_controllers.lifting import StateWindow, without_first
+from ddpc_controllers.lost_measurements import LastMeasurement, all_finite, stand_in
+from ddpc_controllers.observer import LOST_MEASUREMENT
 from ddpc_controllers.problem import Problem
 from ddpc_controllers.published_code import DoubleShift, PublishedThinPlate
-from ddpc_controllers.qp import ParametricQP
+from ddpc_controllers.qp import NOT_FINITE, ParametricQP
 from ddpc_controllers.recorded import (
     ParameterVector,
     matching_recording,
@@ -66,6 +69,8 @@ class WKPC(OnlineLearning):
         # A copy of the stream: another start draws the same centres.
         rng = copy.deepcopy(loop.rng)
         memory = memory_of(self.dictionary)
+        self._memory = memory
+        self._last = LastMeasurement(recording.measured, recording.y)
         self._states = StateWindow(recording.measured[-1 - memory :])
         states = embed(recording.measured, memory)
         recording = without_first(recording, memory)
@@ -81,13 +86,14 @@ class WKPC(OnlineLearning):
             }
         )
         self._data = self._stack(recording, lifted)
-        self._problem = self._write_down(loop).prepare("u", m)
+        self._problem = self._write_down(loop).prepare("u", m, p)
         condensed = self._problem.condense(self._data)
         limits = loop.bounds.u_min, loop.bounds.u_max
         self._bounds = loop.bounds
         backend = make_backend(self.backend)
         self._qp: ParametricQP | AdaptiveQP = ParametricQP(condensed, *limits, backend)
         self._learner: Learner | None = None
+        self._unlearned = 0
         if self.online_data != "frozen":
             signals = {"z": lifted, "u": recording.u, "y": recording.y}
             continues = loop.continues_recording
@@ -99,24 +105,46 @@ class WKPC(OnlineLearning):
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal input of the horizon."""
-        parameters = self._parameters
+        parameters, y, measured = self._parameters, sample.y, sample.measured
+        lost = "" if all_finite(y) and all_finite(measured) else LOST_MEASUREMENT
         if self._resting:
+            if lost:
+                return Action(parameters.window("u_ini")[-1].copy(), lost)
             self._rest(sample)
         if self._double_shift is not None:
-            self._shift_lifted_data(self._double_shift, sample)
+            state = self._last.complete(measured) if lost else self._last.take(measured)
+            self._shift_lifted_data(self._double_shift, state)
         parameters.fill("r", sample.reference)
-        u, fault = self._qp.solve(parameters.array)
+        u, forecast, fault = self._solve()
+        if lost:
+            y = stand_in(y, forecast)
+            measured = self._last.complete(measured, y)
+        parameters.append("u_ini", u)
+        parameters.append("y_ini", y)
+        if self._double_shift is None:
+            z = self._lift(self._states.append(self._last.take(measured)))
+            parameters.append("z_ini", z)
+            if self._learner:
+                self._learn(self._learner, z, u, y, bool(lost))
+        fault = fault or lost
+        return Action(u, fault) if fault else u
+
+    def _solve(self) -> tuple[FloatArray, FloatArray, str]:
+        """Return the inputs to apply now, the outputs predicted of now, and what is not as it should be."""
+        parameters, m = self._parameters, len(self._bounds.u_min)
+        answer, fault = self._qp.solve(parameters.array)
+        if fault == NOT_FINITE:
+            return parameters.window("u_ini")[-1].copy(), parameters.window("y_ini")[-1].copy(), INPUTS_HELD
+        u, forecast = answer[:m], answer[m:]
         if self._learner:
             self._learner.add_dither(u)
             np.clip(u, self._bounds.u_min, self._bounds.u_max, out=u)
-        parameters.append("u_ini", u)
-        parameters.append("y_ini", sample.y)
-        if self._double_shift is None:
-            z = self._lift(self._states.append(sample.measured))
-            parameters.append("z_ini", z)
-            if self._learner:
-                self._learner.learn(z=z, u=u, y=sample.y)
-        return Action(u, fault) if fault else u
+        return u, forecast, fault
+
+    def _learn(self, learner: Learner, z: FloatArray, u: FloatArray, y: FloatArray, lost: bool) -> None:
+        """Learn a sample, unless what it holds stands in for a measurement, also as the past of its state."""
+        self._unlearned = self._memory + 1 if lost else max(self._unlearned - 1, 0)
+        learner.learn(z=z, u=u, y=np.full(len(y), np.nan) if self._unlearned else y)
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that can excite the inputs up to the order needed."""
@@ -141,6 +169,11 @@ class WKPC(OnlineLearning):
             )
         elif self.double_shift and memory_of(self.dictionary):
             faults.append("WKPC: double_shift lifts single samples; the dictionary looks back")
+        if self.horizon == 1:
+            faults.append(
+                "WKPC: horizon = 1 predicts the present output alone, which no input changes any more: "
+                "at least 2"
+            )
         if self.online_data != "frozen" and (self.double_shift or self.redraw_centre):
             faults.append("WKPC: double_shift and redraw_centre leave no data that online_data could update")
         return faults + self._online_faults("WKPC")
@@ -220,8 +253,8 @@ class WKPC(OnlineLearning):
         if self._double_shift is None:
             self._parameters.fill("z_ini", self._lift(self._states.fill(sample.measured)))
 
-    def _shift_lifted_data(self, double_shift: DoubleShift, sample: Sample) -> None:
-        hankel = double_shift.move(sample.measured)
+    def _shift_lifted_data(self, double_shift: DoubleShift, state: FloatArray) -> None:
+        hankel = double_shift.move(state)
         self._parameters.fill("z_ini", double_shift.past)
         if hankel is not None and isinstance(self._qp, ParametricQP):
             self._data[: len(hankel)] = hankel

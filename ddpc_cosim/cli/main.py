@@ -1,6 +1,7 @@
 """``ddpc-cosim``: the commands, their options, and what they exit with.
 
-Exit codes: 0 done; 1 some case failed or a check failed; 2 usage or configuration error; 130 interrupted.
+Exit codes: 0 done; 1 some case failed or a check failed; 2 usage or configuration error; 130 interrupted;
+143 terminated.
 """
 
 import sys
@@ -8,7 +9,8 @@ from pathlib import Path
 
 import click
 
-FAILED, MISUSED, INTERRUPTED = 1, 2, 130
+FAILED, MISUSED, INTERRUPTED, TERMINATED = 1, 2, 130, 143
+_GOES_ON = "finished cases are kept; the same command goes on from there"
 
 
 class _Commands(click.Group):
@@ -16,6 +18,7 @@ class _Commands(click.Group):
 
     def invoke(self, context: click.Context) -> object:
         from ddpc_cosim.errors import ConfigError, CosimError
+        from ddpc_cosim.interrupts import Terminated
 
         try:
             return super().invoke(context)
@@ -26,8 +29,11 @@ class _Commands(click.Group):
         except CosimError as error:
             click.echo(f"error: {error}", err=True)
             sys.exit(FAILED)
+        except Terminated:
+            click.echo(f"terminated: {_GOES_ON}", err=True)
+            sys.exit(TERMINATED)
         except KeyboardInterrupt:
-            click.echo("interrupted: finished cases are kept; the same command goes on from there", err=True)
+            click.echo(f"interrupted: {_GOES_ON}", err=True)
             sys.exit(INTERRUPTED)
 
 
@@ -51,9 +57,12 @@ def run(
     study: str, out: Path | None, jobs: int | None, only: str, seeds: str | None, fresh: bool, no_report: bool
 ) -> None:
     """Run STUDY, a file or the name of a built-in study, and write its report."""
-    from ddpc_cosim.cli.run import run_command
+    from ddpc_cosim.interrupts import orderly_end
 
-    sys.exit(run_command(study, out, jobs, only, seeds, fresh, report=not no_report))
+    with orderly_end():
+        from ddpc_cosim.cli.run import run_command
+
+        sys.exit(run_command(study, out, jobs, only, seeds, fresh, report=not no_report))
 
 
 @main.command()

@@ -13,12 +13,14 @@ from ddpc_cosim.cli.report import write_report
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.config import expand_seeds
 from ddpc_cosim.errors import ConfigError, CosimWarning
+from ddpc_cosim.results import METRICS_FILE
 from ddpc_cosim.run import Selection, run_study
 from ddpc_cosim.study_file import read_study
 from ddpc_cosim.trace import Outcome
 
 REPORT_FILE = "report.html"
-_WIDE = 160
+_WIDE = 1000
+_FAILED_LISTED = 20
 
 
 def run_command(
@@ -34,12 +36,15 @@ def run_command(
     with progress:
         results = run_study(checked, folder, selection, progress)
     # Where nobody's window limits it, the table takes the width it needs.
-    Console(width=None if sys.stdout.isatty() else _WIDE).print(summary_table(results))
+    screen = Console(width=None if sys.stdout.isatty() else _WIDE)
+    screen.print(summary_table(results, screen))
     if report:
         print(write_report([results], folder / REPORT_FILE))
     failed = [case for case in results.cases if case.outcome is not Outcome.COMPLETED]
-    for case in failed:
+    for case in failed[:_FAILED_LISTED]:
         print(f"{case.id}: {case.outcome}: {case.reason}", file=sys.stderr)
+    if len(failed) > _FAILED_LISTED:
+        print(f"and {len(failed) - _FAILED_LISTED} more: {folder / METRICS_FILE}", file=sys.stderr)
     return 1 if failed else 0
 
 

@@ -1,47 +1,122 @@
-"""The result table that ``run`` prints."""
+"""The result table that ``run`` prints: short enough to be read at once, also after a sweep."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from statistics import median
 
 from rich.box import SIMPLE_HEAD
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from ddpc_cosim.metrics import split_key
-from ddpc_cosim.results import CaseResult, StudyResults
+from ddpc_cosim.results import METRICS_FILE, CaseResult, StudyResults
 from ddpc_cosim.trace import Outcome
 
 _SHOWN = {"sum_abs_error": "sum |error|", "settled_error": "settled", "max_abs_input": "max |input|"}
+_RANGE = "range"
+# What a narrow window leaves out, one after the other.
+_DISPENSABLE = ("max_abs_input", "settled_error", _RANGE)
+_VARIANTS_SHOWN = 2
+_LONGEST_NAME = 60
+_UNLIMITED = 10_000
 
 
-def summary_table(results: StudyResults) -> Table:
-    """Return a table with one row per controller and scenario: the first seed, and the range over all."""
+@dataclass(frozen=True)
+class _Row:
+    """One controller under one scenario; or, without cases, a note on settings that are not listed."""
+
+    name: str
+    scenario: str
+    cases: Sequence[CaseResult] = ()
+
+
+def summary_table(results: StudyResults, console: Console) -> Table:
+    """Return one row per controller and scenario, of a sweep the best settings, to fit the console.
+
+    Each row has the figures of the first seed, and median and range over all.
+    """
+    unlimited = console.options.update(width=_UNLIMITED)
+    several_seeds = len({case.seed for case in results.cases}) > 1
+    order = _DISPENSABLE if several_seeds else (_RANGE, *_DISPENSABLE)
+    for dropped in range(0 if several_seeds else 1, len(order) + 1):
+        table = _table(results, left_out=order[:dropped])
+        if console.measure(table, options=unlimited).maximum <= console.width:
+            break
+    return table
+
+
+def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
     first = results.cases[0]
-    keys = [key for key in first.metrics if split_key(key)[0] in _SHOWN]
+    keys = [key for key in first.metrics if (name := split_key(key)[0]) in _SHOWN and name not in left_out]
+    rows = _rows(results, keys[0] if keys else "")
     several = len({case.scenario for case in results.cases}) > 1
     table = Table(
         box=SIMPLE_HEAD, pad_edge=False, title=_title(results), title_justify="left", title_style="bold"
     )
-    table.add_column("\ncontroller", no_wrap=True)
+    table.add_column("\ncontroller", max_width=_LONGEST_NAME)
     if several:
-        table.add_column("\nscenario", no_wrap=True)
+        table.add_column("\nscenario", max_width=_LONGEST_NAME)
     for key in keys:
         table.add_column(_heading(key), justify="right", no_wrap=True)
-        if key == keys[0]:
+        if key == keys[0] and _RANGE not in left_out:
             table.add_column("over the seeds:\nmedian, range", justify="right", no_wrap=True)
     table.add_column("median\nstep", justify="right", no_wrap=True)
     table.add_column("cases\ndone", justify="right", no_wrap=True)
+    for row in rows:
+        names = [Text(row.name), *([Text(row.scenario)] if several else [])]
+        table.add_row(*names, *(_figures(row.cases, keys, left_out) if row.cases else ()))
+    hidden = sum(not row.cases for row in rows)
+    if hidden:
+        table.caption = Text(f"every setting: {results.folder / METRICS_FILE}")
+        table.caption_justify = "left"
+    return table
+
+
+def _rows(results: StudyResults, key: str) -> list[_Row]:
+    """Return the rows in the study's order, after each controller the best of its sweeps."""
     groups: dict[tuple[str, str], list[CaseResult]] = {}
     for case in results.cases:
         groups.setdefault((case.controller, case.scenario), []).append(case)
-    for (_, scenario), cases in groups.items():
-        shown = cases[0].metrics if cases[0].outcome is Outcome.COMPLETED else {}
-        figures = [_number(shown.get(key, math.nan)) for key in keys]
+    base = {(name, scenario): results.study.controllers[name].variant_of or name for name, scenario in groups}
+    rows = []
+    for family in dict.fromkeys((base[place], place[1]) for place in groups):
+        members = [place for place in groups if (base[place], place[1]) == family]
+        variants = [groups[place] for place in members if place[0] != family[0]]
+        own = [groups[place] for place in members if place[0] == family[0]]
+        variants.sort(key=lambda cases: _rank(cases, key))
+        rows += [_Row(cases[0].label, family[1], cases) for cases in own]
+        rows += [_Row(_indented(cases, own), family[1], cases) for cases in variants[:_VARIANTS_SHOWN]]
+        rest = len(variants) - _VARIANTS_SHOWN
+        if rest > 0:
+            rows.append(_Row(f"  and {rest} {'setting' if rest == 1 else 'settings'} more", family[1]))
+    return rows
+
+
+def _indented(variant: Sequence[CaseResult], own: Sequence[Sequence[CaseResult]]) -> str:
+    """Return the label of a variant; below its controller, whose name it begins with, only what differs."""
+    label = variant[0].label
+    return "  " + label.removeprefix(f"{own[0][0].label}, ") if own else label
+
+
+def _rank(cases: Sequence[CaseResult], key: str) -> tuple[int, float]:
+    """Order by cases lost, then by the median of a metric; what has none comes last."""
+    values = _completed_values(cases, key)
+    return (len(cases) - len(values), median(values) if values else math.inf)
+
+
+def _completed_values(cases: Sequence[CaseResult], key: str) -> list[float]:
+    values = [case.metrics.get(key, math.nan) for case in cases if case.outcome is Outcome.COMPLETED]
+    return [value for value in values if not math.isnan(value)]
+
+
+def _figures(cases: Sequence[CaseResult], keys: Sequence[str], left_out: Sequence[str]) -> list[str]:
+    shown = cases[0].metrics if cases[0].outcome is Outcome.COMPLETED else {}
+    figures = [_number(shown.get(key, math.nan)) for key in keys]
+    if keys and _RANGE not in left_out:
         figures.insert(1, _spread(cases, keys[0]))
-        step = _micro(cases[0].metrics["solve_time_median [s]"])
-        name = [Text(cases[0].label), *([Text(scenario)] if several else [])]
-        table.add_row(*name, *figures, step, _completed(cases))
-    return table
+    return [*figures, _micro(cases[0].metrics.get("solve_time_median [s]", math.nan)), _completed(cases)]
 
 
 def _title(results: StudyResults) -> Text:
@@ -53,14 +128,16 @@ def _heading(key: str) -> Text:
     return Text(f"{_SHOWN[name]}\n{signal} [{unit}]")
 
 
-def _spread(cases: list[CaseResult], key: str) -> str:
-    values = [case.metrics[key] for case in cases if case.outcome is Outcome.COMPLETED]
+def _spread(cases: Sequence[CaseResult], key: str) -> str:
+    values = _completed_values(cases, key)
     if not values:
         return "-"
+    if len(values) == 1 or math.isclose(min(values), max(values), rel_tol=1e-9):
+        return _number(median(values))
     return f"{_number(median(values))}, {_number(min(values))} .. {_number(max(values))}"
 
 
-def _completed(cases: list[CaseResult]) -> str:
+def _completed(cases: Sequence[CaseResult]) -> str:
     return f"{sum(case.outcome is Outcome.COMPLETED for case in cases)}/{len(cases)}"
 
 

@@ -1,15 +1,16 @@
 """Checks of the libraries and sources of an unpacked FMU: whether it can run on this machine."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree
 
-from ddpc_cosim.diagnosis.declared import Attributes, Declared
+from ddpc_cosim.diagnosis.declared import Declared
 from ddpc_cosim.diagnosis.defects import Findings, Kind, Severity
-from ddpc_cosim.fmu.binary import library_extension, platform_folders, platforms
+from ddpc_cosim.diagnosis.needed_libraries import missing_libraries
+from ddpc_cosim.fmu.binary import library_extension, library_in, listed, platform_folders, platforms
 from ddpc_cosim.fmu.compilation import has_sources
 
 Route = Literal["binary", "sources", ""]
@@ -30,7 +31,7 @@ UNNAMED_LIBRARY = Kind(
     "unnamed-library",
     _WARNING,
     "the library is not named after modelIdentifier",
-    "the only one in the folder is used",
+    "the only one in the folder, or the only one with functions of FMI, is used",
 )
 FOREIGN_LIBRARY = Kind("foreign-library", _ERROR, "the library for this platform is one for another")
 MISPLACED_LIBRARY = Kind(
@@ -39,17 +40,23 @@ MISPLACED_LIBRARY = Kind(
 NO_FUNCTIONS = Kind(
     "no-functions", _ERROR, "the library lacks functions without which it cannot run", "export it again"
 )
+NO_LIBRARY = Kind(
+    "missing-library",
+    _ERROR,
+    "the FMU's library needs others that are neither in the FMU nor on this machine",
+    "install them, or add their folder to LD_LIBRARY_PATH",
+)
 NO_SOURCE_FILE = Kind("no-source-file", _WARNING, "source files that are listed and not there")
 
 _MAGIC = {"linux": b"\x7fELF", "win32": b"MZ", "darwin": b"\xcf\xfa\xed\xfe"}
 _UNIVERSAL_MAGIC = b"\xca\xfe\xba\xbe"
 _COMMON = {
-    2: ("EnterInitializationMode", "ExitInitializationMode", "FreeInstance", "Instantiate"),
-    3: ("EnterInitializationMode", "ExitInitializationMode", "FreeInstance"),
+    2: ("EnterInitializationMode", "ExitInitializationMode", "Instantiate"),
+    3: ("EnterInitializationMode", "ExitInitializationMode"),
 }
 _NEEDED: Mapping[tuple[int, str], tuple[str, ...]] = {
-    (1, "CoSimulation"): ("InstantiateSlave", "InitializeSlave", "DoStep", "FreeSlaveInstance"),
-    (1, "ModelExchange"): ("InstantiateModel", "Initialize", "FreeModelInstance", "SetTime"),
+    (1, "CoSimulation"): ("InstantiateSlave", "InitializeSlave", "DoStep"),
+    (1, "ModelExchange"): ("InstantiateModel", "Initialize", "SetTime"),
     (2, "CoSimulation"): (*_COMMON[2], "DoStep"),
     (2, "ModelExchange"): (*_COMMON[2], "GetDerivatives", "SetContinuousStates", "SetTime"),
     (3, "CoSimulation"): (*_COMMON[3], "DoStep", "InstantiateCoSimulation"),
@@ -93,17 +100,15 @@ def _check_library(
     wanted = f"{identifier}{library_extension()}"
     folders = platform_folders(declared.major)
     for place in folders:
-        library, others = folder / "binaries" / place / wanted, _libraries(folder / "binaries" / place)
-        if not library.is_file() and len(others) == 1:
-            library = others[0]
-            findings.add(UNNAMED_LIBRARY, f"{place}/{library.name} instead of {wanted}")
-        if library.is_file():
+        library = library_in(folder / "binaries" / place, identifier, declared.major)
+        if library is not None:
+            if library.name != wanted:
+                findings.add(UNNAMED_LIBRARY, f"{place}/{library.name} instead of {wanted}")
             if place != folders[0]:
                 findings.add(MISPLACED_LIBRARY, f"{place} instead of {folders[0]}")
-            return _check_content(library, declared, interface, attributes, findings)
+            return _check_content(library, declared, interface, folder / "resources", findings)
     if not sources:
-        has = ", ".join(platforms(folder)) or "none"
-        findings.add(NO_BINARY, f"binaries/{folders[0]}/{wanted}; there are binaries for: {has}")
+        findings.add(NO_BINARY, f"binaries/{folders[0]}/{wanted}; there are {listed(folder)}")
         return ""
     if not _has_compiler():
         findings.add(NO_COMPILER, f"binaries/{folders[0]}/{wanted}")
@@ -112,33 +117,42 @@ def _check_library(
     return "sources"
 
 
-def _libraries(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.glob(f"*{library_extension()}") if p.is_file())
-
-
 def _check_content(
-    library: Path, declared: Declared, interface: str, attributes: Attributes, findings: Findings
+    library: Path, declared: Declared, interface: str, resources: Path, findings: Findings
 ) -> Route:
     content = library.read_bytes()
     if not content.startswith((_MAGIC.get(sys.platform, b""), _UNIVERSAL_MAGIC)):
         findings.add(FOREIGN_LIBRARY, f"{library.parent.name}/{library.name}")
         return ""
-    missing = _missing_functions(content, declared.major, interface, attributes)
+    prefixes = [f"{name}_" for name in (declared.interfaces[interface].get("modelIdentifier"), library.stem)]
+    missing = _missing_functions(content, declared.major, interface, prefixes)
     if missing:
         findings.add(NO_FUNCTIONS, ", ".join(missing))
+        return ""
+    absent = missing_libraries(library, resources)
+    if absent:
+        findings.add(NO_LIBRARY, ", ".join(absent))
         return ""
     return "binary"
 
 
-def _missing_functions(content: bytes, major: int, interface: str, attributes: Attributes) -> list[str]:
+def _missing_functions(content: bytes, major: int, interface: str, prefixes: Sequence[str]) -> list[str]:
+    """Return the functions that are missing; FMI 1.0 has a prefix, others have it from static linking."""
     from fmu_plants.binaries import exported_symbols
 
-    prefix = f"{attributes.get('modelIdentifier', '')}_fmi" if major == 1 else f"fmi{major}"
+    plain = "fmi" if major == 1 else f"fmi{major}"
     try:
         exported = exported_symbols(content)
     except ValueError:  # 32 bit, or several processors in one file: the loader will tell
         return []
-    return [prefix + name for name in _NEEDED.get((major, interface), ()) if prefix + name not in exported]
+    if not exported:  # section headers may have been stripped: the loader will tell too
+        return []
+    shown = prefixes[0] + plain if major == 1 else plain
+    return [
+        shown + name
+        for name in _NEEDED.get((major, interface), ())
+        if not any(prefix + plain + name in exported for prefix in (*prefixes, ""))
+    ]
 
 
 def _check_sources(folder: Path, declared: Declared, findings: Findings) -> bool:

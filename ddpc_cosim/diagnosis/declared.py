@@ -8,6 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 
+from lxml import etree  # type: ignore[import-untyped]
+
+from ddpc_cosim.fmu.repairs import parse
+
 Attributes = Mapping[str, str]
 _INTERFACES = ("CoSimulation", "ModelExchange", "ScheduledExecution")
 _FMI1_INTERFACES = {
@@ -115,10 +119,7 @@ def read_declared(path: Path) -> Declared:
     ValueError
         It is not well-formed XML.
     """
-    try:
-        root = ElementTree.parse(path).getroot()
-    except (ElementTree.ParseError, LookupError, UnicodeError) as error:
-        raise ValueError(f"{path.name} is not well-formed XML: {error}") from error
+    root = _root(path)
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # FMI knows no namespaces, some tools do
     types = dict(_types(root))
@@ -132,6 +133,17 @@ def read_declared(path: Path) -> Declared:
         experiment=_attributes(root.find("DefaultExperiment")),
         source_files=tuple(f.get("name", "") for f in root.iterfind("./*/SourceFiles/File")),
     )
+
+
+def _root(path: Path) -> ElementTree.Element:
+    try:
+        return ElementTree.parse(path).getroot()
+    except (ElementTree.ParseError, LookupError, UnicodeError) as error:
+        fault = error
+    try:  # as it is read for use
+        return ElementTree.fromstring(etree.tostring(parse(path), encoding="UTF-8"))
+    except (etree.LxmlError, ElementTree.ParseError, LookupError, ValueError):
+        raise ValueError(f"{path.name} is not well-formed XML: {fault}") from fault
 
 
 def _attributes(element: ElementTree.Element | None) -> Attributes:

@@ -114,12 +114,12 @@ class FMUPlant(Plant):
             )
         try:
             self.inputs, self.outputs = self._shown_in(display_units or {})
-        except ConfigError:
+            for warning in self._session.warnings:  # where warnings are errors, they end it here
+                warnings.warn(f"{self.path.name}: {warning}", CosimWarning, stacklevel=2)
+        except BaseException:
             self._session.close()
             raise
         self._step = self._session.step
-        for warning in self._session.warnings:
-            warnings.warn(f"{self.path.name}: {warning}", CosimWarning, stacklevel=2)
 
     def _shown_in(self, units: Mapping[str, str]) -> tuple[tuple[Variable, ...], tuple[Variable, ...]]:
         """Return inputs and outputs with the display units that are asked for."""

@@ -35,6 +35,8 @@ class Block:
         The port's entries ``positions`` are the memory's elements ``elements``.
     fmi_type : str
         The variables' type.
+    negated : array of bool, optional
+        Which of the port's entries are the opposite of what is in memory (FMI 1.0).
     """
 
     get: Callable[[], int]
@@ -44,6 +46,7 @@ class Block:
     positions: NDArray[np.intp]
     elements: NDArray[np.intp]
     fmi_type: str
+    negated: NDArray[np.bool_] | None = None
 
     def write(self) -> None:
         """Pass the memory to the FMU."""
@@ -59,13 +62,23 @@ class Block:
 
     def accept(self, u: FloatArray) -> None:
         """Convert the port's numbers to the block's type: integers are rounded, booleans are u >= 0.5."""
-        chosen = u[self.positions]
+        chosen = self._with_signs(u[self.positions])
         if self.fmi_type == "Boolean":
             self.values[self.elements] = chosen >= 0.5
         elif self.fmi_type in REAL_TYPES:
             self.values[self.elements] = chosen
         else:
             self.values[self.elements] = np.rint(chosen)
+
+    def numbers(self) -> NDArray[Any]:
+        """Return the port's entries in the memory."""
+        return self._with_signs(self.values[self.elements])
+
+    def _with_signs(self, numbers: NDArray[Any]) -> NDArray[Any]:
+        if self.negated is None:
+            return numbers
+        opposite = 1 - numbers if self.fmi_type == "Boolean" else -numbers
+        return np.where(self.negated, opposite, numbers)
 
 
 class Port:
@@ -98,7 +111,8 @@ class Port:
             return None
         block = self._blocks[0]
         in_order = np.array_equal(block.elements, np.arange(len(block.values)))
-        return block if in_order and block.values.dtype == np.float64 else None
+        is_plain = in_order and block.negated is None and block.values.dtype == np.float64
+        return block if is_plain else None
 
     def write(self, u: FloatArray) -> None:
         """Write the numbers u, shape (n,)."""
@@ -112,7 +126,7 @@ class Port:
         y = np.empty(self._length)
         for block in self._blocks:
             block.read()
-            y[block.positions] = block.values[block.elements]
+            y[block.positions] = block.numbers()
         return y
 
     def fetch(self) -> None:
@@ -175,6 +189,7 @@ def _block(
         positions=np.array(positions, dtype=np.intp),
         elements=np.array(elements, dtype=np.intp),
         fmi_type=fmi_type,
+        negated=negated if (negated := np.array([s.source.negated for s in signals])).any() else None,
     )
 
 

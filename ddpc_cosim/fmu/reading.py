@@ -21,11 +21,12 @@ from ddpc_cosim.fmu.model_description import (
     Kind,
     number,
 )
-from ddpc_cosim.fmu.repairs import repair
+from ddpc_cosim.fmu.repairs import parse, repair
 from ddpc_cosim.variables import DisplayUnit, Variable
 
 _PROBLEMS_SHOWN = 3
 _AS_GOOD_AS_INFINITE = 1e30
+_MOST_ELEMENTS = 1_000_000
 _TYPES_3 = {"Real": "Float64", "Integer": "Int32"}
 _OLD_TYPES = frozenset({"Real", "Integer", "Boolean", "String", "Enumeration"})
 _NEW_TYPES = (NUMERIC_TYPES - {"Real", "Integer"}) | {"String", "Binary", "Clock"}
@@ -56,9 +57,10 @@ def read_description(folder: Path, label: str) -> FMUDescription:
                 f"{label}: modelDescription.xml offers neither Co-Simulation nor Model Exchange"
             )
         _check_types(model, label)
+        _check_sizes(model, label)
         if str(model.fmiVersion).startswith("3"):
             _add_directional_derivatives(folder / "modelDescription.xml", model)
-        return _description(model, tuple(warnings))
+        return _description(model, tuple(warnings), _negated(folder, model))
     except FMUImportError:
         raise
     except Exception as error:  # FMPy raises whatever the XML provokes
@@ -72,7 +74,8 @@ def _read(folder: Path, warnings: list[str]) -> Any:
         # Names and model structure are left out: checking them takes long, and nothing here needs them.
         return read(str(folder), validate=True, validate_variable_names=False, validate_model_structure=False)
     except Exception as error:
-        warnings.append(f"modelDescription.xml fails validation: {_problems(error)}")
+        problems = _problems(error).replace(str(folder / "modelDescription.xml"), "modelDescription.xml")
+        warnings.append(f"modelDescription.xml fails validation: {problems}")
     try:
         return read(str(folder), validate=False)
     except Exception:
@@ -102,6 +105,16 @@ def _check_types(model: Any, label: str) -> None:
         raise FMUImportError(f"{label}: FMI {model.fmiVersion} has no such type of variable: {listed}")
 
 
+def _check_sizes(model: Any, label: str) -> None:
+    """Refuse arrays whose elements, each a signal of its own, would not fit into memory."""
+    for variable in model.modelVariables:
+        count = math.prod(variable.shape or ())
+        if count > _MOST_ELEMENTS:
+            raise FMUImportError(
+                f"{label}: the array {variable.name} has {count} elements; allowed: {_MOST_ELEMENTS}"
+            )
+
+
 def _problems(error: Exception) -> str:
     """Return the first problems that a validation found."""
     problems = [" ".join(str(problem).split()) for problem in getattr(error, "problems", [one_line(error)])]
@@ -114,7 +127,15 @@ def one_line(error: BaseException) -> str:
     return " ".join(str(error).split())[:300] or type(error).__name__
 
 
-def _description(model: Any, warnings: tuple[str, ...]) -> FMUDescription:
+def _negated(folder: Path, model: Any) -> frozenset[str]:
+    """Return the variables whose values have the opposite sign (FMI 1.0), of which FMPy knows nothing."""
+    if not str(model.fmiVersion).startswith("1"):
+        return frozenset()
+    variables = parse(folder / "modelDescription.xml").iterfind("ModelVariables/ScalarVariable")
+    return frozenset(v.get("name") for v in variables if v.get("alias") == "negatedAlias")
+
+
+def _description(model: Any, warnings: tuple[str, ...], negated: frozenset[str]) -> FMUDescription:
     definitions = {
         str(unit.name): tuple(
             DisplayUnit(str(d.name), float(d.factor), float(d.offset)) for d in unit.displayUnits
@@ -126,7 +147,7 @@ def _description(model: Any, warnings: tuple[str, ...]) -> FMUDescription:
         guid=str(model.guid or ""),
         model_name=str(model.modelName or ""),
         variables={
-            str(v.name): _variable(v, definitions, int(str(model.fmiVersion)[0]))
+            str(v.name): _variable(v, definitions, int(str(model.fmiVersion)[0]), str(v.name) in negated)
             for v in model.modelVariables
         },
         interfaces=dict(_interfaces(model)),
@@ -187,7 +208,9 @@ def _dependencies(unknown: Any) -> tuple[str, ...] | None:
     return None if unknown.dependencies is None else tuple(str(v.name) for v in unknown.dependencies)
 
 
-def _variable(variable: Any, definitions: Mapping[str, tuple[DisplayUnit, ...]], major: int) -> FMUVariable:
+def _variable(
+    variable: Any, definitions: Mapping[str, tuple[DisplayUnit, ...]], major: int, negated: bool
+) -> FMUVariable:
     declared = variable.declaredType
 
     def attribute(name: str) -> Any:
@@ -224,6 +247,7 @@ def _variable(variable: Any, definitions: Mapping[str, tuple[DisplayUnit, ...]],
         items={str(i.name): int(number(i.value, 0.0)) for i in getattr(declared, "items", ())},
         derivative_of=str(variable.derivative.name) if variable.derivative is not None else "",
         alias_of=str(variable.alias.name) if variable.alias is not None else "",
+        negated=negated,
     )
 
 

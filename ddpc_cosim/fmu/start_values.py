@@ -167,9 +167,9 @@ class StartValues:
         if source.type == "String":
             memory[place] = str(value).encode("utf-8")
         elif source.type in REAL_TYPES:
-            memory[place] = _number(source, value)
+            memory[place] = _signed(source, _number(source, value))
         else:
-            memory[place] = int(_number(source, value))
+            memory[place] = int(_signed(source, _number(source, value)))
         instance.call(value_type.set, *arguments)
 
     def _read(self, instance: Instance, signal: Signal) -> float | None:
@@ -181,7 +181,7 @@ class StartValues:
             instance.call(instance.types[signal.source.type].get, *arguments)
         except CallError:
             return None
-        return float(memory[place])
+        return _signed(signal.source, float(memory[place]))
 
     def _memory(self, instance: Instance, signal: Signal) -> tuple[Any, tuple[Any, ...], int]:
         """Return memory for all elements of a variable, the call's arguments, and the element's place."""
@@ -205,6 +205,13 @@ def _number(variable: FMUVariable, value: Value) -> float:
         return float(value.lower() == "true")
     allowed = f"; allowed: {', '.join(variable.items)}" if variable.items else ""
     raise ValueError(f"parameter {variable.name} = {value!r} must be a number{allowed}")
+
+
+def _signed(variable: FMUVariable, number: float) -> float:
+    """Return the opposite number for variables that are that of another (FMI 1.0)."""
+    if not variable.negated:
+        return number
+    return 1.0 - number if variable.type == "Boolean" else -number
 
 
 def _check_range(signal: Signal, number: float) -> None:

@@ -1,6 +1,7 @@
 """What is embedded in the page beside its text: style, scripts, data, and the policy that forbids more."""
 
 import json
+import math
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -51,6 +52,24 @@ def json_for_script(data: Mapping[str, Any]) -> str:
     for letter in "<>&\u2028\u2029":
         text = text.replace(letter, f"\\u{ord(letter):04x}")
     return text
+
+
+def pack(column: Sequence[float | None]) -> list[int | None]:
+    """Write a column as decimals, first value, and changes from value to value, all as whole numbers.
+
+    Samples change little from one to the next, so this takes half the room. Six digits of the range are kept.
+    """
+    known = [value for value in column if value is not None]
+    span = max(known, default=0.0) - min(known, default=0.0)
+    largest = span or max(map(abs, known), default=0.0)
+    decimals = 5 - math.floor(math.log10(largest)) if largest > 0 else 0
+    packed: list[int | None] = [decimals]
+    last = 0
+    for value in column:
+        whole = None if value is None else round(value * 10.0**decimals)
+        packed.append(None if whole is None else whole - last)
+        last = last if whole is None else whole
+    return packed
 
 
 def _template(name: str) -> str:

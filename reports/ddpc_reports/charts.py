@@ -1,12 +1,13 @@
 """Vega-Lite specifications of the figures, through Altair.
 
 Colours are CSS variables of the page (``var(--c0)``), so that one specification serves light, dark and print.
-Four parameters are driven by the script of the page: ``span`` (the time shown), ``band`` (the time being
-chosen), ``at`` (the sample under the pointer) and ``hidden`` (the controllers that the reader hid).
+Five parameters are driven by the script of the page: ``span`` (the time shown), ``extent`` (the range of the
+values), ``band`` (the time being chosen), ``at`` (the sample under the pointer) and ``hidden`` (the
+controllers that the reader hid).
 """
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import altair as alt
 
@@ -20,14 +21,20 @@ DASHES: tuple[tuple[float, ...], ...] = (
     (12, 3),
     (4, 1.5),
     (8, 2, 2, 2, 2, 2),
+    (3, 1.5, 1, 1.5),
 )
+"""One pattern more than colours, so that many lines run through all pairs of both before one occurs twice."""
+
 COLOURS = 7
 
-_TIME_LABELS = (
-    "datum.value < 1e-6 ? format(datum.value * 1e9, '~g') + ' ns' : "
-    "datum.value < 1e-3 ? format(datum.value * 1e6, '~g') + ' µs' : "
-    "datum.value < 1 ? format(datum.value * 1e3, '~g') + ' ms' : format(datum.value, '~g') + ' s'"
+LABELS = "replace(datum.label, regexp(',', 'g'), '\u202f')"
+"""Labels of an axis with thousands apart as everywhere in the page."""
+
+_VALUE_LABELS = (
+    "datum.value !== 0 && (abs(datum.value) >= 1e5 || abs(datum.value) < 1e-3)"
+    " ? replace(format(datum.value, '~e'), 'e+', 'e') : " + LABELS
 )
+_LABEL_ROOM = 44
 
 CONFIG: dict[str, Any] = {
     "background": None,
@@ -47,7 +54,16 @@ CONFIG: dict[str, Any] = {
         "titleFontWeight": "normal",
         "titlePadding": 6,
     },
-    "axisY": {"minExtent": 34, "maxExtent": 34, "tickCount": 5},
+    # The title lies above the axis: upright it would be cut off where the name is longer than the chart high.
+    "axisY": {
+        "titleAngle": 0,
+        "titleAlign": "left",
+        "titleBaseline": "bottom",
+        "titleX": -_LABEL_ROOM,
+        "titleY": -7,
+        "titleLimit": 700,
+        "tickCount": 5,
+    },
 }
 
 
@@ -66,7 +82,7 @@ def time_chart(
     signal : Signal
         What is drawn.
     names : sequence of str
-        Columns of the competitors in this panel.
+        Columns of the competitors in this panel, the one drawn first at the back.
     dashes : dict
         Number of the dash pattern of every column.
     sampling_time : float
@@ -78,24 +94,26 @@ def time_chart(
         alt.X("t:Q")
         .title("time / s" if last else None)
         .scale(domain=list(signal.end), domainRaw=alt.ExprRef("span"), nice=False)
-        .axis(tickCount=8, grid=False)
+        .axis(tickCount=8, grid=False, labelExpr=LABELS)
     )
     samples = alt.Chart(alt.NamedData(signal.id))
     layers = [
         *_limits(signal),
         _band(x),
-        *([_reference(samples, x, sampling_time)] if signal.has_reference else []),
+        *([_reference(samples, signal, x, sampling_time)] if signal.has_reference else []),
         _lines(samples, signal, names, dashes, x, sampling_time),
-        _extent(samples, signal, names, sampling_time),
         *_reading(samples, signal, names, x),
     ]
     parameters = [alt.param(name=name, value=None) for name in ("span", "band", "at")]
     parameters.append(alt.param(name="hidden", value=[]))
+    parameters.append(alt.param(name="extent", value=list(signal.extent(names))))
     return alt.layer(*layers).add_params(*parameters)
 
 
 def _y(signal: Signal, field: str = "value:Q") -> alt.Y:
-    return alt.Y(field).title(signal.title).scale(zero=False, nice=True)
+    scale = alt.Scale(domainRaw=alt.ExprRef("extent"), zero=False, nice=False)
+    axis = alt.Axis(minExtent=_LABEL_ROOM, maxExtent=_LABEL_ROOM, labelExpr=_VALUE_LABELS)
+    return alt.Y(field).title(signal.title).scale(scale).axis(axis)
 
 
 def _within(sampling_time: float) -> str:
@@ -138,11 +156,11 @@ def _lines(
     )
 
 
-def _reference(samples: alt.Chart, x: alt.X, sampling_time: float) -> Any:
+def _reference(samples: alt.Chart, signal: Signal, x: alt.X, sampling_time: float) -> Any:
     return (
         samples.transform_filter(_within(sampling_time))
         .mark_line(clip=True, strokeWidth=1, interpolate="step-after", color="var(--ink)", opacity=0.75)
-        .encode(x=x, y=alt.Y("r:Q"))
+        .encode(x=x, y=_y(signal, "r:Q"))
     )
 
 
@@ -159,20 +177,6 @@ def _band(x: alt.X) -> Any:
     return placed.mark_rect(clip=True, color="var(--accent)", opacity=0.15).encode(x=x, x2=alt.X2("to:Q"))
 
 
-def _extent(samples: alt.Chart, signal: Signal, names: Sequence[str], sampling_time: float) -> Any:
-    """Set the range of the axis: by all competitors or those of the panel; by completed runs if any."""
-    asked = names if signal.own_range else [name for name in signal.columns if name.startswith("c")]
-    trusted = [name for name in asked if name in signal.completed]
-    return (
-        _folded(samples, trusted or asked)
-        .transform_filter(_within(sampling_time))
-        .transform_aggregate(low="min(value)", high="max(value)")
-        .transform_fold(["low", "high"], as_=["edge", "value"])
-        .mark_point(opacity=0)
-        .encode(y=_y(signal))
-    )
-
-
 def _reading(samples: alt.Chart, signal: Signal, names: Sequence[str], x: alt.X) -> list[Any]:
     rule = (
         samples.transform_filter("datum.t === at").mark_rule(clip=True, color="var(--ink-soft)").encode(x=x)
@@ -183,140 +187,3 @@ def _reading(samples: alt.Chart, signal: Signal, names: Sequence[str], x: alt.X)
         .encode(x=x, y=_y(signal), color=_colours(names))
     )
     return [rule, dots]
-
-
-def spread_chart(rows: list[dict[str, Any]], title: str, logarithmic: bool) -> Any:
-    """Return a strip of one point per seed for each competitor, its median and the first seed marked.
-
-    Parameters
-    ----------
-    rows : list of dict
-        ``label``, ``key``, ``seed``, ``value``, ``first`` (bool), in the order of the competitors.
-    title : str
-        Metric and unit.
-    logarithmic : bool
-        Whether the range asks for a logarithmic axis.
-    """
-    labels, colours = _labels_and_colours(rows)
-    scale = alt.Scale(type="log", nice=True) if logarithmic else alt.Scale(zero=False, nice=True)
-    x = alt.X("value:Q").title(title).scale(scale).axis(tickCount=6, labelExpr="format(datum.value, ',~g')")
-    y = alt.Y("label:N", sort=labels).title(None).axis(_row_axis())
-    hue = alt.Color("label:N").legend(None).scale(domain=labels, range=colours)
-    shown = alt.Chart(alt.InlineData(values=rows)).transform_filter("indexof(hidden, datum.key) < 0")
-    seeds = shown.mark_circle(size=34, opacity=0.5).encode(x=x, y=y, color=hue)
-    middle = (
-        shown.transform_aggregate(value="median(value)", groupby=["label"])
-        .mark_tick(thickness=2.5, size=22, color="var(--ink)")
-        .encode(x=x, y=y)
-    )
-    first = (
-        shown.transform_filter("datum.first")
-        .mark_point(shape="diamond", size=90, filled=False, strokeWidth=1.8, color="var(--ink)")
-        .encode(x=x, y=y)
-    )
-    return _rows_of(alt.layer(seeds, middle, first), len(labels))
-
-
-def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Any:
-    """Return median, 95 %, 99 % and longest step time of each competitor, and the sampling time.
-
-    Parameters
-    ----------
-    rows : list of dict
-        ``label``, ``key``, ``figure`` (its name), ``value`` [s], in the order of the competitors.
-    sampling_time : float
-        Time between samples [s].
-    """
-    labels, colours = _labels_and_colours(rows)
-    figures = list(dict.fromkeys(row["figure"] for row in rows))
-    x = (
-        alt.X("value:Q")
-        .title("time of one step")
-        .scale(type="log", nice=True)
-        .axis(tickCount=5, labelExpr=_TIME_LABELS)
-    )
-    y = alt.Y("label:N", sort=labels).title(None).axis(_row_axis())
-    hue = alt.Color("label:N").legend(None).scale(domain=labels, range=colours)
-    shape = (
-        alt.Shape("figure:N")
-        .legend(None)
-        .scale(domain=figures, range=["circle", "triangle-up", "diamond", "cross"])
-    )
-    shown = alt.Chart(alt.InlineData(values=rows)).transform_filter("indexof(hidden, datum.key) < 0")
-    line = (
-        shown.transform_aggregate(low="min(value)", high="max(value)", groupby=["label"])
-        .mark_rule(strokeWidth=1.2)
-        .encode(x=alt.X("low:Q"), x2=alt.X2("high:Q"), y=y, color=hue)
-    )
-    points = shown.mark_point(filled=True, size=55, opacity=1).encode(x=x, y=y, color=hue, shape=shape)
-    limit = alt.InlineData(values=[{"value": sampling_time}])
-    deadline = (
-        alt.Chart(limit).mark_rule(color="var(--limit)", strokeDash=[4, 3], strokeWidth=1.5).encode(x=x)
-    )
-    return _rows_of(alt.layer(deadline, line, points), len(labels))
-
-
-def heat_chart(rows: list[dict[str, Any]], titles: Sequence[str]) -> Any:
-    """Return a map of a figure over one or two settings, the value written into each cell.
-
-    Parameters
-    ----------
-    rows : list of dict
-        ``x``, ``y`` (values of the settings in words), ``value`` (None where there is none), ``shown``
-        (the value in words), ``own`` (bool, framed), in the order of the axes.
-    titles : sequence of str
-        Settings on the vertical and on the horizontal axis.
-    """
-    across, down = (list(dict.fromkeys(row[side] for row in rows)) for side in ("x", "y"))
-    frame = alt.Axis(domain=False, ticks=False, grid=False, labelAngle=0)
-    x = alt.X("x:N", sort=across).title(titles[1]).axis(frame)
-    y = alt.Y("y:N", sort=down).title(titles[0] or None).axis(frame)
-    known = [row["value"] for row in rows if row["value"] is not None]
-    best, worst = min(known, default=1.0), max(known, default=1.0)
-    kind: Literal["log", "linear"] = "log" if best > 0 else "linear"
-    # Small differences stay pale: full shade is for three times the best at least.
-    domain = [best, max(worst, 3 * best)]
-    shade = (
-        alt.Opacity("value:Q").legend(None).scale(type=kind, domain=domain, range=[0.04, 0.75], nice=False)
-    )
-    cells = alt.Chart(alt.InlineData(values=rows))
-    filled = (
-        cells.transform_filter("datum.value !== null").mark_rect(color="var(--accent)").encode(x, y, shade)
-    )
-    framed = (
-        cells.transform_filter("datum.own")
-        .mark_rect(fill=None, stroke="var(--ink)", strokeWidth=2)
-        .encode(x, y)
-    )
-    words = cells.mark_text(color="var(--ink)", fontSize=12).encode(x, y, alt.Text("shown:N"))
-    chart = alt.layer(filled, framed, words).add_params(alt.param(name="hidden", value=[]))
-    return chart.properties(height=34 * len(down) + 8)
-
-
-def _labels_and_colours(rows: list[dict[str, Any]]) -> tuple[list[str], list[str]]:
-    indices = {row["label"]: int(row["key"][1:]) for row in rows}
-    return list(indices), [colour(index) for index in indices.values()]
-
-
-def _row_axis() -> alt.Axis:
-    """Set the label of a row above its marks, so that long labels cost no width."""
-    return alt.Axis(
-        labelAlign="left",
-        labelPadding=-4,
-        labelOffset=-17,
-        labelBaseline="middle",
-        labelLimit=600,
-        labelFontSize=12,
-        labelColor="var(--ink)",
-        ticks=False,
-        grid=True,
-        minExtent=0,
-        maxExtent=0,
-    )
-
-
-def _rows_of(chart: Any, rows: int) -> Any:
-    frameless = alt.ViewBackground(stroke=None)
-    return chart.add_params(alt.param(name="hidden", value=[])).properties(
-        height=46 * rows + 10, view=frameless
-    )

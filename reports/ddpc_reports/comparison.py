@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
 from ddpc_cosim.metrics import METRICS, split_key
-from ddpc_reports.numbers import unit_symbol
+from ddpc_reports.numbers import difference_symbol, unit_symbol
 
 TRACKING = "sum_abs_error"
 
@@ -38,8 +38,8 @@ def spread(values: Iterable[float]) -> Spread:
 
 STEP_TIMES: dict[str, tuple[str, Callable[[Spread], float]]] = {
     "median": ("solve_time_median [s]", lambda s: s.median),
-    "95 %": ("solve_time_p95 [s]", lambda s: s.median),
-    "99 %": ("solve_time_p99 [s]", lambda s: s.median),
+    "95\u00a0%": ("solve_time_p95 [s]", lambda s: s.median),
+    "99\u00a0%": ("solve_time_p99 [s]", lambda s: s.median),
     "longest": ("solve_time_max [s]", lambda s: s.high),
 }
 """Figures of the step time: the metric, and how the cases are summed up."""
@@ -87,6 +87,12 @@ class Competitor:
         """Return the sum of a count over all cases, completed or not."""
         return sum(value for case in self.cases if not math.isnan(value := case.metrics.get(key, math.nan)))
 
+    @property
+    def fallbacks(self) -> float:
+        """How many samples have a substitute for the input; faults that ended cases do not count."""
+        ended = sum(case.outcome is Outcome.CONTROLLER_ERROR for case in self.cases)
+        return max(self.total("failures [1]") - ended, 0.0)
+
 
 @dataclass(frozen=True, eq=False)
 class Condition:
@@ -106,7 +112,8 @@ class Condition:
     @cached_property
     def seeds(self) -> tuple[int, ...]:
         """Seeds of the cases here, in the study's order."""
-        return tuple(dict.fromkeys(case.seed for one in self.competitors for case in one.cases))
+        everyone = (*self.competitors, *self.variants)
+        return tuple(dict.fromkeys(case.seed for one in everyone for case in one.cases))
 
     @cached_property
     def cases(self) -> tuple[CaseResult, ...]:
@@ -115,7 +122,8 @@ class Condition:
 
     @cached_property
     def _keys(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(key for case in self.cases for key in case.metrics))
+        everyone = (*self.competitors, *self.variants)
+        return tuple(dict.fromkeys(key for one in everyone for case in one.cases for key in case.metrics))
 
     @cached_property
     def first_traces(self) -> dict[str, Trace]:
@@ -153,11 +161,24 @@ def labels(results: StudyResults) -> dict[str, str]:
     return {key: f"{label} ({key})" if shared.count(label) > 1 else label for key, label in given.items()}
 
 
+def indices(results: StudyResults) -> dict[str, int]:
+    """Return a number for every controller, from which it gets its colour.
+
+    Variants of a sweep are drawn in no figure over time: they share the number of their controller, so that
+    the colours are left to those who need them.
+    """
+    sections = results.study.controllers
+    base = {key: sections[key].variant_of if key in sections else "" for key in labels(results)}
+    numbers = {key: number for number, key in enumerate(key for key in base if not base[key])}
+    return {key: numbers.get(base[key] or key, 0) for key in base}
+
+
 def _competitors(results: StudyResults, scenario: str) -> tuple[Competitor, ...]:
     cases = [case for case in results.cases if case.scenario == scenario]
+    numbers = indices(results)
     return tuple(
-        Competitor(key, label, index, own, cases[0].seed)
-        for index, (key, label) in enumerate(labels(results).items())
+        Competitor(key, label, numbers[key], own, cases[0].seed)
+        for key, label in labels(results).items()
         if (own := tuple(case for case in cases if case.controller == key))
     )
 
@@ -168,14 +189,19 @@ def metric_label(key: str) -> str:
     return METRICS[name].label if name in METRICS else name.replace("_", " ")
 
 
+_OF_VALUES = ("max_abs_input",)
+"""Metrics that are values of a signal; all others are differences of values, or made of them."""
+
+
 def metric_unit(key: str) -> str:
     """Return the unit symbol of a metric; empty for counts and ratios."""
-    return unit_symbol(split_key(key)[2])
+    name, _, unit = split_key(key)
+    return unit_symbol(unit) if name in _OF_VALUES else difference_symbol(unit)
 
 
 def metric_signal(key: str) -> str:
-    """Return the signal that a metric is about; empty for figures of the whole run."""
-    return split_key(key)[1]
+    """Return the signal that a metric is about, in words; empty for figures of the whole run."""
+    return split_key(key)[1].replace("_", " ")
 
 
 def ranked(competitors: Sequence[Competitor], figures: Sequence[float]) -> list[tuple[float, Competitor]]:

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
-from ddpc_reports.charts import COLOURS, DASHES, spread_chart, step_time_chart, time_chart
+from ddpc_reports.charts import COLOURS, DASHES, time_chart
 from ddpc_reports.comparison import (
     STEP_TIMES,
     TRACKING,
@@ -18,9 +19,10 @@ from ddpc_reports.comparison import (
     metric_signal,
     metric_unit,
 )
-from ddpc_reports.numbers import duration, significant, with_unit
-from ddpc_reports.samples import Column, FirstSeed, Signal, column_name, first_seed
+from ddpc_reports.numbers import duration, given_duration, significant, with_unit
+from ddpc_reports.samples import Column, FirstSeed, Signal, column_name, first_seed, known
 from ddpc_reports.static import static_svg
+from ddpc_reports.strip_charts import spread_chart, step_time_chart
 
 _LOGARITHMIC_FROM = 8.0
 _PANEL_HEIGHT = 168
@@ -49,6 +51,8 @@ class View:
     data: str = ""
     names: tuple[str, ...] = ()
     unit: str = ""
+    scaled_by: tuple[str, ...] = ()
+    limits: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -100,7 +104,16 @@ def _panels(condition: Condition) -> list[_Panel]:
     panels = [
         _Panel(one.title, tuple(by_key[key] for key in one.controllers if key in by_key)) for one in asked
     ]
-    return [panel for panel in panels if panel.members] or [_Panel("", condition.competitors)]
+    return [panel for panel in panels if panel.members] or _even_panels(condition.competitors)
+
+
+def _even_panels(competitors: tuple[Competitor, ...]) -> list[_Panel]:
+    """Share many competitors out over panels, so that no two in a panel have the same colour."""
+    count = -(-len(competitors) // COLOURS)
+    if count < 2:
+        return [_Panel("", competitors)]
+    ends = [round(len(competitors) * n / count) for n in range(count + 1)]
+    return [_Panel(f"Controllers {a + 1} to {b}", competitors[a:b]) for a, b in pairwise(ends)]
 
 
 def dash_numbers(panels: Sequence[Sequence[str]], names: Sequence[str]) -> dict[str, int]:
@@ -133,7 +146,9 @@ def _time_figure(
     return Figure(
         identifier,
         title,
-        f"{title} at seed {condition.seeds[0]}: {what}." + _limits_words(signals),
+        f"{title} at seed {condition.seeds[0]}: {what}."
+        + _limits_words(signals)
+        + _beyond_words(condition, signals),
         views,
         legend,
         reference=any(signal.has_reference for signal in signals),
@@ -142,6 +157,24 @@ def _time_figure(
 
 def _limits_words(signals: Sequence[Signal]) -> str:
     return " Faint dashed lines: limits." if any(signal.limits for signal in signals) else ""
+
+
+def _beyond_words(condition: Condition, signals: Sequence[Signal]) -> str:
+    """Say whose values are far outside the range of the axis."""
+    ends = [
+        f"{one.label} ({signal.title.partition(' / ')[0]} {significant(min(values), 3)} … "
+        f"{with_unit(significant(max(values), 3), signal.unit)})"
+        for signal in signals
+        if not signal.own_range
+        for one in condition.competitors
+        if (values := known(signal.columns.get(column_name(one), [])))
+        and _leaves(values, signal.extent(list(signal.columns)))
+    ]
+    return f" Beyond the axis: {', '.join(ends)}." if ends else ""
+
+
+def _leaves(values: Sequence[float], extent: tuple[float, float]) -> bool:
+    return min(values) < extent[0] or max(values) > extent[1]
 
 
 def _entry(one: Competitor, dashes: Mapping[str, int]) -> Entry:
@@ -158,12 +191,30 @@ def _time_view(
     panel, signal = place
     names = [column_name(one) for one in panel.members if column_name(one) in signal.columns]
     sampling_time = condition.results.study.loop.sampling_time
-    chart = time_chart(signal, names, dashes, sampling_time, last).properties(height=_PANEL_HEIGHT)
+    # Restless lines at the back: they would hide the calm ones.
+    order = sorted(names, key=lambda name: -_travel(signal.columns[name]))
+    chart = time_chart(signal, order, dashes, sampling_time, last).properties(height=_PANEL_HEIGHT)
     who = ", ".join(one.label for one in panel.members)
     description = f"{signal.title} over time of {who}"
     spec = specification(chart)
     svg = static_svg(spec, identifier, description, {signal.id: signal.columns})
-    return View(identifier, panel.title, description, spec, svg, signal.id, tuple(names), signal.unit)
+    scaled_by = signal.scaling(names)
+    return View(
+        identifier,
+        panel.title,
+        description,
+        spec,
+        svg,
+        signal.id,
+        tuple(names),
+        signal.unit,
+        scaled_by,
+        signal.limits,
+    )
+
+
+def _travel(column: Column) -> float:
+    return sum(abs(after - before) for before, after in pairwise(known(column)))
 
 
 def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
@@ -225,7 +276,7 @@ def step_time_figure(condition: Condition, prefix: str) -> Figure | None:
     sampling_time = condition.results.study.loop.sampling_time
     caption = (
         "Time of one controller step: median (circle), 95 % (triangle), 99 % (diamond) and longest (cross). "
-        f"Dashed line: the sampling time, {duration(sampling_time)}. Logarithmic axis."
+        f"Dashed line: the sampling time, {given_duration(sampling_time)}. Logarithmic axis."
     )
     identifier = f"{prefix}step-time"
     spec = specification(step_time_chart(rows, sampling_time))

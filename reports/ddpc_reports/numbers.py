@@ -16,6 +16,8 @@ _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-3
 
 _UNIT_SYMBOLS = {"deg": "°", "degC": "°C", "Ohm": "Ω", "us": "µs", "1": "", "percent": "%"}
 
+_DIFFERENCES = {"degC": "K", "degF": "°F"}
+
 
 class Scale(NamedTuple):
     """A unit for a column of values, and the factor that brings the values to it."""
@@ -31,6 +33,11 @@ def unit_symbol(unit: str) -> str:
     """Return a unit of an FMU in print: ``N.m`` becomes ``N·m``, ``deg`` ``°``, ``m/s2`` ``m/s²``."""
     numerator, slash, denominator = unit.partition("/")
     return _factors(numerator) + slash + _factors(denominator)
+
+
+def difference_symbol(unit: str) -> str:
+    """Return the symbol for a difference of two values: of temperatures in degC, it is in K."""
+    return _DIFFERENCES.get(unit) or unit_symbol(unit)
 
 
 def _factors(product: str) -> str:
@@ -114,6 +121,12 @@ def time_scale(seconds: Iterable[float]) -> Scale:
     return next((scale for scale in _TIME_SCALES if typical * scale.factor < 1000), _TIME_SCALES[-1])
 
 
+def given_duration(seconds: float) -> str:
+    """Write a time that was given, such as a sampling time, with its own digits: ``20 ms``, ``5 s``."""
+    scale = time_scale([seconds])
+    return with_unit(as_given(seconds * scale.factor), scale.unit)
+
+
 def duration(seconds: float, digits: int = 3) -> str:
     """Write one time with the unit that suits it: ``65.5 µs``."""
     if math.isnan(seconds):
@@ -125,7 +138,7 @@ def duration(seconds: float, digits: int = 3) -> str:
 def column(values: Sequence[float], digits: int = 4) -> list[str]:
     """Write a column of numbers with the same decimals, padded so that decimal points stand in line.
 
-    The typical value gets ``digits`` significant digits. A value that would be written as zero gets its own.
+    The typical value gets ``digits`` significant digits. A value left with too few gets two.
     """
     sizes = [abs(value) for value in values if math.isfinite(value) and value != 0]
     if all(size.is_integer() for size in sizes):
@@ -137,21 +150,28 @@ def column(values: Sequence[float], digits: int = 4) -> list[str]:
 def _in_column(value: float, decimals: int) -> str:
     if not math.isfinite(value) or value == 0 or abs(value) >= _LARGEST_PLAIN:
         return significant(value)
-    return fixed(value, decimals) if abs(value) >= 10.0**-decimals else significant(value, 2)
+    # One digit alone says too little of a small value, unless it is all that the column shows.
+    enough = 10.0 ** (1 - decimals) if decimals > 1 else 10.0**-decimals
+    return fixed(value, decimals) if abs(value) >= enough else significant(value, 2)
 
 
 def align(numbers: Sequence[str]) -> list[str]:
     """Pad numbers on the right so that their points stand in line, flush right in tabular figures."""
-    tails = ["" if TIMES in number else number.partition(".")[2] for number in numbers]
+    tails = ["" if _stands_alone(number) else number.partition(".")[2] for number in numbers]
     longest = max(map(len, tails), default=0)
     return [_pad(number, len(tail), longest) for number, tail in zip(numbers, tails, strict=True)]
 
 
 def _pad(number: str, decimals: int, longest: int) -> str:
-    if not longest or TIMES in number:
+    if not longest or _stands_alone(number):
         return number
     point = "" if decimals else _PUNCTUATION_SPACE
     return number + point + _FIGURE_SPACE * (longest - decimals)
+
+
+def _stands_alone(number: str) -> bool:
+    """Whether a cell has no decimal point to stand in line with the others."""
+    return TIMES in number or number == MISSING
 
 
 def _exponent(value: float) -> int:

@@ -8,15 +8,25 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults
-from ddpc_reports.assets import chart_library, content_policy, json_for_script, page_script, stylesheet
+from ddpc_reports.across import across_statements, across_table
+from ddpc_reports.assets import (
+    chart_library,
+    content_policy,
+    json_for_script,
+    pack,
+    page_script,
+    stylesheet,
+)
 from ddpc_reports.charts import COLOURS, CONFIG
 from ddpc_reports.comparison import Condition, conditions
+from ddpc_reports.diagnostics import diagnostics_table
+from ddpc_reports.fallbacks import fallbacks_table
 from ddpc_reports.figures import Figure, spread_figures, step_time_figure, time_figures
 from ddpc_reports.limitations import limitations
 from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.reproduction import reproduction_table
 from ddpc_reports.samples import Column
-from ddpc_reports.sensitivity import sensitivity_figures
+from ddpc_reports.sensitivity import sensitivity_figures, sweep_statements
 from ddpc_reports.settings_tables import (
     bounds_table,
     compact_seeds,
@@ -27,13 +37,13 @@ from ddpc_reports.settings_tables import (
 from ddpc_reports.table import Table
 from ddpc_reports.tables import (
     cases_table,
-    diagnostics_table,
     failures_table,
     provenance_table,
     step_time_table,
 )
-from ddpc_reports.verdict import Statement, verdict
+from ddpc_reports.verdict import verdict
 from ddpc_reports.verdict_table import verdict_table
+from ddpc_reports.words import Statement
 
 _MOST_DRAWN = 4
 """Scenarios of a study with figures over time: each costs some 300 kB of page."""
@@ -46,12 +56,12 @@ class ConditionPart:
     id: str
     label: str
     statements: list[Statement]
-    verdict: Table
+    verdict: Table | None
     time_figures: list[Figure]
     spread_figures: list[Figure]
     sensitivity_figures: list[Figure]
     step_time_figure: Figure | None
-    step_times: Table
+    step_times: Table | None
     diagnostics: Table | None
 
 
@@ -65,6 +75,9 @@ class StudyPart:
     title: str
     facts: dict[str, str]
     conditions: list[ConditionPart]
+    across_statements: list[Statement]
+    across: Table | None
+    fallbacks: Table | None
     reproduction: Table | None
     families: list[Table]
     settings: list[Table]
@@ -150,6 +163,9 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
         title=study.title or study.name,
         facts=_facts(results),
         conditions=parts,
+        across_statements=across_statements(seen),
+        across=across_table(seen, prefix),
+        fallbacks=fallbacks_table(seen, prefix),
         reproduction=reproduction_table(seen[0], reproduction, prefix) if reproduction and seen else None,
         families=families,
         settings=[table for table in settings if table],
@@ -163,18 +179,20 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
 def _condition_part(
     condition: Condition, prefix: str, data: dict[str, dict[str, Column]], *, drawn: bool
 ) -> ConditionPart:
-    figures, samples = time_figures(condition, prefix) if drawn else ([], {})
+    # With `run --only` there may be variants of a sweep alone.
+    rivals = bool(condition.competitors)
+    figures, samples = time_figures(condition, prefix) if drawn and rivals else ([], {})
     data.update(samples)
     return ConditionPart(
         id=prefix,
         label=condition.label,
-        statements=verdict(condition),
-        verdict=verdict_table(condition, prefix),
+        statements=(verdict(condition) if rivals else []) + sweep_statements(condition),
+        verdict=verdict_table(condition, prefix) if rivals else None,
         time_figures=figures,
         spread_figures=spread_figures(condition, prefix),
         sensitivity_figures=sensitivity_figures(condition, prefix),
         step_time_figure=step_time_figure(condition, prefix),
-        step_times=step_time_table(condition, prefix),
+        step_times=step_time_table(condition, prefix) if rivals else None,
         diagnostics=diagnostics_table(condition, prefix),
     )
 
@@ -187,7 +205,7 @@ def _facts(results: StudyResults) -> dict[str, str]:
         "Plant": study.plant.name or study.plant.fmu,
         "Sampling time": with_unit(as_given(study.loop.sampling_time), "s"),
         "Duration": with_unit(as_given(study.loop.duration), "s"),
-        "Controllers": str(len({case.controller for case in results.cases})),
+        "Controllers": _controllers_words(results),
         "Scenarios": str(len({case.scenario for case in results.cases})),
         "Seeds": compact_seeds(list(dict.fromkeys(case.seed for case in results.cases))),
         "Cases completed": f"{done} of {total}",
@@ -195,6 +213,15 @@ def _facts(results: StudyResults) -> dict[str, str]:
     if facts["Scenarios"] == "1":
         del facts["Scenarios"]
     return facts
+
+
+def _controllers_words(results: StudyResults) -> str:
+    sections = results.study.controllers
+    names = {case.controller for case in results.cases}
+    varied = {name for name in names if name in sections and sections[name].variant_of}
+    settings = f"{len(varied)} {'setting' if len(varied) == 1 else 'settings'} in sweeps"
+    own = str(len(names - varied))
+    return f"{own}, and {settings}" if varied and names - varied else settings if varied else own
 
 
 def _data(studies: Sequence[StudyPart], data: dict[str, dict[str, Column]]) -> dict[str, Any]:
@@ -213,5 +240,8 @@ def _data(studies: Sequence[StudyPart], data: dict[str, dict[str, Column]]) -> d
                         "data": view.data,
                         "lines": {name: labels[name] for name in view.names},
                         "unit": view.unit,
+                        "scaled": list(view.scaled_by),
+                        "limits": list(view.limits),
                     }
-    return {"config": CONFIG, "colours": COLOURS, "data": data, "views": views}
+    packed = {name: {key: pack(column) for key, column in columns.items()} for name, columns in data.items()}
+    return {"config": CONFIG, "colours": COLOURS, "data": packed, "views": views}

@@ -1,16 +1,18 @@
 """The samples that the figures draw: first seed, display units, one table for each signal."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import median_low
 
 import numpy as np
 
 from ddpc_cosim import FloatArray, Trace, Variable
 from ddpc_reports.comparison import Competitor, Condition
-from ddpc_reports.numbers import unit_symbol
+from ddpc_reports.numbers import difference_symbol, unit_symbol
 
 _DIGITS = 6
+_FAR = 5.0
 Column = list[float | None]
 
 
@@ -28,8 +30,8 @@ class Signal:
         Unit symbol.
     columns : dict
         ``t`` [s], ``r`` (the reference, if there is one) and one column ``c<index>`` for each competitor.
-    completed : tuple of str
-        Columns of competitors that completed; only these set the range of the axis, if there are any.
+    scaled_by : tuple of str
+        Columns of competitors that set the range of the axis.
     limits : tuple of float
         Limits that the axis should show because the samples come near them.
     held : bool
@@ -42,7 +44,7 @@ class Signal:
     title: str
     unit: str
     columns: dict[str, Column]
-    completed: tuple[str, ...]
+    scaled_by: tuple[str, ...]
     limits: tuple[float, ...] = ()
     held: bool = False
     own_range: bool = False
@@ -56,7 +58,22 @@ class Signal:
     def end(self) -> tuple[float, float]:
         """First and last time [s]."""
         times = [value for value in self.columns["t"] if value is not None]
-        return (times[0], times[-1]) if times else (0.0, 1.0)
+        if not times:
+            return (0.0, 1.0)
+        return (times[0], times[-1]) if len(times) > 1 else (times[0] - 0.5, times[0] + 0.5)
+
+    def scaling(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return the columns that set the range of the axis of a panel with these competitors."""
+        asked = names if self.own_range else [name for name in self.columns if name.startswith("c")]
+        return tuple(name for name in asked if name in self.scaled_by) or tuple(asked)
+
+    def extent(self, names: Sequence[str]) -> tuple[float, float]:
+        """Return the range of the axis of a panel with these competitors, with a margin."""
+        columns = [*self.scaling(names), *(["r"] if self.has_reference else [])]
+        shown = [*self.limits, *(value for name in columns for value in known(self.columns[name]))]
+        low, high = min(shown, default=0.0), max(shown, default=1.0)
+        margin = 0.05 * (high - low) or 0.1 * abs(high) or 1.0
+        return (low - margin, high + margin)
 
 
 @dataclass(frozen=True)
@@ -79,71 +96,103 @@ def first_seed(condition: Condition, prefix: str) -> FirstSeed:
     traces = {column_name(one): found[one.key] for one in condition.competitors if one.key in found}
     if not traces:
         return FirstSeed()
-    longest = max(traces.values(), key=len)
+    runs = _Runs(traces, max(traces.values(), key=len), trusted(traces))
     return FirstSeed(
-        [_output(traces, longest, i, f"{prefix}y{i}") for i in range(len(longest.outputs))],
-        [_input(traces, longest, i, f"{prefix}u{i}") for i in range(len(longest.inputs))],
-        [_change(traces, longest, i, f"{prefix}d{i}") for i in range(len(longest.inputs))],
+        [_output(runs, i, f"{prefix}y{i}") for i in range(len(runs.longest.outputs))],
+        [_input(runs, i, f"{prefix}u{i}") for i in range(len(runs.longest.inputs))],
+        [_change(runs, i, f"{prefix}d{i}") for i in range(len(runs.longest.inputs))],
     )
 
 
-def _output(traces: dict[str, Trace], longest: Trace, i: int, name: str) -> Signal:
-    variable = longest.outputs[i]
+@dataclass(frozen=True)
+class _Runs:
+    """The runs by column, the longest of them, and those that set the ranges of the axes."""
+
+    traces: dict[str, Trace]
+    longest: Trace
+    trusted: tuple[str, ...]
+
+
+def trusted(traces: Mapping[str, Trace]) -> tuple[str, ...]:
+    """Return the runs that set the ranges of the axes: completed, if any, and not out of all proportion.
+
+    One run that falls over, though it reaches its last sample, would flatten all others to a line.
+    """
+    completed = {key: trace for key, trace in traces.items() if trace.completed} or dict(traces)
+    outputs = range(len(next(iter(completed.values())).outputs))
+    lost = {key for i in outputs for key in _lost(completed, i)}
+    return tuple(key for key in completed if key not in lost) or tuple(completed)
+
+
+def _lost(traces: Mapping[str, Trace], i: int) -> list[str]:
+    """Return the runs that swing many times as far as reference and others, and beyond their limits."""
+    swings = {key: float(np.ptp(trace.y[:, i])) for key, trace in traces.items()}
+    reference = max(float(np.ptp(trace.reference[:, i])) for trace in traces.values())
+    usual = max(reference, median_low(swings.values()))
+    far = [key for key, swing in swings.items() if not swing <= _FAR * usual]
+    return [key for key in far if not _within_limits(traces[key], i)]
+
+
+def _within_limits(trace: Trace, i: int) -> bool:
+    low, high = trace.bounds.y_min[i], trace.bounds.y_max[i]
+    bounded = math.isfinite(low) and math.isfinite(high)
+    return bool(bounded and (trace.y[:, i] >= low).all() and (trace.y[:, i] <= high).all())
+
+
+def _output(runs: _Runs, i: int, name: str) -> Signal:
+    longest, variable = runs.longest, runs.longest.outputs[i]
     columns = {"t": _listed(longest.time), "r": _shown(variable, longest.reference[:, i])}
-    columns |= {key: _shown(variable, trace.y[:, i]) for key, trace in traces.items()}
-    limits = (float(longest.bounds.y_min[i]), float(longest.bounds.y_max[i]))
-    return _signal(name, variable, _title(variable), columns, traces, limits)
+    columns |= {key: _shown(variable, trace.y[:, i]) for key, trace in runs.traces.items()}
+    limits = _near(runs, columns, variable, (longest.bounds.y_min[i], longest.bounds.y_max[i]))
+    unit = unit_symbol(variable.shown_in.name)
+    return Signal(name, _title(_words(variable), unit), unit, columns, runs.trusted, limits)
 
 
-def _input(traces: dict[str, Trace], longest: Trace, i: int, name: str) -> Signal:
-    variable = longest.inputs[i]
-    columns = {"t": _listed(longest.time)} | {
-        key: _shown(variable, trace.u[:, i]) for key, trace in traces.items()
-    }
-    limits = (float(longest.bounds.u_min[i]), float(longest.bounds.u_max[i]))
-    return _signal(name, variable, _title(variable), columns, traces, limits, held=True)
-
-
-def _change(traces: dict[str, Trace], longest: Trace, i: int, name: str) -> Signal:
-    variable = longest.inputs[i]
+def _input(runs: _Runs, i: int, name: str) -> Signal:
+    longest, variable = runs.longest, runs.longest.inputs[i]
     columns = {"t": _listed(longest.time)}
-    for key, trace in traces.items():
+    columns |= {key: _shown(variable, trace.u[:, i]) for key, trace in runs.traces.items()}
+    limits = _near(runs, columns, variable, (longest.bounds.u_min[i], longest.bounds.u_max[i]))
+    unit = unit_symbol(variable.shown_in.name)
+    return Signal(name, _title(_words(variable), unit), unit, columns, runs.trusted, limits, held=True)
+
+
+def _change(runs: _Runs, i: int, name: str) -> Signal:
+    variable = runs.longest.inputs[i]
+    columns = {"t": _listed(runs.longest.time)}
+    for key, trace in runs.traces.items():
         # Before the first sample the input stood at its value at rest, as far as the limits allow.
         rest = np.clip(variable.start, trace.bounds.u_min[i], trace.bounds.u_max[i])
         columns[key] = _listed(np.diff(trace.u[:, i], prepend=rest) * variable.shown_in.factor)
-    signal = _signal(name, variable, _title(variable, "change of "), columns, traces, (), held=True)
+    unit = difference_symbol(variable.shown_in.name)
+    title = _title(f"change of {_words(variable)}", unit)
     # One jump at the start would flatten every other panel.
-    return replace(signal, own_range=True)
+    return Signal(name, title, unit, columns, runs.trusted, held=True, own_range=True)
 
 
-def _signal(
-    name: str,
-    variable: Variable,
-    title: str,
-    columns: dict[str, Column],
-    traces: dict[str, Trace],
-    limits: Sequence[float],
-    held: bool = False,
-) -> Signal:
-    completed = tuple(key for key, trace in traces.items() if trace.completed)
+def _near(
+    runs: _Runs, columns: dict[str, Column], variable: Variable, limits: Sequence[float]
+) -> tuple[float, ...]:
+    """Return the limits that lie so close to the samples that showing them does not squeeze these."""
     shown = [float(variable.shown_in.from_unit(np.array(limit))) for limit in limits if math.isfinite(limit)]
-    drawn = [
-        value for key in ("r", *(completed or traces)) for value in columns.get(key, []) if value is not None
-    ]
-    near = tuple(limit for limit in shown if drawn and _is_near(limit, drawn))
-    return Signal(name, title, unit_symbol(variable.shown_in.name), columns, completed, near, held)
-
-
-def _is_near(limit: float, drawn: Sequence[float]) -> bool:
-    """Whether a limit lies so close to the samples that showing it does not squeeze them."""
+    drawn = [value for key in ("r", *runs.trusted) for value in known(columns.get(key, []))]
+    if not drawn:
+        return ()
     low, high = min(drawn), max(drawn)
     margin = 0.25 * (high - low)
-    return low - margin <= limit <= high + margin
+    return tuple(limit for limit in shown if low - margin <= limit <= high + margin)
 
 
-def _title(variable: Variable, what: str = "") -> str:
-    unit = unit_symbol(variable.shown_in.name)
-    name = what + variable.name.replace("_", " ")
+def known(column: Sequence[float | None]) -> list[float]:
+    """Return the values of a column that exist."""
+    return [value for value in column if value is not None]
+
+
+def _words(variable: Variable) -> str:
+    return variable.name.replace("_", " ")
+
+
+def _title(name: str, unit: str) -> str:
     return f"{name} / {unit}" if unit else name
 
 

@@ -6,12 +6,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from ddpc_reports.charts import heat_chart
+from markupsafe import Markup
+
 from ddpc_reports.comparison import TRACKING, Competitor, Condition, metric_label, metric_signal, metric_unit
 from ddpc_reports.comparison import spread as summed_up
 from ddpc_reports.figures import Figure, View, specification
 from ddpc_reports.numbers import as_given, significant, with_unit
 from ddpc_reports.static import static_svg
+from ddpc_reports.strip_charts import heat_chart
+from ddpc_reports.words import Statement, by_signal, shower
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,10 @@ class Sweep:
         telling = (key for key in value if len(self._entries(setting, key)) > 1)
         return ", ".join(f"{key} {as_given(value[key])}" for key in telling)
 
+    def place(self, one: Competitor) -> str:
+        """Return the settings of a variant in words."""
+        return ", ".join(f"{name} = {self.words(one.key, name)}" for name in self.settings)
+
     def _value(self, controller: str, setting: str) -> Any:
         section = self.condition.results.study.controllers.get(controller)
         return section.settings.get(setting) if section else None
@@ -70,6 +77,40 @@ def sweeps(condition: Condition) -> list[Sweep]:
     return [Sweep(condition, base, settings, tuple(group)) for (base, settings), group in groups.items()]
 
 
+def sweep_statements(condition: Condition) -> list[Statement]:
+    """Return for each controller that was swept its best and worst settings beside its own."""
+    groups: dict[str, list[Sweep]] = {}
+    for sweep in sweeps(condition):
+        groups.setdefault(sweep.base, []).append(sweep)
+    return [
+        Statement("Sweep", by_signal([(metric_signal(key), _swept(condition, group, key)) for key in keys]))
+        for group in groups.values()
+        if (keys := condition.keys(TRACKING))
+    ]
+
+
+def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
+    """Say what the best and the worst settings of all sweeps of one controller give."""
+    members = [(sweep, one) for sweep in group for one in sweep.variants]
+    lost = sum(not one.completed_all for _, one in members)
+    order = sorted(
+        ((figure, sweep, one) for sweep, one in members if not math.isnan(figure := _median([one], key))),
+        key=lambda entry: entry[0],
+    )
+    text = Markup("{} settings of <b>{}</b>").format(len(members), group[0].label)
+    if not order:
+        return text + ": none of them completed a case."
+    show = shower(key)
+    (low, best, winner), (high, worst, loser) = order[0], order[-1]
+    text += Markup(": best {} with {}, worst {} with {}").format(
+        show(low), best.place(winner), show(high), worst.place(loser)
+    )
+    own = [one.over_seeds(key).median for one in condition.competitors if one.key == group[0].base]
+    if own and not math.isnan(own[0]):
+        text += Markup("; its own settings give {}").format(show(own[0]))
+    return text + (f"; {lost} did not complete every case." if lost else ".")
+
+
 def sensitivity_figures(condition: Condition, prefix: str) -> list[Figure]:
     """Return one map for each sweep and controlled output; none without sweeps."""
     pairs = [(sweep, key) for sweep in sweeps(condition) for key in condition.keys(TRACKING)]
@@ -82,10 +123,12 @@ def _figure(sweep: Sweep, key: str, identifier: str) -> Figure:
     what = " of ".join(filter(None, (metric_label(key), metric_signal(key))))
     unit = f" in {metric_unit(key)}" if metric_unit(key) else ""
     caption = (
-        f"{sweep.label}: {what.lower()}{unit} over {' and '.join(sweep.axes)}; the darker, the worse. "
-        "Framed: the controller's own settings." + _summed_words(sweep)
+        f"{sweep.label}: {what.lower()}{unit} over {' and '.join(sweep.axes)}; "
+        "the stronger the tint, the worse. Framed: the controller's own settings." + _summed_words(sweep)
     )
     rows = list(_rows(sweep, key))
+    if any(row["shown"].endswith("*") for row in rows):
+        caption += " Starred: of the completed cases; others of this setting did not complete."
     # A map with one setting needs no second axis.
     titles = sweep.axes if len(sweep.axes) > 1 else ("", *sweep.axes)
     spec = specification(heat_chart(rows, titles))
@@ -107,15 +150,23 @@ def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
     for place, members in sweep.cells.items():
         value = _median(members, key)
         shown = significant(value) if math.isfinite(value) else "failed"
+        lost = _lost_words(members) if math.isfinite(value) else ""
         where = ", ".join(f"{name} = {given}" for name, given in zip(sweep.axes, place, strict=True))
         yield {
             "y": place[0] if len(place) > 1 else "",
             "x": place[-1],
             "value": value if math.isfinite(value) else None,
-            "shown": shown,
+            "shown": f"{shown} *" if lost else shown,
             "own": place == own,
-            "text": f"{where}: {with_unit(shown, metric_unit(key)) if math.isfinite(value) else shown}",
+            "text": f"{where}: {with_unit(shown, metric_unit(key)) if math.isfinite(value) else shown}{lost}",
         }
+
+
+def _lost_words(members: Sequence[Competitor]) -> str:
+    """Say how many cases of a cell did not complete; nothing if all did."""
+    cases = sum(len(one.cases) for one in members)
+    lost = cases - sum(len(one.completed) for one in members)
+    return f"; {lost} of {cases} cases did not complete" if lost else ""
 
 
 def _median(members: Sequence[Competitor], key: str) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ddpc_cosim import CosimError, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.plugins import load_plugin
-from ddpc_reports.comparison import Competitor, Condition, labels
+from ddpc_reports.comparison import Competitor, Condition, indices, labels
 from ddpc_reports.numbers import MISSING, as_given, unit_symbol, with_unit
 from ddpc_reports.table import Cell, Heading, Row, Table
 
@@ -69,11 +69,11 @@ def _setting_docs(family: str) -> dict[str, str]:
 
 def controllers_table(results: StudyResults, prefix: str) -> Table:
     """Return what each controller is: its type, and the study's word about it."""
-    sections = results.study.controllers
+    sections, numbers = results.study.controllers, indices(results)
     rows = tuple(
-        Row(label, (Cell(sections[key].type), Cell(sections[key].note or MISSING)), key, index)
-        for index, (key, label) in enumerate(labels(results).items())
-        if key in sections
+        Row(label, (Cell(sections[key].type), Cell(sections[key].note or MISSING)), key, numbers[key])
+        for key, label in labels(results).items()
+        if key in sections and not sections[key].variant_of
     )
     headings = (
         Heading("Controller", numeric=False),

@@ -3,6 +3,7 @@
 import html
 import re
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import vl_convert
@@ -13,8 +14,8 @@ from ddpc_reports.samples import Column
 
 _WIDTH = 800
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{2,}")
-_PATH = re.compile(r' d="[^"]*"')
-_REPEATED_POINT = re.compile(r"(L[^LMZ\"]+)\1+")
+_PATH = re.compile(r' d="([^"]*)"')
+_LINES = re.compile(r"(?:[ML]-?[\d.]+(?:e-?\d+)?,-?[\d.]+(?:e-?\d+)?)+")
 _ID = re.compile(r' id="([^"]+)"')
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _NOISE = re.compile(
@@ -63,9 +64,35 @@ def _finish(svg: str, identifier: str, description: str) -> Markup:
 
 
 def _short_path(path: re.Match[str]) -> str:
-    """Round to a tenth of a pixel, and drop points that then fall on the one before."""
-    rounded = _LONG_NUMBER.sub(lambda number: f"{float(number[0]):.1f}", path[0])
-    return _REPEATED_POINT.sub(r"\1", rounded)
+    """Round to a tenth of a pixel; write lines of many points by their steps, as these are short."""
+    if not _LINES.fullmatch(path[1]):
+        return _LONG_NUMBER.sub(lambda number: f"{float(number[0]):.1f}", path[0])
+    return f' d="{"".join(_steps(piece) for piece in path[1].split("M") if piece)}"'
+
+
+def _steps(piece: str) -> str:
+    """Write ``x,yLx,yL...`` as a start and the steps from it, those that go straight on in one."""
+    points = [tuple(round(10 * float(number)) for number in point.split(",")) for point in piece.split("L")]
+    moves = [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(points)]
+    merged: list[tuple[int, int]] = []
+    for dx, dy in moves:
+        before = merged[-1] if merged else (0, 0)
+        if (dx == before[0] == 0 and dy * before[1] >= 0) or (dy == before[1] == 0 and dx * before[0] >= 0):
+            merged[-1:] = [(before[0] + dx, before[1] + dy)]
+        else:
+            merged.append((dx, dy))
+    return f"M{_tenths(points[0][0])},{_tenths(points[0][1])}" + "".join(_step(*move) for move in merged)
+
+
+def _step(dx: int, dy: int) -> str:
+    if dx == 0 or dy == 0:
+        return "" if dx == dy else f"h{_tenths(dx)}" if dx else f"v{_tenths(dy)}"
+    return f"l{_tenths(dx)}{'' if dy < 0 else ','}{_tenths(dy)}"
+
+
+def _tenths(count: int) -> str:
+    """Write tenths in the fewest letters: ``-.3``, ``12``."""
+    return f"{count / 10:.10g}".replace("0.", ".", 1) if -10 < count < 10 and count else f"{count / 10:.10g}"
 
 
 def _number_ids(svg: str, identifier: str) -> str:

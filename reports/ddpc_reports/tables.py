@@ -1,4 +1,4 @@
-"""The other tables of a study: computation time, data diagnostics, every case, provenance."""
+"""The other tables of a study: computation time, every case, those that failed, provenance."""
 
 import math
 
@@ -7,15 +7,14 @@ from ddpc_reports.comparison import (
     STEP_TIMES,
     TRACKING,
     Condition,
-    Spread,
+    indices,
     labels,
     metric_signal,
     metric_unit,
-    spread,
 )
 from ddpc_reports.numbers import MISSING, integer, time_scale
 from ddpc_reports.settings_tables import compact_seeds, facts_table
-from ddpc_reports.table import Cell, Heading, Row, Table, number_cells, range_texts
+from ddpc_reports.table import Cell, Heading, Row, Table, number_cells
 
 
 def step_time_table(condition: Condition, prefix: str) -> Table:
@@ -55,59 +54,6 @@ def _share(seconds: float, results: StudyResults) -> float:
     return 100 * seconds / results.study.loop.sampling_time
 
 
-_DIAGNOSTICS = {
-    "pe_order": "PE order reached",
-    "pe_order_needed": "PE order needed",
-    "data_rows": "data rows",
-    "data_columns": "data columns",
-    "data_rank": "rank",
-    "smallest_singular_value": "smallest singular value",
-}
-
-
-def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
-    """Return what the controllers say about their data, first seed and range; None if they say nothing."""
-    talkers = [one for one in condition.competitors if any(case.diagnostics for case in one.cases)]
-    names = dict.fromkeys(name for one in talkers for case in one.cases for name in case.diagnostics)
-    ordered = [name for name in _DIAGNOSTICS if name in names] + [
-        name for name in names if name not in _DIAGNOSTICS
-    ]
-    if not talkers:
-        return None
-    columns: list[tuple[Heading, list[Cell]]] = []
-    for name in ordered:
-        values = [one.cases[0].diagnostics.get(name, math.nan) for one in talkers]
-        spreads = [spread(case.diagnostics.get(name, math.nan) for case in one.cases) for one in talkers]
-        title = _DIAGNOSTICS.get(name, name.replace("_", " "))
-        varies = any(s.varies for s in spreads)
-        first = Heading(f"seed {condition.seeds[0]}", group=title) if varies else Heading(title)
-        columns.append((first, number_cells(values)))
-        if varies:
-            texts = _whole_ranges(spreads)
-            columns.append((Heading("range", group=title), [Cell(text) for text in texts]))
-    rows = (
-        Row(one.label, tuple(c[i] for _, c in columns), one.key, one.index) for i, one in enumerate(talkers)
-    )
-    return Table(
-        f"{prefix}diagnostics",
-        "Data that the controllers learned from",
-        (Heading("Controller", numeric=False), *(heading for heading, _ in columns)),
-        tuple(rows),
-        (
-            "PE order: order of persistent excitation of the recorded inputs. "
-            "Rank and singular value: of the stacked data.",
-        ),
-        download="diagnostics.csv",
-    )
-
-
-def _whole_ranges(spreads: list[Spread]) -> list[str]:
-    """Write ranges, of counts without decimals."""
-    if all(value.is_integer() for s in spreads for value in (s.low, s.high) if math.isfinite(value)):
-        return [f"{integer(s.low)} … {integer(s.high)}" if s.varies else MISSING for s in spreads]
-    return range_texts(spreads)
-
-
 def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], prefix: str) -> Table:
     """Return every case with its outcome and main figures, in the study's order."""
     keys = _case_keys(condition_of_all)
@@ -117,8 +63,7 @@ def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], 
         for key, (_, factor) in zip(keys, scales, strict=True)
     ]
     several = len(condition_of_all) > 1
-    names = labels(results)
-    order = list(names)
+    names, numbers = labels(results), indices(results)
     rows = []
     for i, case in enumerate(results.cases):
         done = case.outcome is Outcome.COMPLETED
@@ -128,7 +73,7 @@ def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], 
             Cell(str(case.outcome), str(case.outcome), failed=not done),
             *(cells[i] for cells in columns),
         ]
-        rows.append(Row(names[case.controller], tuple(shown), case.controller, order.index(case.controller)))
+        rows.append(Row(names[case.controller], tuple(shown), case.controller, numbers[case.controller]))
     headings = [
         Heading("Controller", numeric=False),
         *([Heading("scenario", numeric=False)] if several else []),
@@ -183,8 +128,7 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
     failed = [case for case in results.cases if case.outcome is not Outcome.COMPLETED]
     if not failed:
         return None
-    names = labels(results)
-    order = list(names)
+    names, numbers = labels(results), indices(results)
     rows = tuple(
         Row(
             names[case.controller],
@@ -195,7 +139,7 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
                 Cell(case.reason or MISSING),
             ),
             case.controller,
-            order.index(case.controller),
+            numbers[case.controller],
         )
         for case in failed
     )

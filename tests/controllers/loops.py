@@ -1,12 +1,13 @@
 """A loop closed by hand on the paper's pendulum, and on linear plants: no FMU, no co-simulation master."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.linalg import block_diag
 
 from ddpc_cosim import Action, Bounds, Controller, FloatArray, Loop, Recording, Sample, Variable
 
@@ -67,6 +68,11 @@ class LinearPlant:
     a: FloatArray
     b: FloatArray
     c: FloatArray
+
+    @classmethod
+    def lag(cls, pole: float, gain: float) -> "LinearPlant":
+        """Return a plant of first order, its output its state."""
+        return cls(np.array([[pole]]), np.array([[gain]]), np.eye(1))
 
     @classmethod
     def random(cls, rng: np.random.Generator, order: int, inputs: int, outputs: int) -> "LinearPlant":
@@ -159,6 +165,29 @@ def close_loop(
         run.samples.append(sample)
         state = advance(state, action.u)
     return run
+
+
+def together_and_alone(
+    method: Callable[[list[int]], Controller],
+    plants: Sequence[LinearPlant],
+    limit: float,
+    reference: FloatArray,
+    steps: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Close the loop on plants that do not touch, on all at once and on each alone; return both inputs.
+
+    The method is asked for a controller of the plants whose numbers it is given, each with one input and one
+    output.
+    """
+
+    def inputs(chosen: list[int]) -> FloatArray:
+        parts = [plants[i] for i in chosen]
+        whole = LinearPlant(*(block_diag(*(getattr(part, name) for part in parts)) for name in "abc"))
+        loop = make_loop(None, np.full(len(chosen), limit), np.full(len(chosen), np.inf))
+        return close_loop(method(chosen), loop, whole.advance, whole.c, reference[:, chosen], steps).u
+
+    everything = list(range(len(plants)))
+    return inputs(everything), np.hstack([inputs([i]) for i in everything])
 
 
 ANGLE = np.array([[1.0, 0.0]])

@@ -10,9 +10,9 @@ from ddpc_controllers.deepc import DeePC
 from ddpc_controllers.ipid import IPID
 from ddpc_controllers.mfac import MFAC
 from ddpc_controllers.mfapc import MFAPC
-from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, Variable, setting
+from ddpc_cosim import Action, ConfigError, Controller, Loop, Recording, Sample, Variable, setting
 
-from .loops import LinearPlant, close_loop, make_loop
+from .loops import SAMPLING_TIME, LinearPlant, close_loop, make_loop, together_and_alone
 
 FREE = np.array([np.inf])
 
@@ -113,14 +113,24 @@ def test_two_pairs_are_two_cascades() -> None:
         inner = IPID(alpha=[direction / 0.1 for direction in directions])
         return Cascade(inner=inner, outer=MFAPC(structure="diagonal", initial_gradient=0.1))
 
-    def run(a: FloatArray, b: FloatArray, directions: list[float], reference: FloatArray) -> FloatArray:
-        n = len(directions)
-        plant = LinearPlant(a, b, np.eye(n))
-        loop = make_loop(None, np.full(n, 3.0), np.full(n, np.inf))
-        return close_loop(cascade(directions), loop, plant.advance, plant.c, reference, steps=60).u
+    gains, plants = np.array([0.2, -0.4]), [LinearPlant.lag(1.05, 0.2), LinearPlant.lag(0.8, -0.4)]
+    reference = np.tile([[1.0, -0.5]], (66, 1))
+    both, alone = together_and_alone(
+        lambda chosen: cascade(gains[chosen].tolist()), plants, 3.0, reference, 60
+    )
+    assert np.abs(both - alone).max() < 1e-9
 
-    a, b, reference = np.diag([1.05, 0.8]), np.diag([0.2, -0.4]), np.tile([[1.0, -0.5]], (66, 1))
-    both = run(a, b, [0.2, -0.4], reference)
-    for i, direction in enumerate((0.2, -0.4)):
-        alone = run(a[i : i + 1, i : i + 1], b[i : i + 1, i : i + 1], [direction], reference[:, i : i + 1])
-        assert np.abs(both[:, i] - alone[:, 0]).max() < 1e-9
+
+@pytest.mark.parametrize("continues", [True, False])
+def test_a_plant_at_rest_is_left_alone(continues: bool) -> None:
+    # y+ = y + (u - y) / 10 rests at y = u = 2, the reference; the output's start value says 0.
+    plant, rest = LinearPlant.lag(0.9, 0.1), np.full((50, 1), 2.0)
+    loop = make_loop(Recording(rest, rest, rest, SAMPLING_TIME), np.array([10.0]), FREE)
+    loop = replace(loop, inputs=(Variable("u0", start=2.0),), continues_recording=continues)
+    cascade = Cascade(inner=IPID(kp=2.0), outer=MFAPC(initial_gradient=0.5))
+    cascade.start(loop)
+    y = np.array([2.0])
+    for k in range(30):
+        answer = cascade.step(Sample(k, 0.1 * k, y, y, rest[:5]))
+        y = plant.advance(y, answer.u)
+        assert y == pytest.approx([2.0], abs=1e-9)

@@ -58,6 +58,44 @@ def test_the_first_change_is_that_of_the_constrained_optimum(
     assert np.array(found) - u == pytest.approx(best[:m], abs=2e-6)
 
 
+@settings(deadline=None, max_examples=40)
+@given(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), st.booleans(), st.integers(0, 2**32 - 1))
+def test_the_units_of_inputs_and_cost_do_not_matter(
+    input_decades: float, cost_decades: float, limited_rate: bool, seed: int
+) -> None:
+    rng, unit, cost = np.random.default_rng(seed), 10.0**input_decades, 10.0**cost_decades
+    rates = np.array([0.4 if limited_rate else np.inf])
+    own, other = limits(np.ones(1), rates, 5), limits(np.full(1, unit), unit * rates, 5)
+    for _ in range(4):
+        a = rng.standard_normal((5, 5))
+        hessian, slope = a.T @ a + 0.5 * np.eye(5), 5.0 * rng.standard_normal(5)
+        free, u = np.linalg.solve(hessian, slope), rng.uniform(-1.0, 1.0, 1)
+        expected, fault = own.apply(u.tolist(), free, hessian, slope)
+        found, other_fault = other.apply(
+            (unit * u).tolist(), unit * free, cost * hessian, unit * cost * slope
+        )
+        assert fault == other_fault == ""
+        assert np.array(found) / unit == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("excess", [1e-4, 1e-7, 1e-10])
+def test_a_limit_that_is_only_just_active_is_met_to_rounding(excess: float) -> None:
+    # The nearest point of a plane: half of what the sum of the changes exceeds comes off each.
+    plan = np.array([0.5, 0.5 + excess])
+    found, fault = limits(np.ones(1), FREE, 2).apply([0.0], plan, np.eye(2), plan)
+    assert (found, fault) == (pytest.approx([0.5 - excess / 2.0], abs=1e-14), "")
+
+
+def test_an_input_without_room_stays_and_leaves_the_other_its_optimum() -> None:
+    bounds = Bounds(np.array([0.3, -1.0]), np.array([0.3, 1.0]), -FREE, FREE)
+    plan = np.array([0.5, 0.2])
+    hessian = np.array([[1.0, 0.5], [0.5, 1.0]])
+    found, fault = ChangeLimits(bounds, np.repeat(FREE, 2), 1, True).apply(
+        [0.3, 0.0], plan, hessian, hessian @ plan
+    )
+    assert (found, fault) == (pytest.approx([0.3, 0.2 + 0.5 * 0.5]), "")
+
+
 def test_a_plan_within_its_limits_is_left_alone() -> None:
     found = limits(np.ones(1), FREE, 2).apply([0.2], np.array([0.3, -0.1]), np.eye(2), np.array([0.3, -0.1]))
     assert found == ([0.5], "")

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from ddpc_controllers import DeePC
+from ddpc_controllers import SPC, DeePC
 from ddpc_controllers.full_problem import FullDeePC
-from ddpc_cosim import FloatArray, Recording
+from ddpc_cosim import Action, FloatArray, Recording, Sample
 
 from .loops import (
     ANGLE,
@@ -97,7 +97,7 @@ weights = st.floats(-1.0, 2.0).map(lambda exponent: 10.0**exponent)
     seed=st.integers(0, 2**16),
     signals=st.sampled_from([(1, 1), (2, 2), (2, 1), (1, 2)]),
     initial_length=st.integers(1, 3),
-    further=st.integers(0, 3),
+    further=st.integers(1, 3),
     noise=st.sampled_from([0.0, 1e-2]),
     affine_sum=st.sampled_from(["none", "all"]),
     cost=st.tuples(weights, weights, weights),
@@ -169,3 +169,35 @@ def test_one_sided_bounds_are_bounds(paper_recording: Recording) -> None:
     assert run.u.max() <= 1.5 < -run.u.min()
     assert worst < 1e-6
     assert active > 10
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_what_counts_as_a_conflict_does_not_depend_on_units(noise: float) -> None:
+    rng = np.random.default_rng(3)
+    plant = LinearPlant.random(rng, 3, 1, 2)
+    u = rng.uniform(-1.0, 1.0, (150, 1))
+    recorded = experiment(plant.advance, u, 3, plant.c)
+
+    def conflicts(of_u: float, of_y: FloatArray) -> list[bool]:
+        stream = np.random.default_rng(4)
+        recording = Recording(of_u * recorded.u, of_y * recorded.y, of_y * recorded.y, 0.1)
+        weights = {"output_weight": (1.0 / of_y**2).tolist(), "input_weight": 0.1 / of_u**2}
+        controller = SPC(horizon=6, scaling="none", **weights)
+        infinite = np.full(2, np.inf)
+        controller.start(make_loop(recording, np.array([of_u]), infinite))
+        state, said = np.zeros(3), []
+        for k in range(40):
+            y = of_y * (plant.c @ state + noise * stream.standard_normal(2))
+            answer = controller.step(Sample(k, 0.1 * k, y, y, np.tile(0.3 * of_y, (6, 1))))
+            action = answer if isinstance(answer, Action) else Action(answer)
+            said.append("no combination of the recorded windows" in action.status)
+            state = plant.advance(state, action.u / of_u)
+        return said
+
+    for units in (
+        (1.0, np.ones(2)),
+        (1e5, np.full(2, 1e-4)),
+        (1e-4, np.full(2, 1e5)),
+        (1e4, np.array([1e-4, 1e4])),
+    ):
+        assert conflicts(*units) == [bool(noise)] * 40

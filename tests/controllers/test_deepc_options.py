@@ -233,6 +233,37 @@ class TestL1:
         assert np.abs(run.u).max() <= 3.4
         assert abs(run.y[-1, 0] / DEGREE - 20.0) < 3.0
 
+    @pytest.mark.parametrize("limits", [(0.0, 100.0), (-1e5, 1e5)])
+    def test_operating_points_and_limits_far_from_zero_are_solved(self, limits: tuple[float, float]) -> None:
+        rng = np.random.default_rng(0)
+        u, y = 50.0 + rng.uniform(-20.0, 20.0, (200, 1)), np.full((201, 1), 50.0)
+        for k in range(200):
+            y[k + 1] = 0.9 * y[k] + 0.1 * u[k]
+        low, high = np.full(1, limits[0]), np.full(1, limits[1])
+        loop = replace(
+            make_loop(Recording(u, y[:-1], y[:-1], 0.1), high, high),
+            bounds=Bounds(low, high, low, high),
+            continues_recording=True,
+        )
+        controller = DeePC(regulariser="l1", affine_sum="all", lambda_g=1e-3)
+        controller.start(loop)
+        state = y[-1]
+        for k in range(60):
+            reference = np.full((5, 1), 50.0 if k < 20 else 60.0)
+            answer = controller.step(Sample(k, 0.1 * k, state, state, reference))
+            assert not isinstance(answer, Action), answer
+            state = 0.9 * state + 0.1 * answer
+        assert state == pytest.approx([60.0], abs=1e-2)
+
+    def test_the_solver_stands_when_the_loop_starts(
+        self, paper_recording: Recording, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        controller = DeePC(regulariser="l1")
+        controller.start(pendulum_loop(paper_recording))
+        monkeypatch.delattr("piqp.SparseSolver")
+        answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((5, 1), 0.1)))
+        assert not isinstance(answer, Action)
+
     def test_where_the_solver_fails_the_last_input_is_held(self) -> None:
         said, u = statuses_far_outside(DeePC(regulariser="l1", slack=False, **REGULATION))
         assert all("the last input is held" in status for status in said[3:])

@@ -22,6 +22,7 @@ from ddpc_controllers.dictionaries import (
 )
 from ddpc_controllers.full_problem import FullWKPC
 from ddpc_cosim import ConfigError, DataError, FloatArray, PluginError, Recording
+from ddpc_cosim.settings import to_plain
 
 from .loops import ANGLE, before, close_loop, paper_reference, pendulum_loop, quick_pendulum
 
@@ -75,6 +76,14 @@ def test_it_has_as_many_functions_as_it_says_and_draws_them_by_seed(
     assert np.array_equal(again(embedded), values)
     assert np.array_equal(pickle.loads(pickle.dumps(lift))(embedded), values)
     assert np.allclose(lift(embedded[3]), values[3], rtol=0.0, atol=1e-15)
+
+
+def test_radial_functions_say_their_settings_in_the_order_of_their_formula() -> None:
+    names = [list(to_plain(dictionary)) for dictionary in (ThinPlate(), Gaussian())]
+    assert names == [
+        ["type", "count", "low", "high", "centres"],
+        ["type", "count", "width", "low", "high", "centres"],
+    ]
 
 
 def test_gaussians_are_one_at_their_centres_and_fall_as_written(states: FloatArray) -> None:

@@ -132,9 +132,20 @@ def test_every_impossible_setting_is_named_at_once(kind: Any, settings: dict[str
         assert any(name in fault for fault in caught.value.faults)
 
 
-def test_a_horizon_shorter_than_the_terminal_condition_is_refused() -> None:
-    with pytest.raises(ConfigError, match="horizon = 2 is shorter than initial_length = 3"):
-        DeePC(horizon=2)
+@pytest.mark.parametrize("horizon", [2, 3])
+def test_a_horizon_that_the_terminal_condition_fills_is_refused(horizon: int) -> None:
+    with pytest.raises(ConfigError, match=f"horizon = {horizon} is not longer than initial_length = 3"):
+        DeePC(horizon=horizon)
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"),
+    [(DeePC, {"terminal_equality": False}), (SPC, {"use_current_output": False}), (WKPC, {})],
+)
+def test_a_horizon_that_no_input_reaches_is_refused(kind: Any, settings: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="horizon = 1 predicts the present output alone"):
+        kind(horizon=1, **settings)
+    kind(horizon=2, **settings)
 
 
 def test_a_dictionary_that_cannot_draw_is_refused() -> None:

@@ -10,7 +10,7 @@ from ddpc_controllers.ipid import IPID
 from ddpc_controllers.ultra_local_model import UltraLocalModel
 from ddpc_cosim import Action, ConfigError, FloatArray, Recording, Sample
 
-from .loops import SAMPLING_TIME, LinearPlant, close_loop, make_loop
+from .loops import SAMPLING_TIME, LinearPlant, close_loop, make_loop, together_and_alone
 
 FREE = np.array([np.inf])
 
@@ -43,6 +43,21 @@ def test_the_estimates_are_exact_where_f_is_constant(
     assert model.estimates()[:, 0] == pytest.approx(state, abs=1e-8)
     expected = plant.advance(state, np.array([alpha * 0.7]))[:1]
     assert model.ahead(np.array([0.7])) == pytest.approx(expected, abs=1e-8)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("h", [1e-10, 1.0, 1e10])
+def test_the_estimates_do_not_depend_on_the_unit_of_time(order: int, h: float) -> None:
+    # In units of the sampling time the plant is always the same.
+    plant, rng = integrator_chain(order, 1.0), np.random.default_rng(4)
+    state = np.append(rng.standard_normal(order), -0.7)
+    model = UltraLocalModel(order, 4, h, np.array([[2.0]]))
+    model.start(state[:1], np.zeros(1))
+    for u in rng.uniform(-2.0, 2.0, (6, 1)):
+        state = plant.advance(state, u)
+        model.append(u / (2.0 * h**order), state[:1])
+    scaled = model.estimates()[:, 0] * h ** np.arange(order + 1)
+    assert scaled == pytest.approx(state, abs=1e-10)
 
 
 def test_the_first_order_law_is_the_published_one() -> None:
@@ -93,26 +108,31 @@ def test_the_integral_stands_still_at_a_limit() -> None:
 
 
 def test_two_pairs_are_two_loops() -> None:
-    a, b = np.diag([0.95, 0.8]), np.diag([0.1, -0.2])
+    alpha, plants = np.array([1.0, -2.0]), [LinearPlant.lag(0.95, 0.1), LinearPlant.lag(0.8, -0.2)]
     reference = np.tile([[1.0, -0.5]], (61, 1))
-    both = close_loop(
-        IPID(alpha=[1.0, -2.0]),
-        make_loop(None, np.ones(2), np.repeat(FREE, 2)),
-        LinearPlant(a, b, np.eye(2)).advance,
-        np.eye(2),
-        reference,
-        steps=60,
+    both, alone = together_and_alone(
+        lambda chosen: IPID(alpha=alpha[chosen].tolist()), plants, 1.0, reference, 60
     )
-    for i, alpha in enumerate((1.0, -2.0)):
-        alone = close_loop(
-            IPID(alpha=alpha),
-            make_loop(None, np.ones(1), FREE),
-            LinearPlant(a[i : i + 1, i : i + 1], b[i : i + 1, i : i + 1], np.eye(1)).advance,
-            np.eye(1),
-            reference[:, i : i + 1],
-            steps=60,
+    assert np.abs(both - alone).max() < 1e-12
+
+
+def test_inputs_that_act_crosswise_change_nothing_but_their_order() -> None:
+    # u1 drives y0, whose reference is out of reach, and u0 drives y1.
+    plants = [LinearPlant.lag(0.9, 0.1), LinearPlant.lag(0.8, 0.2)]
+    a, b = (np.diag([getattr(plant, name).item() for plant in plants]) for name in "ab")
+    reference = np.vstack([np.tile([[5.0, 0.3]], (60, 1)), np.tile([[0.2, 0.3]], (61, 1))])
+    straight, crossed = (
+        close_loop(
+            IPID(alpha=alpha.tolist(), ki=1.0),
+            make_loop(None, np.ones(2), np.repeat(FREE, 2)),
+            LinearPlant(a, b @ alpha, np.eye(2)).advance,
+            np.eye(2),
+            reference,
+            steps=120,
         )
-        assert np.abs(both.u[:, i] - alone.u[:, 0]).max() < 1e-12
+        for alpha in (np.eye(2), np.eye(2)[::-1])
+    )
+    assert np.abs(crossed.u[:, ::-1] - straight.u).max() < 1e-12
 
 
 def test_a_missing_measurement_is_bridged_and_counted() -> None:

@@ -215,3 +215,47 @@ def test_the_length_it_asks_for_is_the_shortest_it_starts_with() -> None:
 def test_impossible_settings_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         KoopmanMPC(**changes)
+
+
+FIRST_ORDER = LinearPlant(np.array([[0.9]]), np.array([[0.1]]), np.eye(1))
+
+
+@pytest.mark.parametrize("state", ["delays", "measured"])
+def test_outputs_among_the_lifted_states_are_read_off(state: Any) -> None:
+    u = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 1))
+    recording = experiment(FIRST_ORDER.advance, u, 1, FIRST_ORDER.c)
+    loop = make_loop(recording, np.full(1, 2.0), np.full(1, np.inf))
+    controller = KoopmanMPC(state=state, horizon=15, dictionary=Identity())
+
+    def pushed(x: FloatArray, u: FloatArray) -> FloatArray:
+        return FIRST_ORDER.advance(x, u + 0.1)
+
+    run = close_loop(controller, loop, pushed, FIRST_ORDER.c, np.full((420, 1), 0.5))
+    assert run.y[-1] == pytest.approx([0.5], abs=1e-9)
+
+
+def test_with_more_inputs_than_outputs_it_works_as_it_is() -> None:
+    plant = LinearPlant(np.array([[0.9]]), np.array([[0.1, 0.05]]), np.eye(1))
+    u = np.random.default_rng(0).uniform(-1.0, 1.0, (300, 2))
+    loop = make_loop(experiment(plant.advance, u, 1, plant.c), np.ones(2), np.full(1, np.inf))
+    run = close_loop(KoopmanMPC(), loop, plant.advance, plant.c, np.full((120, 1), 0.5), 100)
+    assert set(run.status) == {"ok"}
+    assert run.u[-1] == pytest.approx([0.4, 0.2], abs=1e-5)
+    assert run.y[-1] == pytest.approx([0.5], abs=1e-6)
+
+
+@pytest.mark.parametrize(("state", "lost"), [("delays", 1), ("measured", 0)])
+def test_what_is_not_lifted_may_be_lost(state: Any, lost: int, state_recording: Recording) -> None:
+    controller = KoopmanMPC(state=state, dictionary=Identity())
+    controller.start(pendulum_loop(state_recording))
+    for k in range(3):
+        y, measured = np.array([0.01 * k]), np.array([0.01 * k, 0.1])
+        (measured if lost else y)[...] = [0.01 * k, np.nan] if lost else np.nan
+        answer = controller.step(Sample(k, 0.1 * k, y, measured, np.full((5, 1), 0.2)))
+        assert not isinstance(answer, Action)
+
+
+def test_inputs_that_stand_still_are_refused() -> None:
+    still = experiment(FIRST_ORDER.advance, np.ones((200, 1)), 1, FIRST_ORDER.c)
+    with pytest.raises(DataError, match=r"EDMD: the recorded inputs .*rank 0 of 1, .*richer input"):
+        KoopmanMPC().start(make_loop(still, np.ones(1), np.ones(1)))

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
+from ddpc_controllers.control_api import regulator_gain
 from ddpc_controllers.lqr import LQR
 from ddpc_controllers.models import StateSpace
-from ddpc_cosim import Action, ConfigError, Recording, Sample
+from ddpc_cosim import Action, ConfigError, FloatArray, Recording, Sample
 
 from .loops import (
     ANGLE,
@@ -90,3 +91,41 @@ def test_a_plant_that_cannot_be_stabilised_is_refused() -> None:
 def test_what_is_no_model_is_refused() -> None:
     with pytest.raises(ConfigError, match="LQR: model = None is no source of models"):
         LQR(model=None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("inputs", "outputs"), [([1e5, 1e-4], [1e5, 1e-4]), ([1e-4, 1e5], [1e5, 1e-4])])
+def test_mixed_units_are_no_obstacle(inputs: list[float], outputs: list[float]) -> None:
+    plant = LinearPlant.random(np.random.default_rng(0), 3, 2, 2)
+
+    def gains(u: FloatArray, y: FloatArray) -> FloatArray:
+        """The gains of the same regulator, signals in these units, back in units of 1."""
+        b, c = plant.b / u, plant.c * y[:, np.newaxis]
+        q = np.zeros((5, 5))
+        q[:3, :3], q[3:, 3:] = c.T @ np.diag(y**-2.0) @ c, np.diag(y**-2.0)
+        gain = regulator_gain(plant.a, b, q, np.diag(0.1 * u**-2.0), c)
+        return gain / u[:, np.newaxis] * np.concatenate([np.ones(3), y])
+
+    expected = gains(np.ones(2), np.ones(2))
+    assert gains(np.array(inputs), np.array(outputs)) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+def test_a_weight_that_rounding_leaves_askew_is_a_weight() -> None:
+    a, b, c = np.array([[0.5]]), np.eye(1), np.eye(1)
+    q = np.array([[1.0, 1e-4], [-1e-4, 1.0]])
+    assert regulator_gain(a, b, q, np.eye(1), c) == pytest.approx(
+        regulator_gain(a, b, np.eye(2), np.eye(1), c)
+    )
+
+
+def test_without_a_reference_the_sum_of_its_error_is_held() -> None:
+    controller = LQR(model=StateSpace(a=[[0.5]], b=[[0.5]], c=[[1.0]], sampling_time=0.1))
+    controller.start(make_loop(None, np.ones(1), np.ones(1)))
+    total = None
+    for k, wanted in enumerate([0.2, np.nan, np.nan, 0.2]):
+        answer = controller.step(Sample(k, 0.1 * k, np.zeros(1), np.zeros(1), np.full((1, 1), wanted)))
+        assert isinstance(answer, Action) == np.isnan(wanted)
+        if isinstance(answer, Action):
+            assert "a reference is not finite" in answer.status
+            assert controller._sum == pytest.approx(total)
+            assert np.isfinite(answer.u).all()
+        total = controller._sum

@@ -17,6 +17,7 @@ from .loops import (
     paper_reference,
     pendulum_loop,
     quick_pendulum,
+    together_and_alone,
 )
 
 FREE = np.array([np.inf])
@@ -89,27 +90,24 @@ def test_two_inputs_minimise_the_cost_of_the_next_sample() -> None:
     assert u == pytest.approx(np.linalg.lstsq(weights, np.append(error, [0.0, 0.0]))[0])
 
 
+def test_a_gradient_that_drowns_the_weight_of_the_inputs_still_gives_the_least_change() -> None:
+    # lambda_u is below the rounding of |Phi|^2: as for lambda_u = 0, with the smallest of the optima.
+    controller = MFAC(initial_gradient=[[3e8, 4e8]], step_factor=1.0)
+    controller.start(make_loop(None, np.repeat(FREE, 2), FREE))
+    u = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.ones((1, 1))))
+    assert u == pytest.approx([3e8 / 25e16, 4e8 / 25e16], rel=1e-7)
+
+
 def test_a_diagonal_structure_is_one_loop_for_each_pair() -> None:
-    a, b = np.diag([0.9, 0.6]), np.diag([0.2, -0.5])
-    reference = np.tile([[1.0, -0.5]], (61, 1))
-    both = close_loop(
-        MFAC(structure="diagonal", initial_gradient=[0.2, -0.5]),
-        make_loop(None, np.ones(2), np.repeat(FREE, 2)),
-        LinearPlant(a, b, np.eye(2)).advance,
-        np.eye(2),
-        reference,
-        steps=60,
+    gains, plants = np.array([0.2, -0.5]), [LinearPlant.lag(0.9, 0.2), LinearPlant.lag(0.6, -0.5)]
+    both, alone = together_and_alone(
+        lambda chosen: MFAC(structure="diagonal", initial_gradient=gains[chosen].tolist()),
+        plants,
+        1.0,
+        np.tile([[1.0, -0.5]], (61, 1)),
+        60,
     )
-    for i, direction in enumerate((0.2, -0.5)):
-        alone = close_loop(
-            MFAC(initial_gradient=direction),
-            make_loop(None, np.ones(1), FREE),
-            LinearPlant(a[i : i + 1, i : i + 1], b[i : i + 1, i : i + 1], np.eye(1)).advance,
-            np.eye(1),
-            reference[:, i : i + 1],
-            steps=60,
-        )
-        assert np.abs(both.u[:, i] - alone.u[:, 0]).max() < 1e-12
+    assert np.abs(both - alone).max() < 1e-12
 
 
 def test_the_limits_of_input_and_rate_hold() -> None:

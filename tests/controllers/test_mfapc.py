@@ -25,6 +25,7 @@ from .loops import (
     pendulum,
     pendulum_loop,
     quick_pendulum,
+    together_and_alone,
 )
 
 FREE = np.array([np.inf, np.inf])
@@ -216,28 +217,33 @@ def test_more_outputs_than_inputs_are_controlled_in_the_least_squares_sense() ->
 @pytest.mark.parametrize("form", ["cfdl", "pfdl", "ffdl"])
 @pytest.mark.parametrize("limits", ["clip", "qp"])
 def test_a_diagonal_structure_is_one_loop_for_each_pair(form: str, limits: str) -> None:
-    a, b, c = np.diag([0.9, 0.6]), np.diag([0.2, -0.5]), np.eye(2)
-    reference = np.repeat([[1.0, -0.5], [0.3, 0.8]], 40, axis=0)
-    settings = {"form": form, "limits": limits, "rate_bounds": 0.3}
-    together = close_loop(
-        MFAPC(structure="diagonal", initial_gradient=[0.2, -0.5], **settings),
-        make_loop(None, np.array([0.6, 0.6]), FREE),
-        LinearPlant(a, b, c).advance,
-        c,
-        np.vstack([reference, reference[-5:]]),
-        steps=80,
+    gains, plants = np.array([0.2, -0.5]), [LinearPlant.lag(0.9, 0.2), LinearPlant.lag(0.6, -0.5)]
+    reference = np.repeat([[1.0, -0.5], [0.3, 0.8]], [40, 45], axis=0)
+    settings = {"form": form, "limits": limits, "structure": "diagonal", "rate_bounds": 0.3}
+    both, alone = together_and_alone(
+        lambda chosen: MFAPC(initial_gradient=gains[chosen].tolist(), **settings), plants, 0.6, reference, 80
     )
-    for i, direction in enumerate((0.2, -0.5)):
-        alone = close_loop(
-            MFAPC(initial_gradient=direction, **settings),
-            make_loop(None, np.array([0.6]), FREE[:1]),
-            LinearPlant(a[i : i + 1, i : i + 1], b[i : i + 1, i : i + 1], np.eye(1)).advance,
-            np.eye(1),
-            np.vstack([reference, reference[-5:]])[:, i : i + 1],
-            steps=80,
-        )
-        assert np.abs(together.u[:, i] - alone.u[:, 0]).max() < 1e-7
-        assert np.abs(together.y[:, i] - alone.y[:, 0]).max() < 1e-7
+    assert np.abs(both - alone).max() < 1e-9
+
+
+def test_a_gradient_that_drowns_the_weight_of_the_inputs_still_gives_the_least_change() -> None:
+    controller = MFAPC(horizon=1, initial_gradient=[[3e8, 4e8]])
+    controller.start(make_loop(None, FREE, FREE[:1]))
+    u = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.ones((1, 1))))
+    assert u == pytest.approx([3e8 / 25e16, 4e8 / 25e16], rel=1e-7)
+
+
+@pytest.mark.parametrize("form", ["cfdl", "pfdl", "ffdl"])
+def test_a_lost_measurement_does_not_cost_what_was_learned(form: str) -> None:
+    controller, y, learned = MFAPC(form=form), np.zeros(1), []
+    controller.start(make_loop(None, np.array([50.0]), FREE[:1]))
+    for k in range(40):
+        target = np.full((5, 1), 1.0 if k // 6 % 2 else -1.0)
+        seen = np.array([np.nan]) if k == 25 else y
+        answer = controller.step(Sample(k, 0.1 * k, seen, seen, target))
+        learned.append(controller._model.gradients[0].value)
+        y = 0.5 * y + 2.0 * (answer.u if isinstance(answer, Action) else answer)
+    assert learned[24] == learned[25] == learned[26] != learned[27]
 
 
 def test_a_measurement_that_is_missing_holds_the_inputs_and_is_counted() -> None:

@@ -79,3 +79,18 @@ def test_every_setting_says_what_it_is(controller: Controller) -> None:
     declared = declared_settings(type(controller))
     assert set(declared) == set(controller.settings())
     assert all(info.doc for info in declared.values())
+
+
+@pytest.mark.parametrize("controller", [MPC(), KoopmanMPC()])
+def test_a_reference_that_is_not_finite_holds_the_inputs(
+    state_recording: Recording, controller: Controller
+) -> None:
+    controller.start(pendulum_loop(state_recording))
+    y, measured = np.array([0.1]), np.array([0.1, 0.0])
+    controller.step(Sample(0, 0.0, y, measured, np.full((5, 1), 0.3)))
+    before = controller.step(Sample(1, 0.1, y, measured, np.full((5, 1), 0.3)))
+    held = controller.step(Sample(2, 0.2, y, measured, np.full((5, 1), np.nan)))
+    assert isinstance(held, Action)
+    assert "not finite: inputs held" in held.status
+    assert np.array_equal(held.u, before)
+    assert np.abs(held.u).min() > 0.1

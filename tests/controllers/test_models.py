@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from ddpc_controllers.identification import Identified, fit_arx, markov_parameters
+from ddpc_controllers.identification import Identified, choose_lags, fit_arx, markov_parameters
 from ddpc_controllers.models import ModelFunction, SampledModel, StateSpace
 from ddpc_controllers.pulse_response import pulse_model
 from ddpc_cosim import (
@@ -143,6 +143,66 @@ def test_a_recording_too_short_for_the_lags_is_refused() -> None:
     short = experiment(quick_pendulum, np.ones((12, 1)), 2, ANGLE)
     with pytest.raises(DataError, match="has 12 samples; 4 lags take at least 13"):
         source.model(make_loop(short, np.ones(1), np.ones(1)))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(1, 4), st.integers(1, 2), st.integers(0, 2**32 - 1))
+def test_the_lags_chosen_explain_noise_free_data_of_a_linear_plant(
+    order: int, outputs: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    plant = LinearPlant.random(rng, order, 2, outputs)
+    recording = experiment(plant.advance, rng.uniform(-1.0, 1.0, (150, 2)), order, plant.c)
+    assert choose_lags(recording) <= order
+    model = Identified().model(loop_of(2, outputs, recording))
+    true = SampledModel(plant.a, plant.b, plant.c, np.zeros(2), np.zeros(outputs))
+    expected = markov_parameters(true, 12)
+    assert np.abs(markov_parameters(model, 12) - expected).max() < 1e-5 * max(1.0, np.abs(expected).max())
+
+
+def test_the_lags_chosen_are_those_of_schwarz() -> None:
+    recording = pendulum_experiment(3)
+    most, rows = 20, len(recording) - 20
+    criteria = []
+    for lags in range(1, most + 1):
+        # The same samples for every number of lags, the fit by its own least squares.
+        cut = Recording(recording.u[most - lags :], recording.y[most - lags :], recording.y[most - lags :], H)
+        variance = (fit_arx(cut, lags).error / recording.y.std(axis=0)) ** 2 + 1e-16
+        criteria.append(rows * np.log(variance[0]) + np.log(rows) * 2 * lags)
+    assert choose_lags(recording) == 1 + int(np.argmin(criteria))
+
+
+@pytest.mark.parametrize(
+    ("kind", "rank"), [("zero", 0), ("constant", 0), ("sine", 0), ("bare feedback", 0), ("twins", 1)]
+)
+def test_a_recording_whose_inputs_tell_nothing_is_refused(kind: str, rank: int) -> None:
+    rng, times = np.random.default_rng(0), np.arange(200.0)[:, np.newaxis]
+    y = np.cumsum(rng.standard_normal((200, 1)), axis=0)
+    inputs = {
+        "zero": np.zeros((200, 1)),
+        "constant": np.full((200, 1), 0.3),
+        "sine": np.sin(times),
+        "bare feedback": 2.0 - 0.5 * y,
+        "twins": np.repeat(rng.uniform(-1.0, 1.0, (200, 1)), 2, axis=1),
+    }
+    u = inputs[kind]
+    loop = loop_of(u.shape[1], 1, Recording(u, y, y, H))
+    with pytest.raises(
+        DataError, match=rf"rank {rank} of {u.shape[1]}, smallest .* order \d+\): record with"
+    ):
+        Identified(lags=4).model(loop)
+
+
+def test_a_recording_in_closed_loop_with_an_excitation_is_accepted() -> None:
+    rng = np.random.default_rng(0)
+    plant = LinearPlant(np.array([[1.1]]), np.array([[0.5]]), np.eye(1))
+    u, y, state = np.zeros((200, 1)), np.zeros((200, 1)), np.zeros(1)
+    for k in range(200):
+        y[k] = state
+        u[k] = -1.2 * y[k] + 1e-3 * rng.uniform(-1.0, 1.0, 1)
+        state = plant.advance(state, u[k])
+    model = Identified().model(loop_of(1, 1, Recording(u, y, y, H)))
+    assert markov_parameters(model, 3)[:, 0, 0] == pytest.approx([0.5, 0.55, 0.605], abs=1e-6)
 
 
 def test_pulses_at_a_plant_give_its_derivative_at_the_operating_point() -> None:

@@ -118,6 +118,105 @@ def test_with_the_true_model_it_does_what_deepc_does_with_noise_free_data() -> N
     assert 0.0 < (np.abs(ours.u) == 0.3).mean() < 0.9
 
 
+@pytest.mark.parametrize("start", [0.0, 0.5])
+def test_without_setpoints_it_is_deepc_in_regulation_form_weighed_from_rest(start: float) -> None:
+    plant, loop, reference = noise_free(8, u_limit=1.0)
+    loop = replace(loop, inputs=(replace(loop.inputs[0], start=start),))
+    weights: dict[str, Any] = {"horizon": 6, "output_weight": 100.0, "input_weight": 10.0}
+    deepc = DeePC(
+        lambda_g=1e-9,
+        lambda_sigma=1e9,
+        use_current_output=True,
+        artificial_setpoint=False,
+        terminal_equality=False,
+        **weights,
+    )
+    mpc = MPC(model=true_model(plant), setpoint="none", **weights, **TRUE)
+    # Inputs of 0.5 and an output of 0 before the start are no rest, which either understands in its own way.
+    ours = close_loop(mpc, loop, plant.advance, plant.c, reference, 100)
+    theirs = close_loop(deepc, loop, plant.advance, plant.c, reference, 100)
+    assert np.abs(ours.u - theirs.u)[30:].max() < 1e-5
+    assert np.abs(ours.u).max() > 0.1
+
+
+def test_soft_output_limits_give_way_as_those_of_deepc() -> None:
+    plant, loop, reference = noise_free(8, u_limit=1.0)
+    bounds = replace(loop.bounds, y_min=np.full(1, -0.1), y_max=np.full(1, 0.1))
+    loop = replace(loop, bounds=bounds)
+    deepc = DeePC(lambda_g=1e-9, lambda_sigma=1e9, use_current_output=True, horizon=6, soft_output_bounds=1e3)
+    mpc = MPC(
+        model=true_model(plant),
+        setpoint="input-output",
+        terminal_length=deepc.initial_length,
+        horizon=6,
+        output_weight=deepc.output_weight,
+        setpoint_weight=deepc.setpoint_weight,
+        input_weight=deepc.input_weight,
+        soft_output_bounds=1e3,
+        **TRUE,
+    )
+    ours = close_loop(mpc, loop, plant.advance, plant.c, reference, 200)
+    theirs = close_loop(deepc, loop, plant.advance, plant.c, reference, 200)
+    assert np.abs(ours.u - theirs.u).max() < 1e-5
+    assert np.abs(ours.y).max() > 0.1
+
+
+@pytest.mark.parametrize("setpoint", ["input", "input-output", "none"])
+def test_with_more_inputs_than_outputs_it_works_as_it_is(setpoint: Any) -> None:
+    plant = LinearPlant(np.array([[0.9]]), np.array([[0.1, 0.05]]), np.eye(1))
+    loop = make_loop(None, np.ones(2), np.full(1, np.inf))
+    controller = MPC(model=true_model(plant), setpoint=setpoint)
+    run = close_loop(controller, loop, plant.advance, plant.c, np.full((150, 1), 0.5), 100)
+    assert set(run.status) == {"ok"}
+    if setpoint != "none":
+        # y = u_1 + u_2 / 2: of the inputs with y = 0.5 those nearest to rest.
+        assert run.u[-1] == pytest.approx([0.4, 0.2], abs=1e-5)
+        assert run.y[-1] == pytest.approx([0.5], abs=1e-6)
+
+
+def disturbed(controller: MPC, plant: LinearPlant, noise: float, **changes: Any) -> FloatArray:
+    """The outputs of 400 noisy samples with 0.1 added to the inputs, reference 0.5."""
+    rng = np.random.default_rng(0)
+    clean = experiment(plant.advance, rng.uniform(-1.0, 1.0, (300, 1)), len(plant.a), plant.c)
+    y = clean.y + noise * rng.standard_normal(clean.y.shape)
+    loop = make_loop(Recording(clean.u, y, y, 0.1), np.full(1, 2.0), np.full(1, np.inf), **changes)
+    controller.start(loop)
+    state, outputs = np.zeros(len(plant.a)), []
+    for k in range(400):
+        outputs.append(plant.c @ state)
+        measured = outputs[-1] + noise * rng.standard_normal(1)
+        sample = Sample(k, 0.1 * k, measured, measured, np.full((controller.horizon, 1), 0.5))
+        answer = controller.step(sample)
+        u = answer.u if isinstance(answer, Action) else answer
+        state = plant.advance(state, u + 0.1)
+    return np.array(outputs)
+
+
+def test_an_integrator_is_told_as_well_as_the_recording_tells_it() -> None:
+    plant = LinearPlant(np.array([[1.0, 0.1], [0.0, 0.7]]), np.array([[0.0], [0.3]]), np.array([[1.0, 0.0]]))
+    outputs = disturbed(MPC(horizon=15), plant, noise=5e-3)
+    assert abs(outputs[-80:].mean() - 0.5) < 5e-3
+
+
+@pytest.mark.parametrize("noise", [0.0, 5e-3])
+def test_a_dead_time_is_found_in_the_recording(noise: float) -> None:
+    a = np.diag(np.ones(5), -1)
+    a[0, 0] = 0.8
+    plant = LinearPlant(a, 0.2 * np.eye(6, 1), np.eye(6)[5:])
+    controller = MPC(horizon=15)
+    outputs = disturbed(controller, plant, noise)
+    assert abs(outputs[-80:] - 0.5).max() < 1e-6 + 10.0 * noise
+    figures = controller.diagnostics()
+    assert figures["lags"] == 6.0 if noise == 0.0 else figures["lags"] > 6.0
+    assert 0.8 * noise <= figures["one_step_error"] < 1.5 * noise + 1e-9
+
+
+def test_units_do_not_decide_whether_a_disturbance_is_seen() -> None:
+    for size in (1e-6, 1.0, 1e6):
+        slow = StateSpace(a=[[-1e-5]], b=[[1e-5 / size]], c=[[size]])
+        MPC(model=slow, scaling="none").start(make_loop(None, np.ones(1), np.ones(1)))
+
+
 def test_with_the_true_model_it_does_what_wkpc_does_with_noise_free_data() -> None:
     plant, loop, reference = noise_free(9, u_limit=0.3)
     wkpc = WKPC(dictionary=Identity(), lambda_g=1e-9, horizon=6)
@@ -181,6 +280,7 @@ def test_a_lost_measurement_is_bridged_by_the_model(state_recording: Recording) 
     [
         ({"model": 3}, "model = 3 is no source of models"),
         ({"terminal_length": 7}, "horizon = 5 is shorter than terminal_length = 7"),
+        ({"terminal_length": 3, "setpoint": "none"}, "ties the horizon's end to the artificial setpoints"),
         ({"rate_bounds": [1.0, -1.0]}, "rate_bounds"),
         ({"disturbance": "state"}, "disturbance = 'state' is not possible"),
     ],

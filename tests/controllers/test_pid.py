@@ -13,6 +13,7 @@ from ddpc_cosim import Action, ConfigError, DataError, FloatArray, Recording, Sa
 from .loops import (
     ANGLE,
     DEGREE,
+    LinearPlant,
     close_loop,
     experiment,
     make_loop,
@@ -120,6 +121,33 @@ def test_a_lost_measurement_holds_the_input() -> None:
     assert (answer.u.tolist(), answer.status) == ([0.7], "a measurement is not finite: inputs held")
 
 
+def test_a_reference_that_is_missing_holds_the_input_and_is_forgotten() -> None:
+    controller = PID(proportional=1.0, integral=1.0)
+    controller.start(FREE)
+    y, reference = np.zeros((4, 1)), np.array([[1.0], [np.nan], [1.0], [1.0]])
+    assert inputs(controller, y, reference)[:, 0] == pytest.approx([1.1, 1.1, 1.2, 1.3])
+    lost = controller.step(Sample(4, 0.4, y[0], y[0], np.full((1, 1), np.nan)))
+    assert isinstance(lost, Action)
+    assert lost.status == "a reference is not finite: inputs held"
+
+
+def test_the_derivative_knows_how_long_the_output_was_lost() -> None:
+    controller = PID(proportional=0.0, derivative=1.0)
+    controller.start(FREE)
+    ramp = 0.1 * np.arange(12.0)[:, np.newaxis]
+    ramp[4:8] = np.nan
+    u = inputs(controller, ramp, np.zeros((12, 1)))
+    assert u[1:, 0] == pytest.approx(np.full(11, -1.0))
+
+
+@pytest.mark.parametrize("method", ["back-calculation", "clamping"])
+def test_without_integral_action_the_bias_stays_through_a_limit(method: Any) -> None:
+    controller = PID(proportional=10.0, anti_windup=method)
+    controller.start(make_loop(None, np.ones(1), np.ones(1)))
+    u = inputs(controller, np.zeros((6, 1)), np.array([[1.0]] * 5 + [[0.0]]))
+    assert u[:, 0].tolist() == [1.0] * 5 + [0.0]
+
+
 @pytest.mark.parametrize("delay", [0, 3])
 @pytest.mark.parametrize("source", ["step", "excitation"])
 def test_the_second_order_model_of_the_pendulum_is_found(delay: int, source: str) -> None:
@@ -155,6 +183,37 @@ def test_the_tuned_loop_tracks_the_pendulum_without_offset() -> None:
     assert np.abs(error).max() < 0.1
     assert np.abs(run.u).max() <= 3.5
     assert controller.diagnostics()["integral[0]"] > 0.0
+
+
+def tuned_error(plant: LinearPlant) -> float:
+    """Return the largest error of the last 100 of 1500 samples after a unit step of the reference."""
+    u = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 1))
+    recording = experiment(plant.advance, u, 2, plant.c)
+    loop = make_loop(recording, np.array([np.inf]), np.array([np.inf]))
+    run = close_loop(PID(tuning="step-test"), loop, plant.advance, plant.c, np.ones((1502, 1)), steps=1500)
+    return float(np.abs(run.y[-100:] - 1.0).max())
+
+
+@pytest.mark.parametrize("damping", [0.3, 0.05, 0.01])
+@pytest.mark.parametrize("frequency", [1.0, 3.0])
+def test_a_lightly_damped_plant_is_tuned_to_a_stable_loop(damping: float, frequency: float) -> None:
+    squared = frequency**2
+    continuous = control.ss(
+        [[0.0, 1.0], [-squared, -2.0 * damping * frequency]], [[0.0], [squared]], [[1.0, 0.0]], 0.0
+    )
+    sampled = control.c2d(continuous, H)
+    assert tuned_error(LinearPlant(sampled.A, sampled.B, sampled.C)) < 1e-5
+
+
+@pytest.mark.parametrize("zero", [1.05, 1.3, 3.0])
+def test_an_inverse_response_counts_as_delay(zero: float) -> None:
+    # (z - zero) / ((z - 0.7) (z - 0.5)), of gain one: a first-order factor 1 - T s has its zero at 1 / T.
+    numerator = 0.15 * np.array([[-1.0, zero]]) / (zero - 1.0)
+    plant = LinearPlant(np.array([[1.2, -0.35], [1.0, 0.0]]), np.array([[1.0], [0.0]]), numerator)
+    u = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 1))
+    model = fit_second_order(experiment(plant.advance, u, 2, plant.c), 0, 0)
+    assert model.delay == pytest.approx(H / np.log(zero))
+    assert tuned_error(plant) < 1e-6
 
 
 @pytest.mark.parametrize(

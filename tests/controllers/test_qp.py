@@ -89,6 +89,55 @@ def test_a_past_that_the_data_exclude_is_a_fault() -> None:
     assert "no combination of the recorded windows" in qp.solve(np.array([0.5, 0.4, 1.0])).fault
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e-6, 1e6])
+def test_a_past_far_beyond_the_recorded_ones_is_judged_by_its_own_size(scale: float) -> None:
+    law = CondensedProblem(
+        excess_law=np.zeros((0, 3)),
+        excess_gain=np.zeros((0, 1)),
+        move_law=np.array([[1.0, 0.0, 0.0]]),
+        move_gain=np.zeros((1, 1)),
+        conflict_law=np.array([[1.0 / scale, -1.0, 0.0]]),  # the first signal is in other units
+    )
+    qp = ParametricQP(law, *WIDE)
+    assert qp.solve(np.array([1e6 * scale, 1e6 + 0.1, 1.0])).fault == ""
+    assert qp.solve(np.array([1e6 * scale, 1e6 + 1e2, 1.0])).fault != ""
+    assert qp.solve(np.array([1e-9 * scale, -1e-9, 1.0])).fault == ""
+    assert qp.solve(np.array([1e-3 * scale, 0.0, 1.0])).fault != ""
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_an_input_at_its_limit_is_exactly_there(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    low, high = np.sort(10.0 ** rng.uniform(-6.0, 6.0) * rng.standard_normal((2, 1)), axis=0)
+    gain, span = rng.standard_normal(1), high - low
+    law = CondensedProblem(
+        excess_law=np.array([[1.0 / span[0], -high[0] / span[0]], [-1.0 / span[0], low[0] / span[0]]]),
+        excess_gain=np.array([gain, -gain]) / span,
+        move_law=np.array([[1.0, 0.0]]),
+        move_gain=gain[np.newaxis],
+        conflict_law=np.zeros((0, 2)),
+    )
+    qp = ParametricQP(law, low, high)
+    for wanted, limit in ((high + 0.7 * span, high), (low - 0.3 * span, low), (high + span / 3.0, high)):
+        move = qp.solve(np.array([wanted[0], 1.0]))
+        assert move.fault == ""
+        assert np.array_equal(move.u, limit)
+
+
+def test_an_input_without_a_limit_that_is_not_finite_is_a_fault() -> None:
+    law = CondensedProblem(
+        excess_law=np.array([[1.0, -1.0]]),
+        excess_gain=np.array([[1.0]]),
+        move_law=np.array([[1.0, 0.0]]),
+        move_gain=np.array([[1.0]]),
+        conflict_law=np.zeros((0, 2)),
+    )
+    move = ParametricQP(law, np.array([-np.inf]), np.array([1.0])).solve(np.array([-np.inf, 1.0]))
+    assert "not finite" in move.fault
+    assert np.isfinite(move.u).all()
+
+
 def test_the_move_is_the_callers_to_keep() -> None:
     qp = ParametricQP(problem(-np.ones((1, 1)), np.ones((1, 1))), *WIDE)
     first = qp.solve(np.array([0.5, 1.0])).u

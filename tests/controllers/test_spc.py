@@ -12,6 +12,7 @@ from ddpc_cosim import Action, FloatArray, Recording, Sample
 from .loops import (
     ANGLE,
     LinearPlant,
+    Run,
     before,
     close_loop,
     experiment,
@@ -37,43 +38,59 @@ def tracked(response: FloatArray, free: FloatArray, q: float, r: float, limit: f
     return np.asarray(solver.result.x)
 
 
-def data_blocks(recording: Recording, past: int, horizon: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return (past, future inputs, future outputs) as they stand in the textbooks."""
-    m, p = recording.u.shape[1], recording.y.shape[1]
-    u, y = hankel_matrix(recording.u, past + horizon), hankel_matrix(recording.y, past + horizon)
-    return np.vstack([u[: past * m], y[: past * p]]), u[past * m :], y[past * p :]
+def data_blocks(
+    recording: Recording, past: int, horizon: int, current: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (past, future inputs, future outputs) as they stand in the textbooks.
+
+    With ``current``, the output measured before the first of the future inputs is of the past.
+    """
+    m, p, known = recording.u.shape[1], recording.y.shape[1], past + current
+    u = hankel_matrix(recording.u[: len(recording) - current], past + horizon)
+    y = hankel_matrix(recording.y, known + horizon)
+    return np.vstack([u[: past * m], y[: known * p]]), u[past * m :], y[known * p :]
 
 
+def past_of(run: Run, k: int, past: int, current: bool) -> FloatArray:
+    """Return the past of sample k of a single loop that starts from rest."""
+    known = before(run.y, run.y[0], k + current, past + current)
+    return np.vstack([before(run.u, np.zeros(1), k, past), known])[:, 0]
+
+
+@pytest.mark.parametrize("current", [True, False])
 @pytest.mark.parametrize("torque", [10.0, 1.8])
-def test_the_prediction_is_least_squares(paper_recording: Recording, torque: float) -> None:
-    controller = SPC(horizon=8, output_weight=500.0, input_weight=0.5)
+def test_the_prediction_is_least_squares(paper_recording: Recording, torque: float, current: bool) -> None:
+    controller = SPC(horizon=8, output_weight=500.0, input_weight=0.5, use_current_output=current)
     run = close_loop(
         controller, pendulum_loop(paper_recording, torque), quick_pendulum, ANGLE, paper_reference(), 130
     )
-    past, u, y = data_blocks(paper_recording, 3, 8)
+    past, u, y = data_blocks(paper_recording, 3, 8, current)
     predictor = y @ np.linalg.pinv(np.vstack([past, u]))
     for k, sample in enumerate(run.samples):
-        window = np.vstack([before(run.u, np.zeros(1), k, 3), before(run.y, run.y[0], k, 3)])[:, 0]
-        free = predictor[:, :6] @ window - sample.reference[:, 0]
-        optimum = tracked(predictor[:, 6:], free, 500.0, 0.5, torque)
+        free = predictor[:, : len(past)] @ past_of(run, k, 3, current) - sample.reference[:, 0]
+        optimum = tracked(predictor[:, len(past) :], free, 500.0, 0.5, torque)
         assert run.u[k, 0] == pytest.approx(optimum[0], abs=1e-6)
     assert (np.abs(run.u).max() == torque) == (torque < 3.0)
 
 
-def test_gamma_ddpc_is_the_factorised_problem(paper_recording: Recording) -> None:
-    controller = GammaDDPC(beta_2=0.3, beta_3=20.0, output_weight=50.0, input_weight=0.5)
+@pytest.mark.parametrize("current", [True, False])
+def test_gamma_ddpc_is_the_factorised_problem(paper_recording: Recording, current: bool) -> None:
+    controller = GammaDDPC(
+        beta_2=2e-3, beta_3=0.1, output_weight=50.0, input_weight=0.5, use_current_output=current
+    )
     run = close_loop(
         controller, pendulum_loop(paper_recording, 1e3, 1e4), quick_pendulum, ANGLE, paper_reference(), 60
     )
-    lower = np.linalg.qr(np.vstack(data_blocks(paper_recording, 3, 5)).T, mode="r").T
+    data = np.vstack(data_blocks(paper_recording, 3, 5, current))
+    lower = np.linalg.qr(data.T / np.sqrt(data.shape[1]), mode="r").T
+    known = 6 + current
     for k, sample in enumerate(run.samples):
-        window = np.vstack([before(run.u, np.zeros(1), k, 3), before(run.y, run.y[0], k, 3)])[:, 0]
-        gamma_1 = np.linalg.solve(lower[:6, :6], window)
-        fixed = lower[6:, :6] @ gamma_1
-        free = lower[6:, 6:]
+        gamma_1 = np.linalg.solve(lower[:known, :known], past_of(run, k, 3, current))
+        fixed = lower[known:, :known] @ gamma_1
+        free = lower[known:, known:]
         weights = np.repeat([0.5, 50.0], 5)
         target = np.concatenate([np.zeros(5), sample.reference[:, 0]]) - fixed
-        hessian = free.T @ (weights[:, np.newaxis] * free) + np.diag(np.repeat([0.3, 20.0], 5))
+        hessian = free.T @ (weights[:, np.newaxis] * free) + np.diag(np.repeat([2e-3, 0.1], 5))
         gamma = np.linalg.solve(hessian, free.T @ (weights * target))
         assert run.u[k, 0] == pytest.approx((fixed + free @ gamma)[0], abs=1e-7)
 
@@ -89,14 +106,15 @@ def test_a_high_price_of_the_projection_gives_spc_back(paper_recording: Recordin
     loop, reference = pendulum_loop(paper_recording), paper_reference()
     weights: dict[str, Any] = {**REGULATION, "output_weight": 500.0, "input_weight": 0.5}
     spc = close_loop(SPC(**weights), loop, quick_pendulum, ANGLE, reference, 60)
-    deepc = DeePC(regulariser="projection", lambda_g=1e9, slack=False, **weights)
+    deepc = DeePC(regulariser="projection", lambda_g=1e9, slack=False, use_current_output=True, **weights)
     assert np.abs(spc.u - close_loop(deepc, loop, quick_pendulum, ANGLE, reference, 60).u).max() < 1e-6
 
 
+@pytest.mark.parametrize("current", [True, False])
 @pytest.mark.parametrize(("inputs", "outputs"), [(1, 1), (2, 2), (2, 1)])
 @pytest.mark.parametrize("limit", [0.4, 50.0])
 def test_on_a_linear_plant_deepc_spc_and_mpc_with_the_true_model_coincide(
-    inputs: int, outputs: int, limit: float
+    inputs: int, outputs: int, limit: float, current: bool
 ) -> None:
     rng = np.random.default_rng(10 * inputs + outputs)
     plant = LinearPlant.random(rng, 3, inputs, outputs)
@@ -104,16 +122,18 @@ def test_on_a_linear_plant_deepc_spc_and_mpc_with_the_true_model_coincide(
     loop = make_loop(recording, np.full(inputs, limit), np.full(outputs, np.inf))
     reference = np.repeat(rng.uniform(-1.0, 1.0, (5, outputs)), 20, axis=0)
     horizon = 8
-    # Outputs y_k ... y_k+N-1 of the state and the inputs u_k ... u_k+N-1: the model, written out.
-    powers = [np.linalg.matrix_power(plant.a, i) for i in range(horizon)]
-    observability = np.vstack([plant.c @ power for power in powers])
+    # Outputs of the state and the inputs u_k ... u_k+N-1: the model, written out. The first is y_k, or y_k+1
+    # where y_k is known.
+    powers = [np.linalg.matrix_power(plant.a, i) for i in range(horizon + 1)]
+    observability = np.vstack([plant.c @ power for power in powers[current : current + horizon]])
     response = np.zeros((horizon * outputs, horizon * inputs))
     for i in range(horizon):
-        for j in range(i):
+        for j in range(i + current):
             rows, columns = slice(i * outputs, (i + 1) * outputs), slice(j * inputs, (j + 1) * inputs)
-            response[rows, columns] = plant.c @ powers[i - j - 1] @ plant.b
+            response[rows, columns] = plant.c @ powers[i + current - j - 1] @ plant.b
 
     common: dict[str, Any] = {"horizon": horizon, "output_weight": 10.0, "input_weight": 0.1, **REGULATION}
+    common["use_current_output"] = current
     controllers = [
         SPC(**common),
         DeePC(lambda_g=1e-9, slack=False, **common),
@@ -178,15 +198,59 @@ def test_a_plant_without_bounds(paper_recording: Recording, online_data: str) ->
         controller, pendulum_loop(paper_recording, 1e5, 1e5), quick_pendulum, ANGLE, paper_reference(), 60
     )
     assert run.u == pytest.approx(wide.u, abs=1e-9)
-    missing = np.array([np.nan])
-    controller.step(Sample(60, 6.0, missing, missing, np.zeros((5, 1))))
-    answer = controller.step(Sample(61, 6.1, np.zeros(1), np.zeros(1), np.zeros((5, 1))))
-    assert isinstance(answer, Action)
-    assert "not finite" in answer.status
-    assert answer.u == pytest.approx([0.0])
+    missing, known = np.array([np.nan]), np.zeros(1)
+    for y, reference in ((missing, np.zeros((5, 1))), (known, np.full((5, 1), np.nan))):
+        answer = controller.step(Sample(60, 6.0, y, y, reference))
+        assert isinstance(answer, Action)
+        assert "not finite" in answer.status
+        assert np.isfinite(answer.u).all()
 
 
 def test_the_recording_is_diagnosed(paper_recording: Recording) -> None:
     controller = SPC()
     controller.start(pendulum_loop(paper_recording))
-    assert controller.diagnostics()["data_rank"] == 16
+    assert controller.diagnostics()["data_rank"] == 17
+
+
+@pytest.mark.parametrize("kind", [SPC, GammaDDPC])
+def test_a_moving_reference_is_met_in_its_own_sample(kind: type[SPC]) -> None:
+    plant = LinearPlant(np.array([[0.9]]), np.array([[0.1]]), np.eye(1))
+    recording = experiment(plant.advance, np.random.default_rng(0).uniform(-1.0, 1.0, (200, 1)), 1, plant.c)
+    loop = make_loop(recording, np.full(1, 3.0), np.full(1, np.inf))
+    ramp = np.minimum(0.02 * np.arange(80.0), 0.8)[:, np.newaxis]
+    run = close_loop(kind(horizon=8, input_weight=0.01), loop, plant.advance, plant.c, ramp, 60)
+    assert np.abs(run.y - ramp[:60]).max() < 1e-3  # a sample early would be 0.02
+
+
+def test_the_prices_of_gamma_ddpc_mean_the_same_for_a_recording_of_any_length() -> None:
+    plant = LinearPlant(np.array([[0.9]]), np.array([[0.1]]), np.eye(1))
+    u = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 1))
+    noise = 1e-2 * np.random.default_rng(1).standard_normal((1600, 1))
+
+    def first_input(times: int, beta_2: float) -> float:
+        clean = experiment(plant.advance, np.tile(u, (times, 1)), 1, plant.c)
+        recording = Recording(clean.u, clean.y + noise[: len(clean)], clean.measured, 0.1)
+        controller = GammaDDPC(beta_2=beta_2, beta_3=5.0, output_weight=1.0, input_weight=0.01)
+        controller.start(make_loop(recording, np.full(1, 500.0), np.full(1, np.inf)))
+        answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.ones((5, 1))))
+        assert not isinstance(answer, Action)
+        return float(answer[0])
+
+    priced = first_input(1, 0.05)
+    assert priced < 0.5 * first_input(1, 0.0)
+    assert [first_input(times, 0.05) for times in (2, 8)] == pytest.approx([priced] * 2, rel=0.02)
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+@pytest.mark.parametrize("kind", [SPC, GammaDDPC])
+def test_of_inputs_that_do_the_same_the_setpoint_nearest_to_rest_is_chosen(
+    kind: type[SPC], terminal: bool
+) -> None:
+    plant = LinearPlant(np.array([[0.9]]), np.array([[0.1, 0.05]]), np.eye(1))
+    u = np.random.default_rng(0).uniform(-1.0, 1.0, (300, 2))
+    loop = make_loop(experiment(plant.advance, u, 1, plant.c), np.ones(2), np.full(1, np.inf))
+    controller = kind(artificial_setpoint=True, terminal_equality=terminal)
+    run = close_loop(controller, loop, plant.advance, plant.c, np.full((80, 1), 0.5), 60)
+    # y = u_1 + u_2 / 2: the least inputs with y = 0.5.
+    assert run.u[-1] == pytest.approx([0.4, 0.2], abs=1e-4)
+    assert run.y[-1] == pytest.approx([0.5], abs=1e-5)

@@ -120,7 +120,7 @@ def test_a_case_that_failed_exits_with_1_and_is_explained(folder: Path, write_st
     )
     assert (folder / "runs" / "study" / "report.html").is_file()
     (row,) = (line for line in result.stdout.splitlines() if line.startswith(" mfapc"))
-    assert row.split()[:5] == ["mfapc", "-", "-", "-", "-"]
+    assert row.split()[:4] == ["mfapc", "-", "-", "-"]
     assert row.split()[-1] == "0/1"
 
 

@@ -167,7 +167,7 @@ def test_a_stabiliser_that_answers_with_another_shape_is_named() -> None:
         def step(self, sample: Sample) -> Action:
             return Action(np.full(2, np.nan))
 
-    with pytest.raises(ControllerError, match=r"Wrong.step returned \[nan, nan\], during the experiment"):
+    with pytest.raises(ControllerError, match=r"Wrong.step returned \[nan, nan\], .*, during the exp"):
         experiment(Wrong())
 
 

@@ -8,6 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from ddpc_cosim.interrupts import Terminated, orderly_end
+
+from .fmu_faults.processes import Watch, descendants
+
 Run = Callable[..., subprocess.CompletedProcess[str]]
 WriteStudy = Callable[..., Path]
 
@@ -29,9 +33,26 @@ class Blocked(Controller):
 """
 
 
-@pytest.mark.parametrize("to_the_group", [True, False], ids=["terminal", "process alone"])
+@pytest.mark.parametrize(
+    ("request_to_end", "to_the_group", "exit_code", "told"),
+    [
+        (signal.SIGINT, True, 130, "interrupted"),
+        (signal.SIGINT, False, 130, "interrupted"),
+        (signal.SIGTERM, True, 143, "terminated"),
+        (signal.SIGTERM, False, 143, "terminated"),
+        (signal.SIGKILL, False, -9, None),
+    ],
+    ids=["Ctrl-C", "kill -INT", "service manager", "kill", "kill -9"],
+)
 def test_an_interrupted_run_goes_on(
-    to_the_group: bool, write_study: WriteStudy, tmp_path: Path, program: str, run_program: Run
+    request_to_end: signal.Signals,
+    to_the_group: bool,
+    exit_code: int,
+    told: str | None,
+    write_study: WriteStudy,
+    tmp_path: Path,
+    program: str,
+    run_program: Run,
 ) -> None:
     """A terminal sends the signal to all processes of the run, ``kill`` to the first one only."""
     (tmp_path / "blocked.py").write_text(BLOCKED, encoding="utf-8")
@@ -57,16 +78,19 @@ def test_an_interrupted_run_goes_on(
         said.append(line)
         if line == "blocked\n":
             break
-    (os.killpg if to_the_group else os.kill)(process.pid, signal.SIGINT)
+    family = Watch(descendants(process.pid))
+    (os.killpg if to_the_group else os.kill)(process.pid, request_to_end)
     # The pipe ends when the last process that holds it has ended: no worker is left behind.
     rest = process.communicate(timeout=60)[1]
-    assert process.returncode == 130, said
-    assert "interrupted: finished cases are kept; the same command goes on from there" in rest
+    assert process.returncode == exit_code, said
+    if told:
+        assert f"{told}: finished cases are kept; the same command goes on from there" in rest
     assert "Traceback" not in rest
+    assert family.wait(60.0) == []
+    assert list((tmp_path / "scratch").iterdir()) == []
 
     kept = {path.name: (path / "run.json").stat().st_mtime_ns for path in (tmp_path / "out/cases").iterdir()}
     assert sorted(name.rpartition("_")[0] for name in kept) == ["mfapc_seed0", "mfapc_seed1"]
-    assert list((tmp_path / "scratch").iterdir()) == []
 
     done = run_program(*arguments)
     assert done.returncode == 0, done.stderr
@@ -74,3 +98,27 @@ def test_an_interrupted_run_goes_on(
     after = {path.name: (path / "run.json").stat().st_mtime_ns for path in (tmp_path / "out/cases").iterdir()}
     assert len(after) == 4
     assert kept.items() <= after.items()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_request_ends_the_process_at_once(number: signal.Signals) -> None:
+    requests = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.getsignal(request) for request in requests]
+    with orderly_end():
+        with pytest.raises(KeyboardInterrupt) as caught:
+            signal.raise_signal(number)
+        assert isinstance(caught.value, Terminated) == (number == signal.SIGTERM)
+        assert [signal.getsignal(request) for request in requests] == [signal.SIG_DFL] * 2
+    assert [signal.getsignal(request) for request in requests] == before
+
+
+def test_what_a_background_job_ignores_stays_ignored() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with orderly_end():
+            signal.raise_signal(signal.SIGINT)
+            with pytest.raises(Terminated):
+                signal.raise_signal(signal.SIGTERM)
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)

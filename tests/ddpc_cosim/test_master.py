@@ -12,6 +12,7 @@ from ddpc_cosim import (
     Action,
     Constant,
     Controller,
+    ControllerError,
     FloatArray,
     GaussianNoise,
     Loop,
@@ -175,6 +176,21 @@ def test_an_event_is_due_at_the_first_sample_at_or_after_its_time(time: float, b
     assert before in diary[:at]
 
 
+@pytest.mark.parametrize("time", [1e6, 12345678.3])
+def test_an_event_is_on_time_after_any_number_of_samples(time: float) -> None:
+    """The rounding error of k * sampling_time grows with k."""
+    diary: list[Call] = []
+    close_loop(
+        Integrators(diary=diary),
+        Scripted(diary=diary),
+        sampling_time=0.1,
+        start_time=time - 0.5,
+        duration=1.0,
+        events=[ParameterChange(time, {"gain": 2.0})],
+    )
+    assert diary[diary.index(("set", {"gain": 2.0})) + 1] == ("decide", 5)
+
+
 def test_events_happen_in_the_order_of_their_times() -> None:
     diary: list[Call] = []
     events = [ParameterChange(1.0, {"gain": 3.0}), ParameterChange(0.5, {"gain": 2.0})]
@@ -298,7 +314,59 @@ def test_a_recording_made_before_is_handed_on() -> None:
     recording = Recording(np.ones((4, 1)), np.ones((4, 1)), np.ones((4, 2)), 0.5)
     controller = Scripted()
     close_loop(Integrators(), controller, recording=recording)
-    assert controller.loop.recording is recording
+    handed = controller.loop.recording
+    assert handed is not None
+    for name in ("u", "y", "measured"):
+        assert np.shares_memory(getattr(handed, name), getattr(recording, name))
+
+
+@pytest.mark.parametrize("name", ["u", "y", "measured"])
+def test_a_controller_cannot_change_what_others_learn_from(name: str) -> None:
+    class Careless(Scripted):
+        def start(self, loop: Loop) -> None:
+            getattr(loop.recording, name)[:] = 7.0
+
+    recording = Recording(np.ones((4, 1)), np.ones((4, 1)), np.ones((4, 2)), 0.5)
+    with pytest.raises(ControllerError, match="read-only"):
+        close_loop(Integrators(), Careless(), recording=recording)
+    assert np.all(getattr(recording, name) == 1.0)
+    getattr(recording, name)[:] = 2.0  # it stays its owner's
+
+
+def test_a_controller_can_do_with_its_sample_what_it_likes() -> None:
+    class Careless(Scripted):
+        def step(self, sample: Sample) -> FloatArray:
+            sample.y[:] = sample.measured[:] = 7.0
+            return super().step(sample)
+
+    careful, careless = (close_loop(Integrators(), kind()) for kind in (Scripted, Careless))
+    assert careless.y.tobytes() == careful.y.tobytes()
+    assert careless.measured.tobytes() == careful.measured.tobytes()
+
+
+def test_a_controller_cannot_move_its_limits() -> None:
+    class Greedy(Scripted):
+        def start(self, loop: Loop) -> None:
+            loop.bounds.u_max[:] = 1e9
+
+    with pytest.raises(ControllerError, match="read-only"):
+        close_loop(Integrators(), Greedy())
+
+
+def test_a_plant_can_do_with_its_inputs_what_it_likes() -> None:
+    class Careless(Integrators):
+        def step(self, u: FloatArray, h: float) -> FloatArray:
+            y = super().step(u, h)
+            u[:] = 7.0
+            return y
+
+    excitation = UniformRandom(-1.0, 1.0, 20)
+    for plant in (Integrators(), Careless()):
+        controller = Scripted()
+        trace = close_loop(plant, controller, excitation=excitation)
+        assert np.array_equal(trace.u[:, 0], np.ones(5))
+        assert controller.loop.recording is not None
+        assert np.array_equal(controller.loop.recording.u, excitation.draw(1))
 
 
 def test_status_and_time_of_each_step_are_kept() -> None:

@@ -20,11 +20,13 @@ from ddpc_cosim import (
     ParameterChange,
     Plant,
     Recording,
+    Reference,
     Sample,
     Trace,
     UniformRandom,
     Variable,
     cosimulate,
+    record,
 )
 
 Arrays = tuple[FloatArray, FloatArray, FloatArray]
@@ -57,9 +59,23 @@ class Answering(Controller):
 
     def step(self, sample: Sample) -> FloatArray:
         answer = self.third if sample.k == 2 else np.array([0.5])
-        if isinstance(answer, Exception):
+        if isinstance(answer, BaseException):
             raise answer
         return answer
+
+
+class Strange(Reference):
+    """Answers with what it is given."""
+
+    def __init__(self, answer: Any) -> None:
+        self.answer = answer
+
+    def at(self, time: FloatArray) -> FloatArray:
+        answer: FloatArray = self.answer + np.zeros(1)
+        return answer
+
+
+A_RECORDING = Recording(np.ones((3, 1)), np.ones((3, 1)), np.ones((3, 1)), 0.5)
 
 
 def close_loop(controller: Controller, **settings: Any) -> Trace:
@@ -81,8 +97,15 @@ def close_loop(controller: Controller, **settings: Any) -> Trace:
         (np.array([np.inf]), "returned [inf], shape (1,)"),
         (np.zeros(2), "returned [0.0, 0.0], shape (2,)"),
         (0.5, "returned 0.5, shape ()"),
-        (None, "returned nan, shape ()"),
-        ("much", "Answering.step raised ValueError"),
+        (None, "returned None, shape ()"),
+        ("much", "returned 'much', shape ()"),
+        (["0.5"], "returned ['0.5'], shape (1,)"),
+        (np.array([0.5 + 1j]), "returned [(0.5+1j)], shape (1,)"),
+        (np.zeros(1000), "returned [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ...], shape (1000,)"),
+        ([[0.5], [0.5, 0.5]], "Answering.step raised ValueError"),
+        (SystemExit("enough"), "Answering.step raised SystemExit: enough"),
+        (RecursionError("too deep"), "Answering.step raised RecursionError: too deep"),
+        (MemoryError(), "Answering.step raised MemoryError"),
     ],
 )
 def test_a_controller_that_fails_ends_the_run_and_its_samples_are_kept(answer: Any, words: str) -> None:
@@ -146,6 +169,38 @@ def test_an_error_of_the_start_is_raised() -> None:
         ({"outputs": ["a", "b"]}, ["reference: give one for each output: a, b"]),
         ({"continue_recording": True}, ["continue_recording needs an excitation"]),
         ({"events": [ParameterChange(0.0, {"gain": 1.0})]}, ["Doubler: no tunable parameters (gain)"]),
+        (
+            {"events": [ParameterChange(time, {"gain": 1.0}) for time in (2.0, 99.0, np.nan)]},
+            [
+                "events: the one at t = 2 s would not happen: the run ends at t = 2 s; choose an earlier",
+                "events: the one at t = 99 s would not happen",
+                "events: the one at t = nan s would not happen",
+            ],
+        ),
+        ({"duration": 1e300}, ["duration / sampling_time = 2e+300 samples; allowed: 1 to 1e+08"]),
+        ({"sampling_time": "0.5"}, ["sampling_time = 0.5 is not possible"]),
+        ({"start_time": np.nan}, ["start_time = nan is not possible; allowed: a finite number"]),
+        ({"start_time": 1e17}, ["start_time = 1e+17 is too large: samples 0.5 s apart coincide there"]),
+        ({"seed": -1}, ["seed = -1 is not possible; allowed: a whole number >= 0"]),
+        ({"seed": 0.5}, ["seed = 0.5 is not possible"]),
+        ({"outputs": "a"}, ['outputs: needed: a list of names, got the text "a"']),
+        ({"outputs": ["a", "a"]}, ['outputs: "a" is listed more than once']),
+        ({"measurements": ["a", "b", "a"]}, ['measurements: "a" is listed more than once']),
+        (
+            {"bounds": {"push": 1.0, "a": (0.0, 1.0, 2.0)}},
+            ["bounds of push: needed: two numbers, got 1.0", "bounds of a: needed: two numbers, got (0.0,"],
+        ),
+        ({"reference": Constant(np.nan)}, ["reference of a: nan at t = 0 s; needed: finite"]),
+        ({"reference": Strange(np.zeros(1))}, ["reference of a: has shape (1,); needed: (6,)"]),
+        ({"reference": Strange(None)}, ["reference of a: TypeError: "]),
+        (
+            {"recording": A_RECORDING, "excitation": UniformRandom(-1.0, 1.0, 9)},
+            ["give an excitation or a recording, not both"],
+        ),
+        (
+            {"excitation": UniformRandom((-1, -1), 1, 9)},
+            ["uniform excitation: low = (-1, -1); needed: a num"],
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused(settings: dict[str, Any], faults: list[str]) -> None:
@@ -162,6 +217,63 @@ def test_a_controller_that_learns_from_a_recording_needs_one() -> None:
 
     with pytest.raises(DataError, match="Learner learns from a recording; give an excitation or a recording"):
         close_loop(Learner())
+
+
+@pytest.mark.parametrize(
+    ("settings", "fault"),
+    [({"seed": -1}, "seed = -1 is not possible"), ({"sampling_time": 0.0}, "sampling_time = 0.0 is not pos")],
+)
+def test_an_experiment_is_checked_too(settings: dict[str, Any], fault: str) -> None:
+    with pytest.raises(ConfigError, match=fault):
+        record(Doubler(), UniformRandom(-1.0, 1.0, 9), **({"sampling_time": 0.5} | settings))
+
+
+def test_a_recording_of_another_loop_is_refused() -> None:
+    other = Recording(np.ones((3, 2)), np.ones((3, 1)), np.ones((3, 4)), 0.1)
+    with pytest.raises(DataError) as caught:
+        close_loop(Answering(), recording=other)
+    assert str(caught.value) == (
+        "recording: it does not fit the loop: it has 2 inputs, the loop 1; 4 measurements, the loop 1; "
+        "sampling time 0.1 s, the loop 0.5 s"
+    )
+
+
+@pytest.mark.parametrize("horizon", [-1, 2.5, "5", None, True])
+def test_a_horizon_is_a_number_of_samples(horizon: Any) -> None:
+    class Strange(Answering):
+        pass
+
+    Strange.horizon = horizon
+    with pytest.raises(ControllerError, match=r"Strange\.horizon = .* is not possible; allowed: a whole"):
+        close_loop(Strange())
+
+
+@pytest.mark.parametrize(
+    ("diagnostics", "words"),
+    [
+        ({"rank": "full"}, "Talkative.diagnostics raised ValueError: could not convert string to float"),
+        ({"rank": None}, "Talkative.diagnostics raised TypeError"),
+        (None, "Talkative.diagnostics raised AttributeError"),
+    ],
+)
+def test_diagnostics_that_are_none_cost_no_samples(diagnostics: Any, words: str) -> None:
+    class Talkative(Answering):
+        def diagnostics(self) -> Any:
+            return diagnostics
+
+    trace = close_loop(Talkative(third=np.array([0.5])))
+    assert trace.outcome is Outcome.CONTROLLER_ERROR
+    assert trace.reason.startswith(f"after the last sample: {words}")
+    assert len(trace) == 5
+
+
+def test_settings_that_cannot_be_told_are_an_error() -> None:
+    class Silent(Answering):
+        def settings(self) -> Any:
+            raise KeyError("x")
+
+    with pytest.raises(ControllerError, match=r"Silent\.settings raised KeyError: 'x'"):
+        close_loop(Silent())
 
 
 def test_a_plant_that_diverges_during_the_experiment_gives_no_recording() -> None:

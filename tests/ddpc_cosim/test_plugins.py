@@ -176,6 +176,27 @@ def test_a_broken_plug_in_says_so_when_it_is_used(broken_site: Path) -> None:
         load_plugin("controllers", "broken")
 
 
+def test_a_name_that_two_packages_have_is_nobodys(site: Path) -> None:
+    """Which of them was meant would depend on the order of installation."""
+    info = site / "other-2.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 2.0\n", encoding="utf-8")
+    entries = (
+        "[ddpc_cosim.controllers]\nmfapc = thirdparty:Proportional\nproportional = thirdparty:Proportional\n"
+    )
+    (info / "entry_points.txt").write_text(entries, encoding="utf-8")
+    importlib.invalidate_caches()
+    with pytest.raises(PluginError) as caught:
+        load_plugin("controllers", "mfapc")
+    assert str(caught.value).startswith('there are several controllers called "mfapc": of ')
+    for origin in ("other 2.0 (thirdparty:Proportional)", "(ddpc_controllers.mfapc:MFAPC)", "; write "):
+        assert origin in str(caught.value)
+    assert load_plugin("controllers", "proportional").__name__ == "Proportional"  # the same thing twice
+    assert plugin_names("controllers").count("mfapc") == 1
+    errors = [plugin.error for plugin in installed("controllers") if plugin.name == "mfapc"]
+    assert errors == ["another package has a mfapc too; uninstall one"] * 2
+
+
 @pytest.mark.parametrize(
     ("kind", "name", "words"),
     [

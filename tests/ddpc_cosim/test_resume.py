@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ddpc_cosim import ConfigError, load_results
+from ddpc_cosim import ConfigError, CosimError, load_results
 from ddpc_cosim.executors import Update
 from ddpc_cosim.results import CaseResult, StudyResults
 from ddpc_cosim.run import Selection, run_study
@@ -190,6 +190,177 @@ def test_a_worker_that_dies_costs_one_case(write_study: WriteStudy, tmp_path: Pa
 
     again = run_program(*arguments)
     assert "3 cases to run, 2 there already" in again.stderr
+
+
+LEAVING = """
+import os
+from dataclasses import dataclass
+import numpy as np
+from ddpc_cosim import Controller, executors, storage
+
+class Odd(Exception):
+    def __init__(self, one, two):
+        super().__init__(one)
+
+@dataclass(kw_only=True)
+class Interrupts(Controller):
+    def start(self, loop):
+        raise KeyboardInterrupt
+    def step(self, sample):
+        raise AssertionError
+
+@dataclass(kw_only=True)
+class Leaves(Interrupts):
+    def start(self, loop):
+        raise SystemExit(3)
+
+@dataclass(kw_only=True)
+class Strange(Interrupts):
+    def start(self, loop):
+        raise Odd("strange", 2)
+
+@dataclass(kw_only=True)
+class DiesTelling(Interrupts):
+    def start(self, loop):
+        executors._channel.lock.acquire()
+        os._exit(3)
+
+@dataclass(kw_only=True)
+class Fills(Interrupts):
+    def start(self, loop):
+        def fail(*_):
+            raise OSError(28, "No space left on device")
+        storage._write_signals = fail
+    def step(self, sample):
+        return np.ones(1)
+"""
+
+
+def test_whatever_a_controller_raises_costs_its_case_and_no_other(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    (tmp_path / "leaving.py").write_text(LEAVING, encoding="utf-8")
+    write_study("leaving:Interrupts", "leaving:Leaves", "leaving:Strange", "mfapc")
+    done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
+    assert done.returncode == 1
+    found = {case.controller: (case.outcome, case.reason) for case in load_results(tmp_path / "out").cases}
+    early = "before the first sample: "
+    assert found == {
+        "interrupts": ("crashed", "KeyboardInterrupt"),
+        "leaves": ("controller-error", f"{early}Leaves.start raised SystemExit: 3"),
+        "strange": ("controller-error", f"{early}Strange.start raised Odd: strange"),
+        "mfapc": ("completed", ""),
+    }
+
+
+def test_a_worker_that_dies_while_it_tells_its_progress_stops_no_other(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    (tmp_path / "leaving.py").write_text(LEAVING, encoding="utf-8")
+    write_study("leaving:DiesTelling", "mfapc", duration=500.0)
+    done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
+    assert done.returncode == 1
+    found = {case.controller: case.outcome for case in load_results(tmp_path / "out").cases}
+    assert found == {"diestelling": "crashed", "mfapc": "completed"}
+
+
+def test_a_disk_that_is_full_ends_the_run_and_what_is_done_is_kept(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    (tmp_path / "leaving.py").write_text(LEAVING, encoding="utf-8")
+    write_study("mfapc", "leaving:Fills")
+    done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
+    assert done.returncode == 1
+    assert "cannot be written: No space left on device; finished cases are kept" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert [path.name.partition("_")[0] for path in (tmp_path / "out/cases").iterdir()] == ["mfapc"]
+
+
+def test_results_that_cannot_be_written_are_told(
+    write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("ddpc_cosim.results.write_whole", fail)
+    with pytest.raises(
+        CosimError, match=r"out: results cannot be written: No space left on device; finished"
+    ):
+        run(write_study("mfapc"))
+
+
+def test_several_runs_can_work_in_one_folder_at_once(
+    write_study: WriteStudy, tmp_path: Path, program: str, run_program: Run
+) -> None:
+    write_study("mfapc", seeds='["0:20"]')
+    command = [program, "run", "study.toml", "--jobs", "1", "--no-report", "--fresh", "--out", "out"]
+    pipe = subprocess.PIPE
+    processes = [
+        subprocess.Popen(command, cwd=tmp_path, stdout=pipe, stderr=pipe, text=True) for _ in range(2)
+    ]
+    errors = [process.communicate(timeout=120)[1] for process in processes]
+    assert [process.returncode for process in processes] == [0, 0], errors
+    assert len(list((tmp_path / "out/cases").iterdir())) == 20
+    assert all(case.trace().completed for case in load_results(tmp_path / "out").cases)
+
+
+def test_a_temporary_folder_of_any_length_will_do(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    """A socket's path may have about 100 bytes."""
+    scratch = tmp_path / ("x" * 100)
+    scratch.mkdir()
+    write_study("mfapc")
+    done = run_program("run", "study.toml", "--no-report", "--out", "out", TMPDIR=str(scratch))
+    assert done.returncode == 0, done.stderr
+    assert list(scratch.iterdir()) == []
+
+
+RICH = """
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+import numpy as np
+from ddpc_cosim import Controller, setting
+
+class Mode(Enum):
+    FAST = 1
+
+@dataclass(kw_only=True)
+class Rich(Controller):
+    said: Any = setting(default_factory=lambda: {"weights": np.eye(2), "pair": (1, 2.0)}, doc="said")
+    function: Any = setting(np.tanh, doc="own function")
+    local: Any = setting(default_factory=lambda: lambda x: x, doc="another one at each time")
+    kind: Any = setting(int, doc="class")
+    limits: Any = setting((None, 1.0), doc="limits")
+    table: Any = setting(default_factory=lambda: {1: 2}, doc="keys that are no texts")
+    choices: Any = setting(frozenset("a"), doc="set")
+    mode: Any = setting(Mode.FAST, doc="enumeration")
+    path: Any = setting(Path("x"), doc="path")
+    thing: Any = setting(default_factory=object, doc="object")
+    nothing: Any = setting(None, doc="nothing")
+    def __post_init__(self):
+        self.path = Path(self.path)
+    def start(self, loop):
+        assert callable(self.function) and callable(self.local) and self.kind is int
+    def step(self, sample):
+        return np.ones(1)
+"""
+
+
+def test_settings_that_a_study_file_cannot_say_keep_their_defaults(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    (tmp_path / "wealthy.py").write_text(RICH, encoding="utf-8")
+    study = write_study("wealthy:Rich")
+    study.write_text(study.read_text(encoding="utf-8") + 'settings = { path = "y" }', encoding="utf-8")
+    done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    (controller,) = load_results(tmp_path / "out").study.controllers.values()
+    assert controller.settings == {"said": {"weights": [[1, 0], [0, 1]], "pair": [1, 2.0]}, "path": "y"}
+    again = run_program("run", "out/study.toml", "--jobs", "1", "--no-report", "--out", "out")
+    assert "0 cases to run, 1 there already" in again.stderr
 
 
 @pytest.mark.parametrize("out", ["file", "file/below"])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from ddpc_cosim import ConfigError, Constant, GaussianNoise, Ramp, Sine, Steps, UniformRandom
@@ -22,6 +22,7 @@ def test_steps_take_each_value_from_its_instant_on() -> None:
 
 
 @given(st.integers(1, 4000), st.sampled_from([0.1, 0.3, 0.7, 1e-3]), st.floats(0, 1e4))
+@example(k=3, h=1e-9, t0=0.0)
 def test_a_step_is_not_missed_by_a_rounding_error_of_the_time(k: int, h: float, t0: float) -> None:
     """The instant may be written as a sum or as a product: the sample k is at it or after it either way."""
     steps = Steps([0.0, k * h + t0], [0.0, 1.0])
@@ -68,6 +69,12 @@ def test_each_input_has_its_own_range() -> None:
         (lambda: Steps([1.0, 1.0], [1.0, 2.0]), ["times must increase"]),
         (lambda: Ramp(0.0, 1.0, 2.0, 2.0), ["stop_time (2) must be after start_time (2)"]),
         (lambda: UniformRandom(1.0, -1.0, 0), ["samples = 0", "low (1.0) must be below high (-1.0)"]),
+        (lambda: Steps([0.0, np.nan], [1.0, 2.0]), ["times must increase"]),
+        (lambda: Ramp(0.0, 1.0, np.nan, 2.0), ["stop_time (2) must be after start_time (nan)"]),
+        (lambda: UniformRandom(-np.inf, np.nan, 1), ["low (-inf) and high (nan) must be finite"]),
+        (lambda: UniformRandom((0, 0), (1, 1, 1), 1), ["low ((0, 0)) and high ((1, 1, 1)) need the same"]),
+        (lambda: UniformRandom(0, 1, 1.5, -1), ["samples = 1.5", "seed = -1 is not possible"]),
+        (lambda: UniformRandom((0, 0), (1, 1), 9).draw(1), ["low = (0, 0); needed: a number, or 1"]),
         (lambda: GaussianNoise({"a": -1.0, "b": np.nan}), ["of a = -1.0", "of b = nan"]),
     ],
 )

@@ -1,5 +1,6 @@
 """A case on disk: written, read back, damaged."""
 
+import errno
 import json
 import math
 from pathlib import Path
@@ -11,10 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from ddpc_cosim import ConfigError, DisplayUnit, Outcome, Trace, Variable, load_results
+from ddpc_cosim import ConfigError, CosimError, DisplayUnit, Outcome, Trace, Variable, load_results, storage
 from ddpc_cosim.controller import Bounds
 from ddpc_cosim.results import load_case
-from ddpc_cosim.storage import read_run, read_trace, remove_drafts, write_case
+from ddpc_cosim.storage import read_run, read_trace, write_case, write_whole
 
 HEAD = {"id": "a_seed0_1", "controller": "a", "label": "A", "scenario": "nominal", "seed": 0}
 
@@ -155,14 +156,61 @@ def test_a_case_that_cannot_be_written_leaves_the_older_one(
     write_case(tmp_path / "case", trace, HEAD)
 
     def fail(*_: object) -> None:
-        raise OSError("disk full")
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("ddpc_cosim.storage._write_signals", fail)
-    with pytest.raises(OSError, match="disk full"):
+    words = r"case: cannot be written: No space left on device; finished cases are kept"
+    with pytest.raises(CosimError, match=words):
         write_case(tmp_path / "case", trace, HEAD)
     assert len(read_trace(tmp_path / "case")) == 2
-    remove_drafts(tmp_path / "case")
     assert [path.name for path in tmp_path.iterdir()] == ["case"]
+
+
+def test_a_case_that_another_run_wrote_meanwhile_is_kept(
+    tmp_path: Path, trace: Trace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two runs may work in one folder; what decides the result of a case is in its name."""
+    write_signals = storage._write_signals
+
+    def let_the_other_in(path: Path, written: Trace) -> None:
+        monkeypatch.setattr(storage, "_write_signals", write_signals)
+        (tmp_path / "theirs").mkdir()
+        write_case(tmp_path / "case", trace, HEAD | {"label": "theirs"}, tmp_path / "theirs")
+        write_signals(path, written)
+        monkeypatch.setattr(Path, "replace", refuse_once)
+
+    replace = Path.replace
+
+    def refuse_once(path: Path, target: Path) -> Path:
+        """The other run comes between the two moves of a folder."""
+        if target == tmp_path / "case":
+            monkeypatch.setattr(Path, "replace", replace)
+            write_case(tmp_path / "case", trace, HEAD | {"label": "theirs"}, tmp_path / "theirs")
+            raise OSError(errno.ENOTEMPTY, "Directory not empty")
+        return replace(path, target)
+
+    monkeypatch.setattr(storage, "_write_signals", let_the_other_in)
+    write_case(tmp_path / "case", trace, HEAD | {"label": "ours"}, tmp_path)
+    assert load_case(tmp_path / "case").label == "theirs"
+    assert len(read_trace(tmp_path / "case")) == 2
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["case", "run.json", "signals.csv", "theirs"]
+
+
+def test_a_text_replaces_an_older_one_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_whole(tmp_path / "a", "old")
+
+    def fail(path: Path, text: str, **_: object) -> None:
+        path.touch()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", fail)
+        with pytest.raises(OSError, match="No space"):
+            write_whole(tmp_path / "a", "new")
+    assert (tmp_path / "a").read_text(encoding="utf-8") == "old"
+    write_whole(tmp_path / "a", "new\n")
+    assert (tmp_path / "a").read_bytes() == b"new\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_figures_that_do_not_exist_are_nan_again(tmp_path: Path, trace: Trace) -> None:

@@ -144,6 +144,31 @@ def test_the_command_says_so_and_writes_nothing(tmp_path: Path, monkeypatch: pyt
     assert [path.name for path in tmp_path.iterdir()] == ["study.toml"]
 
 
+NO_TOML = {
+    "a number of 5000 digits": "seeds = 1" + 5000 * "0",
+    "10000 lists": "seeds = " + 10000 * "[",
+    "a key twice": "title = 'a'\ntitle = 'b'",
+    "not UTF-8": b"title = '\xff'",
+    "nothing": "\0",
+}
+
+
+@pytest.mark.parametrize("content", NO_TOML.values(), ids=NO_TOML)
+def test_a_file_that_is_no_toml_is_named(content: str | bytes, tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(ConfigError, match=r"study\.toml: not a TOML file: ") as caught:
+        read_study(str(path))
+    assert len(str(caught.value)) < 300
+
+
+def test_a_long_value_is_cut_in_the_message(tmp_path: Path) -> None:
+    (fault,) = faults_of(changed(seeds="a" * 5000), tmp_path)
+    assert fault == f"seeds: must be a whole number, got '{'a' * 99}..."
+
+
+DRIFT = {"parameter": "mass", "from_value": 1.0, "to_value": 2.0}
+
 ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     ({"plant__name": "pendulm"}, 'plant.name: no plant "pendulm"; did you mean "pendulum"?'),
     ({"plant__name": "math:nothing"}, 'plant.name: plant "math:nothing" cannot be loaded: AttributeError'),
@@ -225,6 +250,23 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     (
         {"scenarios": {"s": {"events": [{"time": 1.0, "parameters": {"mass": -1.0}}]}}},
         "scenarios.s.events[0].parameters.mass: -1 is outside",
+    ),
+    (
+        {"scenarios": {"s": {"events": [{"time": 40.0, "parameters": {"mass": 1.0}}]}}},
+        "scenarios.s.events[0].time: the run ends at 40 s: it would not happen at 40 s; choose an earlier",
+    ),
+    ({"loop__start_time": 1e17}, "loop: start_time (1e+17) is too large: samples 0.1 s apart coincide there"),
+    (
+        {"loop__start_time": 7.0, "scenarios": {"s": {"events": [{"time": 99, "parameters": {}}]}}},
+        "scenarios.s.events[0].time: the run ends at 47 s: it would not happen at 99 s",
+    ),
+    (
+        {"scenarios": {"s": {"drifts": [DRIFT | {"from_time": 41.0, "to_time": 50.0}]}}},
+        "scenarios.s.drifts[0].from_time: the run ends at 40 s: it would not happen at 41 s",
+    ),
+    (
+        {"scenarios": {"s": {"drifts": [DRIFT | {"from_time": -2.0, "to_time": 0.0}]}}},
+        "scenarios.s.drifts[0].to_time: it would be over when the run starts at 0 s; use the scenario's",
     ),
 ]
 

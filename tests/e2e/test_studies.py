@@ -91,7 +91,7 @@ def test_every_case_ends_and_holds_its_input_bounds_exactly(name: str, results_o
 def test_what_learnt_once_fails_when_the_direction_turns(controller: str, results_of: Results) -> None:
     case = case_of(results_of("direction-change"), controller)
     assert mean_error(case, 10.0, 19.5) < 4.0
-    assert mean_error(case, 40.0, 80.0) > 8.0
+    assert mean_error(case, 20.0, 80.0) > 10.0
 
 
 @pytest.mark.parametrize(
@@ -118,13 +118,15 @@ def test_frozen_data_age_and_forgetting_data_do_not(drift: str, results_of: Resu
         assert metric(case_of(results, following, drift), "rmse") < 1.5 * constant
 
 
-def test_noise_costs_travel_and_not_tracking(results_of: Results) -> None:
+def test_noise_costs_travel_more_than_tracking(results_of: Results) -> None:
     results = results_of("noise")
-    growth = {}
+    growth, summed = {}, {}
     for controller in results.study.controllers:
         quiet, loud = (case_of(results, controller, scenario) for scenario in ("quiet", "loud"))
         assert metric(loud, "rmse") < 1.1 * metric(quiet, "rmse")
+        summed[controller] = metric(loud, "sum_abs_error") / metric(quiet, "sum_abs_error")
         growth[controller] = metric(loud, "total_variation") / metric(quiet, "total_variation")
+    assert 1.5 < max(summed.values()) < 1.67
     assert growth["mfapc"] < 1.4
     assert max(growth["deepc"], growth["wkpc"]) < 2.3
     assert min(growth["spc"], growth["pid"], growth["mpc"]) > 2.3
@@ -134,7 +136,7 @@ def test_noise_costs_travel_and_not_tracking(results_of: Results) -> None:
 def test_who_knows_of_the_coupling_hardly_moves_the_other_level(controller: str, results_of: Results) -> None:
     results = results_of("mimo")
     assert moved(case_of(results, controller)) < 0.1
-    assert min(moved(case_of(results, name)) for name in ("pid", "deepc-decentralised")) > 0.2
+    assert min(moved(case_of(results, name)) for name in ("pid", "deepc-decentralised", "mfapc")) > 0.2
 
 
 def moved(case: CaseResult) -> float:
@@ -165,8 +167,23 @@ def test_predictive_control_of_recorded_data_is_faster_than_its_stabiliser(resul
 def test_the_reactor_is_held_where_it_is_unstable(results_of: Results) -> None:
     ends = {case.controller: mean_error(case, 750.0, 870.0) for case in results_of("reactor").cases}
     assert max(ends["mpc"], ends["koopman-mpc"]) < 0.2
-    assert 0.5 < ends["deepc"] < 4.0
-    assert min(ends["mfapc"], ends["pid"]) > 5.0
+    assert 1.0 < ends["deepc"] < 2.0
+
+
+def test_of_those_that_do_not_hold_the_reactor_one_swings_and_one_stays_cold(results_of: Results) -> None:
+    results = results_of("reactor")
+    swinging, cold = (temperatures(case_of(results, name), 550.0, 870.0) for name in ("mfapc", "pid"))
+    assert swinging.max() - 340.0 > 10.0
+    assert 340.0 - swinging.min() > 10.0
+    assert cold.max() < 330.0
+    inputs = case_of(results, "pid").trace().u[100:180, 0]
+    assert np.isin(inputs, (280.0, 310.0)).mean() > 0.9
+
+
+def temperatures(case: CaseResult, since: float, until: float) -> FloatArray:
+    """Return the temperature over a time in s [K]."""
+    trace = case.trace()
+    return trace.y[(trace.time >= since) & (trace.time < until), 0]
 
 
 def test_tuning_maps_say_what_the_summary_says(results_of: Results) -> None:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -132,6 +133,34 @@ def test_the_keyboard_reads_values_too(browser: webdriver.Chrome) -> None:
     chart = one(browser, ".chart .live")
     chart.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
     wait(browser, lambda: "t = 0.2" in one(browser, ".chart .reading").text)
+
+
+def value_labels(browser: webdriver.Chrome) -> list[float]:
+    """Return the labels of the axis of values of the first chart."""
+    script = (
+        "const axis = document.querySelector('.chart .live svg').querySelectorAll('.role-axis-label')[1];"
+        "return [...axis.querySelectorAll('text')].map((text) => text.textContent)"
+    )
+    return [
+        float(text.replace("\u2212", "-").replace("\u202f", "")) for text in browser.execute_script(script)
+    ]
+
+
+def test_a_run_that_falls_over_sets_the_range_only_where_it_is_alone(
+    shared_browser: webdriver.Chrome, tmp_path: Path
+) -> None:
+    def far(key: str, seed: int) -> Trace:
+        trace = trace_of("quick" if key == "falls" else key, seed)
+        fields = {name: getattr(trace, name) for name in trace.__dataclass_fields__}
+        return Trace(**fields | {"y": 40.0 * trace.y}) if key == "falls" else trace
+
+    controllers: dict[str, dict[str, Any]] = {name: {"type": "a"} for name in ("quick", "falls", "slow")}
+    results = make_results_in(tmp_path / "results", far, controllers)
+    open_page(shared_browser, write_report([results], tmp_path / "report.html").as_uri())
+    assert max(value_labels(shared_browser)) <= 25.0
+    for name in ("c0", "c2"):
+        one(shared_browser, f"button.entry[data-name={name}]").click()
+    wait(shared_browser, lambda: max(value_labels(shared_browser)) >= 600.0)
 
 
 def test_a_drag_zooms_every_chart_and_a_double_click_resets(browser: webdriver.Chrome) -> None:

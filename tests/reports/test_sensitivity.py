@@ -1,6 +1,8 @@
 """Sweeps in the report: a map of the error for each, and nothing of them among the competitors."""
 
 import math
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import pytest
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_reports.comparison import conditions
 from ddpc_reports.page import render_page
-from ddpc_reports.sensitivity import sensitivity_figures
+from ddpc_reports.sensitivity import sensitivity_figures, sweep_statements
 
 from .synthetic import make_results_in, make_trace
 
@@ -62,6 +64,43 @@ def test_variants_are_no_competitors(results: StudyResults) -> None:
     (condition,) = conditions(results)
     assert [one.key for one in condition.competitors] == ["slow"]
     assert len(condition.variants) == 6
+
+
+def test_controllers_beside_a_sweep_have_colours_of_their_own(tmp_path: Path) -> None:
+    controllers = sections() | {"other": {"type": "x"}}
+    results = make_results_in(tmp_path, lambda key, seed: make_trace(0.5), controllers)
+    (condition,) = conditions(results)
+    assert {one.key: one.index for one in condition.competitors} == {"slow": 0, "other": 1}
+    assert {one.index for one in condition.variants} == {0}
+
+
+def test_the_verdict_names_best_and_worst_settings_and_those_lost(results: StudyResults) -> None:
+    (statement,) = sweep_statements(conditions(results)[0])
+    text = re.sub("<[^>]*>", "", str(statement.text))
+    assert text.startswith("6 settings of Slow: best ")
+    assert "with a = 1, b = 1, worst " in text
+    assert text.endswith("1 did not complete every case.")
+
+
+def test_variants_alone_give_a_report(results: StudyResults) -> None:
+    variants = tuple(case for case in results.cases if case.controller != "slow")
+    page = render_page([replace(results, cases=variants)])
+    assert "6 settings in sweeps" in page
+    assert 'id="s1-sensitivity"' in page
+
+
+def test_a_cell_that_lost_a_case_is_starred(tmp_path: Path) -> None:
+    def one_lost(key: str, seed: int) -> Trace:
+        if (key, seed) == ("slow-a-1-b-1", 7):
+            return make_trace(1.0, outcome=Outcome.DIVERGED, reason="angle is infinite")
+        return make_trace(0.5)
+
+    results = make_results_in(tmp_path, one_lost, sections(), seeds=[7, 8])
+    cells = {(row["y"], row["x"]): row for row in rows_of(results, 0)}
+    assert cells["1", "1"]["shown"].endswith(" *")
+    assert cells["1", "1"]["text"].endswith("; 1 of 2 cases did not complete")
+    assert not cells["1", "2"]["shown"].endswith("*")
+    assert "Starred" in sensitivity_figures(conditions(results)[0], "x-")[0].caption
 
 
 def test_each_cell_is_the_median_over_the_seeds(results: StudyResults) -> None:

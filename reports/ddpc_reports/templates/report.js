@@ -23,6 +23,13 @@
     });
   }
 
+  // A column comes as decimals, first value, and changes from value to value, all whole numbers.
+  function unpacked([decimals, ...changes]) {
+    let sum = 0;
+    const value = decimals < 0 ? (whole) => whole * 10 ** -decimals : (whole) => whole / 10 ** decimals;
+    return changes.map((change) => (change === null ? null : value((sum += change))));
+  }
+
   function nearest(times, time) {
     let low = 0;
     let high = times.length - 1;
@@ -56,6 +63,27 @@
     if (asked && asked[1] - asked[0] < least) return;
     for (const other of together(chart)) other.span = asked;
     tell(together(chart), "span", asked);
+    together(chart).forEach(fit);
+  }
+
+  // The range of the values: of the controllers that set it, if any of them is shown, in the time shown.
+  function fit(chart) {
+    const data = page.data[chart.data];
+    const shown = (names) => names.filter((name) => !hidden[chart.group].has(name));
+    const trusted = shown(chart.scaled);
+    const columns = (trusted.length ? trusted : shown(Object.keys(chart.lines))).map((name) => data[name]);
+    if (data.r) columns.push(data.r);
+    const [first, last] = chart.span || [-Infinity, Infinity];
+    const values = chart.span ? [] : [...chart.limits];
+    data.t.forEach((time, i) => {
+      if (time < first || time > last) return;
+      for (const column of columns) if (column[i] !== null && column[i] !== undefined) values.push(column[i]);
+    });
+    const low = values.reduce((a, b) => Math.min(a, b), Infinity);
+    const high = values.reduce((a, b) => Math.max(a, b), -Infinity);
+    if (low > high) return;
+    const margin = 0.05 * (high - low) || 0.1 * Math.abs(high) || 1;
+    tell([chart], "extent", [low - margin, high + margin]);
   }
 
   function zoomAbout(chart, time, factor) {
@@ -209,7 +237,9 @@
       for (const twin of document.querySelectorAll("button.entry")) {
         if (twin.dataset.group === group && twin.dataset.name === name) twin.setAttribute("aria-pressed", String(!set.has(name)));
       }
-      tell(charts.filter((chart) => chart.group === group), "hidden", [...set]);
+      const mine = charts.filter((chart) => chart.group === group);
+      tell(mine, "hidden", [...set]);
+      mine.filter((chart) => chart.times).forEach(fit);
     });
   }
 
@@ -264,6 +294,9 @@
     });
   }
 
+  for (const columns of Object.values(page.data)) {
+    for (const [name, packed] of Object.entries(columns)) columns[name] = unpacked(packed);
+  }
   document.querySelectorAll(".help").forEach((help) => { help.hidden = false; });
   document.querySelectorAll("table.sortable").forEach(enableSorting);
   document.querySelectorAll("button.theme").forEach(enableTheme);

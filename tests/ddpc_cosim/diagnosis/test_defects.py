@@ -12,8 +12,8 @@ from ddpc_cosim.inspection import inspect_fmu
 
 FMI2, FMI3 = "2.0", "3.0"
 
-TORQUE_2 = '<Real unit="N.m" nominal="3.5" start="0.0" />'
-TORQUE_3 = 'causality="input" variability="continuous" unit="N.m" nominal="3.5" start="0.0" />'
+TORQUE_2 = '<Real unit="N.m" start="0.0" />'
+TORQUE_3 = 'causality="input" variability="continuous" unit="N.m" start="0.0" />'
 
 # defect, where, FMI version, what is replaced by what
 DESCRIPTIONS = [
@@ -52,7 +52,7 @@ DESCRIPTIONS = [
         FMI3,
         (TORQUE_3, 'causality="input" max="2" start="9" />'),
     ),
-    ("zero-nominal", "torque", FMI2, ('nominal="3.5"', 'nominal="0"')),
+    ("zero-nominal", "torque", FMI2, (TORQUE_2, '<Real unit="N.m" nominal="0" start="0" />')),
     ("no-start", "torque", FMI2, (TORQUE_2, '<Real unit="N.m" />')),
     ("no-start", "gravity", FMI3, ('nominal="10.0" start="9.81"', 'nominal="10.0"')),
     ("needless-start", "der(angle)", FMI2, ('derivative="2"', 'derivative="2" start="1"')),
@@ -196,6 +196,17 @@ def test_a_library_of_another_name(pendulum_fmu, mutate) -> None:
     assert kinds(mutate(pendulum_fmu, renamed={library: library.replace("pendulum", "other")})) == [
         "unnamed-library"
     ]
+
+
+def test_the_file_may_lie_about_its_encoding(pendulum_fmu, tmp_path) -> None:
+    """What can be read for a run can be read for an inspection."""
+    fmu = tmp_path / "encoded.fmu"
+    with zipfile.ZipFile(pendulum_fmu) as source, zipfile.ZipFile(fmu, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            is_description = name == "modelDescription.xml"
+            target.writestr(name, content.decode("utf-8").encode("utf-16") if is_description else content)
+    assert inspect_fmu(fmu).can_run
 
 
 def test_a_library_for_another_platform(pendulum_fmu, tmp_path) -> None:

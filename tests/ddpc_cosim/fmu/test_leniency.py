@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
+from ddpc_cosim.fmu.archive import unpack
 from ddpc_cosim.fmu.session import FMUSession
+from fmu_plants.compiler import compile_library, find_compiler
 
 from .builder import HERE, IDENTIFIER, LAG, V, describe, model_fmu, model_library, platform_folder, write_fmu
 
@@ -44,6 +46,7 @@ def lag_description(
     ("old", "new", "words"),
     [
         ('fmiVersion="2.0"', 'fmiVersion="2.0.4"', 'fmiVersion "2.0.4" was read as 2.0'),
+        ('fmiVersion="2.0"', 'fmiVersion="2.0 "', 'fmiVersion "2.0 " was read as 2.0'),
         (
             '<Real start="0"/>',
             '<Real start="0" declaredType="Torque"/>',
@@ -93,6 +96,8 @@ def test_letters_of_another_encoding_than_the_file_claims(tmp_path: Path) -> Non
         archive.writestr(f"binaries/{platform_folder('2.0')}/{IDENTIFIER}{SUFFIX}", content)
     session = FMUSession(path, inputs=["u"], outputs=["x"])
     assert session.description.model_name == "Größe"
+    # Warnings are stored with results: they are the same in every run, without any temporary folder.
+    assert not any("ddpc-cosim-" in warning for warning in session.warnings)
     session.close()
 
 
@@ -157,9 +162,54 @@ def test_which_of_two_libraries_is_not_guessed(tmp_path: Path) -> None:
     one = f"binaries/{fmpy.platform}/one{SUFFIX}"
     path = write_fmu(tmp_path / "lag.fmu", text, model_library("2.0"), place=one)
     with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr(f"binaries/{fmpy.platform}/two{SUFFIX}", b"")
+        archive.writestr(f"binaries/{fmpy.platform}/two{SUFFIX}", model_library("2.0"))
     with pytest.raises(FMUImportError, match="no binary for this platform"):
         FMUSession(path)
+
+
+def test_a_description_that_begins_with_blanks(tmp_path: Path) -> None:
+    path = write_fmu(tmp_path / "lag.fmu", "\n  " + lag_description(), model_library("2.0"))
+    assert value_after_a_second(path) == pytest.approx(1 - np.exp(-1.0))
+
+
+def test_every_fmu_finds_the_folder_for_its_resources(tmp_path: Path) -> None:
+    """Empty folders are unpacked too, and the one that FMUs are told of is there in any case."""
+    path = write_fmu(tmp_path / "lag.fmu", lag_description(), model_library("2.0"), **{"extra/": ""})
+    folder = tmp_path / "unpacked"
+    folder.mkdir()
+    unpack(path, folder)
+    assert (folder / "extra").is_dir()
+    assert (folder / "resources").is_dir()
+
+
+def test_nominal_values_that_the_fmu_does_not_tell_count_as_one(tmp_path: Path) -> None:
+    text = source("front2.c").replace("fmi2GetNominalsOfContinuousStates", "nothing")
+    sources = {"models.c": source("models.c"), "models.h": source("models.h"), "front2.c": text}
+    library = compile_library(find_compiler(), sources, ["fmi2SetTime"])
+    model_exchange = '<ModelExchange modelIdentifier="models"/>'
+    path = write_fmu(tmp_path / "lag.fmu", lag_description(interfaces=model_exchange), library)
+    assert value_after_a_second(path) == pytest.approx(1 - np.exp(-1.0), abs=1e-5)
+
+
+def test_an_fmu_that_refuses_without_a_word_is_asked_why(tmp_path: Path) -> None:
+    """Some say what is wrong only when their log is on."""
+    said = """
+        typedef struct { void (*log)(void *, const char *, int, const char *, const char *, ...); } Callbacks;
+        EXPORT void *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
+                                     const Callbacks *functions, int visible, int logging)
+        {
+            if (logging)
+                functions->log(0, name, 3, "error", "no licence for %s", guid);
+            return 0;
+        }
+        EXPORT void *unused("""
+    text = source("front2.c").replace("EXPORT void *fmi2Instantiate(", said, 1)
+    sources = {"models.c": source("models.c"), "models.h": source("models.h"), "front2.c": text}
+    library = compile_library(find_compiler(), sources, ["fmi2Instantiate"])
+    session = FMUSession(write_fmu(tmp_path / "lag.fmu", lag_description(), library))
+    with pytest.raises(FMUImportError, match=r"cannot be instantiated: .*\[error\] no licence for lag"):
+        session.reset()
+    session.close()
 
 
 def source(name: str) -> str:
@@ -232,6 +282,14 @@ def test_the_headers_of_fmi_are_there_and_their_prefix_is_off(tmp_path: Path, ow
     with pytest.raises(FMUImportError, match=r"cannot be instantiated: Failed to instantiate"):
         session.reset()
     session.close()
+
+
+def test_sources_that_others_include_are_not_compiled_by_themselves(tmp_path: Path, own_cache: Path) -> None:
+    files = {"sources/models.h": source("models.h"), "sources/template.c": source("front2.c")}
+    files["sources/models.c"] = source("models.c") + '\n#include "template.c"\n'
+    files["sources/template.c"] += "\nint twice(void) { return 1; }\n"
+    path = write_fmu(tmp_path / "lag.fmu", lag_description(), None, **files)
+    assert value_after_a_second(path) == pytest.approx(1 - np.exp(-1.0))
 
 
 def test_sources_that_do_not_compile_are_reported_with_the_compilers_words(

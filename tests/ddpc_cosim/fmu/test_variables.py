@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ddpc_cosim.errors import ConfigError, FMUStepError
+from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.session import FMUSession
 
-from .builder import V, describe, library, model_fmu, write_fmu
+from .builder import LAG, V, describe, library, model_fmu, model_library, write_fmu
 
 VERSIONS = ("1.0", "2.0", "3.0")
 
@@ -223,3 +223,54 @@ def test_an_fmu_without_inputs_runs(exported: Callable[[str], Path]) -> None:
     session.reset({"torque": 1.0})
     assert session.step(np.empty(0), 0.1) > 0
     session.close()
+
+
+NEGATED = ("minus_u", "minus_x", "minus_rate")
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_negated_aliases_have_the_opposite_sign(tmp_path: Path, kind: str) -> None:
+    """FMI 1.0 lets a variable be the opposite of what the FMU has under its value reference."""
+    aliases = [
+        V("minus_u", 0, causality="input", start="0"),
+        V("minus_x", 1, causality="output"),
+        V("minus_rate", 6, causality="parameter", start="-1"),
+    ]
+    text = describe("1.0", "lag", [*LAG, *aliases], interfaces=kind)
+    for name in NEGATED:
+        text = text.replace(f'name="{name}"', f'name="{name}" alias="negatedAlias"')
+    path = write_fmu(tmp_path / "lag.fmu", text, model_library("1.0"))
+    session = FMUSession(path, inputs=["minus_u"], outputs=["x", "minus_x", "rate"])
+    session.reset({"minus_rate": -2.0})
+    x, minus_x, rate = session.step(np.array([-1.0]), 1.0)
+    session.close()
+    assert rate == 2.0
+    assert x == pytest.approx(1 - np.exp(-2.0), abs=1e-5)
+    assert minus_x == -x
+
+
+def test_limits_that_mean_none_are_none(tmp_path: Path) -> None:
+    """Many tools write the largest number that they know."""
+    unlimited = {"min": "-1.7976931348623157E+308", "max": "1E+60"}
+    variables = [V("u", 0, causality="input", start="0", more=unlimited), *LAG[1:]]
+    session = FMUSession(
+        write_fmu(tmp_path / "lag.fmu", describe("2.0", "lag", variables), model_library("2.0"))
+    )
+    session.close()
+    assert (session.inputs[0].min, session.inputs[0].max) == (-np.inf, np.inf)
+
+
+@pytest.mark.parametrize("word", ["INF", "-INF", "NaN"])
+def test_a_stop_time_that_is_no_number_is_none(tmp_path: Path, word: str) -> None:
+    experiment = f'<DefaultExperiment startTime="0" stopTime="{word}"/>'
+    text = describe("2.0", "lag", LAG, head=experiment)
+    session = FMUSession(write_fmu(tmp_path / "lag.fmu", text, model_library("2.0")))
+    session.close()
+    assert session.description.default_experiment.stop_time is None
+
+
+def test_arrays_that_would_not_fit_into_memory_are_refused(tmp_path: Path) -> None:
+    huge = '<Dimension start="65536"/><Dimension start="65536"/>'
+    text = describe("3.0", "lag", [*LAG, V("field", 30, more={"nested": huge})])
+    with pytest.raises(FMUImportError, match="the array field has 4294967296 elements; allowed: 1000000"):
+        FMUSession(write_fmu(tmp_path / "lag.fmu", text, model_library("3.0")))

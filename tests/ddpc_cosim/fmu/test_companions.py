@@ -1,0 +1,115 @@
+"""Libraries that the FMU's library needs, on Linux, whose loader looks for them in the system alone."""
+
+import subprocess
+import zipfile
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from ddpc_cosim.diagnosis.needed_libraries import needs
+from ddpc_cosim.errors import FMUImportError
+from ddpc_cosim.fmu.session import FMUSession
+from ddpc_cosim.inspection import inspect_fmu
+from fmu_plants.compiler import find_compiler
+
+from .builder import HERE, LAG, describe, platform_folder, write_fmu
+from .test_leniency import value_after_a_second
+
+FIRST, SECOND = "libfirst_companion.so", "libsecond_companion.so"
+
+
+class Chain(NamedTuple):
+    """An FMU's library that needs a second one, which needs a third; none says where the others are."""
+
+    main: bytes
+    first: bytes
+    second: bytes
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory: pytest.TempPathFactory) -> Chain:
+    folder = tmp_path_factory.mktemp("chain")
+    (folder / "second.c").write_text("int second(void) { return 2; }", encoding="utf-8")
+    (folder / "first.c").write_text(
+        "int second(void); int first(void) { return 1 + second(); }", encoding="utf-8"
+    )
+    (folder / "main.c").write_text(
+        "int first(void); int needs_others(void) { return first(); }", encoding="utf-8"
+    )
+    models = [str(HERE / name) for name in ("models.c", "front2.c")]
+    for output, inputs in (
+        (SECOND, ["second.c"]),
+        (FIRST, ["first.c", SECOND]),
+        ("main.so", ["main.c", *models, FIRST]),
+    ):
+        own_name = ["-Wl,-Bsymbolic", "-Wl,-soname," + output, "-Wl,--allow-shlib-undefined"]
+        command = [*find_compiler().command, "-shared", "-fPIC", *own_name, "-o", output, *inputs, "-lm"]
+        subprocess.run(command, cwd=folder, check=True)
+    return Chain(*((folder / name).read_bytes() for name in ("main.so", FIRST, SECOND)))
+
+
+def lag_fmu(path: Path, library: bytes, **others: bytes) -> Path:
+    write_fmu(path, describe("2.0", "lag", LAG), library)
+    with zipfile.ZipFile(path, "a") as archive:
+        for name, content in others.items():
+            archive.writestr(name, content)
+    return path
+
+
+@pytest.mark.parametrize("place", [f"binaries/{platform_folder('2.0')}", "resources", "resources/lib/deep"])
+def test_those_that_the_fmu_brings_along_are_found(tmp_path: Path, chain: Chain, place: str) -> None:
+    others = {f"{place}/{FIRST}": chain.first, f"{place}/{SECOND}": chain.second}
+    path = lag_fmu(tmp_path / "lag.fmu", chain.main, **others)
+    assert inspect_fmu(path).can_run
+    assert value_after_a_second(path) == pytest.approx(0.6321206, abs=1e-5)
+
+
+def test_they_are_unloaded_with_the_fmu(tmp_path: Path, chain: Chain) -> None:
+    """Another FMU may bring others of the same names."""
+    place = f"binaries/{platform_folder('2.0')}"
+    others = {f"{place}/{FIRST}": chain.first, f"{place}/{SECOND}": chain.second}
+    value_after_a_second(lag_fmu(tmp_path / "lag.fmu", chain.main, **others))
+    mapped = Path("/proc/self/maps").read_text(encoding="utf-8")
+    assert FIRST not in mapped
+    assert SECOND not in mapped
+
+
+def test_one_that_is_nowhere_is_named(tmp_path: Path, chain: Chain) -> None:
+    session = FMUSession(lag_fmu(tmp_path / "lag.fmu", chain.main))
+    with pytest.raises(FMUImportError, match=f"its library needs {FIRST}, which is neither in the FMU nor"):
+        session.reset()
+    session.close()
+
+
+def test_so_is_one_that_a_companion_needs(tmp_path: Path, chain: Chain) -> None:
+    session = FMUSession(lag_fmu(tmp_path / "lag.fmu", chain.main, **{f"resources/{FIRST}": chain.first}))
+    with pytest.raises(FMUImportError, match=f"its library needs {SECOND}"):
+        session.reset()
+    session.close()
+
+
+def test_an_inspection_tells_before_it_is_loaded(tmp_path: Path, chain: Chain) -> None:
+    inspection = inspect_fmu(lag_fmu(tmp_path / "lag.fmu", chain.main))
+    (defect,) = [defect for defect in inspection.defects if defect.kind.name == "missing-library"]
+    assert defect.places == (FIRST,)
+    assert not inspection.can_run
+
+
+def test_needs_are_those_that_the_linker_has_written(chain: Chain) -> None:
+    assert FIRST in needs(chain.main).libraries
+    assert needs(chain.main).folders == []
+    assert needs(b"MZ" + chain.main) == needs(b"") == ([], [])
+
+
+def test_the_one_with_functions_of_fmi_is_the_fmus(tmp_path: Path, chain: Chain) -> None:
+    """Where none of several libraries is named after modelIdentifier."""
+    folder = f"binaries/{platform_folder('2.0')}"
+    path = write_fmu(
+        tmp_path / "lag.fmu", describe("2.0", "lag", LAG), chain.main, place=f"{folder}/renamed.so"
+    )
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(f"{folder}/{FIRST}", chain.first)
+        archive.writestr(f"{folder}/{SECOND}", chain.second)
+    assert value_after_a_second(path) == pytest.approx(0.6321206, abs=1e-5)
+    assert "unnamed-library" in [defect.kind.name for defect in inspect_fmu(path).defects]

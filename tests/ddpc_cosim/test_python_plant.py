@@ -1,0 +1,151 @@
+"""Plants in Python as a study runs them."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from subprocess import CompletedProcess
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import FloatArray, FMUStepError, Plant, StepStatus, Variable, load_results
+from ddpc_cosim.python_plant import PythonPlant
+
+Run = Callable[..., CompletedProcess[str]]
+
+MODULE = '''
+from dataclasses import dataclass
+from multiprocessing import parent_process
+import numpy as np
+from ddpc_cosim import Controller, Plant, Variable
+
+@dataclass(kw_only=True)
+class Half(Controller):
+    def start(self, loop):
+        self.inputs = len(loop.inputs)
+    def step(self, sample):
+        return np.full(self.inputs, 0.5)
+
+class Lags(Plant):
+    """Two lags, of which each has an input."""
+    inputs = (Variable("a", start=2.0), Variable("b"))
+    outputs = (Variable("y"), Variable("z", unit="rad"))
+    def reset(self, parameters=None, t0=0.0):
+        self.y = np.zeros(2)
+        return self.y
+    def step(self, u, h):
+        self.y = self.y + h * (u - self.y)
+        return self.y
+
+class Fixed(Lags):
+    """Its signals are not to be replaced."""
+    inputs = property(lambda self: Lags.inputs)
+    outputs = property(lambda self: Lags.outputs)
+
+class Odd(Exception):
+    """Cannot be sent to another process."""
+    def __init__(self, one, two):
+        super().__init__(one)
+
+class Refusing(Lags):
+    def __init__(self):
+        if parent_process():
+            raise Odd("no licence", 2)
+
+class Failing(Lags):
+    def step(self, u, h):
+        if self.y[0] > 0.2:
+            raise Odd("out of range", 2)
+        return super().step(u, h)
+
+class Clinging(Lags):
+    def close(self):
+        if parent_process():
+            raise OSError("busy")
+'''
+
+STUDY = """
+[plant]
+name = "lags:{plant}"
+inputs = {inputs}
+outputs = ["z"]
+display_units = {{ z = "deg" }}
+[loop]
+sampling_time = 0.5
+duration = 1.0
+[reference]
+z = {{ kind = "constant", value = 1.0 }}
+[controllers.half]
+type = "lags:Half"
+"""
+
+
+def run(run_program: Run, folder: Path, plant: str, inputs: str = '["b"]') -> Any:
+    """Run the study of a plant and return its only case."""
+    (folder / "lags.py").write_text(MODULE, encoding="utf-8")
+    (folder / "study.toml").write_text(STUDY.format(plant=plant, inputs=inputs), encoding="utf-8")
+    done = run_program("run", "study.toml", "--no-report", "--jobs", "1", "--out", "out")
+    assert "Traceback" not in done.stderr
+    (case,) = load_results(folder / "out").cases
+    return case
+
+
+@pytest.mark.parametrize("plant", ["Lags", "Fixed"])
+def test_inputs_that_a_study_does_not_drive_rest_at_their_start_values(
+    plant: str, run_program: Run, tmp_path: Path
+) -> None:
+    trace = run(run_program, tmp_path, plant).trace()
+    assert [v.name for v in trace.inputs] == ["b"]
+    assert np.array_equal(trace.u[:, 0], [0.5, 0.5, 0.5])
+    assert np.array_equal(trace.y[:, 0], [0.0, 0.25, 0.375])
+    assert trace.outputs[0].shown_in.name == "deg"
+    assert trace.provenance["class"] == f"lags:{plant}"
+
+
+@pytest.mark.parametrize(
+    ("plant", "samples", "reason"),
+    [
+        ("Refusing", 0, "before the first sample: Refusing() raised Odd: no licence"),
+        ("Failing", 2, "Failing.step raised Odd: out of range at t = 0.5 s"),
+        ("Clinging", 3, "after the last sample: Clinging.close raised OSError: busy"),
+    ],
+)
+def test_a_plant_that_fails_costs_its_case_a_result_and_no_samples(
+    plant: str, samples: int, reason: str, run_program: Run, tmp_path: Path
+) -> None:
+    case = run(run_program, tmp_path, plant, inputs='["b", "a"]')
+    assert (case.outcome, case.reason) == ("crashed", reason)
+    assert len(case.trace()) == samples
+
+
+class Adder(Plant):
+    """Sums what it is driven by; fails when it is asked for a change."""
+
+    inputs = (Variable("a", start=1.0), Variable("b", start=10.0), Variable("c", start=100.0))
+    outputs = (Variable("sum"),)
+
+    def reset(self, parameters: Mapping[str, Any] | None = None, t0: float = 0.0) -> FloatArray:
+        return np.zeros(1)
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        return np.array([u @ [1.0, 2.0, 3.0]])
+
+    def set_parameters(self, parameters: Mapping[str, Any]) -> None:
+        raise KeyError("gain")
+
+
+def test_inputs_are_driven_in_the_order_of_the_study() -> None:
+    plant = PythonPlant(Adder, ["c", "a"])
+    plant.reset()
+    assert plant.step(np.array([1000.0, 2000.0]), 0.5) == [2000.0 + 20.0 + 3000.0]
+
+
+def test_faults_bear_the_name_of_the_plant_and_its_time() -> None:
+    plant = PythonPlant(Adder, ["a"])
+    plant.reset(t0=3.0)
+    plant.step(np.zeros(1), 0.5)
+    with pytest.raises(
+        FMUStepError, match=r"Adder\.set_parameters raised KeyError: 'gain' at t = 3\.5 s"
+    ) as e:
+        plant.set_parameters({"gain": 1.0})
+    assert e.value.status is StepStatus.CRASHED

@@ -1,0 +1,94 @@
+"""The table that `run` prints is short after a sweep, and fits the window."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from ddpc_cosim import CaseResult, Outcome, StudyResults
+from ddpc_cosim.cli.summary import summary_table
+from ddpc_cosim.config import Study
+
+COST = "sum_abs_error.angle [deg]"
+METRICS = {COST: 0.0, "settled_error.angle [deg]": 0.1, "max_abs_input.torque [N.m]": 3.0}
+
+
+def study(variants: int) -> Study:
+    varied = {
+        f"deepc-horizon-{n}": {"type": "deepc", "variant_of": "deepc", "varied": ["horizon"]}
+        for n in range(variants)
+    }
+    return Study.model_validate(
+        {
+            "name": "s",
+            "title": "A study",
+            "seeds": [1, 2],
+            "plant": {"name": "pendulum"},
+            "loop": {"sampling_time": 0.1, "duration": 1.0},
+            "reference": {"angle": {"kind": "constant", "value": 1.0}},
+            "controllers": {"deepc": {"type": "deepc", "label": "DeePC"}, **varied, "pid": {"type": "pid"}},
+        }
+    )
+
+
+def results(variants: int, lost: str = "") -> StudyResults:
+    """Return results in which the last variant is the best, and all cases of one controller are lost."""
+    told = study(variants)
+    cases = []
+    for place, key in enumerate(told.controllers):
+        varied = told.controllers[key].variant_of
+        label = f"DeePC, horizon = {place - 1}" if varied else told.controllers[key].label or key
+        for seed in told.seeds:
+            figures = METRICS | {COST: 100.0 - place + 0.5 * seed, "solve_time_median [s]": 2e-5}
+            outcome = Outcome.DIVERGED if key == lost else Outcome.COMPLETED
+            head = (f"{key}_{seed}", key, label, "nominal", seed, outcome, "")
+            cases.append(CaseResult(*head, figures, {}, {}, Path()))
+    return StudyResults(Path("out"), told, tuple(cases), {})
+
+
+def printed(some: StudyResults, width: int = 1000) -> list[str]:
+    console = Console(width=width)
+    with console.capture() as capture:
+        console.print(summary_table(some, console))
+    return capture.get().splitlines()
+
+
+def test_of_a_sweep_the_two_best_settings_are_listed_and_the_others_counted() -> None:
+    lines = printed(results(40))
+    rows = [line for line in lines if "/2" in line or "more" in line]
+    assert [row.strip().split("  ")[0] for row in rows] == [
+        "DeePC",
+        "horizon = 39",
+        "horizon = 38",
+        "and 38 settings more",
+        "pid",
+    ]
+    assert any("out/metrics.csv" in line.replace("\\", "/") for line in lines)
+
+
+def test_without_a_sweep_every_controller_has_its_row() -> None:
+    lines = printed(results(0))
+    assert len([line for line in lines if "/2" in line]) == 2
+    assert not any("metrics.csv" in line for line in lines)
+
+
+def test_a_setting_that_lost_cases_is_not_among_the_best() -> None:
+    lines = printed(results(4, lost="deepc-horizon-3"))
+    assert any("horizon = 2 " in line for line in lines)
+    assert not any("horizon = 3 " in line for line in lines)
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_a_narrow_window_loses_columns_and_no_figures(width: int) -> None:
+    lines = printed(results(4), width)
+    assert all(len(line) <= width for line in lines)
+    assert not any("…" in line for line in lines)
+    assert any("sum |error|" in line for line in lines)
+
+
+def test_one_seed_needs_no_range() -> None:
+    some = results(0)
+    first = replace(some, cases=tuple(case for case in some.cases if case.seed == 1))
+    assert "over the seeds" in "".join(printed(some))
+    assert "over the seeds" not in "".join(printed(first))

@@ -1,0 +1,169 @@
+"""What the axes show: no run that falls over flattens the others, and every tick has its label."""
+
+import json
+import math
+import re
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ddpc_cosim import Bounds, Trace
+from ddpc_reports.assets import pack
+from ddpc_reports.charts import COLOURS, DASHES
+from ddpc_reports.comparison import conditions
+from ddpc_reports.figures import time_figures
+from ddpc_reports.samples import first_seed, trusted
+from ddpc_reports.static import _steps
+from ddpc_reports.strip_charts import log_ticks
+
+from .synthetic import MakeResults, make_trace
+
+
+def scaled(trace: Trace, factor: float, **limits: float) -> Trace:
+    """Return a run with outputs of another size, and with output limits if given [rad]."""
+    bounds = trace.bounds
+    if limits:
+        low, high = (np.full(1, limits[end]) for end in ("low", "high"))
+        bounds = Bounds(bounds.u_min, bounds.u_max, low, high)
+    fields = {name: getattr(trace, name) for name in trace.__dataclass_fields__}
+    return Trace(**fields | {"y": factor * trace.y, "bounds": bounds})
+
+
+def falls(key: str, seed: int) -> Trace:
+    return scaled(make_trace(0.5), 50.0) if key == "falls" else make_trace(0.3 if key == "quick" else 1.0)
+
+
+THREE: dict[str, dict[str, Any]] = {name: {"type": "a"} for name in ("quick", "slow", "falls")}
+
+
+def test_a_run_that_falls_over_does_not_set_the_range(make_results: MakeResults) -> None:
+    (condition,) = conditions(make_results(falls, THREE))
+    seen = first_seed(condition, "x-")
+    low, high = seen.outputs[0].extent(["c0", "c1", "c2"])
+    assert -5.0 < low < 0.0
+    assert 20.0 < high < 25.0
+    assert all(signal.scaled_by == ("c0", "c1") for signal in (*seen.outputs, *seen.inputs, *seen.changes))
+
+
+def test_the_caption_names_who_leaves_the_axis(make_results: MakeResults) -> None:
+    (condition,) = conditions(make_results(falls, THREE))
+    figures, _ = time_figures(condition, "x-")
+    assert re.search(
+        r"Beyond the axis: falls \(angle .*1 011°\)\.", figures[0].caption.replace("\u202f", " ")
+    )
+    assert "Beyond" not in figures[1].caption
+
+
+def test_what_swings_far_within_its_limits_sets_the_range_all_the_same() -> None:
+    quiet, wild = make_trace(0.3), scaled(make_trace(0.3), 50.0)
+    assert trusted({"a": quiet, "b": wild}) == ("a",)
+    assert trusted({"a": quiet, "b": scaled(wild, 1.0, low=-100.0, high=100.0)}) == ("a", "b")
+
+
+def test_one_that_tracks_among_others_that_rest_is_trusted() -> None:
+    resting = scaled(make_trace(0.3), 0.001)
+    assert trusted({"a": make_trace(0.3), "b": resting, "c": resting}) == ("a", "b", "c")
+
+
+def test_many_controllers_are_shared_out_so_that_no_two_of_a_panel_look_alike(
+    make_results: MakeResults,
+) -> None:
+    many = {f"k{number}": {"type": "a"} for number in range(2 * COLOURS + 1)}
+    (condition,) = conditions(make_results(controllers=many))
+    views = time_figures(condition, "x-")[0][0].views
+    assert [view.title for view in views] == [
+        "Controllers 1 to 5",
+        "Controllers 6 to 10",
+        "Controllers 11 to 15",
+    ]
+    for view in views:
+        colours = [int(name[1:]) % COLOURS for name in view.names]
+        assert len(set(colours)) == len(colours)
+
+
+def test_colours_and_patterns_run_through_all_pairs() -> None:
+    assert math.gcd(COLOURS, len(DASHES)) == 1
+
+
+def test_restless_lines_lie_behind_calm_ones(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        calm = make_trace(0.3)
+        shaken = calm.u.copy()
+        shaken[::2] *= -1.0
+        fields = {name: getattr(calm, name) for name in calm.__dataclass_fields__}
+        return Trace(**fields | {"u": shaken}) if key == "slow" else calm
+
+    (condition,) = conditions(make_results(trace_of))
+    view = time_figures(condition, "x-")[0][1].views[0]
+    folds = re.findall(r'"fold": (\[.*?\])', json.dumps(view.spec))
+    assert set(folds) == {'["c1", "c0"]'}
+    assert view.names == ("c0", "c1")
+
+
+@given(st.floats(-3, 5), st.floats(0.2, 8))
+def test_ticks_of_a_logarithmic_axis_are_round_few_and_inside(start: float, decades: float) -> None:
+    low, high = 10.0**start, 10.0 ** (start + decades)
+    ticks = log_ticks(low, high)
+    assert 1 <= len(ticks) <= 10
+    assert all(low <= tick <= high and f"{tick:e}"[1:8] in (".000000", ".500000") for tick in ticks)
+    assert all(before < after for before, after in pairwise(ticks))
+
+
+@given(st.lists(st.one_of(st.none(), st.floats(-1e6, 1e6)), max_size=30))
+def test_a_packed_column_keeps_its_values_to_a_hundred_thousandth_of_its_range(
+    column: list[float | None],
+) -> None:
+    decimals, *changes = json.loads(json.dumps(pack(column)))
+    known = [value for value in column if value is not None]
+    size = (max(known) - min(known)) or max(map(abs, known)) if known else 0.0
+    total = 0
+    for value, change in zip(column, changes, strict=True):
+        assert (value is None) == (change is None)
+        if value is not None:
+            total += change
+            assert total * 10.0**-decimals == pytest.approx(value, abs=1.01e-5 * size, rel=1e-9)
+
+
+POINTS = st.lists(st.tuples(*[st.integers(-9000, 9000)] * 2), min_size=1, max_size=12)
+
+
+@given(POINTS)
+def test_a_path_written_in_steps_visits_the_same_corners(points: list[tuple[int, int]]) -> None:
+    corners = visited(_steps("L".join(f"{x / 10},{y / 10}" for x, y in points)))
+    assert corners[0] == points[0]
+    assert corners[-1] == points[-1]
+    turns = [b for a, b, c in zip(points, points[1:], points[2:], strict=False) if turning(a, b, c)]
+    assert [point for point in turns if point not in corners] == []
+
+
+def turning(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> bool:
+    (p, q), (r, s) = ((v[0] - u[0], v[1] - u[1]) for u, v in ((a, b), (b, c)))
+    return p * s != q * r or p * r + q * s < 0
+
+
+def visited(path: str) -> list[tuple[int, int]]:
+    """Return the points of a path of ``M``, ``l``, ``h`` and ``v``, in tenths."""
+    points = [(0, 0)]
+    for letter, text in re.findall(r"([Mlhv])([^Mlhv]*)", path):
+        numbers = [round(10 * float(number)) for number in re.findall(r"-?(?:\d+\.\d+|\.\d+|\d+)", text)]
+        x, y = {"h": (numbers[0], 0), "v": (0, numbers[0])}.get(letter) or (numbers[0], numbers[1])
+        points.append((x, y) if letter == "M" else (points[-1][0] + x, points[-1][1] + y))
+    return points[1:]
+
+
+def test_a_page_of_one_sample_has_an_axis(make_results: MakeResults, tmp_path: Path) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        whole = make_trace(0.3)
+        rows = {"time", "reference", "y", "measured", "u", "status", "solve_time"}
+        fields = {name: getattr(whole, name) for name in whole.__dataclass_fields__}
+        return Trace(**fields | {name: fields[name][:1] for name in rows} | {"planned_samples": 1})
+
+    (condition,) = conditions(make_results(trace_of))
+    signal = first_seed(condition, "x-").outputs[0]
+    assert signal.end == (-0.5, 0.5)
+    assert signal.extent(["c0"])[0] < signal.extent(["c0"])[1]
