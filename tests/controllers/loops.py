@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -14,6 +15,8 @@ from ddpc_cosim import Action, Bounds, Controller, FloatArray, Loop, Recording, 
 DATA = Path(__file__).parent.parent / "data"
 DEGREE = math.pi / 180.0
 SAMPLING_TIME = 0.1
+REGULATION: dict[str, Any] = {"artificial_setpoint": False, "terminal_equality": False}
+"""Settings that make (8) track the reference itself."""
 
 Advance = Callable[[FloatArray, FloatArray], FloatArray]
 

@@ -14,6 +14,7 @@ from ddpc_cosim import Action, Bounds, ConfigError, FloatArray, Recording, Sampl
 from .loops import (
     ANGLE,
     DEGREE,
+    REGULATION,
     LinearPlant,
     Run,
     before,
@@ -25,8 +26,6 @@ from .loops import (
     pendulum_loop,
     quick_pendulum,
 )
-
-REGULATION: dict[str, Any] = {"artificial_setpoint": False, "terminal_equality": False}
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "no terminal equality": {"terminal_equality": False},

@@ -20,6 +20,7 @@ from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Record
 from .loops import (
     ANGLE,
     DEGREE,
+    REGULATION,
     LinearPlant,
     Run,
     before,
@@ -31,8 +32,6 @@ from .loops import (
     pendulum_loop,
     quick_pendulum,
 )
-
-REGULATION: dict[str, Any] = {"artificial_setpoint": False, "terminal_equality": False}
 
 
 def inputs(answer: FloatArray | Action) -> FloatArray:
