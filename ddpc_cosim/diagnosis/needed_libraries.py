@@ -51,7 +51,8 @@ def missing_libraries(library: Path, resources: Path) -> list[str]:
     own = {path.name for folder in (library.parent, resources) for path in folder.rglob("*.so*")}
     origin = str(library.parent)
     folders = [Path(p.replace("${ORIGIN}", origin).replace("$ORIGIN", origin)) for p in run_path]
-    foreign = [name for name in needed if name not in own | _EVERYWHERE]
+    # A path would have this very file loaded, wherever it leads: looking at an FMU must not do that.
+    foreign = [name for name in needed if name not in own | _EVERYWHERE and "/" not in name]
     elsewhere = [name for name in foreign if not any((folder / name).is_file() for folder in folders)]
     return _not_in_system(elsewhere) if elsewhere else []
 

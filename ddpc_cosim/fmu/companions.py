@@ -6,6 +6,7 @@ which not all tools see to. Those that are found in the FMU are loaded first: th
 
 import ctypes
 import re
+from glob import escape
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -53,7 +54,7 @@ class Companions:
         if match is None or match["name"] in self._loaded:
             return False
         name = match["name"]
-        found = next((path for folder in self._folders for path in sorted(folder.rglob(name))), None)
+        found = next((path for folder in self._folders for path in sorted(folder.rglob(escape(name)))), None)
         if found is None:
             raise MissingLibraryError(
                 f"its library needs {name}, which is neither in the FMU nor on this machine; install it, "

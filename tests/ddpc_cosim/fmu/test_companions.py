@@ -96,6 +96,30 @@ def test_an_inspection_tells_before_it_is_loaded(tmp_path: Path, chain: Chain) -
     assert not inspection.can_run
 
 
+def test_an_inspection_loads_no_file_that_the_fmu_points_at(tmp_path: Path) -> None:
+    """A needed library can be a path, of a file whose code runs as soon as it is loaded."""
+    trap, sprung = tmp_path / "trap.so", tmp_path / "sprung"
+    (tmp_path / "trap.c").write_text(
+        "#include <stdio.h>\n"
+        f'__attribute__((constructor)) static void spring(void) {{ fclose(fopen("{sprung}", "w")); }}\n'
+        "int trap(void) { return 0; }\n",
+        encoding="utf-8",
+    )
+    (tmp_path / "main.c").write_text(
+        "int trap(void); int needs_it(void) { return trap(); }", encoding="utf-8"
+    )
+    shared = [*find_compiler().command, "-shared", "-fPIC"]
+    subprocess.run([*shared, f"-Wl,-soname,{trap}", "-o", trap, "trap.c"], cwd=tmp_path, check=True)
+    models = [str(HERE / name) for name in ("models.c", "front2.c")]
+    own_name = ["-Wl,-Bsymbolic", "-Wl,-soname,main.so"]
+    command = [*shared, *own_name, "-o", "main.so", "main.c", *models, trap, "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    library = (tmp_path / "main.so").read_bytes()
+    assert str(trap) in needs(library).libraries
+    inspect_fmu(lag_fmu(tmp_path / "lag.fmu", library))
+    assert not sprung.exists()
+
+
 def test_needs_are_those_that_the_linker_has_written(chain: Chain) -> None:
     assert FIRST in needs(chain.main).libraries
     assert needs(chain.main).folders == []
