@@ -5,38 +5,214 @@ At every sample the plant is measured, the controller decides, the row is writte
 inputs until the next sample.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from numbers import Integral, Real
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ddpc_cosim.controller import OK, Bounds, Controller, Loop, Recording, Sample
-from ddpc_cosim.errors import ConfigError, ControllerError, DataError, FMUStepError, StepStatus
-from ddpc_cosim.experiment import Stabiliser, run_experiment
-from ddpc_cosim.finite import NotFiniteError, require_finite
-from ddpc_cosim.guards import (
+from ddpc_cosim.errors import (
+    ConfigError,
+    ControllerError,
+    DataError,
+    DivergenceError,
+    FMUStepError,
+    StepStatus,
+)
+from ddpc_cosim.loop_setup import Sensors, Wiring, check_names, loop_bounds, reference_table, wire
+from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.safe_calls import (
+    NotFiniteError,
     ask_controller,
     controller_diagnostics,
     controller_settings,
     plant_provenance,
+    require_finite,
     reset_plant,
     set_plant_parameters,
     start_controller,
     step_plant,
 )
-from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.run_checks import (
-    check_events,
-    check_recording,
-    check_sampling_time,
-    check_seed,
-    end_time,
-    whole_steps,
-)
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference, UniformRandom
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import FloatArray
-from ddpc_cosim.wiring import Sensors, Wiring, check_names, loop_bounds, reference_table, wire
+
+MOST_STEPS = 100_000_000
+
+
+def check_sampling_time(sampling_time: float) -> None:
+    """Raise ConfigError if there cannot be so much time between samples [s]."""
+    if not (_is_finite(sampling_time) and sampling_time > 0):
+        raise ConfigError(f"sampling_time = {sampling_time} is not possible; allowed: a number > 0")
+
+
+def whole_steps(duration: float, sampling_time: float) -> int:
+    """Return the number of sampling intervals in a duration.
+
+    Raises
+    ------
+    ConfigError
+        There is no whole number of them, or too many.
+    """
+    check_sampling_time(sampling_time)
+    if not _is_finite(duration):
+        raise ConfigError(f"duration = {duration} is not possible; allowed: a number > 0")
+    steps = duration / sampling_time
+    if not steps < MOST_STEPS:
+        raise ConfigError(f"duration / sampling_time = {steps:g} samples; allowed: 1 to {MOST_STEPS:.0e}")
+    if round(steps) < 1 or abs(round(steps) * sampling_time - duration) > 1e-9 * max(duration, sampling_time):
+        raise ConfigError(
+            f"duration = {duration:g} must be a whole multiple of sampling_time = {sampling_time:g}"
+        )
+    return round(steps)
+
+
+def end_time(start_time: float, steps: int, sampling_time: float) -> float:
+    """Return the time of the last sample [s].
+
+    Raises
+    ------
+    ConfigError
+        The start time is no number, or so large that one sample cannot be told from the next.
+    """
+    if not _is_finite(start_time):
+        raise ConfigError(f"start_time = {start_time} is not possible; allowed: a finite number")
+    end = start_time + steps * sampling_time
+    if np.spacing(max(abs(start_time), abs(end))) > 1e-3 * sampling_time:
+        raise ConfigError(
+            f"start_time = {start_time:g} is too large: samples {sampling_time:g} s apart coincide there"
+        )
+    return end
+
+
+def check_seed(seed: int) -> None:
+    """Raise ConfigError if this is no seed."""
+    if not isinstance(seed, Integral) or seed < 0:
+        raise ConfigError(f"seed = {seed!r} is not possible; allowed: a whole number >= 0")
+
+
+def check_events(events: Sequence[ParameterChange], end: float) -> None:
+    """Raise ConfigError for every event that would never act on the plant, as the run ends before."""
+    late = [event.time for event in events if not event.time < end]
+    if late:
+        advice = f"the run ends at t = {end:g} s; choose an earlier time or a longer duration"
+        raise ConfigError([f"events: the one at t = {time:g} s would not happen: {advice}" for time in late])
+
+
+def check_recording(recording: Recording, loop: Loop) -> None:
+    """Raise DataError if a recording was not made in a loop like this."""
+    expected: dict[str, Any] = {
+        "inputs": (recording.u.shape[1], len(loop.inputs)),
+        "controlled outputs": (recording.y.shape[1], len(loop.outputs)),
+        "measurements": (recording.measured.shape[1], len(loop.measurements)),
+    }
+    faults = [f"{there} {what}, the loop {here}" for what, (there, here) in expected.items() if there != here]
+    if not np.isclose(recording.sampling_time, loop.sampling_time, rtol=1e-9, atol=0.0):
+        faults.append(f"sampling time {recording.sampling_time:g} s, the loop {loop.sampling_time:g} s")
+    if faults:
+        raise DataError(f"recording: it does not fit the loop: it has {'; '.join(faults)}")
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, Real) and math.isfinite(value)
+
+
+class Experiment(NamedTuple):
+    """What an experiment leaves behind.
+
+    Parameters
+    ----------
+    recording : Recording
+        Measurements, and the inputs as they were applied.
+    y_plant : array, shape (p,)
+        The plant's outputs at its end.
+    fallbacks : int
+        At how many samples the stabilising controller returned a fallback.
+    """
+
+    recording: Recording
+    y_plant: FloatArray
+    fallbacks: int
+
+
+class Stabiliser:
+    """A controller that keeps an unstable plant while an excitation is added to its inputs.
+
+    Parameters
+    ----------
+    controller : Controller
+        Started already.
+    loop : Loop
+        The loop that it was started with.
+    reference : array, shape (T + horizon, p)
+        References r_0, r_1, ... on the experiment's own time.
+    """
+
+    def __init__(self, controller: Controller, loop: Loop, reference: FloatArray) -> None:
+        self._controller, self._loop, self._reference = controller, loop, reference
+        self.fallbacks = 0
+
+    def inputs(self, k: int, y: FloatArray, measured: FloatArray, excitation: FloatArray) -> FloatArray:
+        """Return the excited inputs of sample k within their limits, shape (m,)."""
+        time = k * self._loop.sampling_time
+        reference = self._reference[k + 1 : k + 1 + self._controller.horizon]
+        sample = Sample(k, time, y, measured, reference)
+        try:
+            decided, status, _ = ask_controller(self._controller, sample, len(excitation))
+        except ControllerError as error:
+            raise ControllerError(f"{error}, during the experiment, at t = {time:g} s") from error
+        self.fallbacks += status != OK
+        bounds = self._loop.bounds
+        return np.asarray(np.clip(decided + excitation, bounds.u_min, bounds.u_max))
+
+
+def run_experiment(
+    plant: Plant,
+    sensors: Sensors,
+    excitation: UniformRandom,
+    sampling_time: float,
+    parameters: Mapping[str, ParameterValue] | None,
+    *,
+    stabiliser: Stabiliser | None = None,
+    onwards: float = 0.0,
+) -> Experiment:
+    """Excite a plant from its initial state and record it.
+
+    The plant is told that ``onwards`` [s] are to follow.
+
+    Raises
+    ------
+    DivergenceError
+        The plant diverged.
+    ControllerError
+        The stabilising controller failed.
+    FMUStepError
+        The plant failed.
+    """
+    inputs = excitation.draw(len(plant.inputs))
+    plant.plan(sampling_time, len(inputs) * sampling_time + onwards)
+    y_plant = reset_plant(plant, parameters, 0.0)
+    rows = []
+    for k, u in enumerate(inputs):
+        seen = sensors.measure(y_plant)
+        rows.append(seen)
+        if stabiliser is not None:
+            u[:] = stabiliser.inputs(k, *seen, excitation=u)  # a row of what is recorded
+        y_plant = step_plant(plant, u.copy(), sampling_time, k * sampling_time)
+        try:
+            require_finite(y_plant, plant.outputs)
+        except NotFiniteError as error:
+            kind = "open-loop" if stabiliser is None else "closed-loop"
+            time = (k + 1) * sampling_time
+            raise DivergenceError(
+                f"the plant diverged during the {kind} experiment, at t = {time:g} s: {error}"
+            ) from error
+    y, measured = (np.array(column) for column in zip(*rows, strict=True))
+    fallbacks = stabiliser.fallbacks if stabiliser else 0
+    return Experiment(Recording(inputs, y, measured, sampling_time), y_plant, fallbacks)
+
 
 OUTCOME_OF = {
     StepStatus.ERROR: Outcome.FMU_ERROR,

@@ -1,10 +1,13 @@
 """Signals and parameters: their names, units, ranges and display units."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ddpc_cosim.errors import ConfigError, did_you_mean
 
 FloatArray = NDArray[np.float64]
 
@@ -79,3 +82,80 @@ class Variable:
 def names(variables: Sequence[Variable]) -> tuple[str, ...]:
     """Return the names of the variables, in order."""
     return tuple(variable.name for variable in variables)
+
+
+# unit: {display unit: (factor, offset)}, shown = factor * value + offset
+_USUAL: Mapping[str, Mapping[str, tuple[float, float]]] = {
+    "rad": {"deg": (180 / math.pi, 0.0), "rev": (0.5 / math.pi, 0.0)},
+    "rad/s": {"deg/s": (180 / math.pi, 0.0), "rpm": (30 / math.pi, 0.0)},
+    "K": {"degC": (1.0, -273.15), "degF": (1.8, -459.67)},
+    "Pa": {"bar": (1e-5, 0.0), "mbar": (1e-2, 0.0), "kPa": (1e-3, 0.0), "MPa": (1e-6, 0.0)},
+    "m": {"mm": (1e3, 0.0), "cm": (1e2, 0.0), "km": (1e-3, 0.0)},
+    "m/s": {"km/h": (3.6, 0.0), "mm/s": (1e3, 0.0)},
+    "m2": {"cm2": (1e4, 0.0), "mm2": (1e6, 0.0)},
+    "m3": {"l": (1e3, 0.0)},
+    "m3/s": {"l/s": (1e3, 0.0), "l/min": (6e4, 0.0), "m3/h": (3600.0, 0.0)},
+    "kg": {"g": (1e3, 0.0), "t": (1e-3, 0.0)},
+    "kg/s": {"g/s": (1e3, 0.0), "kg/h": (3600.0, 0.0)},
+    "s": {"ms": (1e3, 0.0), "min": (1 / 60, 0.0), "h": (1 / 3600, 0.0), "d": (1 / 86400, 0.0)},
+    "N": {"kN": (1e-3, 0.0)},
+    "J": {"kJ": (1e-3, 0.0), "MJ": (1e-6, 0.0), "kWh": (1 / 3.6e6, 0.0)},
+    "W": {"kW": (1e-3, 0.0), "MW": (1e-6, 0.0), "mW": (1e3, 0.0)},
+    "V": {"mV": (1e3, 0.0), "kV": (1e-3, 0.0)},
+    "A": {"mA": (1e3, 0.0), "kA": (1e-3, 0.0)},
+    "1": {"%": (100.0, 0.0)},
+}
+_SPELLINGS = {"": "1", "°C": "degC", "°": "deg", "1/min": "rpm", "rev/min": "rpm", "m^2": "m2", "m^3": "m3"}
+
+
+def conversions(unit: str, defined: Iterable[DisplayUnit] = ()) -> dict[str, DisplayUnit]:
+    """Return the units in which values in a unit can be shown, by name.
+
+    Parameters
+    ----------
+    unit : str
+        The variable's own unit.
+    defined : iterable of DisplayUnit
+        The display units that the FMU defines for it; they count before the usual ones.
+    """
+    usual = _USUAL.get(_SPELLINGS.get(unit, unit), {})
+    spelt = {other: usual[name] for other, name in _SPELLINGS.items() if name in usual}
+    known = {name: DisplayUnit(name, *conversion) for name, conversion in (spelt | dict(usual)).items()}
+    return known | {shown.name: shown for shown in defined} | {unit: DisplayUnit(unit)}
+
+
+def with_display_units(
+    variables: Iterable[Variable],
+    wanted: Mapping[str, str],
+    defined: Mapping[str, tuple[DisplayUnit, ...]],
+) -> tuple[Variable, ...]:
+    """Return variables with other display units.
+
+    Parameters
+    ----------
+    variables : iterable of Variable
+        The variables.
+    wanted : mapping of str to str
+        Names of display units, by variable; others keep theirs.
+    defined : mapping of str to tuple of DisplayUnit
+        The display units that the FMU defines, by unit.
+
+    Raises
+    ------
+    ConfigError
+        There is no such conversion; all faults at once, with the conversions there are.
+    """
+    shown, faults = [], []
+    for variable in variables:
+        if variable.name in wanted:
+            known = conversions(variable.unit, defined.get(variable.unit, ()))
+            name = wanted[variable.name]
+            if name not in known:
+                options = did_you_mean(name, known)
+                faults.append(f'{variable.name}: no conversion from "{variable.unit}" to "{name}"; {options}')
+                continue
+            variable = replace(variable, display_unit=known[name])
+        shown.append(variable)
+    if faults:
+        raise ConfigError(faults)
+    return tuple(shown)

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.reading import read_study
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -4,23 +4,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ddpc_controllers.behavioral import DataDiagnostics as DataDiagnostics
-    from ddpc_controllers.behavioral import hankel_matrix as hankel_matrix
-    from ddpc_controllers.behavioral import numerical_rank as numerical_rank
-    from ddpc_controllers.behavioral import persistency_of_excitation as persistency_of_excitation
+    from ddpc_controllers.behavioral import (
+        DataDiagnostics as DataDiagnostics,
+        hankel_matrix as hankel_matrix,
+        numerical_rank as numerical_rank,
+        persistency_of_excitation as persistency_of_excitation,
+    )
     from ddpc_controllers.cascade import Cascade as Cascade
-    from ddpc_controllers.composed_dictionaries import Combined as Combined
-    from ddpc_controllers.composed_dictionaries import Delays as Delays
-    from ddpc_controllers.decentralised import Decentralised as Decentralised
-    from ddpc_controllers.decentralised import Group as Group
+    from ddpc_controllers.composed_dictionaries import Combined as Combined, Delays as Delays
+    from ddpc_controllers.decentralised import Decentralised as Decentralised, Group as Group
     from ddpc_controllers.deepc import DeePC as DeePC
-    from ddpc_controllers.dictionaries import Constant as Constant
-    from ddpc_controllers.dictionaries import Dictionary as Dictionary
-    from ddpc_controllers.dictionaries import Gaussian as Gaussian
-    from ddpc_controllers.dictionaries import Identity as Identity
-    from ddpc_controllers.dictionaries import OwnFunction as OwnFunction
-    from ddpc_controllers.dictionaries import Polynomials as Polynomials
-    from ddpc_controllers.dictionaries import ThinPlate as ThinPlate
+    from ddpc_controllers.dictionaries import (
+        Constant as Constant,
+        Dictionary as Dictionary,
+        Gaussian as Gaussian,
+        Identity as Identity,
+        OwnFunction as OwnFunction,
+        Polynomials as Polynomials,
+        ThinPlate as ThinPlate,
+    )
     from ddpc_controllers.fmu_model import FMUModel as FMUModel
     from ddpc_controllers.identification import Identified as Identified
     from ddpc_controllers.ipid import IPID as IPID
@@ -28,15 +30,13 @@ if TYPE_CHECKING:
     from ddpc_controllers.lqr import LQR as LQR
     from ddpc_controllers.mfac import MFAC as MFAC
     from ddpc_controllers.mfapc import MFAPC as MFAPC
-    from ddpc_controllers.models import ModelFunction as ModelFunction
-    from ddpc_controllers.models import StateSpace as StateSpace
+    from ddpc_controllers.models import ModelFunction as ModelFunction, StateSpace as StateSpace
     from ddpc_controllers.mpc import MPC as MPC
     from ddpc_controllers.offset_free import OffsetFree as OffsetFree
     from ddpc_controllers.pid import PID as PID
     from ddpc_controllers.pulse_response import pulse_model as pulse_model
     from ddpc_controllers.scaled import Scaled as Scaled
-    from ddpc_controllers.spc import SPC as SPC
-    from ddpc_controllers.spc import GammaDDPC as GammaDDPC
+    from ddpc_controllers.spc import SPC as SPC, GammaDDPC as GammaDDPC
     from ddpc_controllers.spsa import SPSA as SPSA
     from ddpc_controllers.wkpc import WKPC as WKPC
 

@@ -11,8 +11,7 @@ from typing import Literal
 import numpy as np
 
 from ddpc_controllers.backends import BACKENDS, BackendName, make_backend
-from ddpc_controllers.change_limits import NOT_FINITE as INPUTS_HELD
-from ddpc_controllers.change_limits import rate_limits
+from ddpc_controllers.change_limits import NOT_FINITE as INPUTS_HELD, rate_limits
 from ddpc_controllers.problem import Problem
 from ddpc_controllers.qp import NOT_FINITE, Move, ParametricQP
 from ddpc_controllers.recorded import ParameterVector

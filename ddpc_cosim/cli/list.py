@@ -39,7 +39,7 @@ def _what(plugin: Plugin) -> Text:
 
 def _describe(value: Any) -> str:
     """Return a plug-in's description, or the first line of its documentation."""
-    from ddpc_cosim.study_file import study_title
+    from ddpc_cosim.study.reading import study_title
 
     if inspect.isclass(value):
         return (inspect.getdoc(value) or "").partition("\n")[0]

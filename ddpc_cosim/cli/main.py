@@ -4,8 +4,13 @@ Exit codes: 0 done; 1 some case failed or a check failed; 2 usage or configurati
 143 terminated.
 """
 
+import signal
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 
 import click
 
@@ -13,12 +18,43 @@ FAILED, MISUSED, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 _GOES_ON = "finished cases are kept; the same command goes on from there"
 
 
+_REQUESTS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to terminate (SIGTERM): by ``kill``, a batch system, or a service manager."""
+
+
+@contextmanager
+def orderly_end() -> Iterator[None]:
+    """Make a request to terminate raise :class:`Terminated`, as Ctrl-C raises ``KeyboardInterrupt``.
+
+    The second request of either kind ends the process at once. What is ignored, as in a background job of a
+    shell, stays ignored. Only for the main thread.
+    """
+    before = {number: signal.getsignal(number) for number in _REQUESTS}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, _end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    for request in _REQUESTS:
+        if signal.getsignal(request) is _end:
+            signal.signal(request, signal.SIG_DFL)
+    raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+
+
 class _Commands(click.Group):
     """A group whose commands report errors of this project in their own words."""
 
     def invoke(self, context: click.Context) -> object:
         from ddpc_cosim.errors import ConfigError, CosimError
-        from ddpc_cosim.interrupts import Terminated
 
         try:
             return super().invoke(context)
@@ -57,8 +93,6 @@ def run(
     study: str, out: Path | None, jobs: int | None, only: str, seeds: str | None, fresh: bool, no_report: bool
 ) -> None:
     """Run STUDY, a file or the name of a built-in study, and write its report."""
-    from ddpc_cosim.interrupts import orderly_end
-
     with orderly_end():
         from ddpc_cosim.cli.run import run_command
 
@@ -70,7 +104,7 @@ def run(
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The report [DIR/report.html].")
 def report(folders: tuple[Path, ...], out: Path | None) -> None:
     """Rebuild the report of a run, or put several runs into one."""
-    from ddpc_cosim.cli.report import report_command
+    from ddpc_cosim.cli.run import report_command
 
     report_command(folders, out)
 
@@ -122,9 +156,21 @@ def init(
     fmu: Path, out: Path, inputs: tuple[str, ...], outputs: tuple[str, ...], force: bool, step_timeout: float
 ) -> None:
     """Write a study for an FMU that runs at once, from a step test in a process of its own."""
-    from ddpc_cosim.cli.init import init_command
+    from ddpc_cosim.errors import ConfigError, CosimWarning
+    from ddpc_cosim.suggestion import suggest_study, write_study
 
-    init_command(fmu, out, inputs, outputs, force=force, step_timeout=step_timeout)
+    if out.exists() and not force:  # before the step test, which may take a while
+        raise ConfigError(f"{out}: is there already; choose another --out, or --force to replace it")
+    click.echo(f"step test of {fmu.name} ...", err=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CosimWarning)  # they stand in the study
+        proposal = suggest_study(
+            fmu, inputs=list(inputs) or None, outputs=list(outputs) or None, step_timeout=step_timeout
+        )
+        path = write_study(proposal, fmu, out, replace=force)
+    driven, controlled = (", ".join(v.name for v in s) for s in (proposal.inputs, proposal.outputs))
+    click.echo(f"{path}: {controlled} by {driven}, every {proposal.sampling_time:g} s")
+    click.echo(f"run it: ddpc-cosim run {path}")
 
 
 @main.command()

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ddpc_cosim.metrics import split_key
-from ddpc_cosim.results import METRICS_FILE, CaseResult, StudyResults
+from ddpc_cosim.study.results import METRICS_FILE, CaseResult, StudyResults
 from ddpc_cosim.trace import Outcome
 
 _SHOWN = {"sum_abs_error": "sum |error|", "settled_error": "settled", "max_abs_input": "max |input|"}

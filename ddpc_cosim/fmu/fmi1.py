@@ -7,7 +7,6 @@ from typing import Any
 
 import fmpy.fmi1
 
-from ddpc_cosim.fmu.calls import WARNING, CallError, failed_call
 from ddpc_cosim.fmu.instance import (
     BareStep,
     EventInfo,
@@ -18,7 +17,7 @@ from ddpc_cosim.fmu.instance import (
     Slave,
     ValueType,
 )
-from ddpc_cosim.fmu.messages import FMI1_CALLBACKS
+from ddpc_cosim.fmu.status import FMI1_CALLBACKS, WARNING, CallError, failed_call
 
 _INTEGER = ValueType("fmi1GetInteger", "fmi1SetInteger", ctypes.c_int)
 # fmiBoolean is a char; numbers are wanted here, and bytes there.

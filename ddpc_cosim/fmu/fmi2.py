@@ -7,7 +7,6 @@ from typing import Any
 
 import fmpy.fmi2
 
-from ddpc_cosim.fmu.calls import DISCARD, WARNING, CallError, failed_call
 from ddpc_cosim.fmu.instance import (
     BareStep,
     EventInfo,
@@ -18,7 +17,7 @@ from ddpc_cosim.fmu.instance import (
     Slave,
     ValueType,
 )
-from ddpc_cosim.fmu.messages import fmi2_callbacks
+from ddpc_cosim.fmu.status import DISCARD, WARNING, CallError, failed_call, fmi2_callbacks
 
 _INTEGER = ValueType("fmi2GetInteger", "fmi2SetInteger", ctypes.c_int)
 _TERMINATED = 3

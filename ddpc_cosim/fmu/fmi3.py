@@ -4,9 +4,8 @@ import ctypes
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ddpc_cosim.fmu.calls import DISCARD, WARNING, CallError, failed_call, termination
 from ddpc_cosim.fmu.instance import EventInfo, Instance, Model, ModelFunctions, Origin, Slave, ValueType
-from ddpc_cosim.fmu.messages import fmi3_logger
+from ddpc_cosim.fmu.status import DISCARD, WARNING, CallError, failed_call, fmi3_logger, termination
 from ddpc_cosim.variables import FloatArray
 
 _MOST_ITERATIONS = 1000

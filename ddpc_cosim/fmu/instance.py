@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ddpc_cosim.fmu.calls import FATAL, WARNING, CallError, failed_call
 from ddpc_cosim.fmu.library import CFunction, is_missing, load_library
-from ddpc_cosim.fmu.messages import Log
+from ddpc_cosim.fmu.status import FATAL, WARNING, CallError, Log, failed_call
 from ddpc_cosim.variables import FloatArray
 
 DoubleArray = Any

@@ -17,7 +17,7 @@ from ddpc_cosim.fmu.archive import UnpackLimits
 from ddpc_cosim.fmu.isolation_frames import Frame, pack, unpack, write_all
 from ddpc_cosim.fmu.isolation_launch import Child, Ending, launch
 from ddpc_cosim.fmu.isolation_messages import FREE_STATES, RESTORE_STATE, SAVE_STATE, Call, Job, Opened, Reply
-from ddpc_cosim.fmu.linear_model import Derivatives, LinearModel
+from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel
 from ddpc_cosim.fmu.scratch import ScratchFolder
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.variables import FloatArray

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ddpc_cosim.errors import CosimError
-from ddpc_cosim.fmu.model_description import FMUDescription, Interface
+from ddpc_cosim.fmu.description import FMUDescription, Interface
 from ddpc_cosim.variables import Variable
 
 SAVE_STATE, RESTORE_STATE, FREE_STATES = "save_state", "restore_state", "free_states"

@@ -1,23 +1,160 @@
-"""Linear models of an FMU for Model Exchange about the point at which it is.
+"""Linear models of an FMU for Model Exchange about the point at which it is."""
 
-    dx' = A dx + B du,   dy = C dx + D du
-
-The derivatives are the FMU's own where it has them, else central differences of what it computes beside the
-point. What discrete states do at later events is in neither.
-"""
-
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from ctypes import c_double
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal, get_args
 
 import numpy as np
 
-from ddpc_cosim.fmu.calls import CallError
-from ddpc_cosim.fmu.differences import Surroundings, central_differences
-from ddpc_cosim.fmu.directions import directional_derivatives, scalars
-from ddpc_cosim.fmu.instance import Model
-from ddpc_cosim.fmu.linear_model import LinearModel
-from ddpc_cosim.fmu.model_description import REAL_TYPES, FMUDescription, Signal
-from ddpc_cosim.fmu.ports import Shapes
+from ddpc_cosim.fmu.buffers import Port, Shapes, layout
+from ddpc_cosim.fmu.description import REAL_TYPES, FMUDescription, Signal, element
+from ddpc_cosim.fmu.instance import Model, reference_array
+from ddpc_cosim.fmu.status import CallError
 from ddpc_cosim.variables import FloatArray
+
+Derivatives = Literal["auto", "directional", "differences"]
+DERIVATIVES: tuple[str, ...] = get_args(Derivatives)
+
+
+@dataclass(frozen=True, slots=True)
+class LinearModel:
+    """A linear model of an FMU about an operating point: dx' = A dx + B du, dy = C dx + D du.
+
+    Parameters
+    ----------
+    a, b, c, d : array, shapes (n, n), (n, m), (p, n) and (p, m)
+        The matrices, in the units of the FMU's variables, and seconds.
+    x_0, u_0, y_0 : array, shapes (n,), (m,) and (p,)
+        The operating point.
+    rate : array, shape (n,)
+        Derivatives of the states there [per s]; zero at an equilibrium.
+    states : tuple of str
+        Names of the states; empty where the FMU does not tell.
+    derivatives : str
+        Where A and B come from: ``"directional"`` derivatives of the FMU, or ``"differences"``.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: FloatArray
+    x_0: FloatArray
+    u_0: FloatArray
+    y_0: FloatArray
+    rate: FloatArray
+    states: tuple[str, ...]
+    derivatives: str
+
+
+def scalars(description: FMUDescription, names: Iterable[str], shapes: Shapes) -> list[Signal]:
+    """Return the numbers that variables consist of, arrays element by element."""
+    found = []
+    for name in names:
+        variable = description.variables[name]
+        sizes = shapes.get(name, variable.shape)
+        found += [element(variable, indices) for indices in product(*(range(1, size + 1) for size in sizes))]
+    return found
+
+
+def directional_derivatives(
+    model: Model, unknowns: Sequence[Signal], knowns: Sequence[Signal], shapes: Shapes
+) -> FloatArray:
+    """Return the derivatives of unknowns by knowns, shape (unknowns, knowns).
+
+    Raises
+    ------
+    CallError
+        The FMU does not tell one.
+    """
+    rows = layout(unknowns, shapes)
+    references, sensitivity = reference_array(rows.references), (c_double * rows.size)()
+    matrix = np.empty((len(unknowns), len(knowns)))
+    for column, known in enumerate(knowns):
+        direction = layout([known], shapes)
+        seed = (c_double * direction.size)()
+        seed[direction.elements[0]] = 1.0
+        model.get_directional_derivative(references, reference_array(direction.references), seed, sensitivity)
+        matrix[:, column] = np.array(sensitivity)[rows.elements]
+    return matrix
+
+
+# Where rounding and curvature weigh the same in a central difference (W. H. Press et al., Numerical Recipes,
+# 3rd ed., section 5.7).
+_STEP = float(np.finfo(float).eps) ** (1.0 / 3.0)
+
+
+class Surroundings:
+    """The point at which a model is, and what it computes beside it.
+
+    Parameters
+    ----------
+    model : Model
+        The instance, in continuous-time mode.
+    inputs, outputs : sequence of Signal
+        Real numbers to change and to read.
+    shapes : mapping of str to tuple of int
+        Sizes of arrays that differ from the description's.
+
+    Attributes
+    ----------
+    x_0, u_0, y_0, rate : array, shapes (n,), (m,), (p,) and (n,)
+        States, inputs, outputs and derivatives of the states at the point.
+    scale : array, shape (n + m,)
+        Typical magnitudes of states and inputs.
+    low, high : array, shape (n + m,)
+        Limits of states and inputs; infinite for states.
+    """
+
+    def __init__(
+        self, model: Model, inputs: Sequence[Signal], outputs: Sequence[Signal], shapes: Shapes
+    ) -> None:
+        self._model, self._n = model, model.sizes()[0]
+        self._inputs, self._outputs = Port(model, inputs, shapes), Port(model, outputs, shapes)
+        self._memory = (c_double * self._n)()
+        model.get_states(self._memory, self._n)
+        self.x_0, self.u_0 = np.array(self._memory), self._inputs.read()
+        self.rate, self.y_0 = self._rate(), self._outputs.read()
+        model.get_nominals(self._memory, self._n)
+        typical = np.array([*self._memory, *(signal.variable.nominal for signal in inputs)])
+        usable = np.isfinite(typical) & (typical != 0.0)
+        self.scale = np.maximum(np.where(usable, np.abs(typical), 1.0), np.abs([*self.x_0, *self.u_0]))
+        free = [np.inf] * self._n
+        self.low = np.array([*(-x for x in free), *(signal.variable.min for signal in inputs)])
+        self.high = np.array([*free, *(signal.variable.max for signal in inputs)])
+
+    def at(self, point: FloatArray) -> FloatArray:
+        """Go to states and inputs, shape (n + m,); return rates and outputs there, shape (n + p,)."""
+        self._memory[:] = point[: self._n].tolist()
+        self._model.set_states(self._memory, self._n)
+        self._inputs.write(point[self._n :])
+        return np.concatenate([self._rate(), self._outputs.read()])
+
+    def _rate(self) -> FloatArray:
+        self._model.get_derivatives(self._memory, self._n)
+        return np.array(self._memory)
+
+
+def central_differences(around: Surroundings) -> FloatArray:
+    """Return the derivatives of rates and outputs by states and inputs, shape (n + p, n + m).
+
+    The steps follow the nominal values. An input at its limit is changed to one side only.
+    """
+    here = np.concatenate([around.x_0, around.u_0])
+    step = _STEP * around.scale
+    below, above = np.maximum(here - step, around.low), np.minimum(here + step, around.high)
+    stuck = ~(above > below)
+    below, above = np.where(stuck, here - step, below), np.where(stuck, here + step, above)
+    columns = []
+    for i in range(len(here)):
+        beside = [here.copy(), here.copy()]
+        beside[0][i], beside[1][i] = below[i], above[i]
+        low, high = (around.at(point) for point in beside)
+        with np.errstate(over="ignore", invalid="ignore"):  # the caller says what is not finite
+            columns.append((high - low) / (above[i] - below[i]))
+    around.at(here)
+    return np.stack(columns, axis=1)
 
 
 def linearisation_faults(

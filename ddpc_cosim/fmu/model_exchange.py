@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ddpc_cosim.fmu.calls import CallError, termination
+from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.instance import EventInfo, Instance, Model
 from ddpc_cosim.fmu.integrators import make_integrator
-from ddpc_cosim.fmu.ports import Port
 from ddpc_cosim.fmu.run import Run
+from ddpc_cosim.fmu.status import CallError, termination
 from ddpc_cosim.variables import FloatArray
 
 _MOST_EVENTS_AT_ONCE = 1000

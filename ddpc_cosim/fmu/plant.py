@@ -9,16 +9,13 @@ from typing import Self
 
 import numpy as np
 
-from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
+from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError, did_you_mean
 from ddpc_cosim.fmu.archive import UnpackLimits
-from ddpc_cosim.fmu.linear_model import Derivatives, LinearModel
-from ddpc_cosim.fmu.linearisation import linearisation_faults
-from ddpc_cosim.fmu.model_description import FMUDescription
+from ddpc_cosim.fmu.description import FMUDescription
+from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
 from ddpc_cosim.fmu.session import FMUSession
-from ddpc_cosim.fmu.units import with_display_units
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
-from ddpc_cosim.suggest import did_you_mean
-from ddpc_cosim.variables import FloatArray, Variable, names
+from ddpc_cosim.variables import FloatArray, Variable, names, with_display_units
 
 _KIND = {"co-simulation": "Co-Simulation", "model-exchange": "Model Exchange"}
 _DEFAULTS = UnpackLimits()

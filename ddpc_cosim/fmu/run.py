@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.instance import Instance
-from ddpc_cosim.fmu.ports import Port
 from ddpc_cosim.variables import FloatArray
 
 

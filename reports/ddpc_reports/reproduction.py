@@ -8,7 +8,7 @@ from ddpc_reports.numbers import MISSING, as_given, like, percent, significant, 
 from ddpc_reports.table import Cell, Heading, Row, Table
 
 if TYPE_CHECKING:
-    from ddpc_cosim.config import PublishedMethod, Reproduction
+    from ddpc_cosim.study.sections import PublishedMethod, Reproduction
 
 _HEADINGS = (
     Heading("Method and metric", numeric=False),

@@ -8,8 +8,15 @@ from typing import Any
 
 from markupsafe import Markup
 
-from ddpc_reports.comparison import TRACKING, Competitor, Condition, metric_label, metric_signal, metric_unit
-from ddpc_reports.comparison import spread as summed_up
+from ddpc_reports.comparison import (
+    TRACKING,
+    Competitor,
+    Condition,
+    metric_label,
+    metric_signal,
+    metric_unit,
+    spread as summed_up,
+)
 from ddpc_reports.figures import Figure, View, specification
 from ddpc_reports.numbers import as_given, significant, with_unit
 from ddpc_reports.static import static_svg

@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from ddpc_controllers import MPC, WKPC, DeePC, KoopmanMPC
 from ddpc_controllers.backends import BACKENDS, Answer, Backend, contradiction, make_backend

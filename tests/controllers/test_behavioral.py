@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from ddpc_controllers import hankel_matrix, numerical_rank, persistency_of_excitation
 from ddpc_controllers.behavioral import diagnose, least_samples, require_length

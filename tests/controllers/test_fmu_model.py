@@ -28,7 +28,7 @@ from ddpc_cosim import (
     Sample,
     cosimulate,
 )
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.reading import read_study
 from fmu_plants import (
     Equations,
     Parameter,

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from ddpc_controllers.data_model import DataModel, Form
 from ddpc_controllers.gradient_forecast import Forecast, GradientForecast

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.version import package_version
+from ddpc_cosim.plugins import package_version
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 WriteStudy = Callable[..., Path]

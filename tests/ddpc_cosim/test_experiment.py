@@ -26,10 +26,10 @@ from ddpc_cosim import (
     record,
     setting,
 )
-from ddpc_cosim.run import Selection, run_study
-from ddpc_cosim.storage import read_run
-from ddpc_cosim.study import cases_of
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.cases import cases_of
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.results import read_run
+from ddpc_cosim.study.runner import Selection, run_study
 
 EXCITATION = UniformRandom(-0.1, 0.1, samples=45, seed=3)
 

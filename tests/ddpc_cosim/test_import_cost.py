@@ -61,7 +61,7 @@ def test_a_study_with_faults(tmp_path: Path, paper_text: str) -> None:
     code = "import contextlib\nfrom ddpc_cosim.cli.main import main\n"
     code += "with contextlib.suppress(SystemExit): main(['run', 'faulty.toml'])"
     loaded = modules_after(code, tmp_path)
-    assert "ddpc_cosim.study_file" in loaded
+    assert "ddpc_cosim.study.reading" in loaded
     assert not loaded & HEAVY
 
 

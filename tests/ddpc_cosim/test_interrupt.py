@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ddpc_cosim.interrupts import Terminated, orderly_end
+from ddpc_cosim.cli.main import Terminated, orderly_end
 
 from .fmu_faults.processes import Watch, descendants
 

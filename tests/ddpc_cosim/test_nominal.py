@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import ConfigError, Controller, Loop, Sample
-from ddpc_cosim.study import Case, cases_of, run_case
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.cases import Case, cases_of, run_case
+from ddpc_cosim.study.reading import read_study
 
 STUDY = """
 [plant]

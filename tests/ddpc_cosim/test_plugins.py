@@ -9,9 +9,8 @@ from click.testing import CliRunner
 
 from ddpc_cosim import ConfigError, PluginError
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.plugins import installed, load_plugin, plugin_names
-from ddpc_cosim.study_file import read_study
-from ddpc_cosim.version import code_version, source_hash
+from ddpc_cosim.plugins import code_version, installed, load_plugin, plugin_names, source_hash
+from ddpc_cosim.study.reading import read_study
 
 MODULE = '''
 from dataclasses import dataclass

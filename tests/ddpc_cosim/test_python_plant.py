@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import FloatArray, FMUStepError, Plant, StepStatus, Variable, load_results
-from ddpc_cosim.python_plant import PythonPlant
+from ddpc_cosim.study.plants import PythonPlant
 
 Run = Callable[..., CompletedProcess[str]]
 

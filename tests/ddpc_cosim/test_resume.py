@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from ddpc_cosim import ConfigError, CosimError, load_results
-from ddpc_cosim.executors import Update
-from ddpc_cosim.results import CaseResult, StudyResults
-from ddpc_cosim.run import Selection, run_study
-from ddpc_cosim.study import Case
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.cases import Case
+from ddpc_cosim.study.executors import Update
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.results import CaseResult, StudyResults
+from ddpc_cosim.study.runner import Selection, run_study
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 WriteStudy = Callable[..., Path]
@@ -196,7 +196,9 @@ LEAVING = """
 import os
 from dataclasses import dataclass
 import numpy as np
-from ddpc_cosim import Controller, executors, storage
+from ddpc_cosim import Controller
+from ddpc_cosim.study import executors
+from ddpc_cosim.study import results as storage
 
 class Odd(Exception):
     def __init__(self, one, two):
@@ -282,7 +284,7 @@ def test_results_that_cannot_be_written_are_told(
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("ddpc_cosim.results.write_whole", fail)
+    monkeypatch.setattr("ddpc_cosim.study.results.write_whole", fail)
     with pytest.raises(
         CosimError, match=r"out: results cannot be written: No space left on device; finished"
     ):

@@ -20,8 +20,8 @@ from ddpc_cosim import (
     setting,
 )
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.study import Case, cases_of, run_case
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.cases import Case, cases_of, run_case
+from ddpc_cosim.study.reading import read_study
 
 STUDY = """
 [plant]

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from ddpc_cosim import ConfigError, Constant, GaussianNoise, Ramp, Sine, Steps, UniformRandom
 

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from hypothesis.extra import numpy as arrays
 
-from ddpc_cosim import ConfigError, CosimError, DisplayUnit, Outcome, Trace, Variable, load_results, storage
+from ddpc_cosim import ConfigError, CosimError, DisplayUnit, Outcome, Trace, Variable, load_results
 from ddpc_cosim.controller import Bounds
-from ddpc_cosim.results import load_case
-from ddpc_cosim.storage import read_run, read_trace, write_case, write_whole
+from ddpc_cosim.study import results as storage
+from ddpc_cosim.study.results import load_case, read_run, read_trace, write_case, write_whole
 
 HEAD = {"id": "a_seed0_1", "controller": "a", "label": "A", "scenario": "nominal", "seed": 0}
 
@@ -158,7 +157,7 @@ def test_a_case_that_cannot_be_written_leaves_the_older_one(
     def fail(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("ddpc_cosim.storage._write_signals", fail)
+    monkeypatch.setattr("ddpc_cosim.study.results._write_signals", fail)
     words = r"case: cannot be written: No space left on device; finished cases are kept"
     with pytest.raises(CosimError, match=words):
         write_case(tmp_path / "case", trace, HEAD)

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from ddpc_cosim import ConfigError
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.studies import paper
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.reading import read_study
 
 PAPER: dict[str, Any] = tomllib.loads(paper.read_text(encoding="utf-8"))
 

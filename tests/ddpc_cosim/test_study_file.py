@@ -5,15 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from ddpc_cosim import ConfigError, Ramp, Sine, Steps
-from ddpc_cosim.checked_study import converter
-from ddpc_cosim.config import expand_seeds
-from ddpc_cosim.plants import PlantTarget
-from ddpc_cosim.study import Case, cases_of
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.cases import Case, cases_of
+from ddpc_cosim.study.checks import converter
+from ddpc_cosim.study.plants import PlantTarget
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.sections import expand_seeds
 from ddpc_cosim.variables import DisplayUnit, Variable
 
 TARGET = PlantTarget(fmu="pendulum.fmu", python="", content="0")
@@ -188,5 +187,5 @@ def test_a_case_is_named_after_what_decides_its_result(tmp_path: Path) -> None:
 def test_a_change_of_the_code_gives_another_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (case,) = cases(SMALL, tmp_path)
     before = case.id
-    monkeypatch.setattr("ddpc_cosim.study.code_version", lambda controller: f"another {controller}")
+    monkeypatch.setattr("ddpc_cosim.study.cases.code_version", lambda controller: f"another {controller}")
     assert case.id != before

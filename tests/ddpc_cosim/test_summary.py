@@ -8,7 +8,7 @@ from rich.console import Console
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults
 from ddpc_cosim.cli.summary import summary_table
-from ddpc_cosim.config import Study
+from ddpc_cosim.study.sections import Study
 
 COST = "sum_abs_error.angle [deg]"
 METRICS = {COST: 0.0, "settled_error.angle [deg]": 0.1, "max_abs_input.torque [N.m]": 3.0}

@@ -9,9 +9,9 @@ import pytest
 import tomli_w
 
 from ddpc_cosim import ConfigError
-from ddpc_cosim.plants import PlantTarget
-from ddpc_cosim.study import Case, cases_of
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.cases import Case, cases_of
+from ddpc_cosim.study.plants import PlantTarget
+from ddpc_cosim.study.reading import read_study
 
 STUDY = """
 plant = { name = "pendulum", inputs = ["torque"], outputs = ["angle"] }

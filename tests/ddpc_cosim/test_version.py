@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from ddpc_cosim.study import Case, cases_of
-from ddpc_cosim.study_file import read_study
-from ddpc_cosim.version import code_version, source_hash, types_in
+from ddpc_cosim.plugins import code_version, source_hash, types_in
+from ddpc_cosim.study.cases import Case, cases_of
+from ddpc_cosim.study.reading import read_study
 
 LAG = """
 from dataclasses import dataclass

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import CaseResult, FloatArray, Outcome, StudyResults
-from ddpc_cosim.run import Selection, run_study
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.runner import Selection, run_study
 from fmu_plants import cstr
 from fmu_plants.linearisation import linearise
 

@@ -5,8 +5,7 @@ import ctypes
 import numpy as np
 import pytest
 from fmpy.fmi2 import fmi2Error, fmi2OK
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from fmu_plants import Equations, PlantModel, Variable, export_fmu
 

@@ -6,8 +6,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi2 import fmi2OK
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
 SAMPLING_TIME = 0.1

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim import Bounds, CaseResult, DisplayUnit, Outcome, StudyResults, Trace, Variable
-from ddpc_cosim.config import Study
-from ddpc_cosim.results import load_case
-from ddpc_cosim.storage import write_case
+from ddpc_cosim.study.results import load_case, write_case
+from ddpc_cosim.study.sections import Study
 
 SAMPLING_TIME = 0.1
 SAMPLES = 61

@@ -10,7 +10,7 @@ from click.testing import CliRunner, Result
 
 from ddpc_cosim import ConfigError, CosimError, FMUImportError, Outcome, load_results
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.suggestion import suggest_study, write_study
 
 

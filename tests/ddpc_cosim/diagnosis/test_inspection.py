@@ -8,9 +8,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.diagnosis.as_data import as_data
 from ddpc_cosim.errors import FMUImportError
-from ddpc_cosim.inspection import inspect_fmu
+from ddpc_cosim.inspection import as_data, inspect_fmu
 
 
 def run_inspect(*arguments: object) -> Result:

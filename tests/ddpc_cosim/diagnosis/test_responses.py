@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
-from ddpc_cosim.diagnosis.responses import Nature, classify, sample_counts
+from ddpc_cosim.suggestion.step_test import Nature, classify, sample_counts
 
 FIRST, BLOCKS = 1e-3, 14
 TIME = np.cumsum(sample_counts(BLOCKS)) * FIRST

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import pytest
 
-from ddpc_cosim.diagnosis.needed_libraries import needs
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.session import FMUSession
 from ddpc_cosim.inspection import inspect_fmu
+from ddpc_cosim.inspection.needed_libraries import needs
 from fmu_plants.compiler import find_compiler
 
 from .builder import HERE, LAG, describe, platform_folder, write_fmu

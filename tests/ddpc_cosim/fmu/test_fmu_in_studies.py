@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from ddpc_cosim import Constant, Controller, CosimWarning, FMUPlant, Loop, Sample, cosimulate
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.results import load_results
+from ddpc_cosim.study.results import load_results
 
 from .builder import LAG, describe, model_fmu, model_library, write_fmu
 

@@ -10,12 +10,19 @@ import pytest
 
 from ddpc_cosim import ConfigError, FMUPlant, FMUStepError, LinearModel
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.fmu.directions import directional_derivatives, scalars
-from ddpc_cosim.fmu.linearisation import linearisation_faults
-from ddpc_cosim.fmu.model_description import FMUDescription, FMUVariable
+from ddpc_cosim.fmu.description import FMUDescription, FMUVariable
+from ddpc_cosim.fmu.linearisation import directional_derivatives, linearisation_faults, scalars
 from ddpc_cosim.variables import FloatArray, Variable
-from fmu_plants import Equations, PlantModel, cart_pendulum, cstr, export_fmu, pendulum, quadruple_tank
-from fmu_plants import Variable as PlantVariable
+from fmu_plants import (
+    Equations,
+    PlantModel,
+    Variable as PlantVariable,
+    cart_pendulum,
+    cstr,
+    export_fmu,
+    pendulum,
+    quadruple_tank,
+)
 from fmu_plants.linearisation import linearise
 
 from .builder import LAG, V, describe, model_fmu, model_library, write_fmu

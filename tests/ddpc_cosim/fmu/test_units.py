@@ -5,13 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from ddpc_cosim import ConfigError, FMUPlant, Variable
-from ddpc_cosim.checked_study import converter
-from ddpc_cosim.fmu.units import conversions, with_display_units
-from ddpc_cosim.variables import DisplayUnit
+from ddpc_cosim.study.checks import converter
+from ddpc_cosim.variables import DisplayUnit, conversions, with_display_units
 
 from .builder import V, describe, model_library, write_fmu
 

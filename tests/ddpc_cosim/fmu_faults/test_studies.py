@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import ConfigError, Outcome, Trace
-from ddpc_cosim.config import PlantSection
-from ddpc_cosim.plants import PlantSource
-from ddpc_cosim.study import cases_of, run_case
-from ddpc_cosim.study_file import read_study
+from ddpc_cosim.study.cases import cases_of, run_case
+from ddpc_cosim.study.plants import PlantSource
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.sections import PlantSection
 
 from .builder import Fault
 from .loop import FAULT_SAMPLE, FAULT_TIME, SHORT

@@ -1,0 +1,51 @@
+"""The public names and where they are defined; :mod:`lazy_loader` reads them from here too."""
+
+from .controller import (
+    Action as Action,
+    Bounds as Bounds,
+    Controller as Controller,
+    Loop as Loop,
+    Recording as Recording,
+    Sample as Sample,
+)
+from .errors import (
+    ConfigError as ConfigError,
+    ControllerError as ControllerError,
+    CosimError as CosimError,
+    CosimWarning as CosimWarning,
+    DataError as DataError,
+    DivergenceError as DivergenceError,
+    FMUImportError as FMUImportError,
+    FMUStepError as FMUStepError,
+    PluginError as PluginError,
+    StepStatus as StepStatus,
+)
+from .fmu.linearisation import LinearModel as LinearModel
+from .fmu.plant import FMUPlant as FMUPlant
+from .master import cosimulate as cosimulate, record as record
+from .plant import ParameterValue as ParameterValue, Plant as Plant
+from .settings import (
+    SettingInfo as SettingInfo,
+    Weight as Weight,
+    check_settings as check_settings,
+    declared_settings as declared_settings,
+    setting as setting,
+    weight_matrix as weight_matrix,
+)
+from .signals import (
+    Constant as Constant,
+    GaussianNoise as GaussianNoise,
+    ParameterChange as ParameterChange,
+    Ramp as Ramp,
+    Reference as Reference,
+    Sine as Sine,
+    Steps as Steps,
+    UniformRandom as UniformRandom,
+)
+from .study.results import (
+    CaseResult as CaseResult,
+    StudyResults as StudyResults,
+    load_results as load_results,
+)
+from .trace import Outcome as Outcome, Trace as Trace
+from .variables import DisplayUnit as DisplayUnit, FloatArray as FloatArray, Variable as Variable

@@ -1,1 +1,0 @@
-"""What is behind `inspect`, `init` and `check`: defects of FMUs, step tests, suggestions, conformance."""

@@ -1,0 +1,420 @@
+"""Preallocated buffers through which the numbers of an FMU are written and read, seen by C and by NumPy."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddpc_cosim.errors import ConfigError, did_you_mean
+from ddpc_cosim.fmu.description import (
+    REAL_TYPES,
+    FMUDescription,
+    FMUVariable,
+    Signal,
+    flat_index,
+)
+from ddpc_cosim.fmu.instance import Instance, ValueType, reference_array
+from ddpc_cosim.fmu.status import WARNING, CallError, failed_call
+from ddpc_cosim.plant import ParameterValue as Value
+from ddpc_cosim.variables import FloatArray
+
+Shapes = Mapping[str, tuple[int, ...]]
+"""The sizes of array variables by name, where structural parameters have changed them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """All variables of one FMI type in a port: one call moves them.
+
+    Parameters
+    ----------
+    get, set : callable
+        The calls, with all arguments bound; they return an FMI status.
+    names : ValueType
+        The names of the calls.
+    values : array
+        The memory that C sees.
+    positions, elements : array of int
+        The port's entries ``positions`` are the memory's elements ``elements``.
+    fmi_type : str
+        The variables' type.
+    negated : array of bool, optional
+        Which of the port's entries are the opposite of what is in memory (FMI 1.0).
+    """
+
+    get: Callable[[], int]
+    set: Callable[[], int]
+    names: ValueType
+    values: NDArray[Any]
+    positions: NDArray[np.intp]
+    elements: NDArray[np.intp]
+    fmi_type: str
+    negated: NDArray[np.bool_] | None = None
+
+    def write(self) -> None:
+        """Pass the memory to the FMU."""
+        status = self.set()
+        if status > WARNING:
+            raise failed_call(self.names.set, status)
+
+    def read(self) -> None:
+        """Let the FMU fill the memory."""
+        status = self.get()
+        if status > WARNING:
+            raise failed_call(self.names.get, status)
+
+    def accept(self, u: FloatArray) -> None:
+        """Convert the port's numbers to the block's type: integers are rounded, booleans are u >= 0.5."""
+        chosen = self._with_signs(u[self.positions])
+        if self.fmi_type == "Boolean":
+            self.values[self.elements] = chosen >= 0.5
+        elif self.fmi_type in REAL_TYPES:
+            self.values[self.elements] = chosen
+        else:
+            self.values[self.elements] = np.rint(chosen)
+
+    def numbers(self) -> NDArray[Any]:
+        """Return the port's entries in the memory."""
+        return self._with_signs(self.values[self.elements])
+
+    def _with_signs(self, numbers: NDArray[Any]) -> NDArray[Any]:
+        if self.negated is None:
+            return numbers
+        opposite = 1 - numbers if self.fmi_type == "Boolean" else -numbers
+        return np.where(self.negated, opposite, numbers)
+
+
+class Port:
+    """A vector of numbers that are moved together.
+
+    Parameters
+    ----------
+    instance : Instance
+        The FMU.
+    signals : sequence of Signal
+        The numbers, in the vector's order.
+    shapes : mapping of str to tuple of int
+        Sizes of arrays that differ from the description's.
+    """
+
+    def __init__(self, instance: Instance, signals: Sequence[Signal], shapes: Shapes) -> None:
+        self._length = len(signals)
+        by_type: dict[str, list[int]] = {}
+        for i, signal in enumerate(signals):
+            by_type.setdefault(signal.source.type, []).append(i)
+        self._blocks = [
+            _block(instance, name, [signals[i] for i in positions], positions, shapes)
+            for name, positions in by_type.items()
+        ]
+        self.plain = self._plain()
+        """The only call that moves the vector, if its memory is the vector: nothing has to be sorted."""
+
+    def _plain(self) -> Block | None:
+        if len(self._blocks) != 1:
+            return None
+        block = self._blocks[0]
+        in_order = np.array_equal(block.elements, np.arange(len(block.values)))
+        is_plain = in_order and block.negated is None and block.values.dtype == np.float64
+        return block if is_plain else None
+
+    def write(self, u: FloatArray) -> None:
+        """Write the numbers u, shape (n,)."""
+        vector = np.asarray(u, dtype=np.float64)
+        for block in self._blocks:
+            block.accept(vector)
+            block.write()
+
+    def read(self) -> FloatArray:
+        """Read the numbers into a new array, shape (n,)."""
+        y = np.empty(self._length)
+        for block in self._blocks:
+            block.read()
+            y[block.positions] = block.numbers()
+        return y
+
+    def fetch(self) -> None:
+        """Read what the FMU has, so that elements of arrays that are not written keep their values."""
+        for block in self._blocks:
+            if len(block.elements) < len(block.values):
+                block.read()
+
+
+class Layout(NamedTuple):
+    """How signals lie in the memory that a call of C moves: whole variables, one after the other.
+
+    Parameters
+    ----------
+    references : list of int
+        Value references of the variables, each once.
+    size : int
+        Numbers in the memory.
+    elements : list of int
+        Where each signal is.
+    """
+
+    references: list[int]
+    size: int
+    elements: list[int]
+
+
+def layout(signals: Sequence[Signal], shapes: Shapes) -> Layout:
+    """Return how signals lie in memory.
+
+    Raises
+    ------
+    ConfigError
+        A signal is outside its array.
+    """
+    variables = {signal.source.reference: signal.source for signal in signals}
+    offsets, size = {}, 0
+    for reference, variable in variables.items():
+        offsets[reference] = size
+        size += prod(shapes.get(variable.name, variable.shape))
+    elements = [offsets[s.source.reference] + _place(s, shapes) for s in signals]
+    return Layout(list(variables), size, elements)
+
+
+def _block(
+    instance: Instance, fmi_type: str, signals: Sequence[Signal], positions: list[int], shapes: Shapes
+) -> Block:
+    value_type = instance.types[fmi_type]
+    references, size, elements = layout(signals, shapes)
+    memory = (value_type.c_type * size)()
+    arguments = (
+        instance.component,
+        *instance.value_arguments(reference_array(references), size, memory),
+    )
+    return Block(
+        get=partial(instance.function(value_type.get), *arguments),
+        set=partial(instance.function(value_type.set), *arguments),
+        names=value_type,
+        values=np.ctypeslib.as_array(memory),
+        positions=np.array(positions, dtype=np.intp),
+        elements=np.array(elements, dtype=np.intp),
+        fmi_type=fmi_type,
+        negated=negated if (negated := np.array([s.source.negated for s in signals])).any() else None,
+    )
+
+
+def _place(signal: Signal, shapes: Shapes) -> int:
+    shape = shapes.get(signal.source.name, signal.source.shape)
+    if any(index > size for index, size in zip(signal.indices, shape, strict=True)):
+        raise ConfigError(
+            f"{signal.variable.name} is outside the array {signal.source.name} of size {list(shape)}"
+        )
+    return flat_index(signal.indices, shape)
+
+
+# The coarsest type that values are stored in: Float32.
+_SAME = 1e-6
+
+
+class StartValues:
+    """The values that a user gives for variables of an FMU.
+
+    Parameters
+    ----------
+    description : FMUDescription
+        The FMU.
+    label : str
+        The FMU's file name, for errors.
+    values : mapping of str to number or str
+        By name; elements of arrays as ``x[2]``.
+    driven : sequence of Signal
+        The inputs that are driven: they cannot be given.
+    tunable_only : bool
+        Whether the run has begun.
+
+    Raises
+    ------
+    ConfigError
+        A variable is unknown or its value impossible; all faults at once.
+    """
+
+    def __init__(
+        self,
+        description: FMUDescription,
+        label: str,
+        values: Mapping[str, Value],
+        driven: Sequence[Signal],
+        *,
+        tunable_only: bool = False,
+    ) -> None:
+        self._description = description
+        self._driven = {signal.variable.name for signal in driven}
+        self._tunable_only = tunable_only
+        faults: list[str] = []
+        self._values: list[tuple[Signal, Value]] = []
+        for name, value in values.items():
+            try:
+                self._values.append(self._checked(name, value))
+            except ValueError as error:
+                faults.append(f"{label}: {error}")
+        if faults:
+            raise ConfigError(faults)
+        self.shapes = self._shapes()
+
+    def set_structural(self, instance: Instance) -> None:
+        """Set structural parameters, which size arrays, if there are any."""
+        structural = self._chosen(lambda variable: variable.is_structural)
+        if structural:
+            instance.configure()
+            self._set(instance, structural)
+            instance.complete_configuration()
+
+    def set_before_initialization(self, instance: Instance) -> None:
+        """Set everything else."""
+        self._set(instance, self._chosen(lambda variable: not variable.is_structural))
+
+    def set_during_run(self, instance: Instance) -> None:
+        """Set values that may change during a run."""
+        self._set(instance, self._values)
+
+    def check_taken(self, instance: Instance) -> None:
+        """Compare what the FMU has after the initialisation with what it was given.
+
+        Raises
+        ------
+        CallError
+            A parameter has another value: the FMU has ignored it.
+        """
+        for signal, value in self._chosen(lambda v: v.causality in ("parameter", "structuralParameter")):
+            found = self._read(instance, signal)
+            if found is not None and not _same(found, _number(signal.source, value)):
+                name = signal.variable.name
+                raise CallError(f"the FMU ignores {name} = {_text(value)}: initialised, it has {found:g}")
+
+    def _checked(self, name: str, value: Value) -> tuple[Signal, Value]:
+        signal, variable = self._description.signal(name), self._description.variables.get(name)
+        if signal is None and variable is not None and variable.shape:
+            raise ValueError(f'"{name}" is an array; set its elements, for example "{name}[1]"')
+        if signal is None:
+            known = [v.name for v in self._description.variables.values() if not self._fault(v)]
+            raise ValueError(f'no parameter "{name}"; {did_you_mean(name, known)}')
+        source = signal.source
+        fault = self._fault(source)
+        if fault:
+            raise ValueError(fault)
+        if name in self._driven:
+            raise ValueError(f'"{name}" is an input that is driven; its value cannot be given')
+        if source.type != "String":
+            _check_range(signal, _number(source, value))
+        elif not isinstance(value, str):
+            raise ValueError(f"parameter {name} = {value!r} must be a text")
+        return signal, value
+
+    def _fault(self, variable: FMUVariable) -> str:
+        """Return why a variable cannot be given a value now; empty if it can."""
+        if not variable.is_settable:
+            why = "it is constant" if variable.variability == "constant" else "the FMU calculates it"
+            return f'no parameter "{variable.name}": {why}'
+        if self._tunable_only and not (variable.is_tunable or variable.causality == "input"):
+            tunable = [v.name for v in self._description.variables.values() if v.is_tunable]
+            names = ", ".join(tunable) or "none"
+            return f'parameter "{variable.name}" cannot change during a run; tunable: {names}'
+        return ""
+
+    def _chosen(self, wanted: Any) -> list[tuple[Signal, Value]]:
+        return [(signal, value) for signal, value in self._values if wanted(signal.source)]
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        """Return the sizes of the arrays that follow structural parameters given here."""
+        sizes = {s.source.name: _number(s.source, v) for s, v in self._values if s.source.is_structural}
+        if not sizes:
+            return {}
+        return {
+            variable.name: tuple(
+                int(sizes.get(dimension, size)) if isinstance(dimension, str) else dimension
+                for dimension, size in zip(variable.dimensions, variable.shape, strict=True)
+            )
+            for variable in self._description.variables.values()
+            if variable.shape
+        }
+
+    def _set(self, instance: Instance, values: Iterable[tuple[Signal, Value]]) -> None:
+        for signal, value in values:
+            try:
+                self._set_one(instance, signal, value)
+            except CallError as error:
+                raise CallError(
+                    f"the FMU refuses {signal.variable.name} = {_text(value)}: {error}", error.code
+                ) from error
+
+    def _set_one(self, instance: Instance, signal: Signal, value: Value) -> None:
+        source = signal.source
+        memory, arguments, place = self._memory(instance, signal)
+        value_type = instance.types[source.type]
+        if len(memory) > 1:  # the other elements keep their values
+            instance.call(value_type.get, *arguments)
+        if source.type == "String":
+            memory[place] = str(value).encode("utf-8")
+        elif source.type in REAL_TYPES:
+            memory[place] = _signed(source, _number(source, value))
+        else:
+            memory[place] = int(_signed(source, _number(source, value)))
+        instance.call(value_type.set, *arguments)
+
+    def _read(self, instance: Instance, signal: Signal) -> float | None:
+        """Return the value that the FMU has; None for a text, and where it does not tell."""
+        if signal.source.type == "String":
+            return None
+        memory, arguments, place = self._memory(instance, signal)
+        try:
+            instance.call(instance.types[signal.source.type].get, *arguments)
+        except CallError:
+            return None
+        return _signed(signal.source, float(memory[place]))
+
+    def _memory(self, instance: Instance, signal: Signal) -> tuple[Any, tuple[Any, ...], int]:
+        """Return memory for all elements of a variable, the call's arguments, and the element's place."""
+        source = signal.source
+        shape = self.shapes.get(source.name, source.shape)
+        count = prod(shape)
+        memory = (instance.types[source.type].c_type * count)()
+        references = reference_array([source.reference])
+        if any(index > size for index, size in zip(signal.indices, shape, strict=True)):
+            raise CallError(f"the array {source.name} has the size {list(shape)}")
+        return memory, instance.value_arguments(references, count, memory), flat_index(signal.indices, shape)
+
+
+def _number(variable: FMUVariable, value: Value) -> float:
+    """Return a value as a number; values of enumerations by their name too."""
+    if not isinstance(value, str):
+        return float(value)
+    if value in variable.items:
+        return float(variable.items[value])
+    if variable.type == "Boolean" and value.lower() in ("true", "false"):
+        return float(value.lower() == "true")
+    allowed = f"; allowed: {', '.join(variable.items)}" if variable.items else ""
+    raise ValueError(f"parameter {variable.name} = {value!r} must be a number{allowed}")
+
+
+def _signed(variable: FMUVariable, number: float) -> float:
+    """Return the opposite number for variables that are that of another (FMI 1.0)."""
+    if not variable.negated:
+        return number
+    return 1.0 - number if variable.type == "Boolean" else -number
+
+
+def _check_range(signal: Signal, number: float) -> None:
+    variable, fmi_type = signal.variable, signal.source.type
+    if not variable.min <= number <= variable.max or not math.isfinite(number):
+        raise ValueError(
+            f"parameter {variable.name} = {number:g} is outside [{variable.min:g}, {variable.max:g}]"
+        )
+    if fmi_type not in REAL_TYPES and number != round(number):
+        kind = "a truth value (0 or 1)" if fmi_type == "Boolean" else f"a whole number ({fmi_type})"
+        raise ValueError(f"parameter {variable.name} = {number:g} must be {kind}")
+
+
+def _same(found: float, given: float) -> bool:
+    return math.isclose(found, given, rel_tol=_SAME, abs_tol=0.0)
+
+
+def _text(value: Value) -> str:
+    return f"{value:g}" if isinstance(value, float) else repr(value)

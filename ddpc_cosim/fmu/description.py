@@ -1,0 +1,356 @@
+"""What an FMU says about itself, in the terms of the contracts."""
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import product
+from typing import Literal
+
+from ddpc_cosim.errors import ConfigError, did_you_mean
+from ddpc_cosim.variables import DisplayUnit, Variable
+
+Kind = Literal["co-simulation", "model-exchange"]
+
+REAL_TYPES = frozenset({"Real", "Float32", "Float64"})
+INTEGER_TYPES = frozenset({"Integer", *(f"{sign}Int{n}" for sign in ("", "U") for n in (8, 16, 32, 64))})
+NUMERIC_TYPES = REAL_TYPES | INTEGER_TYPES | {"Boolean", "Enumeration"}
+
+CAUSALITIES = frozenset(
+    {
+        "parameter",
+        "calculatedParameter",
+        "structuralParameter",
+        "input",
+        "output",
+        "local",
+        "independent",
+    }
+)
+
+_ELEMENT = re.compile(r"(?P<array>.+)\[(?P<indices>\d+(?:,\d+)*)\]")
+
+
+@dataclass(frozen=True, slots=True)
+class FMUVariable:
+    """A variable of an FMU: a number, a text, or an array of them (FMI 3.0).
+
+    Parameters
+    ----------
+    variable : Variable
+        Name, unit, range, start value.
+    reference : int
+        Value reference.
+    type : str
+        The name of its FMI type, for example ``Real``, ``Float64``, ``Boolean`` or ``String``.
+    causality, variability, initial : str
+        As in the model description, with the standard's defaults filled in.
+    shape : tuple of int
+        Sizes of an array at the start values of structural parameters; empty for a scalar.
+    dimensions : tuple of int or str
+        The same; a name stands for the structural parameter that the size follows.
+    start_text : str or None
+        Start value as written.
+    items : mapping of str to int
+        Names of an enumeration's values.
+    derivative_of : str
+        Name of the state that this is the derivative of; empty for none.
+    alias_of : str
+        Name of the variable with the same value reference that this is an alias of (FMI 3.0).
+    negated : bool
+        Whether its value is the opposite of what the FMU has under the value reference (FMI 1.0).
+    """
+
+    variable: Variable
+    reference: int
+    type: str
+    causality: str
+    variability: str
+    initial: str = ""
+    shape: tuple[int, ...] = ()
+    dimensions: tuple[int | str, ...] = ()
+    start_text: str | None = None
+    items: Mapping[str, int] = field(default_factory=dict)
+    derivative_of: str = ""
+    alias_of: str = ""
+    negated: bool = False
+
+    @property
+    def name(self) -> str:
+        """The variable's name."""
+        return self.variable.name
+
+    @property
+    def is_numeric(self) -> bool:
+        """Whether its values are numbers, so that it can be an input or output of a plant."""
+        return self.type in NUMERIC_TYPES
+
+    @property
+    def is_structural(self) -> bool:
+        """Whether it sets the sizes of arrays."""
+        return self.causality == "structuralParameter"
+
+    @property
+    def is_tunable(self) -> bool:
+        """Whether the value may change during a run from outside."""
+        return self.causality == "parameter" and self.variability == "tunable"
+
+    @property
+    def is_settable(self) -> bool:
+        """Whether a value may be given before the run: parameters, inputs and start values."""
+        if self.type in ("Binary", "Clock") or self.variability == "constant":
+            return False
+        return self.causality in ("parameter", "structuralParameter", "input") or (
+            self.causality in ("output", "local") and self.initial in ("exact", "approx")
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One number of an FMU: a scalar variable, or an element of an array.
+
+    Parameters
+    ----------
+    variable : Variable
+        Name (``x`` or ``x[2]``), unit, range, start value.
+    source : FMUVariable
+        The variable that it belongs to.
+    indices : tuple of int
+        Place in the array, counted from 1; empty for a scalar.
+    """
+
+    variable: Variable
+    source: FMUVariable
+    indices: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """One of the ways in which an FMU can be run, and what it can do there.
+
+    Parameters
+    ----------
+    kind : str
+        ``"co-simulation"`` or ``"model-exchange"``.
+    model_identifier : str
+        Name of the library.
+    variable_step : bool
+        Whether the communication step size may change.
+    fixed_step : float or None
+        Step size of which communication steps must be multiples [s] (FMI 3.0).
+    """
+
+    kind: Kind
+    model_identifier: str
+    needs_execution_tool: bool = False
+    only_one_instance: bool = False
+    can_save_state: bool = False
+    can_serialize_state: bool = False
+    provides_directional_derivatives: bool = False
+    variable_step: bool = True
+    fixed_step: float | None = None
+    has_event_mode: bool = False
+    needs_completed_step: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class DefaultExperiment:
+    """The experiment that the FMU's author had in mind; None where nothing is said."""
+
+    start_time: float | None = None
+    stop_time: float | None = None
+    tolerance: float | None = None
+    step_size: float | None = None
+
+
+@dataclass(frozen=True)
+class FMUDescription:
+    """The part of a model description that co-simulation needs.
+
+    Parameters
+    ----------
+    guid : str
+        GUID (FMI 1.0, 2.0) or instantiation token (FMI 3.0).
+    variables : dict of str to FMUVariable
+        All variables by name, in the order of the description.
+    interfaces : mapping of str to Interface
+        What the FMU offers, by kind.
+    display_units : mapping of str to tuple of DisplayUnit
+        The display units that the FMU defines for each unit.
+    derivatives : tuple of str
+        Names of the continuous states' derivatives, in the order of the states' vector; arrays as a whole.
+    direct_feedthrough : mapping of str to tuple of str or None
+        The variables that each output depends on directly; None where the FMU does not say.
+    warnings : tuple of str
+        What is wrong with the description but was understood.
+    """
+
+    fmi_version: str
+    guid: str
+    model_name: str
+    variables: dict[str, FMUVariable]
+    interfaces: Mapping[str, Interface]
+    generation_tool: str = "unknown"
+    generated_at: str = ""
+    author: str = ""
+    version: str = ""
+    copyright: str = ""
+    license: str = ""
+    text: str = ""
+    continuous_states: int = 0
+    event_indicators: int = 0
+    derivatives: tuple[str, ...] = ()
+    default_experiment: DefaultExperiment = field(default_factory=DefaultExperiment)
+    display_units: Mapping[str, tuple[DisplayUnit, ...]] = field(default_factory=dict)
+    dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    source_files: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def major(self) -> int:
+        """The FMI version: 1, 2 or 3."""
+        return int(self.fmi_version[0])
+
+    def named(self, causality: str, type: str) -> list[str]:
+        """Return the names of the variables of a causality and type, in the order of the description."""
+        return [name for name, v in self.variables.items() if (v.causality, v.type) == (causality, type)]
+
+    def signals(self, *causalities: str) -> Iterator[Signal]:
+        """Yield the numbers among the variables of some causalities; arrays element by element."""
+        for variable in self.variables.values():
+            if variable.causality in causalities and variable.is_numeric:
+                for indices in product(*(range(1, size + 1) for size in variable.shape)):
+                    yield element(variable, indices)
+
+    def signal(self, name: str) -> Signal | None:
+        """Return the number of a name, ``x`` or ``x[2]`` or ``x[2,1]``; None if there is none.
+
+        An index is checked against sizes that are fixed; one that follows a structural parameter is checked
+        at the start of a run.
+        """
+        variable = self.variables.get(name)
+        if variable is not None:
+            return Signal(variable.variable, variable) if not variable.shape else None
+        match = _ELEMENT.fullmatch(name)
+        variable = self.variables.get(match["array"]) if match else None
+        if match is None or variable is None:
+            return None
+        indices = tuple(map(int, match["indices"].split(",")))
+        fits = len(indices) == len(variable.shape) and all(
+            i >= 1 and (isinstance(size, str) or i <= size)
+            for i, size in zip(indices, variable.dimensions, strict=True)
+        )
+        return element(variable, indices) if fits else None
+
+    @property
+    def state_order(self) -> tuple[str, ...]:
+        """Names of the continuous states in the order of their vector; empty where one has no name."""
+        known = [self.variables[name].derivative_of for name in self.derivatives if name in self.variables]
+        return tuple(known) if all(name in self.variables for name in known) else ()
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Names of the continuous states, where the description gives them."""
+        return tuple(dict.fromkeys(v.derivative_of for v in self.variables.values() if v.derivative_of))
+
+
+def element(variable: FMUVariable, indices: tuple[int, ...]) -> Signal:
+    """Return an element of an array variable, or the scalar itself for no indices."""
+    if not indices:
+        return Signal(variable.variable, variable)
+    name = f"{variable.name}[{','.join(map(str, indices))}]"
+    start = variable.variable.start
+    starts = (variable.start_text or "").split()
+    position = flat_index(indices, variable.shape)
+    if len(starts) > 1 and position < len(starts):
+        start = number(starts[position], start)
+    return Signal(replace(variable.variable, name=name, start=start), variable, indices)
+
+
+def flat_index(indices: tuple[int, ...], shape: tuple[int, ...]) -> int:
+    """Return the position of an element in an array's memory (row-major, FMI 3.0 section 2.2.6.1)."""
+    position = 0
+    for index, size in zip(indices, shape, strict=True):
+        position = position * size + index - 1
+    return position
+
+
+def number(text: object, default: float) -> float:
+    """Return the number that an attribute's text stands for, the default for none or for other text."""
+    boolean = {"true": 1.0, "false": 0.0}.get(str(text).strip().lower())
+    if boolean is not None:
+        return boolean
+    try:
+        value = float(str(text))
+    except ValueError:
+        return default
+    return default if math.isnan(value) else value
+
+
+_READABLE = ("output", "local", "parameter", "calculatedParameter", "input")
+
+
+def default_signals(description: FMUDescription, causality: str) -> list[Signal]:
+    """Return the inputs or outputs that take part if none are named: the real numbers, or all if none are."""
+    numbers = list(description.signals(causality))
+    return [signal for signal in numbers if signal.source.type in REAL_TYPES] or numbers
+
+
+def choose_signals(
+    description: FMUDescription, label: str, inputs: Sequence[str] | None, outputs: Sequence[str] | None
+) -> tuple[tuple[Signal, ...], tuple[Signal, ...]]:
+    """Return the numbers to drive and to read.
+
+    Parameters
+    ----------
+    description : FMUDescription
+        The FMU.
+    label : str
+        The FMU's file name, for errors.
+    inputs, outputs : sequence of str or None
+        Their names; None for the default.
+
+    Raises
+    ------
+    ConfigError
+        A name does not fit; all faults at once.
+    """
+    faults: list[str] = []
+    chosen = []
+    for what, allowed, names in (("input", ("input",), inputs), ("output", _READABLE, outputs)):
+        if names is None:
+            chosen.append(tuple(default_signals(description, what)))
+            continue
+        found = []
+        for name in names:
+            fault = _fault(description, name, what, allowed)
+            if fault:
+                faults.append(f"{label}: {fault}")
+                continue
+            found.append(name)
+        faults += [f'{label}: {what} "{name}" is chosen twice' for name in _repeated(found)]
+        signals = (description.signal(name) for name in found)
+        chosen.append(tuple(signal for signal in signals if signal is not None))
+    if faults:
+        raise ConfigError(faults)
+    return chosen[0], chosen[1]
+
+
+def _fault(description: FMUDescription, name: str, what: str, allowed: Sequence[str]) -> str:
+    """Return why a name is not one of a number that can be an input, or an output; empty if it is."""
+    signal, variable = description.signal(name), description.variables.get(name)
+    if signal is not None and signal.source.is_numeric and signal.source.causality in allowed:
+        return ""
+    if variable is not None and variable.causality in allowed:
+        if not variable.is_numeric:
+            return f'"{name}" is a {variable.type} and cannot be an {what}; only numbers can'
+        sizes = ",".join(map(str, variable.shape))
+        first = ",".join("1" for _ in variable.shape)
+        return f'"{name}" is an array of size [{sizes}]; name an element, for example "{name}[{first}]"'
+    known = [s.variable.name for s in description.signals(*allowed)]
+    return f'no {what} "{name}"; {did_you_mean(name, known)}'
+
+
+def _repeated(names: Sequence[str]) -> Iterable[str]:
+    return sorted({name for name in names if names.count(name) > 1})

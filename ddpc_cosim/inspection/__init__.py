@@ -1,0 +1,289 @@
+"""What an FMU is, what it can do, and what is wrong with it, without running it."""
+
+import hashlib
+import math
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ddpc_cosim.errors import FMUImportError
+from ddpc_cosim.fmu.archive import MODEL_DESCRIPTION, UnpackLimits, unpack
+from ddpc_cosim.fmu.description import FMUDescription, FMUVariable, Interface
+from ddpc_cosim.fmu.reader import read_description
+from ddpc_cosim.inspection.binaries import Binaries, check_binaries
+from ddpc_cosim.inspection.checks import check_model, check_structure, check_variables
+from ddpc_cosim.inspection.defects import Defect, Findings, Kind, Severity
+from ddpc_cosim.inspection.raw_description import Declared, read_declared
+from ddpc_cosim.variables import Variable
+
+REFUSED = Kind("refused", Severity.ERROR, "the file cannot be opened as an FMU")
+UNREADABLE = Kind("unreadable", Severity.ERROR, "the model description cannot be understood")
+REPAIRED = Kind("repaired", Severity.WARNING, "the description departs from the standard but was understood")
+INVALID = Kind("invalid", Severity.WARNING, "found by the full validation")
+
+_NO_BINARIES = Binaries((), False, "")
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What is known of an FMU before it runs.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    size : int
+        Its bytes.
+    sha256 : str
+        Their hash.
+    description : FMUDescription or None
+        What it says about itself; None if that cannot be read.
+    binaries : Binaries
+        What it brings to run on.
+    defects : tuple of Defect
+        What is wrong, the worst first.
+    """
+
+    path: Path
+    size: int
+    sha256: str
+    description: FMUDescription | None
+    binaries: Binaries
+    defects: tuple[Defect, ...]
+
+    @property
+    def can_run(self) -> bool:
+        """Whether nothing is known that would prevent running it here."""
+        return all(defect.severity is not Severity.ERROR for defect in self.defects)
+
+    @property
+    def inputs(self) -> tuple[Variable, ...]:
+        """The numbers that a controller can drive; arrays element by element."""
+        return self._signals("input")
+
+    @property
+    def outputs(self) -> tuple[Variable, ...]:
+        """The numbers that can be controlled or measured; arrays element by element."""
+        return self._signals("output")
+
+    @property
+    def parameters(self) -> tuple[FMUVariable, ...]:
+        """The parameters that a study can set."""
+        variables = self.description.variables.values() if self.description else ()
+        return tuple(v for v in variables if v.causality in ("parameter", "structuralParameter"))
+
+    @property
+    def states(self) -> tuple[Variable, ...]:
+        """The continuous states that the description names."""
+        if self.description is None:
+            return ()
+        variables = self.description.variables
+        return tuple(variables[name].variable for name in self.description.states if name in variables)
+
+    @property
+    def interfaces(self) -> tuple[Interface, ...]:
+        """In which ways it can be run, the preferred one first."""
+        found = self.description.interfaces if self.description else {}
+        return tuple(found[kind] for kind in sorted(found))  # co-simulation before model-exchange
+
+    @property
+    def feedthrough(self) -> dict[str, tuple[str, ...] | None]:
+        """The inputs on which each output depends without delay; None where the FMU does not say."""
+        if self.description is None:
+            return {}
+        inputs = {v.name for v in self.description.variables.values() if v.causality == "input"}
+        return {
+            output: None if names is None else tuple(name for name in names if name in inputs)
+            for output, names in self.description.dependencies.items()
+        }
+
+    def _signals(self, causality: str) -> tuple[Variable, ...]:
+        return tuple(s.variable for s in self.description.signals(causality)) if self.description else ()
+
+
+def inspect_fmu(
+    path: str | Path, *, strict: bool = False, unpack_limits: UnpackLimits | None = None
+) -> Inspection:
+    """Look at an FMU; the time it takes is linear in the number of variables, except with ``strict``.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    strict : bool
+        Run FMPy's full validation too, which takes seconds for thousands of variables.
+    unpack_limits : UnpackLimits, optional
+        How large the FMU may get when it is unpacked.
+
+    Raises
+    ------
+    FMUImportError
+        There is no such file. Everything else that is wrong with it is a defect.
+
+    Examples
+    --------
+    >>> inspection = inspect_fmu(pendulum_fmu)
+    >>> inspection.can_run
+    True
+    >>> [variable.header for variable in inspection.inputs]
+    ['torque [N.m]']
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FMUImportError(f"{path}: no such file")
+    findings = Findings()
+    with tempfile.TemporaryDirectory(prefix="ddpc-cosim-", ignore_cleanup_errors=True) as name:
+        description, binaries = _look_inside(path, Path(name), unpack_limits, findings)
+    if strict and binaries is not _NO_BINARIES:
+        _validate(path, findings)
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return Inspection(path, path.stat().st_size, digest, description, binaries, findings.defects())
+
+
+def _look_inside(
+    path: Path, folder: Path, limits: UnpackLimits | None, findings: Findings
+) -> tuple[FMUDescription | None, Binaries]:
+    try:
+        unpack(path, folder, limits)
+    except FMUImportError as error:
+        findings.add(REFUSED, str(error))
+        return None, _NO_BINARIES
+    # First as it is written: reading it for use may mend the file.
+    declared, fault = _try_declared(folder)
+    description: FMUDescription | None = None
+    try:
+        description = read_description(folder, path.name)
+    except FMUImportError as error:
+        findings.add(UNREADABLE, str(error))
+    else:
+        for warning in description.warnings:
+            findings.add(REPAIRED, warning)
+    if declared is None:
+        declared, _ = _try_declared(folder)
+    if declared is None:
+        findings.add(UNREADABLE, fault)
+        return description, _NO_BINARIES
+    check_model(declared, findings)
+    check_variables(declared, findings)
+    check_structure(declared, findings)
+    return description, check_binaries(folder, declared, findings)
+
+
+def _try_declared(folder: Path) -> tuple[Declared | None, str]:
+    try:
+        return read_declared(folder / MODEL_DESCRIPTION), ""
+    except ValueError as error:
+        return None, str(error)
+
+
+def _validate(path: Path, findings: Findings) -> None:
+    from fmpy.validation import validate_fmu
+
+    try:
+        problems = validate_fmu(str(path))
+    except Exception as error:  # FMPy's validation raises whatever the file provokes
+        problems = [f"{type(error).__name__}: {error}"]
+    for problem in problems:
+        findings.add(INVALID, " ".join(str(problem).split()))
+
+
+FORMAT = 1
+
+
+def as_data(inspection: Inspection) -> dict[str, Any]:
+    """Return an inspection in plain values; ``format`` rises when a key changes its meaning."""
+    description = inspection.description
+    return {
+        "format": FORMAT,
+        "file": inspection.path.name,
+        "size": inspection.size,
+        "sha256": inspection.sha256,
+        "can_run": inspection.can_run,
+        "runs_from": inspection.binaries.route or None,
+        "platforms": list(inspection.binaries.platforms),
+        "has_sources": inspection.binaries.has_sources,
+        "model": _model(description) if description else None,
+        "interfaces": {interface.kind: _interface(interface) for interface in inspection.interfaces},
+        "inputs": _variables(inspection.inputs),
+        "outputs": _variables(inspection.outputs),
+        "parameters": [_parameter(variable) for variable in inspection.parameters],
+        "states": _variables(inspection.states),
+        "direct_feedthrough": {
+            output: None if inputs is None else list(inputs)
+            for output, inputs in inspection.feedthrough.items()
+        },
+        "defects": [
+            {
+                "kind": defect.kind.name,
+                "severity": defect.severity.value,
+                "message": defect.kind.message,
+                "remedy": defect.kind.remedy or None,
+                "places": list(defect.places),
+            }
+            for defect in inspection.defects
+        ],
+    }
+
+
+def _model(description: FMUDescription) -> dict[str, Any]:
+    experiment = description.default_experiment
+    return {
+        "name": description.model_name,
+        "description": description.text,
+        "fmi_version": description.fmi_version,
+        "guid": description.guid,
+        "tool": description.generation_tool,
+        "generated_at": description.generated_at,
+        "author": description.author,
+        "version": description.version,
+        "copyright": description.copyright,
+        "license": description.license,
+        "variables": len(description.variables),
+        "continuous_states": description.continuous_states,
+        "default_experiment": {
+            "start_time": experiment.start_time,
+            "stop_time": experiment.stop_time,
+            "step_size": experiment.step_size,
+            "tolerance": experiment.tolerance,
+        },
+    }
+
+
+def _interface(interface: Any) -> Mapping[str, Any]:
+    return {name: getattr(interface, name) for name in interface.__dataclass_fields__ if name != "kind"}
+
+
+def _variables(variables: Iterable[Variable]) -> list[dict[str, Any]]:
+    return [_variable(variable) for variable in variables]
+
+
+def _variable(variable: Variable) -> dict[str, Any]:
+    shown = variable.display_unit
+    return {
+        "name": variable.name,
+        "unit": variable.unit,
+        "display_unit": shown.name if shown else None,
+        "min": _finite(variable.min),
+        "max": _finite(variable.max),
+        "nominal": _finite(variable.nominal),
+        "start": _finite(variable.start),
+        "description": variable.description,
+    }
+
+
+def _parameter(parameter: FMUVariable) -> dict[str, Any]:
+    return {
+        **_variable(parameter.variable),
+        "type": parameter.type,
+        "tunable": parameter.is_tunable,
+        "structural": parameter.is_structural,
+        "shape": list(parameter.shape),
+        "start_text": parameter.start_text,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

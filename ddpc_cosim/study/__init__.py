@@ -1,0 +1,1 @@
+"""Studies: many closed loops, from a TOML file to results on disk."""

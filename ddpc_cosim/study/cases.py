@@ -1,0 +1,298 @@
+"""The cases of a study: what decides each of them, and how one is run."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from fnmatch import fnmatch
+from typing import Any
+
+import numpy as np
+
+from ddpc_cosim.controller import Bounds
+from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImportError, FMUStepError
+from ddpc_cosim.master import OUTCOME_OF, ProgressReport, cosimulate
+from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.plugins import code_version, types_in
+from ddpc_cosim.settings import contents, with_plant
+from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference, UniformRandom
+from ddpc_cosim.study.checks import CheckedStudy, converter, excitation_range, limits
+from ddpc_cosim.study.controllers import all_settings, make_controller
+from ddpc_cosim.study.plants import PlantTarget
+from ddpc_cosim.study.sections import ControllerSection, LoopSection, ScenarioSection, StabiliserSection
+from ddpc_cosim.trace import Outcome, Trace
+from ddpc_cosim.variables import Variable, names
+
+_MOST_LISTED = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One run of a study: everything that decides its result, ready to be sent to a worker.
+
+    Parameters
+    ----------
+    controller, scenario : str
+        Their names in the study.
+    seed : int
+        Seed of excitation, noise and the controller's random numbers.
+    label : str
+        Name of the controller in reports.
+    section : dict
+        The controller's type and settings, every default filled in.
+    plant : PlantTarget
+        The plant.
+    inputs, outputs, measurements : tuple of Variable
+        The signals that take part.
+    sampling_time, duration, start_time : float
+        Timing [s].
+    continue_recording : bool
+        The loop starts where the recording ended.
+    reference : dict of str to Reference
+        Of each controlled output, in its own unit.
+    bounds : dict of str to (float, float)
+        Limits in the variables' own units.
+    excitation : UniformRandom or None
+        The experiment.
+    stabiliser : dict or None
+        Type and settings of the controller that keeps the plant during the experiment.
+    parameters : dict of str to float
+        Plant parameters.
+    noise : dict of str to float
+        Standard deviations of measurement noise.
+    events : tuple of ParameterChange
+        Parameter changes during the run.
+    """
+
+    controller: str
+    scenario: str
+    seed: int
+    label: str
+    section: dict[str, Any]
+    plant: PlantTarget
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    measurements: tuple[Variable, ...]
+    sampling_time: float
+    duration: float
+    start_time: float
+    continue_recording: bool
+    reference: dict[str, Reference]
+    bounds: dict[str, tuple[float, float]]
+    excitation: UniformRandom | None
+    stabiliser: dict[str, Any] | None
+    parameters: dict[str, ParameterValue]
+    noise: dict[str, float]
+    events: tuple[ParameterChange, ...] = field(default=())
+
+    @property
+    def name(self) -> str:
+        """Readable name: controller, scenario where there are several in play, seed."""
+        scenario = "" if self.scenario == "nominal" else f"_{self.scenario}"
+        return f"{self.controller}{scenario}_seed{self.seed}"
+
+    @property
+    def id(self) -> str:
+        """Readable name and a hash of everything that decides the result, code version included."""
+        controllers = (self.section, self.stabiliser) if self.stabiliser else (self.section,)
+        decisive = asdict(self) | {"code": [code_version(kind) for kind in types_in([*controllers])]}
+        decisive["files"] = [contents(section["type"], section["settings"]) for section in controllers]
+        del decisive["label"]
+        decisive["plant"] = self.plant.content
+        decisive |= {key: names(getattr(self, key)) for key in ("inputs", "outputs", "measurements")}
+        decisive["reference"] = {name: repr(reference) for name, reference in self.reference.items()}
+        text = json.dumps(decisive, sort_keys=True, default=repr)
+        return f"{self.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
+
+    def head(self) -> dict[str, Any]:
+        """Return what identifies the case in its ``run.json``."""
+        keys = ("id", "controller", "label", "scenario", "seed")
+        return {key: getattr(self, key) for key in keys}
+
+
+def cases_of(
+    checked: CheckedStudy, target: PlantTarget, seeds: list[int] | None = None, only: str = "*"
+) -> list[Case]:
+    """Return the cases of a study: controllers x scenarios x seeds.
+
+    Parameters
+    ----------
+    checked : CheckedStudy
+        The study.
+    target : PlantTarget
+        Its plant, ready to run.
+    seeds : list of int, optional
+        In place of the study's.
+    only : str
+        Glob pattern that the readable name of a case must match.
+
+    Raises
+    ------
+    ConfigError
+        No case matches.
+    """
+    cases = list(_all_cases(checked, target, seeds or checked.study.seeds))
+    chosen = [case for case in cases if fnmatch(case.name, only) or fnmatch(case.controller, only)]
+    if not chosen:
+        listed = ", ".join(case.name for case in cases[:_MOST_LISTED])
+        more = f" and {len(cases) - _MOST_LISTED} more" if len(cases) > _MOST_LISTED else ""
+        raise ConfigError(f"--only {only}: no case matches; there are {listed}{more}")
+    return chosen
+
+
+def run_case(case: Case, progress: ProgressReport | None = None) -> Trace:
+    """Run one case; whatever goes wrong is in the trace's outcome and reason."""
+    read = (*names(case.outputs), *names(case.measurements))
+    try:
+        plant = case.plant.open(names(case.inputs), tuple(dict.fromkeys(read)))
+    except CosimError as error:
+        return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
+    try:
+        trace = _run(case, plant, progress)
+    except BaseException:
+        with suppress(CosimError):  # the first fault counts
+            plant.close()
+        raise
+    try:
+        plant.close()
+    except FMUStepError as error:
+        if trace.outcome is Outcome.COMPLETED:
+            return replace(trace, outcome=_outcome_of(error), reason=f"after the last sample: {error}")
+    return trace
+
+
+def _run(case: Case, plant: Plant, progress: ProgressReport | None) -> Trace:
+    """Close the loop of a case and an open plant."""
+    try:
+        return cosimulate(
+            plant,
+            make_controller(ControllerSection(**_ready(case.section, case.plant))),
+            sampling_time=case.sampling_time,
+            duration=case.duration,
+            reference=case.reference,
+            excitation=case.excitation,
+            stabiliser=make_controller(StabiliserSection(**_ready(case.stabiliser, case.plant)))
+            if case.stabiliser
+            else None,
+            bounds=case.bounds,
+            outputs=names(case.outputs),
+            measurements=names(case.measurements),
+            parameters=case.parameters,
+            noise=GaussianNoise(case.noise) if case.noise else None,
+            events=case.events,
+            seed=case.seed,
+            start_time=case.start_time,
+            continue_recording=case.continue_recording,
+            progress=progress,
+        )
+    except CosimError as error:
+        return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
+
+
+def _ready(section: dict[str, Any], plant: PlantTarget) -> dict[str, Any]:
+    """Return a controller's section in which the plant's FMU has its path."""
+    return section | {"settings": with_plant(section["type"], section["settings"], plant.fmu)}
+
+
+def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
+    """Return the trace of a case that failed before its first sample."""
+    u_limits, y_limits = (
+        np.array([case.bounds[v.name] for v in variables]).reshape(-1, 2)
+        for variables in (case.inputs, case.outputs)
+    )
+    return Trace(
+        time=np.empty(0),
+        reference=np.empty((0, len(case.outputs))),
+        y=np.empty((0, len(case.outputs))),
+        measured=np.empty((0, len(case.measurements))),
+        u=np.empty((0, len(case.inputs))),
+        status=(),
+        solve_time=np.empty(0),
+        inputs=case.inputs,
+        outputs=case.outputs,
+        measurements=case.measurements,
+        bounds=Bounds(u_limits[:, 0], u_limits[:, 1], y_limits[:, 0], y_limits[:, 1]),
+        sampling_time=case.sampling_time,
+        planned_samples=round(case.duration / case.sampling_time) + 1,
+        outcome=outcome,
+        reason=reason,
+        settings=dict(case.section["settings"]),
+    )
+
+
+def _outcome_of(error: CosimError) -> Outcome:
+    if isinstance(error, FMUStepError):
+        return OUTCOME_OF[error.status]
+    if isinstance(error, DivergenceError):
+        return Outcome.DIVERGED
+    return Outcome.FMU_ERROR if isinstance(error, FMUImportError) else Outcome.CONTROLLER_ERROR
+
+
+def _all_cases(checked: CheckedStudy, target: PlantTarget, seeds: list[int]) -> Iterator[Case]:
+    study = checked.study
+    variables = {**checked.signals.inputs, **checked.signals.outputs}
+    reference = {
+        name: section.build(converter(variables[name], section.unit))
+        for name, section in study.reference.items()
+    }
+    stabiliser = _stabiliser(checked)
+    for controller, section in study.controllers.items():
+        settings = all_settings(section, checked.folder)
+        bounds = limits({**study.bounds, **section.bounds}, variables, (*checked.inputs, *checked.outputs))
+        for name, scenario in study.scenarios.items():
+            for seed in seeds:
+                yield Case(
+                    controller=controller,
+                    scenario=name,
+                    seed=seed,
+                    label=section.label or controller,
+                    section={"type": section.type, "settings": settings},
+                    plant=target,
+                    inputs=tuple(variables[name] for name in checked.inputs),
+                    outputs=tuple(variables[name] for name in checked.outputs),
+                    measurements=tuple(variables[name] for name in checked.measurements),
+                    sampling_time=study.loop.sampling_time,
+                    duration=study.loop.duration,
+                    start_time=study.loop.start_time,
+                    continue_recording=study.loop.start == "recording-end",
+                    reference=reference,
+                    bounds=bounds,
+                    excitation=_excitation(checked, seed),
+                    stabiliser=stabiliser,
+                    parameters={**study.plant.parameters, **scenario.parameters},
+                    noise=dict(scenario.noise),
+                    events=_events(scenario, study.loop),
+                )
+
+
+def _excitation(checked: CheckedStudy, seed: int) -> UniformRandom | None:
+    span = excitation_range(checked)
+    recording = checked.study.recording
+    if span is None or recording is None:
+        return None
+    return UniformRandom(tuple(span[0].tolist()), tuple(span[1].tolist()), recording.samples, seed)
+
+
+def _stabiliser(checked: CheckedStudy) -> dict[str, Any] | None:
+    recording = checked.study.recording
+    if recording is None or recording.controller is None:
+        return None
+    controller = recording.controller
+    return {"type": controller.type, "settings": all_settings(controller, checked.folder)}
+
+
+def _events(scenario: ScenarioSection, loop: LoopSection) -> tuple[ParameterChange, ...]:
+    """Return the parameter changes of a scenario; a drift is a change at every sample."""
+    changes = [ParameterChange(event.time, dict(event.parameters)) for event in scenario.events]
+    time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
+    early = 1e-6 * loop.sampling_time
+    for drift in scenario.drifts:
+        path = Ramp(drift.from_value, drift.to_value, drift.from_time, drift.to_time)
+        # A sample time can lie a rounding error beside the instant it stands for.
+        moving = (time > drift.from_time - early) & (time < drift.to_time + loop.sampling_time - early)
+        changes += [
+            ParameterChange(float(t), {drift.parameter: float(value)})
+            for t, value in zip(time[moving], path.at(time[moving]), strict=True)
+        ]
+    return tuple(changes)

@@ -1,0 +1,344 @@
+"""From the plant section of a study to a plant: a plug-in's equations, an FMU file, or a Python class."""
+
+import hashlib
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.plant import FMIType, ParameterValue, Plant
+from ddpc_cosim.plugins import load_plugin, source_hash
+from ddpc_cosim.safe_calls import (
+    close_plant,
+    make_plant,
+    plant_provenance,
+    reset_plant,
+    set_plant_parameters,
+    step_plant,
+)
+from ddpc_cosim.study.sections import PlantSection
+from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, names, with_display_units
+
+
+@dataclass(frozen=True, slots=True)
+class PlantSignals:
+    """The variables of a plant by name, as a study may use them.
+
+    Parameters
+    ----------
+    inputs, outputs, parameters : mapping of str to Variable
+        What can be driven, read and set; some may be several of these.
+    tunable : frozenset of str
+        The parameters that can change during a run.
+    default_inputs, default_outputs : tuple of str
+        What takes part if a study names none; empty: all.
+    """
+
+    inputs: Mapping[str, Variable]
+    outputs: Mapping[str, Variable]
+    parameters: Mapping[str, Variable]
+    tunable: frozenset[str] = field(default_factory=frozenset)
+    default_inputs: tuple[str, ...] = ()
+    default_outputs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PlantTarget:
+    """What a worker needs to open the plant: an FMU's path, or ``module:Class``.
+
+    Parameters
+    ----------
+    fmu : str
+        Path of the FMU; empty for a Python plant.
+    python : str
+        The Python plant's name or ``module:Class``; empty for an FMU.
+    content : str
+        SHA-256 of the FMU, or the Python class with a hash of its source: what decides the behaviour.
+    isolated : bool
+        Whether the FMU runs in a process of its own.
+    step_timeout : float
+        Longest time for any of its calls there [s].
+    fmi_type : str
+        How the FMU is run.
+    display_units : mapping of str to str
+        Units to show variables in.
+    nominal : mapping of str to float
+        Nominal values in place of the plant's own.
+    """
+
+    fmu: str
+    python: str
+    content: str
+    isolated: bool = False
+    step_timeout: float = 60.0
+    fmi_type: FMIType = "auto"
+    display_units: Mapping[str, str] = field(default_factory=dict)
+    nominal: Mapping[str, float] = field(default_factory=dict)
+
+    def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
+        """Open the plant with the chosen inputs and outputs."""
+        if self.fmu:
+            plant = self._open_fmu(inputs, outputs)
+        else:
+            plant = PythonPlant(load_plugin("plants", self.python), inputs)
+            plant.inputs = with_display_units(plant.inputs, self.display_units, {})
+            plant.outputs = with_display_units(plant.outputs, self.display_units, {})
+        plant.inputs = _with_nominal(plant.inputs, self.nominal)
+        plant.outputs = _with_nominal(plant.outputs, self.nominal)
+        return plant
+
+    def _open_fmu(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
+        from ddpc_cosim.fmu.plant import FMUPlant
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", CosimWarning)  # told when the study was read
+            return FMUPlant(
+                self.fmu,
+                inputs=list(inputs),
+                outputs=list(outputs),
+                fmi_type=self.fmi_type,
+                display_units={
+                    name: unit for name, unit in self.display_units.items() if name in (*inputs, *outputs)
+                },
+                isolated=self.isolated,
+                step_timeout=self.step_timeout,
+            )
+
+
+class PlantSource:
+    """A plant that a study names, before any run.
+
+    Parameters
+    ----------
+    section : PlantSection
+        The plant section.
+    folder : Path
+        Folder of the study file: FMU paths are relative to it.
+
+    Raises
+    ------
+    CosimError
+        There is no such plant, or it cannot be loaded.
+    """
+
+    def __init__(self, section: PlantSection, folder: Path) -> None:
+        self._fmu = folder / section.fmu if section.fmu else None
+        # The project's own C code is trusted; what a supplied FMU does is not known.
+        self._isolated = bool(section.fmu) if section.isolated == "auto" else section.isolated
+        self._step_timeout = section.step_timeout
+        self._fmi_type: FMIType = section.fmi_type
+        self._display_units, self._nominal = section.display_units, section.nominal
+        self._name = section.name
+        self._plugin: Any = load_plugin("plants", section.name) if section.name else None
+        if self._plugin is not None and not (_is_model(self._plugin) or _is_plant_class(self._plugin)):
+            raise ConfigError(
+                f'plant "{section.name}" is neither a PlantModel nor a Plant class: {self._plugin!r}'
+            )
+        if self._isolated and _is_plant_class(self._plugin):
+            raise ConfigError(f'plant "{section.name}" is a Python class; only FMUs can be isolated')
+
+    @property
+    def fmu_path(self) -> str:
+        """Absolute path of the FMU that the study supplies; empty for a plug-in."""
+        return str(self._fmu.resolve()) if self._fmu else ""
+
+    @property
+    def is_fmu(self) -> bool:
+        """Whether the plant runs as an FMU, supplied or built from equations."""
+        return not _is_plant_class(self._plugin)
+
+    def signals(self) -> PlantSignals:
+        """Return the plant's variables, as they are to be shown, without building or running it.
+
+        Raises
+        ------
+        ConfigError
+            A display unit is unknown.
+        """
+        signals, defined = self._declared()
+
+        def shown(variables: Mapping[str, Variable]) -> dict[str, Variable]:
+            known = with_display_units(variables.values(), self._display_units, defined)
+            return {v.name: v for v in _with_nominal(known, self._nominal)}
+
+        return replace(signals, inputs=shown(signals.inputs), outputs=shown(signals.outputs))
+
+    def _declared(self) -> tuple[PlantSignals, Mapping[str, tuple[DisplayUnit, ...]]]:
+        """Return the plant's variables and the display units that it defines for each unit."""
+        if self._fmu is not None:
+            return _fmu_signals(self._fmu, self._fmi_type)
+        if _is_model(self._plugin):
+            return _model_signals(self._plugin), {}
+        try:
+            plant: Plant = self._plugin()
+        except Exception as error:  # a third party's constructor can fail in any way
+            raise ConfigError(f'plant "{self._name}": {type(error).__name__}: {error}') from error
+        try:
+            signals = PlantSignals({v.name: v for v in plant.inputs}, {v.name: v for v in plant.outputs}, {})
+            return signals, {}
+        finally:
+            plant.close()
+
+    def prepare(self) -> PlantTarget:
+        """Make the plant ready to run: equations are exported to an FMU, which is compiled if it is new."""
+        fmu = self._fmu
+        if _is_model(self._plugin):
+            fmu = _build(self._plugin)
+        if fmu is None:
+            plugin = self._plugin
+            content = f"{plugin.__module__}:{plugin.__qualname__} {source_hash(plugin.__module__)}"
+            return PlantTarget(
+                "",
+                self._name,
+                content + self._asked(),
+                display_units=self._display_units,
+                nominal=self._nominal,
+            )
+        kind = "" if self._fmi_type == "auto" else f" {self._fmi_type}"
+        content = hashlib.sha256(fmu.read_bytes()).hexdigest() + kind + self._asked()
+        return PlantTarget(
+            str(fmu.resolve()),
+            "",
+            content,
+            self._isolated,
+            self._step_timeout,
+            self._fmi_type,
+            self._display_units,
+            self._nominal,
+        )
+
+    def _asked(self) -> str:
+        """Return what the study says of display units and nominal values, which decide figures too."""
+        units = [f" {name}[{unit}]" for name, unit in sorted(self._display_units.items())]
+        sizes = [f" {name}~{value!r}" for name, value in sorted(self._nominal.items())]
+        return "".join(units + sizes)
+
+
+def _with_nominal(variables: Iterable[Variable], nominal: Mapping[str, float]) -> tuple[Variable, ...]:
+    return tuple(replace(v, nominal=nominal.get(v.name, v.nominal)) for v in variables)
+
+
+def _build(model: Any) -> Path:
+    from fmu_plants import ExportError, ModelError, build_fmu
+
+    try:
+        return build_fmu(model)
+    except (ExportError, ModelError) as error:
+        raise CosimError(str(error)) from error
+
+
+def _is_model(plugin: Any) -> bool:
+    from fmu_plants import PlantModel
+
+    return isinstance(plugin, PlantModel)
+
+
+def _is_plant_class(plugin: Any) -> bool:
+    return isinstance(plugin, type) and issubclass(plugin, Plant)
+
+
+def _fmu_signals(path: Path, fmi_type: FMIType) -> tuple[PlantSignals, Mapping[str, tuple[DisplayUnit, ...]]]:
+    from ddpc_cosim.fmu.plant import FMUPlant
+
+    with FMUPlant(path, fmi_type=fmi_type) as plant:
+        description, inputs, outputs = plant.description, names(plant.inputs), names(plant.outputs)
+    settable = {v.name: v.variable for v in description.variables.values() if v.is_settable and not v.shape}
+    elements = {s.variable.name: s.variable for s in description.signals("parameter", "input")}
+    free = {s.variable.name for s in description.signals("input")}
+    tunable = {s.variable.name for s in description.signals("parameter") if s.source.is_tunable}
+    signals = PlantSignals(
+        inputs={s.variable.name: s.variable for s in description.signals("input")},
+        outputs={s.variable.name: s.variable for s in description.signals("output", "local")},
+        parameters=settable | elements,
+        tunable=frozenset(tunable | free),
+        default_inputs=inputs,
+        default_outputs=outputs,
+    )
+    return signals, description.display_units
+
+
+def _model_signals(model: Any) -> PlantSignals:
+    return PlantSignals(
+        {v.name: _variable(v) for v in model.inputs},
+        {v.name: _variable(v) for v in model.outputs},
+        {v.name: _variable(v) for v in model.parameters},
+        frozenset(v.name for v in model.parameters if v.variability == "tunable"),
+    )
+
+
+def _variable(variable: Any) -> Variable:
+    """Return a variable of a plant model as a variable of the contracts."""
+    shown = variable.display_unit
+    return Variable(
+        name=variable.name,
+        unit=variable.unit,
+        min=variable.min,
+        max=variable.max,
+        nominal=variable.nominal,
+        start=variable.start,
+        description=variable.description,
+        display_unit=DisplayUnit(shown.name, shown.factor, shown.offset) if shown else None,
+    )
+
+
+class PythonPlant(Plant):
+    """A plant of any class, of which some inputs are driven; the others rest at their start values.
+
+    Parameters
+    ----------
+    make : callable
+        Makes the plant.
+    inputs : sequence of str
+        Names of the inputs to drive, in this order.
+
+    Raises
+    ------
+    FMUStepError
+        The plant cannot be made, and why.
+    """
+
+    def __init__(self, make: Callable[[], Plant], inputs: Sequence[str]) -> None:
+        self._plant = make_plant(make)
+        every = tuple(self._plant.inputs)
+        self._driven = [names(every).index(name) for name in inputs]
+        self._u = np.array([variable.start for variable in every], dtype=np.float64)
+        self.inputs = tuple(every[index] for index in self._driven)
+        self.outputs = tuple(self._plant.outputs)
+        self._t0, self._steps, self._h = 0.0, 0, 0.0
+
+    @property
+    def _time(self) -> float:
+        return self._t0 + self._steps * self._h
+
+    def plan(self, sampling_time: float, stop_time: float) -> None:
+        """Say what the coming runs will ask."""
+        self._plant.plan(sampling_time, stop_time)
+
+    def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
+        """Go to the initial state and return the outputs there, shape (p,)."""
+        self._t0, self._steps = t0, 0
+        return reset_plant(self._plant, parameters, t0)
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        """Hold the driven inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
+        every = self._u.copy()
+        every[self._driven] = u
+        y = step_plant(self._plant, every, h, self._time)
+        self._steps, self._h = self._steps + 1, h
+        return y
+
+    def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
+        """Change tunable parameters from the next step on."""
+        set_plant_parameters(self._plant, parameters, self._time)
+
+    def close(self) -> None:
+        """Release everything that the plant holds."""
+        close_plant(self._plant)
+
+    def provenance(self) -> Mapping[str, str]:
+        """Return what identifies the plant."""
+        return plant_provenance(self._plant)

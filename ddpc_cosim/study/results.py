@@ -1,0 +1,360 @@
+"""The results of a study on disk, read back for reports and for people."""
+
+import csv
+import hashlib
+import io
+import json
+import math
+import os
+import shutil
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ddpc_cosim.controller import Bounds
+from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.study.sections import Study
+from ddpc_cosim.trace import Outcome, Trace
+from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
+
+STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
+    "study.toml",
+    "provenance.json",
+    "metrics.csv",
+    "cases",
+)
+
+
+# What reading a file raises that somebody has cut off or changed.
+_DAMAGED = (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration)
+
+
+@dataclass(frozen=True, slots=True)
+class CaseResult:
+    """One case: what it was, how it ended, and its figures.
+
+    Parameters
+    ----------
+    id : str
+        Readable name and hash; the name of its folder.
+    controller, label : str
+        The controller's name in the study and in reports.
+    scenario : str
+        The scenario's name.
+    seed : int
+        The seed.
+    outcome : Outcome
+        How the run ended.
+    reason : str
+        Why it ended early; empty if completed.
+    metrics, diagnostics : dict of str to float
+        Figures of the run, and of the controller's data or model.
+    settings : dict
+        The controller's settings, defaults filled in.
+    folder : Path
+        Where its files are.
+    """
+
+    id: str
+    controller: str
+    label: str
+    scenario: str
+    seed: int
+    outcome: Outcome
+    reason: str
+    metrics: dict[str, float]
+    diagnostics: dict[str, float]
+    settings: dict[str, Any]
+    folder: Path
+
+    def trace(self) -> Trace:
+        """Read the samples of the run.
+
+        Raises
+        ------
+        ConfigError
+            The files are missing or damaged.
+        """
+        try:
+            return read_trace(self.folder)
+        except _DAMAGED as error:
+            raise ConfigError(
+                f"{self.folder}: the samples cannot be read ({error!r}); run the study again"
+            ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class StudyResults:
+    """The results of one study.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder of results.
+    study : Study
+        The resolved study.
+    cases : tuple of CaseResult
+        In the study's order: controllers x scenarios x seeds.
+    provenance : dict of str to str
+        Versions, machine, plant, command, date.
+    """
+
+    folder: Path
+    study: Study
+    cases: tuple[CaseResult, ...]
+    provenance: dict[str, str]
+
+
+def load_results(folder: str | Path) -> StudyResults:
+    """Read a folder of results.
+
+    Raises
+    ------
+    ConfigError
+        The folder holds no results, or they cannot be read, and why.
+    """
+    import tomllib
+
+    folder = Path(folder)
+    if not (folder / STUDY_FILE).is_file():
+        raise ConfigError(f"{folder}: no results: {STUDY_FILE} is missing; give the folder that `run` wrote")
+    try:
+        study = Study.model_validate(tomllib.loads((folder / STUDY_FILE).read_text(encoding="utf-8")))
+        provenance = json.loads((folder / PROVENANCE_FILE).read_text(encoding="utf-8"))
+        case_ids = list(provenance.pop("cases"))
+    except _DAMAGED as error:
+        raise ConfigError(f"{folder}: results cannot be read: {error}; run the study again") from error
+    return StudyResults(folder, study, load_cases(folder, study, case_ids), provenance)
+
+
+def load_cases(folder: Path, study: Study, case_ids: Iterable[str]) -> tuple[CaseResult, ...]:
+    """Read cases of a study, labelled as it labels them now: a label does not decide a result.
+
+    Raises
+    ------
+    ConfigError
+        The files of a case are missing or damaged.
+    """
+    cases = [load_case(folder / CASES_FOLDER / case_id) for case_id in case_ids]
+    labels = {name: section.label or name for name, section in study.controllers.items()}
+    return tuple(replace(case, label=labels.get(case.controller, case.label)) for case in cases)
+
+
+def load_case(folder: Path) -> CaseResult:
+    """Read one case.
+
+    Raises
+    ------
+    ConfigError
+        Its files are missing or damaged.
+    """
+    try:
+        run = read_run(folder)
+        head = {key: run[key] for key in ("id", "controller", "label", "scenario", "seed", "reason")}
+        figures = {key: run[key] for key in ("metrics", "diagnostics", "settings")}
+        return CaseResult(**head, **figures, outcome=Outcome(run["outcome"]), folder=folder)
+    except _DAMAGED as error:
+        raise ConfigError(f"{folder}: this case cannot be read ({error!r}); run the study again") from error
+
+
+def study_hash(study: Study) -> str:
+    """Return a hash of everything that a study says, defaults filled in."""
+    return hashlib.sha256(study.model_dump_json().encode()).hexdigest()
+
+
+def write_results(
+    folder: Path, study: Study, cases: Sequence[CaseResult], provenance: dict[str, str]
+) -> None:
+    """Write ``study.toml``, ``metrics.csv`` and ``provenance.json`` beside the cases.
+
+    Raises
+    ------
+    CosimError
+        They cannot be written, and why.
+    """
+    import tomli_w
+
+    content = study.model_dump(mode="python", exclude_none=True)
+    facts: dict[str, Any] = {**provenance, "cases": [case.id for case in cases]}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / STUDY_FILE, tomli_w.dumps(content))
+        write_whole(folder / PROVENANCE_FILE, json.dumps(facts, indent=1) + "\n")
+        write_whole(folder / METRICS_FILE, _metrics_table(study, cases))
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise CosimError(f"{folder}: results cannot be written: {reason}; finished cases are kept") from error
+
+
+def _metrics_table(study: Study, cases: Sequence[CaseResult]) -> str:
+    """Return ``metrics.csv``."""
+    keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
+    plant = study.plant.name or Path(study.plant.fmu).name
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(["study", "plant", "controller", "scenario", "seed", "outcome", *keys])
+    for case in cases:
+        values = [case.metrics.get(key, math.nan) for key in keys]
+        cells = ["" if math.isnan(value) else repr(value) for value in values]
+        writer.writerow([study.name, plant, case.controller, case.scenario, case.seed, case.outcome, *cells])
+    return file.getvalue()
+
+
+def write_case(folder: Path, trace: Trace, head: dict[str, Any], drafts: Path | None = None) -> None:
+    """Write a case's folder in one move, replacing an older one.
+
+    Parameters
+    ----------
+    folder : Path
+        The case's folder.
+    trace : Trace
+        What the run left behind.
+    head : dict
+        What the case is: id, controller, scenario, seed, ...
+    drafts : Path, optional
+        Where it stands until it is complete, on the same disk; default: beside the folder.
+
+    Raises
+    ------
+    CosimError
+        It cannot be written, and why; an older one is kept.
+    """
+    run = head | {
+        "outcome": trace.outcome.value,
+        "reason": trace.reason,
+        "metrics": trace.metrics(),
+        "diagnostics": trace.diagnostics,
+        "settings": trace.settings,
+        "sampling_time": trace.sampling_time,
+        "planned_samples": trace.planned_samples,
+        "inputs": [asdict(v) for v in trace.inputs],
+        "outputs": [asdict(v) for v in trace.outputs],
+        "measurements": [asdict(v) for v in trace.measurements],
+        "bounds": {
+            name: getattr(trace.bounds, name).tolist() for name in ("u_min", "u_max", "y_min", "y_max")
+        },
+        "provenance": trace.provenance,
+    }
+    draft = (drafts or folder.parent) / f".{folder.name}.{os.getpid()}"
+    shutil.rmtree(draft, ignore_errors=True)  # of a process of the same number that died here
+    try:
+        draft.mkdir(parents=True)
+        (draft / "run.json").write_text(json.dumps(_finite(run), indent=1) + "\n", encoding="utf-8")
+        _write_signals(draft / "signals.csv", trace)
+        _move_into_place(draft, folder)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise CosimError(f"{folder}: cannot be written: {reason}; finished cases are kept") from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _move_into_place(draft: Path, folder: Path) -> None:
+    """Put a complete draft in the place of its folder, while other runs may do the same."""
+    older = draft.with_name(f"{draft.name}.older")
+    with suppress(FileNotFoundError):
+        folder.replace(older)  # quicker than removing it: hardly a moment without a case
+    try:
+        draft.replace(folder)
+    except OSError:
+        if not (folder / "run.json").is_file():
+            with suppress(FileNotFoundError):
+                older.replace(folder)
+            raise
+        # Another run has just written the same case, and what decides its result is the same.
+    shutil.rmtree(older, ignore_errors=True)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file in one move, so that nobody ever finds half of it."""
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        draft.write_text(text, encoding="utf-8", newline="")
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def read_run(folder: Path) -> dict[str, Any]:
+    """Return ``run.json`` of a case."""
+    run: dict[str, Any] = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    run["metrics"] = {name: float(value) for name, value in run["metrics"].items()}
+    run["diagnostics"] = {name: float(value) for name, value in run["diagnostics"].items()}
+    return run
+
+
+def read_trace(folder: Path) -> Trace:
+    """Return the trace that :func:`write_case` wrote."""
+    run = read_run(folder)
+    inputs, outputs, measurements = (
+        [_variable(v) for v in run[key]] for key in ("inputs", "outputs", "measurements")
+    )
+    columns, status = _read_signals(folder / "signals.csv")
+
+    def table(variables: list[Variable], prefixes: tuple[str, ...] = ("",)) -> FloatArray:
+        found = [
+            next(columns[header] for p in prefixes if (header := p + v.header) in columns) for v in variables
+        ]
+        return np.column_stack(found) if found else np.empty((len(status), 0))
+
+    return Trace(
+        time=columns["time [s]"],
+        reference=table(outputs, ("reference ",)),
+        y=table(outputs, ("output ", "")),
+        measured=table(measurements, ("measured ", "")),
+        u=table(inputs, ("input ", "")),
+        status=status,
+        solve_time=columns["solve_time [s]"],
+        inputs=tuple(inputs),
+        outputs=tuple(outputs),
+        measurements=tuple(measurements),
+        bounds=Bounds(**{name: np.array(values, dtype=float) for name, values in run["bounds"].items()}),
+        sampling_time=run["sampling_time"],
+        planned_samples=run["planned_samples"],
+        outcome=Outcome(run["outcome"]),
+        reason=run["reason"],
+        settings=run["settings"],
+        diagnostics=run["diagnostics"],
+        provenance=run["provenance"],
+    )
+
+
+def _write_signals(path: Path, trace: Trace) -> None:
+    columns = trace.columns()
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([*columns, "status"])
+        # The shortest text that gives the same number again.
+        cells = [map(repr, column.tolist()) for column in columns.values()]
+        writer.writerows(zip(*cells, trace.status, strict=True))
+
+
+def _read_signals(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    cells = list(zip(*rows, strict=True)) or [()] * len(header)
+    columns = {name: np.array(column, dtype=float) for name, column in zip(header[:-1], cells, strict=False)}
+    return columns, tuple(cells[-1])
+
+
+def _variable(stored: dict[str, Any]) -> Variable:
+    shown = stored["display_unit"]
+    numbers = {key: float(stored[key]) for key in ("min", "max", "nominal", "start")}
+    return Variable(**{**stored, **numbers, "display_unit": DisplayUnit(**shown) if shown else None})
+
+
+def _finite(value: Any) -> Any:
+    """Return JSON's version of a value: infinity and NaN, which JSON lacks, as text that ``float`` reads."""
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _finite(value.tolist())
+    if isinstance(value, float) and not np.isfinite(value):
+        return repr(value)
+    return value if isinstance(value, str | int | float | bool | None) else repr(value)

@@ -1,0 +1,231 @@
+"""A study for a supplied FMU: signals chosen, limits, sampling time and setpoints from a step test."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError
+from ddpc_cosim.fmu.description import FMUDescription, default_signals
+from ddpc_cosim.fmu.plant import FMUPlant
+from ddpc_cosim.inspection import inspect_fmu
+from ddpc_cosim.inspection.defects import Severity
+from ddpc_cosim.suggestion import design
+from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice, choose, runs_away
+from ddpc_cosim.suggestion.design import Bounds, Proposal, ScaledGains, competitors, recording_length
+from ddpc_cosim.suggestion.step_test import Nature, Resting, StepTest, Timing, step_test
+from ddpc_cosim.suggestion.writing import Circumstances, remarks, study_text
+from ddpc_cosim.variables import FloatArray, Variable, names
+
+_MOST_INPUT_CANDIDATES, _MOST_OUTPUT_CANDIDATES = 12, 50
+_MOST_LISTED = 12
+_SAMPLES = 200
+# Blocks of 24 samples, each twice as long as the one before: twelve of them have about 10^5 first steps.
+_FIRST_STEPS = 24 * (2**12 - 1)
+_BLOCKS_OF_FIXED_STEPS = 8
+# Where the FMU gives no stop time: from a tenth of a millisecond to a day [s].
+_FIRST_STEP, _LONGEST = 1e-4, 1e5
+# Where steps must be equal and the FMU does not say of what size.
+_STEPS, _STEP = 500, 1e-2
+_LONGEST_IN_STOP_TIMES, _LONGEST_IN_TIME_SCALES = 10.0, 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Signals that may take part, the names of those that were not tried, and the FMU's warnings."""
+
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    left_out: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def suggest_study(
+    path: str | Path,
+    *,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    step_timeout: float = 60.0,
+) -> Proposal:
+    """Run a step test of an FMU in a process of its own, and suggest a study.
+
+    Parameters
+    ----------
+    path : str or Path
+        The FMU.
+    inputs, outputs : sequence of str, optional
+        Signals to use; default: those that the step test shows to be of use.
+    step_timeout : float
+        Seconds that one call of the FMU may take.
+
+    Raises
+    ------
+    ConfigError
+        The FMU has no such signals, or none to drive or to control.
+    CosimError
+        It cannot be loaded, or does not run.
+    """
+    path = Path(path)
+    description = _runnable(path)
+    driven, drives_too = _candidates(description, path.name, inputs, "input", _MOST_INPUT_CANDIDATES)
+    read, reads_too = _candidates(description, path.name, outputs, "output", _MOST_OUTPUT_CANDIDATES)
+    timing = _timing(description)
+    with FMUPlant(path, inputs=driven, outputs=read, isolated=True, step_timeout=step_timeout) as plant:
+        candidates = Candidates(plant.inputs, plant.outputs, (*drives_too, *reads_too), plant.warnings)
+        bounds = design.input_bounds(candidates.inputs)
+        rest, room = design.rest_and_room(candidates.inputs, bounds)
+        tested = step_test(plant, Resting(rest, room), timing)
+    choice = choose(tested, room, timing.longest / _LONGEST_IN_TIME_SCALES, all_outputs=outputs is not None)
+    if not choice.inputs:
+        tried = ", ".join(names(candidates.inputs))
+        raise CosimError(
+            f"{path.name}: no output responds to a step of an input ({tried}); write the study by hand, "
+            "or choose other outputs with --output"
+        )
+    return _propose(path.stem, candidates, tested, choice, bounds, timing)
+
+
+def write_study(proposal: Proposal, fmu: str | Path, out: str | Path, *, replace: bool = False) -> Path:
+    """Write a suggested study, check it, and return its path.
+
+    Parameters
+    ----------
+    proposal : Proposal
+        The study.
+    fmu : str or Path
+        The FMU; the file names it relative to its own folder where it can.
+    out : str or Path
+        The file.
+    replace : bool
+        Whether a file that is there may be replaced.
+
+    Raises
+    ------
+    ConfigError
+        The file is there already.
+    """
+    from ddpc_cosim.study.reading import read_study
+
+    out = Path(out)
+    if out.exists() and not replace:
+        raise ConfigError(f"{out}: is there already; choose another --out, or --force to replace it")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    text = study_text(proposal, _relative(Path(fmu), out.parent))
+    with out.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(text)
+    read_study(str(out))
+    return out
+
+
+def _relative(fmu: Path, folder: Path) -> str:
+    try:
+        return Path(os.path.relpath(fmu.resolve(), folder.resolve())).as_posix()
+    except ValueError:  # another drive
+        return fmu.resolve().as_posix()
+
+
+def _runnable(path: Path) -> FMUDescription:
+    """Return the description of an FMU of which nothing is known that would prevent it from running."""
+    inspection = inspect_fmu(path)
+    if inspection.description is None or not inspection.can_run:
+        errors = (str(defect) for defect in inspection.defects if defect.severity is Severity.ERROR)
+        raise FMUImportError(f"{path.name}: {'; '.join(errors)}")
+    return inspection.description
+
+
+def _candidates(
+    description: FMUDescription, label: str, chosen: Sequence[str] | None, causality: str, most: int
+) -> tuple[list[str], list[str]]:
+    """Return the signals to try, and those that are left out because there are so many."""
+    if chosen is not None:
+        return list(chosen), []
+    known = [signal.variable.name for signal in default_signals(description, causality)]
+    if not known:
+        locals_ = [signal.variable.name for signal in description.signals("local")][:_MOST_LISTED]
+        hint = f"; local variables may serve, with --output: {', '.join(locals_)}" if locals_ else ""
+        why = "there is nothing to drive" if causality == "input" else f"there is nothing to control{hint}"
+        raise ConfigError(f"{label}: the FMU has no {causality} that is a number: {why}")
+    return known[:most], known[most:]
+
+
+def _timing(description: FMUDescription) -> Timing:
+    experiment = description.default_experiment
+    interface = description.interfaces[min(description.interfaces)]  # co-simulation before model-exchange
+    stop = (experiment.stop_time or 0.0) - (experiment.start_time or 0.0)
+    longest = _LONGEST_IN_STOP_TIMES * stop if stop > 0.0 else _LONGEST
+    if interface.fixed_step or not interface.variable_step:
+        step = interface.fixed_step or experiment.step_size or (stop / _STEPS if stop > 0.0 else _STEP)
+        return Timing(step, fixed=True, blocks=_BLOCKS_OF_FIXED_STEPS, longest=longest)
+    return Timing(stop / _FIRST_STEPS if stop > 0.0 else _FIRST_STEP, longest=longest)
+
+
+def _propose(
+    name: str,
+    candidates: Candidates,
+    tested: StepTest,
+    choice: Choice,
+    bounds: dict[str, Bounds],
+    timing: Timing,
+) -> Proposal:
+    inputs = tuple(candidates.inputs[i] for i in choice.inputs)
+    outputs = tuple(candidates.outputs[j] for j in choice.outputs)
+    measurements = outputs + _also_measured(candidates.outputs, outputs, tested)
+    working = design.working_range(candidates.inputs, bounds).of(choice.inputs)
+    sample = design.sampling_time(tested, choice, timing.step if timing.fixed else None)
+    unstable = any(runs_away(response) for row in tested.responses for response in row)
+    references, duration = design.setpoints(tested, choice, candidates.outputs, working, sample)
+    if unstable:  # there is nothing else to ask for before it is stabilised
+        references = design.at_rest(tested, choice, candidates.outputs)
+    nominal = _sizes(inputs, working.size) | _sizes(outputs, _output_sizes(choice, working))
+    u_size = np.array([nominal[v.name] for v in inputs])
+    y_size = np.array([nominal[v.name] for v in outputs])[:, np.newaxis]
+    gains = ScaledGains(
+        first=design.first_gains(tested, choice, sample) * u_size / y_size,
+        lasting=choice.gains * u_size / y_size,
+    )
+    chosen = competitors(gains, may_record=not unstable)
+    needed = max(recording_length(c, len(inputs), len(outputs), len(measurements)) for c in chosen.values())
+    circumstances = Circumstances(candidates.inputs, candidates.outputs, tested, choice, sample, unstable)
+    return Proposal(
+        plant=name,
+        inputs=inputs,
+        outputs=outputs,
+        measurements=measurements,
+        nominal=nominal,
+        bounds={v.name: bounds[v.name] for v in inputs},
+        setpoints=references,
+        sampling_time=sample,
+        duration=duration,
+        excitation={} if unstable else design.excitation(inputs, working),
+        samples=max(_SAMPLES, 2 * needed),
+        competitors=chosen,
+        remarks=remarks(circumstances, candidates.left_out, candidates.warnings),
+    )
+
+
+def _also_measured(
+    candidates: Sequence[Variable], outputs: Sequence[Variable], tested: StepTest
+) -> tuple[Variable, ...]:
+    """Return outputs that respond and are not controlled, as far as a controller may want to have them."""
+    responding = (
+        variable
+        for variable, row in zip(candidates, tested.responses, strict=True)
+        if variable not in outputs and any(r.nature is not Nature.INSENSITIVE for r in row)
+    )
+    return tuple(responding)[:MOST_OUTPUTS]
+
+
+def _output_sizes(choice: Choice, working: design.Range) -> FloatArray:
+    up, down = design.reachable(choice.gains, working)
+    sizes = np.maximum(up, down)
+    # An output that the others leave no freedom is still as large as the inputs make it.
+    spread: FloatArray = np.abs(choice.gains) @ working.size
+    return np.where(sizes > 0.0, sizes, np.where(spread > 0.0, spread, 1.0))
+
+
+def _sizes(variables: Sequence[Variable], sizes: FloatArray) -> dict[str, float]:
+    return {
+        v.name: design.rounded(size, size / 100) for v, size in zip(variables, sizes.tolist(), strict=True)
+    }

@@ -1,0 +1,151 @@
+"""Which inputs to drive and which outputs to control, from the responses to steps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ddpc_cosim.suggestion.step_test import Nature, Response, StepTest
+from ddpc_cosim.variables import FloatArray
+
+MOST_INPUTS, MOST_OUTPUTS = 6, 4
+_INDEPENDENT = 0.05
+_NEARLY_BEST = 0.5
+# How many doublings, rises and lags make a time scale like that of a response that settles.
+_DOUBLINGS, _RISES, _LAGS = 10.0, 20.0, 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The chosen signals by their positions among the candidates.
+
+    Parameters
+    ----------
+    inputs, outputs : tuple of int
+        What is driven and what is controlled.
+    gains : array, shape (p, m)
+        Lasting effect of one unit of each chosen input on each chosen output after ``time_scale``, in the
+        output's unit.
+    time_scale : float
+        How long the plant takes to get where it goes [s].
+    guessed : bool
+        Whether the responses do not tell that, so that ``time_scale`` is the one that was given.
+    """
+
+    inputs: tuple[int, ...]
+    outputs: tuple[int, ...]
+    gains: FloatArray
+    time_scale: float
+    guessed: bool
+
+
+def choose(tested: StepTest, room: FloatArray, fallback: float, *, all_outputs: bool) -> Choice:
+    """Choose inputs that do something, and outputs that they can hold independently of each other.
+
+    Parameters
+    ----------
+    tested : StepTest
+        The responses.
+    room : array, shape (m,)
+        How far each input can go.
+    fallback : float
+        Time scale where the responses have none: pure integrators, static plants [s].
+    all_outputs : bool
+        Whether the user has chosen the outputs: then all of them are kept.
+    """
+    shown = np.inf if tested.static else _time_scale(tested.responses)
+    guessed = not np.isfinite(shown)
+    time_scale = fallback if guessed else shown
+    gains = lasting_gains(tested, time_scale)
+    if not all_outputs:
+        gains = _urgent(gains, tested.responses)
+    reach = np.abs(gains) * np.abs(room)
+    lively = [i for i in range(len(room)) if np.any(reach[:, i] > 0.0)]
+    lively = sorted(sorted(lively, key=lambda i: -_relative_reach(reach)[i])[:MOST_INPUTS])
+    if not lively:
+        return Choice((), (), np.zeros((0, 0)), time_scale, guessed)
+    if all_outputs:
+        chosen = list(range(len(tested.responses)))
+    else:
+        chosen = _independent(gains[:, lively] * np.abs(room[lively]), min(len(lively), MOST_OUTPUTS))
+    return Choice(tuple(lively), tuple(chosen), gains[np.ix_(chosen, lively)], time_scale, guessed)
+
+
+def lasting_gains(tested: StepTest, time_scale: float) -> FloatArray:
+    """Return what one unit of each input changes in each output for good, shape (p, m).
+
+    Where nothing lasts, the largest magnitudes have to do.
+    """
+    gains = np.zeros((len(tested.responses), len(tested.steps)))
+    for j, row in enumerate(tested.responses):
+        for i, response in enumerate(row):
+            if response.nature is Nature.ACCELERATING and not runs_away(response):
+                # Several integrators, most probably two: a parabola.
+                share = time_scale / float(tested.time[-1])
+                gains[j, i] = response.effect * share**2 / tested.steps[i]
+            elif response.nature is Nature.INTEGRATING:
+                gains[j, i] = response.slope * time_scale / tested.steps[i]
+            elif response.nature is not Nature.INSENSITIVE and not response.is_transient:
+                gains[j, i] = response.effect / tested.steps[i]
+    if not gains.any():
+        peaks = np.array([[response.peak for response in row] for row in tested.responses])
+        gains = peaks.reshape(gains.shape) / tested.steps
+    return gains
+
+
+def _urgent(gains: FloatArray, responses: Sequence[Sequence[Response]]) -> FloatArray:
+    """Return the gains without those of stable outputs if there are unstable ones: they come first."""
+    unstable = np.array([any(map(runs_away, row)) for row in responses])
+    return np.where(unstable[:, np.newaxis], gains, 0.0) if unstable.any() else gains
+
+
+def runs_away(response: Response) -> bool:
+    """Return whether an output leaves its equilibrium exponentially."""
+    return response.nature is Nature.ACCELERATING and bool(np.isfinite(response.rise_time))
+
+
+def _time_scale(responses: Sequence[Sequence[Response]]) -> float:
+    """Return the longest settling time; where nothing settles, what else tells how fast the plant is."""
+    every = [response for row in responses for response in row]
+    doubling = [_DOUBLINGS * r.rise_time for r in every if runs_away(r)]
+    if doubling:
+        return min(doubling)
+    settling = [r.settling_time for r in every if r.nature is Nature.SETTLED and not r.is_transient]
+    if settling:
+        return max(settling)
+    oscillating = [_RISES * r.rise_time for r in every if r.nature is Nature.OSCILLATING]
+    lagging = [_LAGS * r.rise_time for r in every if r.nature is Nature.INTEGRATING and r.rise_time > 0.0]
+    transient = [r.settling_time for r in every if r.nature is Nature.SETTLED]
+    for times in (oscillating, transient, lagging):
+        if np.isfinite(times).any():
+            return float(max(time for time in times if np.isfinite(time)))
+    return np.inf
+
+
+def _relative_reach(reach: FloatArray) -> FloatArray:
+    """Return, for each input, the largest share that it has in what all inputs do to an output."""
+    largest = np.max(reach, axis=1, keepdims=True)
+    share = np.divide(reach, largest, out=np.zeros_like(reach), where=largest > 0.0)
+    best: FloatArray = np.max(share, axis=0)
+    return best
+
+
+def _independent(reach: FloatArray, most: int) -> list[int]:
+    """Return outputs that the inputs move in different directions, the earlier ones preferred.
+
+    Gram-Schmidt on the rows of the reach, scaled to length one: an output is taken if what the outputs before
+    it do not already settle is nearly the largest there is.
+    """
+    length = np.linalg.norm(reach, axis=1, keepdims=True)
+    rest = np.divide(reach, length, out=np.zeros_like(reach), where=length > 0.0)
+    chosen: list[int] = []
+    while len(chosen) < most:
+        left = np.linalg.norm(rest, axis=1)
+        left[chosen] = 0.0
+        if left.max(initial=0.0) <= _INDEPENDENT:
+            break
+        j = int(np.argmax(left >= _NEARLY_BEST * left.max()))
+        direction = rest[j] / np.linalg.norm(rest[j])
+        rest = rest - np.outer(rest @ direction, direction)
+        chosen.append(j)
+    return sorted(chosen)

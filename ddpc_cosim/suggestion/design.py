@@ -1,0 +1,414 @@
+"""The numbers of a suggested study, from what the FMU declares and what the step test has shown."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddpc_cosim.plugins import plugin_names
+from ddpc_cosim.suggestion.choice import Choice
+from ddpc_cosim.suggestion.step_test import BLOCK, Nature, StepTest
+from ddpc_cosim.variables import FloatArray, Variable
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """Limits of an input, in its unit, and where they come from."""
+
+    low: float
+    high: float
+    origin: str
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoints:
+    """A reference in steps, in the output's unit."""
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Competitor:
+    """A controller of the study: its type, its settings, and why these."""
+
+    type: str
+    label: str
+    settings: Mapping[str, Any]
+    remark: str
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A suggested study.
+
+    Parameters
+    ----------
+    plant : str
+        Name of the plant, for the title.
+    inputs, outputs, measurements : tuple of Variable
+        What is driven, controlled and measured.
+    nominal : mapping of str to float
+        Sizes of inputs and controlled outputs, in their units: what controllers scale them by.
+    bounds : mapping of str to Bounds
+        By input.
+    setpoints : mapping of str to Setpoints
+        By output.
+    sampling_time, duration : float
+        In s.
+    excitation : mapping of str to (float, float)
+        Range of the recording's random inputs; empty for no recording.
+    samples : int
+        Length of the recording.
+    competitors : mapping of str to Competitor
+        The controllers by key.
+    remarks : mapping of str to tuple of str
+        What to know, by section of the study: findings, guesses and warnings.
+    """
+
+    plant: str
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    measurements: tuple[Variable, ...]
+    nominal: Mapping[str, float]
+    bounds: Mapping[str, Bounds]
+    setpoints: Mapping[str, Setpoints]
+    sampling_time: float
+    duration: float
+    excitation: Mapping[str, tuple[float, float]]
+    samples: int
+    competitors: Mapping[str, Competitor]
+    remarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+_EXCITED = 0.3  # share of an input's range that experiment and setpoints use, to either side of its rest
+_SAMPLES_PER_SETTLING = 30  # a first-order lag gets ten samples per time constant
+_SAMPLES_PER_RISE = 2
+_SETTLING_PER_SETPOINT = 1.5
+_LEAST_SAMPLES_PER_SETPOINT = 30
+_REACHED = 0.6  # share of what the inputs could hold that the setpoints ask for
+_DRIFT = 0.1  # of the largest response: how far an output at rest may still move
+_MARGIN = 0.05  # of an output's range, kept from its limits
+
+
+def input_bounds(inputs: Sequence[Variable]) -> dict[str, Bounds]:
+    """Return limits of every input: its declared range, else a guess from its nominal or start value."""
+    return {variable.name: _input_bounds(variable) for variable in inputs}
+
+
+def _input_bounds(variable: Variable) -> Bounds:
+    low, high = variable.min, variable.max
+    if math.isfinite(low) and math.isfinite(high) and low < high:
+        return Bounds(low, high, "declared by the FMU")
+    if variable.nominal not in (0.0, 1.0) and math.isfinite(variable.nominal):
+        size, origin = abs(variable.nominal), "guessed: start value +- nominal value"
+    elif variable.start != 0.0:
+        size, origin = abs(variable.start), "guessed: start value +- its size"
+    else:
+        size, origin = 1.0, "guessed: the FMU declares neither range nor nominal value"
+    guess = max(low, variable.start - size), min(high, variable.start + size)
+    if not guess[0] < guess[1]:
+        guess = (low, low + 2 * size) if math.isfinite(low) else (high - 2 * size, high)
+    return Bounds(*guess, origin)
+
+
+def rest_and_room(inputs: Sequence[Variable], bounds: Mapping[str, Bounds]) -> tuple[FloatArray, FloatArray]:
+    """Return the inputs at rest and, signed, the room in the direction in which there is more of it."""
+    low = np.array([bounds[v.name].low for v in inputs])
+    high = np.array([bounds[v.name].high for v in inputs])
+    rest = np.clip([v.start for v in inputs], low, high)
+    return rest, np.where(high - rest >= rest - low, high - rest, low - rest)
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """The part of the inputs' ranges that the study works in.
+
+    Parameters
+    ----------
+    rest, low, high : array, shape (m,)
+        Inputs at rest, and how far experiment and setpoints take them.
+    """
+
+    rest: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    @property
+    def size(self) -> FloatArray:
+        """How far the inputs go at most, shape (m,)."""
+        return np.maximum(self.high - self.rest, self.rest - self.low)
+
+    def of(self, inputs: Sequence[int]) -> Self:
+        """Return the ranges of some of the inputs."""
+        chosen = list(inputs)
+        return type(self)(self.rest[chosen], self.low[chosen], self.high[chosen])
+
+
+def working_range(inputs: Sequence[Variable], bounds: Mapping[str, Bounds]) -> Range:
+    """Return the range around rest in which experiment and setpoints keep the inputs."""
+    rest, _ = rest_and_room(inputs, bounds)
+    low = np.array([bounds[v.name].low for v in inputs])
+    high = np.array([bounds[v.name].high for v in inputs])
+    width = _EXCITED * (high - low)
+    return Range(rest, np.maximum(low, rest - width), np.minimum(high, rest + width))
+
+
+def sampling_time(tested: StepTest, choice: Choice, fixed_step: float | None) -> float:
+    """Return a sampling time [s]: 1, 2 or 5 times a power of ten, or a multiple of fixed steps."""
+    rises = [
+        response.rise_time
+        for j in choice.outputs
+        for response in (tested.responses[j][i] for i in choice.inputs)
+        if response.nature in (Nature.SETTLED, Nature.OSCILLATING) and not response.is_transient
+    ]
+    moving = drifting(tested)
+    rises += [_swing_time(tested.time, tested.rest[:, j]) for j in choice.outputs if moving[j]]
+    wanted = choice.time_scale / _SAMPLES_PER_SETTLING
+    if rises and not choice.guessed:
+        wanted = min(wanted, min(rises) / _SAMPLES_PER_RISE)
+    wanted = max(wanted, float(tested.time[0]))
+    if fixed_step is None:
+        return nearest_125(wanted)
+    return max(1, round(wanted / fixed_step)) * fixed_step
+
+
+def _swing_time(time: FloatArray, y: FloatArray) -> float:
+    """Return how long an output that moves at rest takes for half its range where it is fastest [s]."""
+    steepest = float(np.max(np.abs(np.diff(y) / np.diff(time))))
+    return float(np.ptp(y)) / 2 / steepest
+
+
+def nearest_125(value: float) -> float:
+    """Return the nearest of 1, 2, 5 times a power of ten; near in the ratio."""
+    exponent = math.floor(math.log10(value))
+    candidates = [float(f"{digit}e{exponent}") for digit in (1, 2, 5, 10)]
+    return min(candidates, key=lambda candidate: abs(math.log(candidate / value)))
+
+
+def setpoints(
+    tested: StepTest, choice: Choice, outputs: Sequence[Variable], working: Range, sample: float
+) -> tuple[dict[str, Setpoints], float]:
+    """Return a reference in steps for each chosen output, and the duration of the loop [s].
+
+    One after the other the outputs go up, then down: as far as the inputs can hold them.
+    """
+    hold = max(_LEAST_SAMPLES_PER_SETPOINT, math.ceil(_SETTLING_PER_SETPOINT * choice.time_scale / sample))
+    n, rest = len(choice.outputs), where_it_rests(tested)
+    up, down = reachable(choice.gains, working)
+    references = {}
+    for position, j in enumerate(choice.outputs):
+        values = [rest[j], rest[j] + up[position], rest[j] - down[position]]
+        values = [_inside(value, outputs[j]) for value in values]
+        steps = dict(zip((0, position, n + position), values, strict=True))  # the first output starts at once
+        resolution = max(up[position], down[position]) / 100
+        references[outputs[j].name] = Setpoints(
+            tuple(_clean(k * hold * sample) for k in steps),
+            tuple(rounded(value, resolution) for value in steps.values()),
+        )
+    return references, _clean(2 * n * hold * sample)
+
+
+def at_rest(tested: StepTest, choice: Choice, outputs: Sequence[Variable]) -> dict[str, Setpoints]:
+    """Return a reference for each chosen output that keeps it where it begins."""
+    return {outputs[j].name: Setpoints((0.0,), (_clean(float(tested.rest[0, j])),)) for j in choice.outputs}
+
+
+def where_it_rests(tested: StepTest) -> FloatArray:
+    """Return the outputs while the inputs rest: where they end, or where they begin if they drift."""
+    rest: FloatArray = np.where(drifting(tested), tested.rest[0], tested.rest[-1])
+    return rest
+
+
+def drifting(tested: StepTest) -> NDArray[np.bool_]:
+    """Return which outputs do not come to rest though the inputs do."""
+    last = tested.rest[-BLOCK:]
+    peaks = [max(response.peak for response in row) for row in tested.responses]
+    moving: NDArray[np.bool_] = np.ptp(last, axis=0) > _DRIFT * np.array(peaks)
+    return moving
+
+
+def reachable(gains: FloatArray, working: Range) -> tuple[FloatArray, FloatArray]:
+    """Return how far all outputs can go up and down at the same time, each of shape (p,)."""
+    needed = np.linalg.pinv(gains)  # change of inputs per change of output, shape (m, p)
+    up_room, down_room = working.high - working.rest, working.rest - working.low
+    directions = []
+    for sign in (1.0, -1.0):
+        use = sign * needed
+        room = np.where(use > 0.0, up_room[:, np.newaxis], down_room[:, np.newaxis])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(use != 0.0, room / np.abs(use), np.inf)
+        directions.append(_REACHED * np.min(share, axis=0) / len(gains))
+    return directions[0], directions[1]
+
+
+def _inside(value: float, output: Variable) -> float:
+    width = output.max - output.min
+    margin = _MARGIN * width if math.isfinite(width) else 0.0
+    return float(np.clip(value, output.min + margin, output.max - margin))
+
+
+def rounded(value: float, resolution: float) -> float:
+    """Return a value rounded to a power of ten that does not exceed the resolution."""
+    if resolution <= 0.0 or not math.isfinite(resolution):
+        return float(value)
+    return _clean(round(value, -math.floor(math.log10(resolution))))
+
+
+def _clean(value: float) -> float:
+    return float(f"{value:.12g}")
+
+
+def excitation(inputs: Sequence[Variable], working: Range) -> dict[str, tuple[float, float]]:
+    """Return the range of the recording's random inputs: the working range."""
+    table = {}
+    for variable, low, high in zip(inputs, working.low, working.high, strict=True):
+        resolution = float(high - low) / 100
+        table[variable.name] = (rounded(float(low), resolution), rounded(float(high), resolution))
+    return table
+
+
+def first_gains(tested: StepTest, choice: Choice, sample: float) -> FloatArray:
+    """Return the change of the chosen outputs one sample after unit steps of the chosen inputs, shape (p, m).
+
+    Responses are taken for those of first-order lags and of integrators behind a lag.
+    """
+    gains = np.zeros((len(choice.outputs), len(choice.inputs)))
+    for row, j in enumerate(choice.outputs):
+        for column, i in enumerate(choice.inputs):
+            response = tested.responses[j][i]
+            lag = response.rise_time
+            covered = 1.0 - math.exp(-sample / lag) if lag > 0.0 else 1.0
+            if response.nature is Nature.INTEGRATING:
+                change = response.slope * (sample - lag * covered)
+            else:
+                change = (response.effect if not response.is_transient else response.peak) * covered
+            gains[row, column] = change / tested.steps[i]
+    return gains
+
+
+_HORIZON, _INITIAL_LENGTH = 15, 5
+_OUTPUT_WEIGHT, _SETPOINT_WEIGHT, _INPUT_WEIGHT = 10.0, 30.0, 0.1
+_DAMPING = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class ScaledGains:
+    """How the outputs follow the inputs, all signals in parts of their nominal values.
+
+    Parameters
+    ----------
+    first : array, shape (p, m)
+        Change of the outputs one sample after a step of one unit.
+    lasting : array, shape (p, m)
+        Change in the end.
+    """
+
+    first: FloatArray
+    lasting: FloatArray
+
+
+def competitors(gains: ScaledGains, *, may_record: bool) -> dict[str, Competitor]:
+    """Return the installed controllers that settings are known for, by key.
+
+    Parameters
+    ----------
+    gains : ScaledGains
+        The plant's.
+    may_record : bool
+        Whether the plant can be recorded in open loop.
+    """
+    installed = plugin_names("controllers")
+    suggested = [_mfapc(gains)]
+    if may_record:
+        suggested += [_deepc(), _mpc(), *_pid(gains)]
+    return {competitor.type: competitor for competitor in suggested if competitor.type in installed}
+
+
+def _deepc() -> Competitor:
+    settings = {
+        "initial_length": _INITIAL_LENGTH,
+        "horizon": _HORIZON,
+        "output_weight": _OUTPUT_WEIGHT,
+        "setpoint_weight": _SETPOINT_WEIGHT,
+        "input_weight": _INPUT_WEIGHT,
+        "lambda_g": 1.0,
+        "lambda_sigma": 1e5,
+        "affine_sum": "all",
+    }
+    return Competitor(
+        "deepc",
+        "DeePC",
+        settings,
+        'affine_sum = "all" admits an operating point other than zero; '
+        "lambda_g up: calmer with noise and nonlinear plants, down: faster",
+    )
+
+
+def _mfapc(gains: ScaledGains) -> Competitor:
+    gradient = gains.first
+    strength = float(np.mean(np.sum(gradient**2, axis=0)))
+    settings = {
+        "horizon": _HORIZON,
+        "lambda_u": _significant(_DAMPING * _HORIZON * strength),
+        "mu": 0.25,
+        "epsilon": _significant(1e-5 * min(1.0, _smallest(gradient))),
+        "initial_gradient": [[_significant(float(entry)) for entry in row] for row in gradient],
+    }
+    return Competitor(
+        "mfapc",
+        "MFAPC-CFDL",
+        settings,
+        "initial_gradient: change of the outputs one sample after a unit step, in parts of nominal values; "
+        "lambda_u up: calmer, down: faster",
+    )
+
+
+def _mpc() -> Competitor:
+    settings = {"horizon": _HORIZON, "output_weight": _OUTPUT_WEIGHT, "input_weight": _INPUT_WEIGHT}
+    return Competitor(
+        "mpc",
+        "MPC, model identified",
+        settings,
+        "the model is identified from the recording; input_weight up: calmer, down: faster",
+    )
+
+
+def _pid(gains: ScaledGains) -> list[Competitor]:
+    """Return PID loops, each output with the input that moves it most; none if inputs are too few."""
+    outputs, inputs = gains.lasting.shape
+    if outputs > inputs:
+        return []
+    from scipy.optimize import linear_sum_assignment
+
+    _, pairing = linear_sum_assignment(np.abs(gains.lasting), maximize=True)
+    settings = {"tuning": "step-test", "pairing": pairing.tolist()}
+    return [
+        Competitor(
+            "pid",
+            "PID, step test",
+            settings,
+            "gains from a step test on the recording; pairing: number of the input for each output",
+        )
+    ]
+
+
+def _smallest(gradient: FloatArray) -> float:
+    magnitudes = np.abs(gradient[gradient != 0.0])
+    return float(magnitudes.min()) if magnitudes.size else 1.0
+
+
+def _significant(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def recording_length(competitor: Competitor, inputs: int, outputs: int, measurements: int) -> int:
+    """Return the fewest samples of a recording that a competitor can learn from."""
+    from ddpc_cosim.study.controllers import make_controller
+    from ddpc_cosim.study.sections import ControllerSection
+
+    section = ControllerSection(type=competitor.type, settings=dict(competitor.settings))
+    return make_controller(section).recording_length(inputs, outputs, measurements)

@@ -1,0 +1,382 @@
+"""What kind of response an output has to a step of an input, from samples at growing intervals.
+
+The samples lie in blocks, each twice as long as the one before: the last block is the last half of the time.
+Within a block the intervals vary, lest an oscillation be sampled in step with its period.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from time import monotonic
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddpc_cosim.errors import CosimError, FMUStepError
+from ddpc_cosim.plant import Plant
+from ddpc_cosim.variables import FloatArray
+
+BLOCK = 24
+"""Samples of a block."""
+_GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0  # its multiples spread evenly over the unit interval
+
+_BAND = 0.05  # of the peak: what counts as settled, the control field's usual 5 %
+_STRAIGHT = 0.05  # of its rise: how far a straight line may be missed
+_ACCELERATING = 3.0  # a line doubles while time doubles, a parabola quadruples
+_HIGHEST_POWER = 4.5  # of time: chains of integrators up to four, nothing else, rise so
+_DOUBLINGS = 3.0  # after which an unstable plant is still where one would want to catch it
+_ESCAPE = (0.003, 0.3)  # of the peak: between them an unstable mode grows undisturbed
+_FLOOR = 1e-5  # of the output's level: below it a response is an integrator's rounding
+_RISEN = 1.0 - np.exp(-1.0)  # where a first-order lag is after its time constant
+
+
+class Nature(StrEnum):
+    """How an output goes on after a step."""
+
+    INSENSITIVE = "insensitive"
+    SETTLED = "settles"
+    INTEGRATING = "integrates"
+    ACCELERATING = "accelerates"
+    OSCILLATING = "does not settle"
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """The response of one output to a step of one input.
+
+    Parameters
+    ----------
+    nature : Nature
+        How it goes on.
+    effect : float
+        Where it ends, in the output's unit: the final value of one that settles, the mean of one that
+        oscillates; what one that integrates has reached in the end, and one that accelerates when it has
+        doubled a few times.
+    slope : float
+        Change per second of one that integrates.
+    rise_time : float
+        When it has first covered 63 % of its way [s]; of one that integrates its lag, of one that
+        accelerates the time in which it doubles, infinite if it rises like a power of time.
+    settling_time : float
+        When it is within 5 % of its peak for good [s]; infinite if it never is.
+    peak : float
+        Its largest magnitude.
+    """
+
+    nature: Nature
+    effect: float = 0.0
+    slope: float = 0.0
+    rise_time: float = np.inf
+    settling_time: float = np.inf
+    peak: float = 0.0
+
+    @property
+    def is_transient(self) -> bool:
+        """Whether it returns to where it was: nothing that a constant input could hold."""
+        return self.nature is Nature.SETTLED and abs(self.effect) <= _BAND * self.peak
+
+
+def sample_counts(blocks: int) -> NDArray[np.int64]:
+    """Return the lengths of all sampling intervals, shape (blocks * BLOCK,), in units of the first ones."""
+    spread = 0.5 + np.arange(BLOCK) * _GOLDEN % 1.0
+    counts = np.rint(np.outer(2.0 ** np.arange(blocks), spread)).ravel()
+    return np.maximum(counts, 1).astype(np.int64)
+
+
+def classify(time: FloatArray, deviation: FloatArray, level: float) -> Response:
+    """Classify a response.
+
+    Parameters
+    ----------
+    time : array, shape (n,)
+        Times after the step [s], in blocks.
+    deviation : array, shape (n,)
+        Output with the step minus output without it.
+    level : float
+        Magnitude of the output itself: small deviations count in relation to it.
+    """
+    peak = float(np.max(np.abs(deviation), initial=0.0))
+    if not peak > _FLOOR * level:
+        return Response(Nature.INSENSITIVE)
+    last = deviation[-BLOCK:]
+    final = float(np.mean(last))
+    if np.all(np.abs(last - final) <= _BAND * peak):
+        moving = np.flatnonzero(np.abs(deviation - final) > _BAND * peak)
+        settled = float(time[moving[-1] + 1]) if moving.size else float(time[0])
+        rise = _first_reached(time, deviation, final if abs(final) > _BAND * peak else peak)
+        return Response(Nature.SETTLED, final, 0.0, rise, settled, peak)
+    slope = _common_slope(time, deviation)
+    if slope:
+        lag = max(float(time[-1] - deviation[-1] / slope), 0.0)
+        return Response(Nature.INTEGRATING, float(deviation[-1]), slope, lag, np.inf, peak)
+    before = float(np.max(np.abs(deviation[-2 * BLOCK : -BLOCK]), initial=0.0))
+    if len(deviation) > BLOCK and peak > _ACCELERATING * before and np.argmax(np.abs(last)) == BLOCK - 1:
+        doubling = _doubling_time(time, deviation)
+        early = float(deviation[np.argmax(time >= min(_DOUBLINGS * doubling, time[-1]))])
+        return Response(Nature.ACCELERATING, early, 0.0, doubling, np.inf, peak)
+    return Response(Nature.OSCILLATING, final, 0.0, _first_reached(time, deviation, peak), np.inf, peak)
+
+
+def escaping(time: FloatArray, deviation: FloatArray, peak: float) -> Response:
+    """Return the response of an output that leaves its equilibrium by itself, and ends somewhere else.
+
+    Parameters
+    ----------
+    time, deviation : array, shape (n,)
+        As for :func:`classify`, after a small step and scaled up to a large one.
+    peak : float
+        Largest magnitude that the deviation has had before it was scaled.
+    """
+    size = np.abs(deviation) / np.max(np.abs(deviation))
+    begin, end = (float(time[np.argmax(size >= share)]) for share in _ESCAPE)
+    doubling = max(end - begin, float(time[0])) / np.log2(_ESCAPE[1] / _ESCAPE[0])
+    early = float(deviation[np.argmax(time >= _DOUBLINGS * doubling)])
+    return Response(Nature.ACCELERATING, early, 0.0, float(doubling), np.inf, peak)
+
+
+def _first_reached(time: FloatArray, deviation: FloatArray, way: float) -> float:
+    """Return when 63 % of the way are covered first."""
+    return float(time[np.argmax(np.abs(deviation) >= _RISEN * abs(way))])
+
+
+def _common_slope(time: FloatArray, deviation: FloatArray) -> float:
+    """Return the slope if the last two blocks are one straight line; 0 if they are not."""
+    if len(deviation) <= 2 * BLOCK:
+        return 0.0
+    t, d = time[-2 * BLOCK :], deviation[-2 * BLOCK :]
+    slope, offset = np.polyfit(t, d, 1)
+    rise = abs(slope) * (t[-1] - t[0])
+    straight = np.max(np.abs(slope * t + offset - d)) <= _STRAIGHT * rise
+    return float(slope) if straight and rise > 0.0 else 0.0
+
+
+def _doubling_time(time: FloatArray, deviation: FloatArray) -> float:
+    """Return how long an exponential takes to double [s]; infinite for what is rather a power of time."""
+    late, early = abs(deviation[-1]), abs(deviation[-BLOCK])
+    growth = np.log(late / early) if early > 0.0 else 0.0
+    doublings_of_time = np.log(time[-1] / time[-BLOCK])
+    if growth <= _HIGHEST_POWER * doublings_of_time:
+        return np.inf
+    return float(np.log(2.0) * (time[-1] - time[-BLOCK]) / growth)
+
+
+_BLOCKS_MORE, _BLOCKS_MOST = 4, 40
+# A response that is still on a line or a parabola may be the beginning of a slower one.
+_UNCLEAR = {Nature.OSCILLATING, Nature.INTEGRATING, Nature.ACCELERATING}
+_FASTER, _TIMES_FASTER = 2**10, 3
+_MOST_STEPS = 100_000
+_SHARE, _LARGER_SHARE, _SMALLER_SHARE = 0.1, 0.5, 0.001
+_NONLINEAR = 0.3
+_BEYOND = 1e30
+_IMMEDIATE = 3  # samples
+
+
+@dataclass(frozen=True, slots=True)
+class Resting:
+    """Where the inputs rest, and how far they may go from there.
+
+    Parameters
+    ----------
+    u : array, shape (m,)
+        Inputs at rest.
+    room : array, shape (m,)
+        Signed: how far each may go in the direction in which there is more room.
+    """
+
+    u: FloatArray
+    room: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """What is known beforehand about time.
+
+    Parameters
+    ----------
+    step : float
+        Communication step size of the first block [s].
+    longest : float
+        Where to stop looking for responses [s].
+    fixed : bool
+        Whether all communication steps must have this size.
+    blocks : int
+        How many blocks the first runs have.
+    budget : float
+        Seconds of computing time after which no longer runs are tried.
+    """
+
+    step: float
+    longest: float
+    fixed: bool = False
+    blocks: int = 12
+    budget: float = 30.0
+
+
+@dataclass(frozen=True)
+class StepTest:
+    """The result of a step test.
+
+    The response of an output that leaves its equilibrium by itself is that to a very small step, scaled up.
+
+    Parameters
+    ----------
+    time : array, shape (n,)
+        Sample times after the steps [s].
+    rest : array, shape (n, p)
+        Outputs while all inputs rest.
+    steps : array, shape (m,)
+        Heights of the steps.
+    responses : tuple of tuple of Response
+        By output, then by input.
+    fault : str
+        Why a run ended early; empty if none did.
+    stopped : bool
+        Whether computing time ran out before every response had shown its nature.
+    static : bool
+        Whether the outputs follow the inputs at once, however closely one looks.
+    unstable : frozenset of int
+        Outputs whose response does not shrink with the step.
+    """
+
+    time: FloatArray
+    rest: FloatArray
+    steps: FloatArray
+    responses: tuple[tuple[Response, ...], ...]
+    fault: str = ""
+    stopped: bool = False
+    static: bool = False
+    unstable: frozenset[int] = field(default_factory=frozenset)
+
+
+def step_test(plant: Plant, resting: Resting, timing: Timing) -> StepTest:
+    """Step each input by a tenth of its room, by half of it where that does nothing.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant; it is reset for every run.
+    resting : Resting
+        The inputs at rest and their room.
+    timing : Timing
+        What is known about time.
+
+    Raises
+    ------
+    CosimError
+        The plant cannot be initialised, or does not survive its first steps at rest.
+    """
+    deadline = monotonic() + timing.budget
+    tested = _at_time_scale(plant, resting, _SHARE, timing, deadline)
+    if not any(_responds(tested, i) for i in range(len(resting.u))):
+        tested = _at_time_scale(plant, resting, _LARGER_SHARE, timing, deadline)
+    return _with_instabilities(plant, resting, tested, timing)
+
+
+def _responds(tested: StepTest, i: int) -> bool:
+    return any(row[i].nature is not Nature.INSENSITIVE for row in tested.responses)
+
+
+def _at_time_scale(plant: Plant, resting: Resting, share: float, timing: Timing, deadline: float) -> StepTest:
+    """Run with shorter first steps as long as everything happens in the first of them."""
+    step = timing.step
+    for _ in range(_TIMES_FASTER):
+        tested = _until_clear(plant, resting, share * resting.room, step, timing, deadline)
+        rises = [r.rise_time for row in tested.responses for r in row if r.nature is Nature.SETTLED]
+        if timing.fixed or not rises or max(rises) > _IMMEDIATE * step or monotonic() > deadline:
+            return tested
+        step /= _FASTER
+    return replace(tested, static=True)
+
+
+def _until_clear(
+    plant: Plant, resting: Resting, steps: FloatArray, step: float, timing: Timing, deadline: float
+) -> StepTest:
+    """Make runs longer until every response has shown its nature, or time is up."""
+    blocks = timing.blocks
+    while True:
+        started = monotonic()
+        grid = _Grid(step, blocks, timing.fixed)
+        tested, _ = _run_all(plant, resting.u, steps, grid)
+        natures = {r.nature for row in tested.responses for r in row}
+        if tested.fault or not (natures & _UNCLEAR or natures == {Nature.INSENSITIVE}):
+            return tested
+        if grid.end >= timing.longest or blocks >= _BLOCKS_MOST:
+            return tested
+        blocks += _BLOCKS_MORE
+        longer = _Grid(step, blocks, timing.fixed)
+        now = monotonic()
+        expected = (now - started) * 2.0**_BLOCKS_MORE
+        if longer.communication_steps > _MOST_STEPS or now + expected > deadline:
+            return replace(tested, stopped=True)
+
+
+class _Grid:
+    """Sample times in blocks: intervals are whole numbers of the first steps."""
+
+    def __init__(self, step: float, blocks: int, fixed: bool) -> None:
+        self._step, self._fixed = step, fixed
+        self._counts = sample_counts(blocks)
+        self.time: FloatArray = np.cumsum(self._counts) * np.float64(step)
+        self.end = float(self.time[-1])
+        self.communication_steps = int(self._counts.sum()) if fixed else len(self._counts)
+
+    def run(self, plant: Plant, u: FloatArray) -> tuple[FloatArray, str]:
+        """Run the plant from its start with constant inputs; return outputs, shape (n, p), and a fault."""
+        plant.plan(self._step, self.end)
+        plant.reset()
+        rows: list[FloatArray] = []
+        try:
+            for count in self._counts:
+                for _ in range(count if self._fixed else 1):
+                    y = plant.step(u, self._step if self._fixed else float(count * self._step))
+                if not np.all(np.abs(y) < _BEYOND):  # nor is NaN
+                    return _stacked(rows, plant), f"an output is not finite or beyond {_BEYOND:g}"
+                rows.append(y)
+        except FMUStepError as error:
+            return _stacked(rows, plant), str(error)
+        return _stacked(rows, plant), ""
+
+
+def _stacked(rows: Sequence[FloatArray], plant: Plant) -> FloatArray:
+    return np.array(rows).reshape(len(rows), len(plant.outputs))
+
+
+def _run_all(
+    plant: Plant, u: FloatArray, steps: FloatArray, grid: _Grid
+) -> tuple[StepTest, list[FloatArray]]:
+    """Run at rest, then with a step of each input; return the responses and what they are taken from."""
+    rest, fault = grid.run(plant, u)
+    if len(rest) < BLOCK:
+        raise CosimError(f"the plant does not run with its inputs at rest: {fault}")
+    deviations = []
+    for i, height in enumerate(steps):
+        stepped, failed = grid.run(plant, u + height * np.eye(len(u))[i])
+        n = _whole_blocks(min(len(rest), len(stepped)))
+        fault = fault or failed
+        deviations.append(stepped[:n] - rest[:n])
+    levels = np.max(np.abs(rest), axis=0, initial=0.0)
+    responses = tuple(
+        tuple(classify(grid.time[: len(d)], d[:, j], float(levels[j])) for d in deviations)
+        for j in range(len(plant.outputs))
+    )
+    return StepTest(grid.time[: len(rest)], rest, steps, responses, fault), deviations
+
+
+def _whole_blocks(samples: int) -> int:
+    return samples - samples % BLOCK if samples >= BLOCK else samples
+
+
+def _with_instabilities(plant: Plant, resting: Resting, tested: StepTest, timing: Timing) -> StepTest:
+    """Tell what moves away from its equilibrium by itself: its response does not shrink with the step."""
+    if tested.fault:
+        return tested
+    grid = _Grid(float(tested.time[0]), len(tested.time) // BLOCK, timing.fixed)
+    smaller, deviations = _run_all(plant, resting.u, _SMALLER_SHARE * tested.steps, grid)
+    responses = [list(row) for row in tested.responses]
+    unstable = set()
+    for j, row in enumerate(smaller.responses):
+        for i, small in enumerate(row):
+            if small.peak > _NONLINEAR * responses[j][i].peak:
+                unstable.add(j)
+                responses[j][i] = escaping(grid.time, deviations[i][:, j] / _SMALLER_SHARE, small.peak)
+    return replace(tested, responses=tuple(map(tuple, responses)), unstable=frozenset(unstable))

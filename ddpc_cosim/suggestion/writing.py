@@ -1,0 +1,311 @@
+"""A suggested study as a commented file."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import tomli_w
+
+from ddpc_cosim.suggestion.choice import Choice, runs_away
+from ddpc_cosim.suggestion.design import Competitor, Proposal, drifting
+from ddpc_cosim.suggestion.step_test import Nature, Response, StepTest
+from ddpc_cosim.variables import Variable
+
+_WIDTH = 110
+
+
+def study_text(proposal: Proposal, fmu: str) -> str:
+    """Return the study file.
+
+    Parameters
+    ----------
+    proposal : Proposal
+        What to write.
+    fmu : str
+        Path of the FMU as the file is to say it.
+    """
+    sections = (
+        _head(proposal),
+        _plant(proposal, fmu),
+        _loop(proposal),
+        _references(proposal),
+        _bounds(proposal),
+        _recording(proposal),
+        _controllers(proposal),
+    )
+    return "\n".join("\n".join(lines) + "\n" for lines in sections if lines)
+
+
+def _head(proposal: Proposal) -> list[str]:
+    return [
+        f"title = {_value(f'Control of {proposal.plant}')}",
+        "seeds = [0]",
+    ]
+
+
+def _plant(proposal: Proposal, fmu: str) -> list[str]:
+    return [
+        *_remarks(proposal, "plant"),
+        "[plant]",
+        f"fmu = {_value(fmu)}",
+        *_names("inputs", proposal.inputs),
+        *_names("outputs", proposal.outputs),
+        *_names("measurements", proposal.measurements),
+        "# how far each signal goes: what controllers scale it by",
+        "[plant.nominal]",
+        *(f"{_key(name)} = {_value(size)}" for name, size in proposal.nominal.items()),
+    ]
+
+
+def _names(key: str, variables: Iterable[Variable]) -> list[str]:
+    return [f"{key} = [", *(f"    {_value(v.name)},{_about(v)}" for v in variables), "]"]
+
+
+def _about(variable: Variable) -> str:
+    parts = [f"[{variable.unit}]" if variable.unit else "", _one_line(variable.description)]
+    text = " ".join(part for part in parts if part)
+    return f"  # {text}" if text else ""
+
+
+def _loop(proposal: Proposal) -> list[str]:
+    return [
+        *_remarks(proposal, "loop"),
+        "[loop]",
+        f"sampling_time = {_value(proposal.sampling_time)}  # s",
+        f"duration = {_value(proposal.duration)}  # s",
+    ]
+
+
+def _references(proposal: Proposal) -> list[str]:
+    lines = _remarks(proposal, "reference")
+    for name, setpoints in proposal.setpoints.items():
+        lines += [
+            f"[reference.{_key(name)}]",
+            'kind = "steps"',
+            f"times = {_value(list(setpoints.times))}  # s",
+            f"values = {_value(list(setpoints.values))}",
+        ]
+    return lines
+
+
+def _bounds(proposal: Proposal) -> list[str]:
+    return [
+        *_remarks(proposal, "bounds"),
+        "[bounds]",
+        *(
+            f"{_key(name)} = {{ min = {_value(b.low)}, max = {_value(b.high)} }}  # {b.origin}"
+            for name, b in proposal.bounds.items()
+        ),
+    ]
+
+
+def _recording(proposal: Proposal) -> list[str]:
+    remarks = _remarks(proposal, "recording")
+    if not proposal.excitation:
+        return remarks
+    return [
+        *remarks,
+        "[recording]",
+        f"samples = {proposal.samples}",
+        *(
+            f"excitation.{_key(name)} = {{ low = {_value(low)}, high = {_value(high)} }}"
+            for name, (low, high) in proposal.excitation.items()
+        ),
+    ]
+
+
+def _controllers(proposal: Proposal) -> list[str]:
+    lines = _remarks(proposal, "controllers")
+    for key, competitor in proposal.competitors.items():
+        lines += [*([""] if lines else []), *_controller(key, competitor)]
+    return lines
+
+
+def _controller(key: str, competitor: Competitor) -> Iterator[str]:
+    yield from _comment(competitor.remark)
+    yield f"[controllers.{_key(key)}]"
+    yield f"type = {_value(competitor.type)}"
+    yield f"label = {_value(competitor.label)}"
+    yield f"[controllers.{_key(key)}.settings]"
+    for name, value in competitor.settings.items():
+        yield f"{_key(name)} = {_value(value)}"
+
+
+def _remarks(proposal: Proposal, section: str) -> list[str]:
+    return [line for remark in proposal.remarks.get(section, ()) for line in _comment(remark)]
+
+
+def _comment(text: str) -> Iterator[str]:
+    from textwrap import wrap
+
+    return (f"# {line}" for line in wrap(_one_line(text), _WIDTH - 2))
+
+
+def _one_line(text: str) -> str:
+    """Return a text that cannot leave the comment that it stands in."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def _value(value: Any) -> str:
+    """Return a value in TOML, on one line."""
+    if isinstance(value, list):
+        return f"[{', '.join(_value(item) for item in value)}]"
+    text = _table({"x": value})
+    return text.partition(" = ")[2].strip()
+
+
+def _key(name: str) -> str:
+    """Return a key in TOML, quoted where that is needed."""
+    return _table({name: 0}).rpartition(" = ")[0]
+
+
+def _table(content: Mapping[str, Any]) -> str:
+    return tomli_w.dumps(dict(content))
+
+
+_LISTED = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """What the remarks are about.
+
+    Parameters
+    ----------
+    inputs, outputs : sequence of Variable
+        The candidates of the step test.
+    tested : StepTest
+        Its result.
+    choice : Choice
+        What was chosen.
+    sample : float
+        The sampling time [s].
+    unstable : bool
+        Whether the plant is taken for unstable.
+    """
+
+    inputs: Sequence[Variable]
+    outputs: Sequence[Variable]
+    tested: StepTest
+    choice: Choice
+    sample: float
+    unstable: bool
+
+
+def remarks(
+    about: Circumstances, left_out: Sequence[str], warnings: Sequence[str]
+) -> dict[str, tuple[str, ...]]:
+    """Return the remarks by section of the study file.
+
+    Parameters
+    ----------
+    about : Circumstances
+        The step test and the choice.
+    left_out : sequence of str
+        Signals that were not tried.
+    warnings : sequence of str
+        What is wrong with the FMU but does not keep it from running.
+    """
+    on_plant = (*_on_responses(about), *_on_what_is_left_out(about, left_out))
+    return {
+        "plant": (*on_plant, *(f"Warning: {warning}" for warning in warnings)),
+        "loop": tuple(_on_timing(about)),
+        "reference": tuple(_on_setpoints(about)),
+        "bounds": ("Limits of the inputs; outputs have those that the FMU declares.",),
+        "recording": tuple(_on_recording(about)),
+        "controllers": (
+            "`ddpc-cosim list controllers` shows what else can compete, `docs/methods.md` what it does.",
+        ),
+    }
+
+
+def _on_responses(about: Circumstances) -> Iterator[str]:
+    yield f"Step test up to {about.tested.time[-1]:.3g} s, each input by itself from its start value:"
+    for j in about.choice.outputs:
+        for i in about.choice.inputs:
+            response = about.tested.responses[j][i]
+            height = about.tested.steps[i]
+            yield f"{about.inputs[i].name} by {height:+.3g}: {about.outputs[j].name} {_in_words(response)}"
+
+
+def _in_words(response: Response) -> str:
+    match response.nature:
+        case Nature.INSENSITIVE:
+            return "does not respond"
+        case Nature.SETTLED if response.is_transient:
+            return f"moves by up to {response.peak:.3g} and returns"
+        case Nature.SETTLED:
+            return f"changes by {response.effect:+.3g} within {response.settling_time:.3g} s"
+        case Nature.INTEGRATING:
+            return f"goes on changing by {response.slope:+.3g} per second (it integrates)"
+        case Nature.ACCELERATING if runs_away(response):
+            return f"runs away, doubling every {response.rise_time:.3g} s (unstable)"
+        case Nature.ACCELERATING:
+            return "goes on changing faster and faster (several integrators)"
+        case Nature.OSCILLATING:
+            return f"oscillates by up to {response.peak:.3g} and does not settle"
+
+
+def _on_what_is_left_out(about: Circumstances, left_out: Sequence[str]) -> Iterator[str]:
+    idle = [v.name for i, v in enumerate(about.inputs) if i not in about.choice.inputs]
+    if idle:
+        yield f"Inputs left out, as they rest or do little: {_listed(idle)}."
+    others = [v.name for j, v in enumerate(about.outputs) if j not in about.choice.outputs]
+    if others:
+        yield f"Outputs not controlled: {_listed(others)}."
+    if left_out:
+        yield f"Not tried, there being so many: {_listed(left_out)}."
+    if about.tested.fault:
+        yield f"A run of the step test ended early: {about.tested.fault}"
+
+
+def _listed(of: Sequence[str]) -> str:
+    more = len(of) - _LISTED
+    return ", ".join(of[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _on_timing(about: Circumstances) -> Iterator[str]:
+    scale = about.choice.time_scale
+    if not about.choice.guessed:
+        samples = round(scale / about.sample)
+        yield f"The plant takes about {scale:.3g} s to settle or to show where it goes: {samples} samples."
+    else:
+        yield (
+            "The responses have no time scale of their own (pure integrators, or no delay at all): "
+            "the sampling time is a guess. Choose it from how fast the loop shall be."
+        )
+    if about.tested.stopped:
+        yield "The step test was cut short, as the FMU is slow: slower responses may have been missed."
+
+
+def _on_setpoints(about: Circumstances) -> Iterator[str]:
+    if about.unstable:
+        yield "To stay where it begins: an unstable plant has to be stabilised before it is moved."
+        return
+    yield "Changes that the inputs can hold with about a third of their ranges, from where the plant rests."
+    moving = [about.outputs[j].name for j in about.choice.outputs if drifting(about.tested)[j]]
+    if moving:
+        yield f"{_listed(moving)}: drifts even while the inputs rest; the setpoints are around its start."
+
+
+def _on_recording(about: Circumstances) -> Iterator[str]:
+    if about.unstable:
+        rows = zip(about.outputs, about.tested.responses, strict=True)
+        unsettled = [output.name for output, row in rows if any(map(runs_away, row))]
+        yield (
+            "No recording and no controller that learns from one: the plant leaves its equilibrium by "
+            f"itself ({_listed(unsettled)}), so an open-loop experiment is of no use. It has to be "
+            "stabilised first, and the settings below may not do that."
+        )
+        return
+    yield "The experiment that data-driven controllers learn from: random inputs around rest."
+    if _integrates(about):
+        yield "An output that integrates wanders during the experiment; if too far, make the range smaller."
+
+
+def _integrates(about: Circumstances) -> bool:
+    return any(
+        about.tested.responses[j][i].nature is Nature.INTEGRATING
+        for j in about.choice.outputs
+        for i in about.choice.inputs
+    )

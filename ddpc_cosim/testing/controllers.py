@@ -1,0 +1,357 @@
+"""What the controller contract demands, as checks of controllers of which nothing else is known."""
+
+import math
+import pickle
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from ddpc_cosim.controller import OK, Controller
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.settings import SettingInfo, declared_settings, from_plain
+from ddpc_cosim.testing.check_results import CheckFailedError, NotApplicableError
+from ddpc_cosim.testing.reference_plant import BenignLoop, ClosedLoop, Walk
+from ddpc_cosim.variables import FloatArray
+
+_UNKNOWN = "no_such_setting"
+
+
+def stores_its_settings(controller: Controller) -> None:
+    """Require that what ``settings`` returns makes an equal controller: a study file is all that is kept."""
+    kind = type(controller)
+    if not declared_settings(kind):
+        raise NotApplicableError("it declares no settings")
+    plain = controller.settings()
+    undeclared = sorted(set(plain) - set(declared_settings(kind)))
+    if undeclared:
+        raise CheckFailedError(f"{', '.join(undeclared)} is not declared with ddpc_cosim.setting")
+    given = {name: from_plain(kind, name, value) for name, value in plain.items() if value is not None}
+    again = kind(**given).settings()
+    changed = [name for name in plain if again.get(name) != plain[name]]
+    if changed:
+        what = f"{changed[0]} = {plain[changed[0]]!r} comes back as {again.get(changed[0])!r}"
+        raise CheckFailedError(f"settings() does not make an equal controller: {what}")
+
+
+def refuses_unknown_settings(controller: Controller) -> None:
+    """Require an error for an argument that is no setting."""
+    try:
+        type(controller)(**_given(controller), **{_UNKNOWN: 1.0})
+    except (TypeError, ConfigError):
+        return
+    raise CheckFailedError(f"the constructor accepts {_UNKNOWN} = 1.0; it has to raise TypeError")
+
+
+def refuses_impossible_settings(controller: Controller) -> None:
+    """Require a ConfigError that names the setting, for every value outside a declared range."""
+    kind = type(controller)
+    ranges = {name: info for name, info in declared_settings(kind).items() if list(_outside(info))}
+    if not ranges:
+        raise NotApplicableError("it declares no ranges")
+    for name, info in ranges.items():
+        for value in _outside(info):
+            try:
+                kind(**{**_given(controller), name: value})
+            except ConfigError as error:
+                if not any(name in fault for fault in error.faults):
+                    raise CheckFailedError(f"the error for {name} = {value!r} does not name it") from error
+            else:
+                raise CheckFailedError(
+                    f"{name} = {value!r} is accepted although only {info.allowed} is allowed; if the class "
+                    "has a __post_init__, it has to call super().__post_init__()"
+                )
+
+
+def _given(controller: Controller) -> dict[str, Any]:
+    if not is_dataclass(controller):
+        return {}
+    return {field.name: getattr(controller, field.name) for field in fields(controller) if field.init}
+
+
+def _outside(info: SettingInfo) -> Iterator[Any]:
+    """Yield values that a setting does not take."""
+    if info.choices:
+        yield "no such choice"
+        return
+    if math.isfinite(info.low):
+        yield info.low - 1
+    if math.isfinite(info.above):
+        yield info.above
+    if math.isfinite(info.high):
+        yield info.high + 1
+
+
+_OTHER_SEED = 1
+_TIGHT_LIMIT = 0.2
+_OUT_OF_REACH = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerTrial:
+    """A controller to try, and how.
+
+    Parameters
+    ----------
+    make_controller : callable
+        Returns a new controller at every call.
+    sampling_time : float
+        Time between samples [s].
+    steps : int
+        Samples of one run.
+    """
+
+    make_controller: Callable[[], Controller]
+    sampling_time: float = 0.1
+    steps: int = 60
+
+    def plant(self, input_limit: float = 1.0) -> BenignLoop:
+        """Return the smallest loop whose size suits the controller.
+
+        Raises
+        ------
+        CheckFailedError
+            Neither size does.
+        """
+        refusals = []
+        for size in (1, 2):
+            plant, controller = BenignLoop(size, self.sampling_time, input_limit), self.make_controller()
+            try:
+                controller.start(plant.loop_for(controller, 0))
+            except ConfigError as error:
+                refusals.append(f"{size} x {size}: {error.faults[0]}")
+            else:
+                return plant
+        raise CheckFailedError("it starts in no loop; " + "; ".join(refusals))
+
+    def started(self, plant: BenignLoop, seed: int = 0) -> Controller:
+        """Return a new controller, started."""
+        controller = self.make_controller()
+        controller.start(plant.loop_for(controller, seed))
+        return controller
+
+    def run(self, plant: BenignLoop, controller: Controller, scale: float = 1.0) -> ClosedLoop:
+        """Walk a started controller through the loop."""
+        walk = Walk(plant, controller, scale=scale)
+        for _ in range(self.steps):
+            walk.step()
+        return walk.walked()
+
+
+def returns_one_input_for_one_output(trial: ControllerTrial) -> None:
+    """Require new float64 arrays of shape (1,) and a status."""
+    _require_shapes(trial, 1)
+
+
+def returns_two_inputs_for_two_outputs(trial: ControllerTrial) -> None:
+    """Require new float64 arrays of shape (2,) and a status."""
+    _require_shapes(trial, 2)
+
+
+def _require_shapes(trial: ControllerTrial, size: int) -> None:
+    plant, controller = BenignLoop(size, trial.sampling_time), trial.make_controller()
+    if not isinstance(controller, Controller):
+        raise CheckFailedError(f"{type(controller).__name__} is not derived from ddpc_cosim.Controller")
+    try:
+        controller.start(plant.loop_for(controller, 0))
+    except ConfigError as error:
+        reason = "; ".join(error.faults)
+        raise NotApplicableError(f"it does not start in a loop of {size} x {size}: {reason}") from error
+    trial.run(plant, controller)
+
+
+def starts_with_the_recording_it_asks_for(trial: ControllerTrial) -> None:
+    """Require that a recording as short as ``recording_length`` says will do."""
+    plant, controller = trial.plant(), trial.make_controller()
+    if not controller.uses_recording:
+        raise NotApplicableError("it does not use a recording")
+    needed = controller.recording_length(plant.size, plant.size, plant.size)
+    controller.start(plant.loop(max(needed, 1), 0))
+
+
+def is_deterministic_under_its_seed(trial: ControllerTrial) -> None:
+    """Require that two controllers of the same seed do the same."""
+    plant = trial.plant()
+    first, second = (trial.run(plant, trial.started(plant)) for _ in range(2))
+    _require_equal(first.u, second.u, "between two controllers of the same seed; use loop.rng only")
+
+
+def forgets_a_run_when_started_again(trial: ControllerTrial) -> None:
+    """Require that a second ``start`` repeats the first run to the last bit, with the same Loop too."""
+    plant, controller = trial.plant(), trial.make_controller()
+    loop = plant.loop_for(controller, 0)
+    controller.start(loop)
+    first = trial.run(plant, controller)
+    controller.start(plant.loop_for(controller, _OTHER_SEED))
+    trial.run(plant, controller, scale=-1.0)
+    controller.start(loop)
+    _require_equal(first.u, trial.run(plant, controller).u, "after a second start; copy loop.rng to use it")
+
+
+def can_be_pickled(trial: ControllerTrial) -> None:
+    """Require that a pickled controller starts, and goes on where it was."""
+    plant = trial.plant()
+    fresh = pickle.loads(pickle.dumps(trial.make_controller()))
+    fresh.start(plant.loop_for(fresh, 0))
+    expected = trial.run(plant, trial.started(plant)).u
+    _require_equal(expected, trial.run(plant, fresh).u, "when pickled before its start")
+    walk = Walk(plant, trial.started(plant))
+    for k in range(trial.steps):
+        walk.step()
+        if k == trial.steps // 2:
+            walk.controller = pickle.loads(pickle.dumps(walk.controller))
+    _require_equal(expected, walk.walked().u, "when pickled during a run")
+
+
+def two_instances_are_independent(trial: ControllerTrial) -> None:
+    """Require that what one instance does changes nothing for another."""
+    plant = trial.plant()
+    alone = trial.run(plant, trial.started(plant)).u
+    walk = Walk(plant, trial.started(plant))
+    other = Walk(plant, trial.started(plant, _OTHER_SEED), scale=-2.0)
+    for _ in range(trial.steps):
+        walk.step()
+        other.step()
+    _require_equal(alone, walk.walked().u, "beside another instance")
+
+
+def keeps_no_array_that_it_is_given(trial: ControllerTrial) -> None:
+    """Require that the arrays of a sample may be overwritten when ``step`` has returned."""
+    plant = trial.plant()
+    walk = Walk(plant, trial.started(plant), reuse=True)
+    for _ in range(trial.steps):
+        walk.step()
+    expected = trial.run(plant, trial.started(plant)).u
+    _require_equal(
+        expected, walk.walked().u, "when the arrays of a sample are used again; copy what you keep"
+    )
+
+
+def respects_the_input_limits(trial: ControllerTrial) -> None:
+    """Require inputs within their limits, exactly, where the reference is out of reach."""
+    plant = trial.plant(_TIGHT_LIMIT)
+    _require_within(plant, trial.run(plant, trial.started(plant), scale=_OUT_OF_REACH))
+
+
+def reports_a_failure_as_a_status(trial: ControllerTrial) -> None:
+    """Require finite inputs within their limits where no plan keeps the outputs in theirs."""
+    plant = trial.plant()
+    walk = Walk(plant, trial.started(plant), start=_OUT_OF_REACH)
+    for _ in range(trial.steps):
+        _attempt(walk, None, "with outputs far outside their limits")
+    _require_within(plant, walk.walked())
+
+
+def handles_a_missing_measurement_as_declared(trial: ControllerTrial) -> None:
+    """Require that a NaN is answered as ``accepts_missing`` says, and that a new start forgets it."""
+    plant, controller = trial.plant(), trial.make_controller()
+    loop = plant.loop_for(controller, 0)
+    controller.start(loop)
+    expected = trial.run(plant, controller).u
+    controller.start(loop)
+    walk, missing = Walk(plant, controller), np.full(plant.size, np.nan)
+    if controller.accepts_missing:
+        for k in range(trial.steps):
+            lost = missing if k == trial.steps // 2 else None
+            _attempt(walk, lost, "although it declares accepts_missing")
+        _require_within(plant, walk.walked())
+        _require_told(walk.walked(), trial.steps // 2)
+    else:
+        _require_not_silent(walk, missing, trial.steps // 2)
+    controller.start(loop)
+    _require_equal(expected, trial.run(plant, controller).u, "in the run after one with NaN in it")
+
+
+def stabilises_a_benign_plant(trial: ControllerTrial) -> None:
+    """Require that the outputs end nearer to a reference within reach than they began."""
+    plant = trial.plant()
+    controller = trial.started(plant)
+    run = trial.run(plant, controller)
+    target = plant.target(controller)[0]
+    final = np.abs(run.y[-trial.steps // 4 :] - target).max(axis=0)
+    if not (final < np.abs(target)).all():
+        raise CheckFailedError(
+            f"the outputs of x' = u - x begin {np.abs(target).tolist()} off their references and end "
+            f"{final.round(4).tolist()} off"
+        )
+
+
+def _attempt(walk: Walk, seen: FloatArray | None, when: str) -> None:
+    try:
+        walk.step(seen)
+    except CheckFailedError:
+        raise
+    except Exception as error:  # a third party's controller can fail in any way
+        raise CheckFailedError(
+            f"step raised {type(error).__name__} {when}: {error}; return an Action with a status instead"
+        ) from error
+
+
+def _require_not_silent(walk: Walk, missing: FloatArray, steps: int) -> None:
+    """Require an error, inputs that are not finite, or a status, soon after NaN."""
+    for _ in range(steps):
+        walk.step()
+    try:
+        for seen in (missing, *[None] * (steps - 1)):
+            walk.step(seen)
+    except CheckFailedError:
+        raise
+    except Exception:  # an error is one of the ways to say so
+        return
+    run = walk.walked()
+    if np.isfinite(run.u).all():
+        _require_told(run, steps)
+
+
+def _require_told(run: ClosedLoop, since: int) -> None:
+    if all(status == OK for status in run.status[since:]):
+        raise CheckFailedError("a measurement of NaN passes without a status other than 'ok'")
+
+
+def _require_within(plant: BenignLoop, run: ClosedLoop) -> None:
+    if not np.isfinite(run.u).all():
+        k = int(np.argwhere(~np.isfinite(run.u))[0, 0])
+        raise CheckFailedError(f"the inputs at sample {k} are {run.u[k].tolist()}")
+    largest = np.abs(run.u).max()
+    if largest > plant.input_limit:
+        excess = f"an input is {largest!r} where {plant.input_limit!r} is allowed"
+        raise CheckFailedError(f"{excess}; clip what is returned to loop.bounds")
+
+
+def _require_equal(first: FloatArray, second: FloatArray, when: str) -> None:
+    if not np.array_equal(first, second, equal_nan=True):
+        k, i = (int(index) for index in np.argwhere(~(first == second))[0])
+        raise CheckFailedError(
+            f"the inputs differ {when}: {float(first[k, i])!r} and {float(second[k, i])!r} at sample {k}"
+        )
+
+
+def _settings_check(check: Callable[[Controller], None]) -> Callable[[ControllerTrial], None]:
+    def run(trial: ControllerTrial) -> None:
+        check(trial.make_controller())
+
+    run.__name__ = check.__name__
+    return run
+
+
+CONTROLLER_CHECKS: Mapping[str, Callable[[ControllerTrial], None]] = {
+    check.__name__.replace("_", " "): check
+    for check in (
+        _settings_check(stores_its_settings),
+        _settings_check(refuses_unknown_settings),
+        _settings_check(refuses_impossible_settings),
+        returns_one_input_for_one_output,
+        returns_two_inputs_for_two_outputs,
+        starts_with_the_recording_it_asks_for,
+        is_deterministic_under_its_seed,
+        forgets_a_run_when_started_again,
+        can_be_pickled,
+        two_instances_are_independent,
+        keeps_no_array_that_it_is_given,
+        respects_the_input_limits,
+        reports_a_failure_as_a_status,
+        handles_a_missing_measurement_as_declared,
+        stabilises_a_benign_plant,
+    )
+}

@@ -1,0 +1,245 @@
+"""What the plant contract demands, as checks of plants of which nothing else is known."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.plant import Plant
+from ddpc_cosim.suggestion.design import input_bounds, working_range
+from ddpc_cosim.testing.check_results import CheckFailedError, NotApplicableError
+from ddpc_cosim.variables import FloatArray, Variable, names
+
+_UNKNOWN = "no such parameter"
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A plant to try, and how.
+
+    Parameters
+    ----------
+    make_plant : callable
+        Returns a new plant at every call.
+    sampling_time : float
+        Communication step size [s].
+    steps : int
+        Steps of one run.
+    tolerance : float
+        How far outputs may differ where they need not agree to the last bit, in shares of their span.
+    """
+
+    make_plant: Callable[[], Plant]
+    sampling_time: float = 0.1
+    steps: int = 20
+    tolerance: float = 1e-3
+
+    @contextmanager
+    def plant(self) -> Iterator[Plant]:
+        """Open a plant for one check."""
+        plant = self.make_plant()
+        try:
+            yield plant
+        finally:
+            plant.close()
+
+    def inputs(self, plant: Plant, seed: int = 0) -> FloatArray:
+        """Return random inputs within the plant's ranges, shape (steps, m)."""
+        working = working_range(plant.inputs, input_bounds(plant.inputs))
+        unit = np.random.default_rng(seed).random((self.steps, len(plant.inputs)))
+        u: FloatArray = working.low + (working.high - working.low) * unit
+        return u
+
+    def run(self, plant: Plant, inputs: FloatArray) -> FloatArray:
+        """Reset the plant and step it; return the outputs, shape (steps + 1, p)."""
+        rows = [self.reset(plant)]
+        rows += [plant.step(u, self.sampling_time) for u in inputs]
+        return np.array(rows)
+
+    def reset(self, plant: Plant, share: float = 1.0) -> FloatArray:
+        """Tell the plant what is coming, steps of a share of the sampling time, and reset it."""
+        plant.plan(share * self.sampling_time, self.steps * self.sampling_time)
+        return plant.reset()
+
+
+def declares_its_signals(trial: Trial) -> None:
+    """Require tuples of variables with names of their own."""
+    with trial.plant() as plant:
+        for what, variables in (("inputs", plant.inputs), ("outputs", plant.outputs)):
+            if not isinstance(variables, tuple) or not all(isinstance(v, Variable) for v in variables):
+                raise CheckFailedError(f"{what} is {variables!r}; needed: a tuple of Variable")
+            repeated = sorted({name for name in names(variables) if names(variables).count(name) > 1})
+            if repeated:
+                raise CheckFailedError(f"{what} has several of the name {', '.join(repeated)}")
+        if not plant.outputs:
+            raise CheckFailedError("outputs is empty: there is nothing to control or to measure")
+
+
+def returns_arrays_of_the_right_shape(trial: Trial) -> None:
+    """Require new float64 arrays of shape (p,) from ``reset`` and ``step``."""
+    with trial.plant() as plant:
+        earlier = [trial.reset(plant)]
+        copies: list[FloatArray] = []
+        for what, u in zip(("step 1", "step 2"), trial.inputs(plant), strict=False):
+            _require_shape("reset" if not copies else what, earlier[-1], len(plant.outputs))
+            copies.append(earlier[-1].copy())
+            earlier.append(plant.step(u, trial.sampling_time))
+        for kept, copy in zip(earlier, copies, strict=False):
+            if not np.array_equal(kept, copy, equal_nan=True):
+                raise CheckFailedError("step changed an array that it had returned before; return a new one")
+
+
+def _require_shape(what: str, y: object, outputs: int) -> None:
+    if not isinstance(y, np.ndarray) or y.dtype != np.float64 or y.shape != (outputs,):
+        found = f"{type(y).__name__}"
+        if isinstance(y, np.ndarray):
+            found = f"an array of {y.dtype}, shape {y.shape}"
+        raise CheckFailedError(f"{what} returned {found}; needed: an array of float64, shape ({outputs},)")
+
+
+def returns_finite_numbers(trial: Trial) -> None:
+    """Require finite outputs while the inputs stay in their ranges."""
+    with trial.plant() as plant:
+        y = trial.run(plant, trial.inputs(plant))
+        if not np.isfinite(y).all():
+            k, j = (int(index) for index in np.argwhere(~np.isfinite(y))[0])
+            raise CheckFailedError(
+                f"{plant.outputs[j].name} is {y[k, j]} at t = {k * trial.sampling_time:g} s"
+            )
+
+
+def resets_to_the_same_trajectory(trial: Trial) -> None:
+    """Require that a run after a reset repeats the first one to the last bit."""
+    with trial.plant() as plant:
+        inputs = trial.inputs(plant)
+        first = trial.run(plant, inputs)
+        trial.run(plant, trial.inputs(plant, seed=1))
+        _require_equal(plant, first, trial.run(plant, inputs), "after a reset")
+
+
+def _require_equal(plant: Plant, first: FloatArray, second: FloatArray, when: str) -> None:
+    if not np.array_equal(first, second, equal_nan=True):
+        differ = ~((first == second) | (np.isnan(first) & np.isnan(second)))
+        k, j = (int(index) for index in np.argwhere(differ)[0])
+        raise CheckFailedError(
+            f"{plant.outputs[j].name} differs {when}: {first[k, j]!r} and {second[k, j]!r} after {k} steps"
+        )
+
+
+def holds_its_inputs(trial: Trial) -> None:
+    """Require that ``step`` neither changes the inputs that it is given nor looks at them later."""
+    with trial.plant() as plant:
+        inputs = trial.inputs(plant)
+        expected = trial.run(plant, inputs)
+        rows = [trial.reset(plant)]
+        for u in inputs:
+            given = u.copy()
+            rows.append(plant.step(given, trial.sampling_time))
+            if not np.array_equal(given, u):
+                raise CheckFailedError("step changed the array of inputs that it was given")
+            given[:] = np.nan
+        _require_equal(plant, expected, np.array(rows), "when the caller reuses its array of inputs")
+
+
+def does_not_depend_on_the_step_size(trial: Trial) -> None:
+    """Require that one step and two half steps with the same inputs end at the same outputs."""
+    with trial.plant() as plant:
+        inputs = trial.inputs(plant)
+        whole = trial.run(plant, inputs)
+        try:
+            rows = [trial.reset(plant, share=0.5)]
+            for u in inputs:
+                plant.step(u, trial.sampling_time / 2)
+                rows.append(plant.step(u, trial.sampling_time / 2))
+        except ConfigError as error:
+            raise NotApplicableError(str(error)) from error
+        _require_close(plant, whole, np.array(rows), trial.tolerance, "with half the step size")
+
+
+def _require_close(plant: Plant, first: FloatArray, second: FloatArray, tolerance: float, when: str) -> None:
+    span = np.maximum(np.ptp(first, axis=0), 1e-6 * np.max(np.abs(first), axis=0))
+    error = np.max(np.abs(first - second), axis=0)
+    wrong = np.flatnonzero(~(error <= tolerance * span + np.finfo(float).tiny))
+    if wrong.size:
+        j = int(wrong[0])
+        raise CheckFailedError(
+            f"{plant.outputs[j].name} differs {when}: by {error[j]:.3g}, while it spans {span[j]:.3g}"
+        )
+
+
+def two_instances_are_independent(trial: Trial) -> None:
+    """Require that what one instance does changes nothing for another."""
+    with trial.plant() as plant:
+        if _only_one_instance(plant):
+            raise NotApplicableError("the FMU allows one instance per process only")
+        inputs, others = trial.inputs(plant), trial.inputs(plant, seed=1)
+        alone = trial.run(plant, inputs)
+        with trial.plant() as other:
+            trial.reset(other)
+            rows = [trial.reset(plant)]
+            for u, u_other in zip(inputs, others, strict=True):
+                rows.append(plant.step(u, trial.sampling_time))
+                other.step(u_other, trial.sampling_time)
+        _require_equal(plant, alone, np.array(rows), "beside another instance")
+
+
+def _only_one_instance(plant: Plant) -> bool:
+    description = getattr(plant, "description", None)  # FMUs have one
+    return description is not None and any(i.only_one_instance for i in description.interfaces.values())
+
+
+def restores_a_saved_state(trial: Trial) -> None:
+    """Require that a run which goes on from a saved state repeats itself."""
+    with trial.plant() as plant:
+        if not plant.can_save_state:
+            raise NotApplicableError("the plant does not say that its state can be saved")
+        before, after = np.array_split(trial.inputs(plant), 2)
+        trial.run(plant, before)
+        state = plant.save_state()
+        first = np.array([plant.step(u, trial.sampling_time) for u in after])
+        plant.restore_state(state)
+        second = np.array([plant.step(u, trial.sampling_time) for u in after])
+        _require_close(plant, first, second, trial.tolerance, "after its state was restored")
+
+
+def refuses_unknown_parameters(trial: Trial) -> None:
+    """Require a ConfigError for an unknown parameter, before and during a run."""
+    with trial.plant() as plant:
+        _require_refusal("reset", lambda: plant.reset({_UNKNOWN: 1.0}))
+        trial.reset(plant)
+        _require_refusal("set_parameters", lambda: plant.set_parameters({_UNKNOWN: 1.0}))
+
+
+def _require_refusal(what: str, call: Callable[[], object]) -> None:
+    try:
+        call()
+    except ConfigError:
+        return
+    raise CheckFailedError(f'{what} accepts the parameter "{_UNKNOWN}"; it has to raise ConfigError')
+
+
+def can_be_closed_twice(trial: Trial) -> None:
+    """Require that ``close`` may be called again, and on a plant that was never reset."""
+    with trial.plant() as plant:
+        trial.reset(plant)
+        plant.close()
+    trial.make_plant().close()
+
+
+PLANT_CHECKS: Mapping[str, Callable[[Trial], None]] = {
+    check.__name__.replace("_", " "): check
+    for check in (
+        declares_its_signals,
+        returns_arrays_of_the_right_shape,
+        returns_finite_numbers,
+        resets_to_the_same_trajectory,
+        holds_its_inputs,
+        does_not_depend_on_the_step_size,
+        two_instances_are_independent,
+        restores_a_saved_state,
+        refuses_unknown_parameters,
+        can_be_closed_twice,
+    )
+}
