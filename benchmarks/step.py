@@ -12,8 +12,8 @@ import numpy as np
 
 from benchmarks.pendulum import STEPS, Pendulum, experiment, loop
 from ddpc_controllers import DeePC
-from ddpc_controllers.backends import BackendName
-from ddpc_controllers.full_problem import FullDeePC
+from ddpc_controllers.optimisation.backends import BackendName
+from ddpc_controllers.optimisation.uncondensed import FullDeePC
 from ddpc_cosim import Action, Controller, FloatArray, Recording, Sample
 
 Stepper = Callable[[Sample], FloatArray]

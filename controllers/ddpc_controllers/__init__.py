@@ -4,18 +4,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ddpc_controllers.behavioral import (
-        DataDiagnostics as DataDiagnostics,
-        hankel_matrix as hankel_matrix,
-        numerical_rank as numerical_rank,
-        persistency_of_excitation as persistency_of_excitation,
-    )
     from ddpc_controllers.cascade import Cascade as Cascade
-    from ddpc_controllers.composed_dictionaries import Combined as Combined, Delays as Delays
-    from ddpc_controllers.decentralised import Decentralised as Decentralised, Group as Group
-    from ddpc_controllers.deepc import DeePC as DeePC
-    from ddpc_controllers.dictionaries import (
+    from ddpc_controllers.data.dictionaries import (
+        Combined as Combined,
         Constant as Constant,
+        Delays as Delays,
         Dictionary as Dictionary,
         Gaussian as Gaussian,
         Identity as Identity,
@@ -23,31 +16,35 @@ if TYPE_CHECKING:
         Polynomials as Polynomials,
         ThinPlate as ThinPlate,
     )
-    from ddpc_controllers.fmu_model import FMUModel as FMUModel
-    from ddpc_controllers.identification import Identified as Identified
+    from ddpc_controllers.data.hankel import (
+        DataDiagnostics as DataDiagnostics,
+        hankel_matrix as hankel_matrix,
+        numerical_rank as numerical_rank,
+        persistency_of_excitation as persistency_of_excitation,
+    )
+    from ddpc_controllers.decentralised import Decentralised as Decentralised, Group as Group
+    from ddpc_controllers.deepc import DeePC as DeePC
     from ddpc_controllers.ipid import IPID as IPID
     from ddpc_controllers.koopman_mpc import KoopmanMPC as KoopmanMPC
     from ddpc_controllers.lqr import LQR as LQR
-    from ddpc_controllers.mfac import MFAC as MFAC
-    from ddpc_controllers.mfapc import MFAPC as MFAPC
-    from ddpc_controllers.models import ModelFunction as ModelFunction, StateSpace as StateSpace
+    from ddpc_controllers.mfac import MFAC as MFAC, MFAPC as MFAPC
+    from ddpc_controllers.models.from_fmu import FMUModel as FMUModel, pulse_model as pulse_model
+    from ddpc_controllers.models.identification import Identified as Identified
+    from ddpc_controllers.models.linear import ModelFunction as ModelFunction, StateSpace as StateSpace
     from ddpc_controllers.mpc import MPC as MPC
     from ddpc_controllers.offset_free import OffsetFree as OffsetFree
     from ddpc_controllers.pid import PID as PID
-    from ddpc_controllers.pulse_response import pulse_model as pulse_model
-    from ddpc_controllers.scaled import Scaled as Scaled
+    from ddpc_controllers.scaling import Scaled as Scaled
     from ddpc_controllers.spc import SPC as SPC, GammaDDPC as GammaDDPC
     from ddpc_controllers.spsa import SPSA as SPSA
     from ddpc_controllers.wkpc import WKPC as WKPC
 
 _HOME = {
-    "behavioral": ("DataDiagnostics", "hankel_matrix", "numerical_rank", "persistency_of_excitation"),
     "cascade": ("Cascade",),
-    "composed_dictionaries": ("Combined", "Delays"),
-    "decentralised": ("Decentralised", "Group"),
-    "deepc": ("DeePC",),
-    "dictionaries": (
+    "data.dictionaries": (
+        "Combined",
         "Constant",
+        "Delays",
         "Dictionary",
         "Gaussian",
         "Identity",
@@ -55,19 +52,20 @@ _HOME = {
         "Polynomials",
         "ThinPlate",
     ),
-    "fmu_model": ("FMUModel",),
-    "identification": ("Identified",),
+    "data.hankel": ("DataDiagnostics", "hankel_matrix", "numerical_rank", "persistency_of_excitation"),
+    "decentralised": ("Decentralised", "Group"),
+    "deepc": ("DeePC",),
     "ipid": ("IPID",),
     "koopman_mpc": ("KoopmanMPC",),
     "lqr": ("LQR",),
-    "mfac": ("MFAC",),
-    "mfapc": ("MFAPC",),
-    "models": ("ModelFunction", "StateSpace"),
+    "mfac": ("MFAC", "MFAPC"),
+    "models.from_fmu": ("FMUModel", "pulse_model"),
+    "models.identification": ("Identified",),
+    "models.linear": ("ModelFunction", "StateSpace"),
     "mpc": ("MPC",),
     "offset_free": ("OffsetFree",),
     "pid": ("PID",),
-    "pulse_response": ("pulse_model",),
-    "scaled": ("Scaled",),
+    "scaling": ("Scaled",),
     "spc": ("SPC", "GammaDDPC"),
     "spsa": ("SPSA",),
     "wkpc": ("WKPC",),

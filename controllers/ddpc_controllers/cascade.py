@@ -14,9 +14,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.ipid import IPID
-from ddpc_controllers.mfapc import MFAPC
-from ddpc_controllers.validation import check_settings_and
+from ddpc_controllers.mfac import MFAPC
 from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Recording, Sample, setting
 
 

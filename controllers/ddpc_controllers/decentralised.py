@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddpc_controllers.validation import check_settings_and
+from ddpc_controllers.checks import check_settings_and
 from ddpc_cosim import (
     Action,
     Bounds,

@@ -6,19 +6,286 @@ relaxations*, IEEE TAC 68(2), 2023, doi:10.1109/TAC.2022.3148374 (arXiv:2101.012
 """
 
 import copy
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import ClassVar, Literal, Protocol, get_args
 
 import numpy as np
 
-from ddpc_controllers.adaptive_qp import AdaptiveQP
-from ddpc_controllers.backends import make_backend
-from ddpc_controllers.behavioral_tracking import AffineSum, BehavioralTracking, Solver
-from ddpc_controllers.condensing import Condenser
-from ddpc_controllers.learning import OnlineLearning
-from ddpc_controllers.problem import Problem
-from ddpc_controllers.regularisation import Regularisation
-from ddpc_cosim import FloatArray, Loop, Recording, setting
+from ddpc_controllers.checks import all_finite, all_positive, check_settings_and, per_signal, stand_in
+from ddpc_controllers.data.hankel import diagnose, least_samples, require_excitation, require_length
+from ddpc_controllers.data.online import Learner, OnlineLearning
+from ddpc_controllers.data.windows import (
+    ONE,
+    Block,
+    ParameterVector,
+    WindowLayout,
+    matching_recording,
+    padded_with_zeros,
+    resting_input,
+)
+from ddpc_controllers.models.kalman import LOST_MEASUREMENT
+from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
+from ddpc_controllers.optimisation.condensing import Condenser, Regularisation
+from ddpc_controllers.optimisation.limits import NOT_FINITE as INPUTS_HELD
+from ddpc_controllers.optimisation.problem import SUM_G, Problem, write_tracking_problem
+from ddpc_controllers.optimisation.qp import NOT_FINITE, AdaptiveQP, Move, ParametricQP
+from ddpc_controllers.scaling import ScaledSignals
+from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, Weight, setting
+
+AffineSum = Literal["none", "all", "first-horizon"]
+RateBounds = float | Sequence[float]
+
+
+class Solver(Protocol):
+    """What answers a parameter vector with a move."""
+
+    def solve(self, parameters: FloatArray) -> Move:
+        """Return the optimal move, or the documented fallback with its reason."""
+
+
+@dataclass(kw_only=True)
+class BehavioralTracking(ScaledSignals):
+    """Predict with recorded windows, track the reference; a subclass says how windows are combined."""
+
+    uses_recording: ClassVar[bool] = True
+    accepts_missing: ClassVar[bool] = True
+
+    initial_length: int = setting(3, low=1, doc="samples of the past that fix the initial condition, Tini")
+    horizon: int = setting(
+        5, low=1, doc="prediction horizon N, samples; with terminal_equality longer than initial_length"
+    )
+    output_weight: Weight = setting(
+        100.0, low=0.0, doc="Q: predicted outputs off the artificial setpoint, or off the reference"
+    )
+    setpoint_weight: Weight = setting(300.0, low=0.0, doc="S: artificial setpoint off the reference")
+    input_weight: Weight = setting(
+        10.0, low=0.0, doc="R: inputs off the artificial setpoint, or off their values at rest"
+    )
+    artificial_setpoint: bool = setting(
+        True, doc="optimise a setpoint (u_s, y_s) online, (8); otherwise track the reference itself"
+    )
+    terminal_equality: bool = setting(
+        True, doc="the last initial_length predicted samples equal the artificial setpoint"
+    )
+    setpoint_margin: float = setting(
+        0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoint"
+    )
+    soft_output_bounds: float = setting(
+        0.0, low=0.0, doc="weight of |excess|^2 beyond the output bounds; 0: they are hard"
+    )
+    rate_bounds: RateBounds = setting(
+        default_factory=tuple, doc="largest change of each input per sample, in its unit; empty: none"
+    )
+    apply_steps: int = setting(1, low=1, doc="inputs of each plan that are applied before the next is made")
+    use_current_output: bool = setting(
+        False, doc="the output measured now ends the past window; otherwise the sample before does"
+    )
+    zero_padding: bool = setting(False, doc="append initial_length samples of zero to the recording")
+    assumed_order: int = setting(0, low=0, doc="bound on the plant's order; 0: initial_length x outputs")
+    backend: BackendName = setting("piqp", choices=BACKENDS, doc="QP solver for active sets not seen before")
+
+    def __post_init__(self) -> None:
+        check_settings_and(self, self._faults_between_settings)
+
+    def _start(self, loop: Loop) -> None:
+        """Condense the problem on the loop's recording."""
+        recording = matching_recording(loop, type(self).__name__)
+        m, p = len(loop.inputs), len(loop.outputs)
+        self._loop_bounds, self._inputs, self._outputs = loop.bounds, m, p
+        # Where the inputs of a plan and its predicted outputs end in the solver's answer.
+        self._planned = self.apply_steps * m, self.apply_steps * (m + p)
+        self._forecast = recording.y[-1]
+        self._rates: FloatArray | None = None
+        if self._has_rates:
+            self._rates = per_signal("rate_bounds", self.rate_bounds, m) / self._scales.u
+        self._resting: bool = not loop.continues_recording
+        self._pending: list[FloatArray] = []
+        data = self._stack(recording)
+        self._parameters = self._make_parameters(m, p, len(data))
+        self._learner: Learner | None = None
+        condenser = self._write_down(loop).prepare("u", self.apply_steps * m, self.apply_steps * p)
+        self._solver = self._make_solver(loop, recording, condenser, data)
+        changes_answer = self._has_rates or self._remembers_plan or self._learner is not None
+        self._applies_answer: bool = self.apply_steps == 1 and not changes_answer
+        self._fill_past(loop, recording)
+
+    def _step(self, sample: Sample) -> FloatArray | Action:
+        """Return the optimal input for this sample, of the present plan or of a new one."""
+        parameters, learner, y = self._parameters, self._learner, sample.y
+        lost = "" if all_finite(y) else LOST_MEASUREMENT
+        if self._resting:
+            if lost:
+                return Action(parameters.window("u_ini")[-1].copy(), lost)
+            parameters.fill("y_ini", y)
+            self._resting = False
+        elif self.use_current_output:
+            parameters.append("y_ini", self._known(y) if lost else y)
+        u, fault = self._continue_plan() if self._pending else self._plan(sample.reference)
+        parameters.append("u_ini", u)
+        if not self.use_current_output:
+            parameters.append("y_ini", self._known(y) if lost else y)
+        if learner:
+            learner.learn(u=u, y=y)
+        fault = fault or lost
+        return Action(u, fault) if fault else u
+
+    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+        """Return the fewest samples that can excite the inputs up to the order needed."""
+        return max(least_samples(self._order_needed(outputs), inputs), self._layout.depth)
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """Return order of excitation, rank and smallest singular value of the recording."""
+        return self._diagnostics.as_dict() | (dict(self._learner.data.figures()) if self._learner else {})
+
+    @abstractmethod
+    def _write_down(self, loop: Loop) -> Problem:
+        """Return the tracking problem."""
+
+    def _make_solver(
+        self, loop: Loop, recording: Recording, condenser: Condenser, data: FloatArray
+    ) -> Solver:
+        """Return what solves the problem online; the condensed problem on the recording as it is."""
+        return ParametricQP(condenser.condense(data), *self._planned_limits(), make_backend(self.backend))
+
+    @property
+    def _affine_sum(self) -> AffineSum:
+        """Which entries of g sum to 1."""
+        return "none"
+
+    @property
+    def _remembers_plan(self) -> bool:
+        """Whether the data rows of the last plan are a parameter of the next."""
+        return False
+
+    @property
+    def _has_rates(self) -> bool:
+        return np.size(self.rate_bounds) > 0
+
+    @property
+    def _past_outputs(self) -> int:
+        return self.initial_length + self.use_current_output
+
+    @property
+    def _layout(self) -> WindowLayout:
+        """Return how windows are stacked: what the outputs are predicted from first."""
+        past, known, horizon = self.initial_length, self._past_outputs, self.horizon
+        blocks = [Block("u", 0, past), Block("y", 0, known)]
+        if self._affine_sum != "none":
+            blocks.append(Block(ONE, 0, 1))
+        return WindowLayout([*blocks, Block("u", past, horizon), Block("y", known, horizon)])
+
+    def _faults_between_settings(self) -> list[str]:
+        name, faults = type(self).__name__, []
+        if self.terminal_equality and not self.artificial_setpoint:
+            faults.append(
+                f"{name}: terminal_equality ties the horizon's end to the artificial setpoint: switch it off "
+                "too, or artificial_setpoint on"
+            )
+        if self.terminal_equality and self.horizon <= self.initial_length:
+            faults.append(
+                f"{name}: horizon = {self.horizon} is not longer than initial_length = "
+                f"{self.initial_length}; the terminal condition holds over the last initial_length samples "
+                "of the horizon, and leaves no input free to get there"
+            )
+        if self.horizon == 1 and not self.use_current_output:
+            faults.append(
+                f"{name}: horizon = 1 predicts the present output alone, which no input changes any more: "
+                "at least 2, or use_current_output on"
+            )
+        if self.apply_steps > self.horizon:
+            faults.append(f"{name}: apply_steps = {self.apply_steps} is more than horizon = {self.horizon}")
+        if self._has_rates and not all_positive(self.rate_bounds):
+            faults.append(f"{name}: rate_bounds = {self.rate_bounds!r} is not possible; allowed: above 0")
+        return faults
+
+    def _order_needed(self, outputs: int) -> int:
+        """Return the order of excitation of Assumption 2: depth of the data and order of the plant."""
+        return self.initial_length + self.horizon + (self.assumed_order or self.initial_length * outputs)
+
+    def _stack(self, recording: Recording) -> FloatArray:
+        """Return M: the past and future Hankel blocks, and the row that sums g where one is asked for."""
+        u, y = recording.u, recording.y
+        if self.zero_padding:
+            u, y = padded_with_zeros(u, self.initial_length), padded_with_zeros(y, self.initial_length)
+        m, p, depth = u.shape[1], y.shape[1], self.initial_length + self.horizon
+        order, who = self._order_needed(p), type(self).__name__
+        require_length(len(u), order, m, who)
+        data = self._layout.stack({"u": u, "y": y})
+        sum_row = self.initial_length * m + self._past_outputs * p
+        windows = data if self._affine_sum == "none" else np.delete(data, sum_row, axis=0)
+        self._diagnostics = diagnose(windows, u, order)
+        require_excitation(self._diagnostics, f"depth {depth} + assumed order {order - depth}", who)
+        if self._affine_sum == "first-horizon":
+            data[sum_row, self.horizon :] = 0.0
+        return data
+
+    def _make_parameters(self, m: int, p: int, rows: int) -> ParameterVector:
+        windows = {
+            "u_ini": (self.initial_length, m),
+            "y_ini": (self._past_outputs, p),
+            "r": (self.horizon, p),
+        }
+        return ParameterVector(windows | ({"h_previous": (1, rows)} if self._remembers_plan else {}))
+
+    def _planned_limits(self) -> tuple[FloatArray, FloatArray]:
+        """Return the limits of all inputs that a plan applies."""
+        bounds, steps = self._loop_bounds, self.apply_steps
+        return np.tile(bounds.u_min, steps), np.tile(bounds.u_max, steps)
+
+    def _tracking_problem(self, loop: Loop) -> Problem:
+        """Write down the cost, the terminal condition and the bounds; the past is the subclass's."""
+        rows = {"u_ini": self._parameters.sizes["u_ini"], "y_ini": self._parameters.sizes["y_ini"]}
+        if self._affine_sum != "none":
+            rows[SUM_G] = 1
+        return write_tracking_problem(self, loop, rows, self._parameters.sizes, self._rates)
+
+    def _plan(self, reference: FloatArray) -> tuple[FloatArray, str]:
+        """Solve; return the input to apply now, keep those to apply next."""
+        parameters = self._parameters
+        parameters.fill("r", reference)
+        answer, fault = self._solver.solve(parameters.array)
+        if fault == NOT_FINITE:
+            return parameters.window("u_ini")[-1].copy(), INPUTS_HELD
+        planned, forecast = self._planned
+        self._forecast = answer[planned:forecast]
+        if self._applies_answer:
+            return answer[:planned], fault
+        if self._remembers_plan and not fault:
+            parameters.fill("h_previous", answer[forecast:])
+        plan = answer[:planned].reshape(-1, self._inputs)
+        if self._learner:
+            self._learner.add_dither(plan)
+        self._hold_limits(plan)
+        if not fault:
+            self._pending = list(plan[1:])
+        return plan[0].copy(), fault
+
+    def _continue_plan(self) -> tuple[FloatArray, str]:
+        """Return the next input of the present plan."""
+        self._forecast = self._forecast[self._outputs :]
+        return self._pending.pop(0), ""
+
+    def _known(self, y: FloatArray) -> FloatArray:
+        """Return outputs, shape (p,), with what the plan predicted in the place of those that are lost."""
+        return stand_in(y, self._forecast[: self._outputs])
+
+    def _hold_limits(self, plan: FloatArray) -> None:
+        """Hold input and rate bounds exactly, in place, along the inputs that will be applied."""
+        bounds, last = self._loop_bounds, self._parameters.window("u_ini")[-1]
+        for u in plan:
+            if self._rates is not None:
+                np.clip(u, last - self._rates, last + self._rates, out=u)
+            np.clip(u, bounds.u_min, bounds.u_max, out=u)
+            last = u
+
+    def _fill_past(self, loop: Loop, recording: Recording) -> None:
+        """Fill the past: with the recording's tail, or with rest as far as it is known yet."""
+        past = slice(-self.initial_length, None)
+        self._parameters.fill("u_ini", resting_input(loop) if self._resting else recording.u[past])
+        self._parameters.fill("y_ini", recording.y[-self._past_outputs :])
+
 
 Regulariser = Literal["ridge", "shifted-ridge", "projection", "l1"]
 
@@ -38,7 +305,7 @@ class DeePC(OnlineLearning, BehavioralTracking):
     where that fails the last input is held.
 
     ``online_data`` lets the data follow the plant: see
-    :class:`~ddpc_controllers.learning.OnlineLearning`.
+    :class:`~ddpc_controllers.data.online.OnlineLearning`.
     """
 
     regulariser: Regulariser = setting(
@@ -93,7 +360,7 @@ class DeePC(OnlineLearning, BehavioralTracking):
         self, loop: Loop, recording: Recording, condenser: Condenser, data: FloatArray
     ) -> Solver:
         if self.regulariser == "l1":
-            from ddpc_controllers.uncondensed import UncondensedSolver
+            from ddpc_controllers.optimisation.uncondensed import UncondensedSolver
 
             return UncondensedSolver(self, recording, loop, self.apply_steps)
         if self.online_data == "frozen":

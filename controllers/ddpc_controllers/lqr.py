@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddpc_controllers.control_api import regulator_gain
-from ddpc_controllers.model_based import ModelBased
-from ddpc_controllers.observer import LOST_MEASUREMENT
-from ddpc_controllers.validation import weight_matrices
+from ddpc_controllers.checks import weight_matrices
+from ddpc_controllers.models.control_api import regulator_gain
+from ddpc_controllers.models.kalman import LOST_MEASUREMENT, ModelBased
 from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, Weight, setting
 
 LOST_REFERENCE = "a reference is not finite: the sum of its error is held"

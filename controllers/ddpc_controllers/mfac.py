@@ -1,19 +1,116 @@
-"""Model-free adaptive control, one step ahead, on the three forms of the data model.
+"""Model-free adaptive control, one step ahead (MFAC) and predictive (MFAPC, equations (14)-(21)).
 
-Z. Hou and S. Jin, Model Free Adaptive Control: Theory and Applications, CRC Press, 2013, chapter 4; Z. Hou
-and S. Jin, IEEE Transactions on Neural Networks 22(12), 2011, doi:10.1109/TNN.2011.2176141 (several inputs
-and outputs).
+Both on the three forms of the data model. MFAC: Z. Hou and S. Jin, Model Free Adaptive Control: Theory and
+Applications, CRC Press, 2013, chapter 4; Z. Hou and S. Jin, IEEE Transactions on Neural Networks 22(12),
+2011, doi:10.1109/TNN.2011.2176141 (several inputs and outputs). MFAPC: the paper prints the compact form
+(CFDL) and refers to chapter 5 of the former for the partial (PFDL) and the full form (FFDL).
 """
 
+from abc import abstractmethod
 from dataclasses import dataclass
+from math import isfinite, sqrt
+from operator import sub
+from typing import ClassVar
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
-from ddpc_controllers.change_limits import ChangeLimits, rate_limits
-from ddpc_controllers.data_model import Form
-from ddpc_controllers.linearised_prediction import LinearisedPrediction
-from ddpc_controllers.model_free_adaptive import ModelFreeAdaptive
-from ddpc_cosim import Loop, Sample, setting
+from ddpc_controllers.data.windows import resting_input
+from ddpc_controllers.data_model import DataModel, Estimation, Form
+from ddpc_controllers.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
+from ddpc_controllers.optimisation.limits import NOT_FINITE, ChangeLimits, rate_limits
+from ddpc_controllers.scaling import ScaledSignals
+from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, Weight, setting
+
+
+@dataclass(kw_only=True)
+class ModelFreeAdaptive(ScaledSignals):
+    """Base of the controllers on a data model (14); not a controller by itself.
+
+    Needs no recording: it estimates how the outputs follow the inputs while it controls. A measurement that
+    is not finite is a counted failure: the inputs are held, nothing is learned, and the signals before it
+    are forgotten, but not the estimates.
+    """
+
+    uses_recording: ClassVar[bool] = False
+    accepts_missing: ClassVar[bool] = True
+
+    form: str = setting(
+        "cfdl", choices=("cfdl", "pfdl", "ffdl"), doc="data model: compact, partial or full form"
+    )
+    input_length: int = setting(3, low=1, doc="Lu: input changes in the partial and the full form, samples")
+    output_length: int = setting(1, low=1, doc="Ly: output changes in the full form, samples")
+    structure: str = setting(
+        "full",
+        choices=("full", "diagonal"),
+        doc="whether each output follows all inputs, or only its own (and its own past)",
+    )
+    lambda_u: float = setting(0.37, above=0.0, doc="weight of the input changes, lambda in (19)")
+    eta: float = setting(1.0, above=0.0, high=2.0, doc="step factor of the estimation (16)")
+    mu: float = setting(1.0, above=0.0, doc="damping of the estimation (16)")
+    epsilon: float = setting(1e-5, above=0.0, doc="smallest change and gradient that are believed (17)")
+    assume_sign: bool = setting(
+        True,
+        doc="hold the direction of control against the estimates (17), Remark 1; otherwise they may change "
+        "their sign, and a quiet loop keeps its last one",
+    )
+    initial_gradient: Weight = setting(
+        0.1,
+        doc="phi_1 with the sign of the control direction: a number or a list for the diagonal, p x m for "
+        "the latest input changes, or p x (p Ly + m Lu) in the order of the data model",
+    )
+    rate_bounds: Weight = setting(
+        (), above=0.0, doc="largest change of each input per sample, in its unit; empty: none"
+    )
+
+    def _start(self, loop: Loop) -> None:
+        """Forget what was learned."""
+        ly = self.output_length if self.form == "ffdl" else 0
+        lu = self.input_length if self.form != "cfdl" else 1
+        form = Form(len(loop.outputs), len(loop.inputs), ly, lu, self.structure == "diagonal")
+        constants = Estimation(eta=self.eta, mu=self.mu, epsilon=self.epsilon, assume_sign=self.assume_sign)
+        self._model = DataModel(form, form.initial_gradients(self.initial_gradient), constants)
+        self._u: list[float] = resting_input(loop).tolist()
+        if loop.continues_recording and loop.recording is not None:
+            self._u = loop.recording.u[-1].tolist()
+            self._model.resume(loop.recording)
+        self._prepare(loop, form)
+
+    def _step(self, sample: Sample) -> FloatArray | Action:
+        """Return the last inputs plus the change that the method finds."""
+        y: list[float] = sample.y.tolist()
+        if not isfinite(sum(y)):
+            self._model.pause()
+            return Action(np.array(self._u), NOT_FINITE)
+        self._model.observe(y)
+        u, fault = self._decide(sample)
+        self._model.apply(list(map(sub, u, self._u)))
+        self._u = u
+        return Action(np.array(u), fault) if fault else np.array(u)
+
+    def _unlimited(
+        self, a: FloatArray, error: FloatArray, hessian: FloatArray, slope: FloatArray
+    ) -> FloatArray:
+        """Return the changes that minimise ``|error - a dU|^2 + lambda_u |dU|^2``, limits aside.
+
+        Their normal equations ``hessian dU = slope`` are the fast way. Where lambda_u is lost in the rounding
+        of a'a the factorisation fails, and the least squares that they come from are solved instead.
+        """
+        _, changes, fault = dposv(hessian, slope)
+        if fault and isfinite(hessian.sum() + slope.sum()):
+            n = len(slope)
+            stacked = np.vstack([a, sqrt(self.lambda_u) * np.eye(n)])
+            changes = np.linalg.lstsq(stacked, np.append(error, np.zeros(n)))[0]
+        answer: FloatArray = changes
+        return answer
+
+    @abstractmethod
+    def _prepare(self, loop: Loop, form: Form) -> None:
+        """Set up what the method needs besides the data model."""
+
+    @abstractmethod
+    def _decide(self, sample: Sample) -> tuple[list[float], str]:
+        """Return the next inputs, within their limits, and why they are a fallback; empty if they are not."""
 
 
 @dataclass(kw_only=True)
@@ -42,3 +139,60 @@ class MFAC(ModelFreeAdaptive):
         # The cost |y*_k+1 - y_k+1|^2 + lambda |du_k|^2 has its minimum where hessian @ du = slope.
         changes = self.step_factor * self._unlimited(a, error, hessian, slope)
         return self._limits.apply(self._u, changes, hessian, slope)
+
+
+@dataclass(kw_only=True)
+class MFAPC(ModelFreeAdaptive):
+    """Model-free adaptive predictive control (14)-(21).
+
+    The defaults are those of Table 2. Every coefficient of the data model is forecast by itself. With a
+    diagonal structure it is one loop for each pair of signals; with the full one the loops share their
+    estimation, and a channel that does not move leaves the others as if they were alone.
+    """
+
+    horizon: int = setting(5, low=1, doc="prediction horizon N, samples")
+    control_horizon: int = setting(0, low=0, doc="control horizon Nu <= N, samples; 0: as the prediction")
+    delta: float = setting(0.5, above=0.0, high=1.0, doc="damping of the forecast coefficients (18)")
+    initial_forecast: float = setting(0.175, doc="theta_0, every forecast coefficient at the start (18)")
+    forecast_order: int = setting(4, low=1, doc="order n_m of the forecast (18)")
+    forecast_limit: float = setting(2.0, above=0.0, doc="M: forecast coefficients are reset at this length")
+    limits: str = setting(
+        "qp",
+        choices=("qp", "clip"),
+        doc="input and rate limits: over the control horizon in a QP, or the first change clipped",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.control_horizon > self.horizon:
+            raise ConfigError(
+                f"MFAPC: control_horizon = {self.control_horizon} is longer than horizon = {self.horizon}"
+            )
+
+    def _prepare(self, loop: Loop, form: Form) -> None:
+        steps = self.control_horizon or self.horizon
+        self._prediction = LinearisedPrediction(form.regressors(), form.inputs, self.horizon, steps)
+        self._ridge = self.lambda_u * np.eye(steps * form.inputs)
+        rates = rate_limits(self.rate_bounds, form.inputs) / self._scales.u
+        self._limits = ChangeLimits(loop.bounds, rates, steps, self.limits == "qp")
+        constants = Forecast(
+            delta=self.delta,
+            theta_0=self.initial_forecast,
+            n_m=self.forecast_order,
+            theta_limit=self.forecast_limit,
+        )
+        self._forecasts = [GradientForecast(gradient, constants) for gradient in self._model.gradients]
+
+    def _decide(self, sample: Sample) -> tuple[list[float], str]:
+        gradients: list[float] = []
+        for forecast in self._forecasts:
+            forecast.update()
+            gradients += forecast.ahead(self.horizon)
+        a, f = self._prediction(gradients, self._model.known)
+        error = (sample.reference - sample.y).reshape(-1)  # Y* - E y_k - f
+        error -= f
+        # Products in place and by np.dot: on matrices this small the calls are what costs.
+        hessian, slope = np.dot(a.T, a), np.dot(a.T, error)
+        hessian += self._ridge
+        changes = self._unlimited(a, error, hessian, slope)  # (20)
+        return self._limits.apply(self._u, changes, hessian, slope)  # (21)

@@ -2,15 +2,19 @@
 
 A weight of 1 weighs an error as large as the signal's nominal value (the ``nominal`` of its variable, 1 where
 a plant declares none), whether that is 1 rad or 1e5 Pa. Limits stay in the units of the plant.
+
+:class:`Scaled` scales the signals of any controller that does not scale them by itself.
 """
 
+import copy
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 
-from ddpc_controllers.qp import InputLimits
+from ddpc_controllers.optimisation.limits import InputLimits
 from ddpc_cosim import (
     Action,
     Bounds,
@@ -21,6 +25,7 @@ from ddpc_cosim import (
     Recording,
     Sample,
     Variable,
+    check_settings,
     setting,
 )
 
@@ -197,3 +202,75 @@ def _scaled(variables: tuple[Variable, ...], scales: FloatArray) -> tuple[Variab
         )
         for variable, scale in zip(variables, scales.tolist(), strict=True)
     )
+
+
+@dataclass(kw_only=True)
+class Wrapper(Controller):
+    """Base of the controllers that change what another one sees; what that needs, they need."""
+
+    controller: Controller = setting(doc="the controller inside")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if not isinstance(self.controller, Controller):
+            raise ConfigError(
+                f"{type(self).__name__}: controller = {self.controller!r} is no controller; "
+                "an example is PID()"
+            )
+        self.horizon = self.controller.horizon
+
+    @property
+    def uses_recording(self) -> bool:  # type: ignore[override]  # its controller decides
+        """Whether the controller needs a recording."""
+        return self.controller.uses_recording
+
+    @property
+    def accepts_missing(self) -> bool:  # type: ignore[override]  # its controller decides
+        """Whether the controller goes on when a measurement is lost."""
+        return self.controller.accepts_missing
+
+    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+        """Return what the controller needs."""
+        return self.controller.recording_length(inputs, outputs, measurements)
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """Return the controller's figures."""
+        return self._inner.diagnostics()
+
+    def _start_inside(self, loop: Loop) -> None:
+        """Start a copy of the controller: the setting stays as it was given."""
+        self._inner = copy.deepcopy(self.controller)
+        self._inner.start(loop)
+
+
+@dataclass(kw_only=True)
+class Scaled(Wrapper):
+    """A controller in scaled signals. The origin stays where it is: linear methods stay linear.
+
+    For controllers whose gains are in the units of the plant (PID), and for those of others; the methods that
+    weigh errors scale them by their own ``scaling``.
+    """
+
+    scale_by: ScaleBy = setting(
+        "range",
+        choices=("range", "nominal"),
+        doc="unit of a signal: half its range where it has one, else its nominal value; or always the latter",
+    )
+
+    def start(self, loop: Loop) -> None:
+        """Start the controller on the scaled loop.
+
+        Raises
+        ------
+        ConfigError
+            A signal has neither a range nor a nominal value.
+        CosimError
+            The controller does not start.
+        """
+        self._scales = Scales.of(loop, self.scale_by)
+        self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
+        self._start_inside(self._scales.scaled_loop(loop))
+
+    def step(self, sample: Sample) -> FloatArray | Action:
+        """Return the controller's inputs in their own units."""
+        return self._scales.in_units(self._inner.step(self._scales.scaled_sample(sample)), self._limits)

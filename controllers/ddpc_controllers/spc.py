@@ -18,11 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddpc_controllers.behavioral_tracking import BehavioralTracking
-from ddpc_controllers.problem import Problem
-from ddpc_controllers.recorded import resting_input
-from ddpc_controllers.regularisation import Regularisation
-from ddpc_controllers.tracking_problem import prefer_rest
+from ddpc_controllers.data.windows import resting_input
+from ddpc_controllers.deepc import BehavioralTracking
+from ddpc_controllers.optimisation.condensing import Regularisation
+from ddpc_controllers.optimisation.problem import Problem, prefer_rest
 from ddpc_cosim import Loop, setting
 
 

@@ -19,7 +19,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.recorded import resting_input
+from ddpc_controllers.data.windows import resting_input
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, setting
 
 _STEP_DECAY, _PERTURBATION_DECAY = 0.602, 0.101  # the values that Spall recommends

@@ -7,27 +7,27 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.adaptive_qp import AdaptiveQP
-from ddpc_controllers.backends import BACKENDS, BackendName, make_backend
-from ddpc_controllers.behavioral import diagnose, least_samples, require_excitation, require_length
-from ddpc_controllers.change_limits import NOT_FINITE as INPUTS_HELD
-from ddpc_controllers.dictionaries import Dictionary, ThinPlate, embed, memory_of
-from ddpc_controllers.learning import Learner, OnlineLearning
-from ddpc_controllers.lifting import StateWindow, without_first
-from ddpc_controllers.lost_measurements import LastMeasurement, all_finite, stand_in
-from ddpc_controllers.observer import LOST_MEASUREMENT
-from ddpc_controllers.problem import Problem
-from ddpc_controllers.published_code import DoubleShift, PublishedThinPlate
-from ddpc_controllers.qp import NOT_FINITE, ParametricQP
-from ddpc_controllers.recorded import (
+from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, stand_in, weight_matrices
+from ddpc_controllers.data.dictionaries import Dictionary, ThinPlate, embed, memory_of
+from ddpc_controllers.data.hankel import diagnose, least_samples, require_excitation, require_length
+from ddpc_controllers.data.online import Learner, OnlineLearning
+from ddpc_controllers.data.windows import (
+    Block,
     ParameterVector,
+    StateWindow,
+    WindowLayout,
     matching_recording,
     padded_with_zeros,
     resting_input,
     setpoint_bounds,
+    without_first,
 )
-from ddpc_controllers.validation import check_settings_and, weight_matrices
-from ddpc_controllers.windows import Block, WindowLayout
+from ddpc_controllers.models.kalman import LOST_MEASUREMENT
+from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
+from ddpc_controllers.optimisation.limits import NOT_FINITE as INPUTS_HELD
+from ddpc_controllers.optimisation.problem import Problem
+from ddpc_controllers.optimisation.qp import NOT_FINITE, AdaptiveQP, ParametricQP
+from ddpc_controllers.published import DoubleShift, PublishedThinPlate
 from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, Weight, setting
 
 
@@ -39,7 +39,7 @@ class WKPC(OnlineLearning):
     states are not known, so the lifted rows cover the past window only. The defaults are those of Table 1.
     ``zero_padding``, ``redraw_centre``, ``squared_distance`` and ``double_shift`` do what the paper's
     published program does and (10)-(12) do not. ``online_data`` lets the data follow the plant: see
-    :class:`~ddpc_controllers.learning.OnlineLearning`.
+    :class:`~ddpc_controllers.data.online.OnlineLearning`.
     """
 
     uses_recording: ClassVar[bool] = True

@@ -8,8 +8,7 @@ import pytest
 from ddpc_controllers.cascade import Cascade
 from ddpc_controllers.deepc import DeePC
 from ddpc_controllers.ipid import IPID
-from ddpc_controllers.mfac import MFAC
-from ddpc_controllers.mfapc import MFAPC
+from ddpc_controllers.mfac import MFAC, MFAPC
 from ddpc_cosim import Action, ConfigError, Controller, Loop, Recording, Sample, Variable, setting
 
 from .loops import SAMPLING_TIME, LinearPlant, close_loop, make_loop, together_and_alone

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from ddpc_controllers.data.dictionaries import Identity
 from ddpc_controllers.decentralised import Decentralised, Group
-from ddpc_controllers.dictionaries import Identity
-from ddpc_controllers.identification import Identified
 from ddpc_controllers.koopman_mpc import KoopmanMPC
 from ddpc_controllers.lqr import LQR
+from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.mpc import MPC
 from ddpc_controllers.offset_free import OffsetFree
 from ddpc_controllers.pid import PID
-from ddpc_controllers.scaled import Scaled
+from ddpc_controllers.scaling import Scaled
 from ddpc_cosim import Controller, FloatArray, Recording
 
 from .loops import LinearPlant, close_loop, experiment, make_loop

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ddpc_controllers import DeePC
-from ddpc_controllers.full_problem import FullDeePC
+from ddpc_controllers.optimisation.uncondensed import FullDeePC
 from ddpc_cosim import DataError, Recording
 
 from .loops import (

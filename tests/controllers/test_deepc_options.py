@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import linprog
 
 from ddpc_controllers import DeePC
-from ddpc_controllers.full_problem import FullDeePC
+from ddpc_controllers.optimisation.uncondensed import FullDeePC
 from ddpc_cosim import Action, Bounds, ConfigError, FloatArray, Recording, Sample
 
 from .loops import (

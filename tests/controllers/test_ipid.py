@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.linalg import expm
 
-from ddpc_controllers.ipid import IPID
-from ddpc_controllers.ultra_local_model import UltraLocalModel
+from ddpc_controllers.ipid import IPID, UltraLocalModel
 from ddpc_cosim import Action, ConfigError, FloatArray, Recording, Sample
 
 from .loops import SAMPLING_TIME, LinearPlant, close_loop, make_loop, together_and_alone

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from ddpc_controllers.control_api import regulator_gain
 from ddpc_controllers.lqr import LQR
-from ddpc_controllers.models import StateSpace
+from ddpc_controllers.models.control_api import regulator_gain
+from ddpc_controllers.models.linear import StateSpace
 from ddpc_cosim import Action, ConfigError, FloatArray, Recording, Sample
 
 from .loops import (

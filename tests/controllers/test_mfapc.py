@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 from benchmarks.mfapc_transcription import FullFormTranscription, Transcription
 from ddpc_controllers.data_model import Form
-from ddpc_controllers.mfapc import MFAPC
+from ddpc_controllers.mfac import MFAPC
 from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample
 
 from .loops import (

@@ -9,9 +9,9 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import lsq_linear
 
 from ddpc_controllers import WKPC, DeePC
-from ddpc_controllers.dictionaries import Identity
-from ddpc_controllers.identification import Identified
-from ddpc_controllers.models import StateSpace
+from ddpc_controllers.data.dictionaries import Identity
+from ddpc_controllers.models.identification import Identified
+from ddpc_controllers.models.linear import StateSpace
 from ddpc_controllers.mpc import MPC
 from ddpc_cosim import Action, ConfigError, DataError, FloatArray, Loop, Recording, Sample
 

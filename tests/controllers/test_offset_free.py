@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given, strategies as st
 
 from ddpc_controllers.deepc import DeePC
-from ddpc_controllers.identification import Identified
+from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.mpc import MPC
-from ddpc_controllers.offset_free import OffsetFree
-from ddpc_controllers.reachable_outputs import projector, step_gain
+from ddpc_controllers.offset_free import OffsetFree, projector, step_gain
 from ddpc_cosim import Action, Bounds, Controller, FloatArray, Loop, Recording, Sample, setting
 
 from .loops import LinearPlant, close_loop, experiment, make_loop

@@ -6,8 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from ddpc_controllers.pid import PID
-from ddpc_controllers.pid_tuning import SecondOrder, fit_second_order, simc
+from ddpc_controllers.pid import PID, SecondOrder, fit_second_order, simc
 from ddpc_cosim import Action, ConfigError, DataError, FloatArray, Recording, Sample
 
 from .loops import (

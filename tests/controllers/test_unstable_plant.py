@@ -9,7 +9,7 @@ import pytest
 from ddpc_controllers.cascade import Cascade
 from ddpc_controllers.deepc import DeePC
 from ddpc_controllers.ipid import IPID
-from ddpc_controllers.mfapc import MFAPC
+from ddpc_controllers.mfac import MFAPC
 from ddpc_controllers.spsa import SPSA
 from ddpc_controllers.wkpc import WKPC
 from ddpc_cosim import (

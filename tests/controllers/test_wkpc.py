@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ddpc_controllers import WKPC, ThinPlate
-from ddpc_controllers.full_problem import FullWKPC
+from ddpc_controllers.optimisation.uncondensed import FullWKPC
 from ddpc_cosim import ConfigError, DataError, FloatArray, Recording
 
 from .loops import (

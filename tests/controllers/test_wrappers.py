@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 from ddpc_controllers import WKPC, DeePC
-from ddpc_controllers.composed_dictionaries import Combined, Delays
+from ddpc_controllers.data.dictionaries import Combined, Delays, Gaussian, Polynomials
 from ddpc_controllers.decentralised import Decentralised, Group
-from ddpc_controllers.dictionaries import Gaussian, Polynomials
-from ddpc_controllers.identification import Identified
 from ddpc_controllers.koopman_mpc import KoopmanMPC
+from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.mpc import MPC
 from ddpc_controllers.offset_free import OffsetFree
 from ddpc_controllers.pid import PID
-from ddpc_controllers.scaled import Scaled
+from ddpc_controllers.scaling import Scaled
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Recording, Sample, Variable
 from ddpc_cosim.settings import from_plain
 
@@ -231,9 +230,9 @@ groups = [
 controller = { type = "ddpc_controllers.mpc:MPC", model = { lags = 7 } }
 
 [koopman]
-dictionary = { type = "ddpc_controllers.composed_dictionaries:Combined", dictionaries = [
-    { type = "ddpc_controllers.dictionaries:Polynomials", degree = 3 },
-    { type = "ddpc_controllers.composed_dictionaries:Delays", dictionary = { type = "ddpc_controllers.dictionaries:Gaussian" } },
+dictionary = { type = "ddpc_controllers.data.dictionaries:Combined", dictionaries = [
+    { type = "ddpc_controllers.data.dictionaries:Polynomials", degree = 3 },
+    { type = "ddpc_controllers.data.dictionaries:Delays", dictionary = { type = "ddpc_controllers.data.dictionaries:Gaussian" } },
 ] }
 """  # noqa: E501 - as a study file writes it
 

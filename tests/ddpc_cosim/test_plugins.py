@@ -188,7 +188,7 @@ def test_a_name_that_two_packages_have_is_nobodys(site: Path) -> None:
     with pytest.raises(PluginError) as caught:
         load_plugin("controllers", "mfapc")
     assert str(caught.value).startswith('there are several controllers called "mfapc": of ')
-    for origin in ("other 2.0 (thirdparty:Proportional)", "(ddpc_controllers.mfapc:MFAPC)", "; write "):
+    for origin in ("other 2.0 (thirdparty:Proportional)", "(ddpc_controllers.mfac:MFAPC)", "; write "):
         assert origin in str(caught.value)
     assert load_plugin("controllers", "proportional").__name__ == "Proportional"  # the same thing twice
     assert plugin_names("controllers").count("mfapc") == 1

@@ -1,0 +1,1 @@
+"""What recordings become: Hankel matrices, windows, dictionaries, and data that follow the plant."""

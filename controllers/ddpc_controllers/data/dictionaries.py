@@ -1,0 +1,407 @@
+"""Dictionaries: the observables that lift a measured state, equation (5).
+
+A state comes as its newest sample, followed by as many past ones as the dictionary's ``memory`` says:
+``(x_k, x_k-1, ...)``. Observables are what is added to ``x_k``; the state itself is always kept.
+"""
+
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from math import comb
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from ddpc_cosim import ConfigError, DataError, FloatArray, check_settings, setting
+from ddpc_cosim.plugins import load_target
+
+Centres = Literal["box", "data", "k-means"]
+CENTRES = ("box", "data", "k-means")
+
+_ROUNDS = 50
+
+
+def place_centres(
+    rule: Centres,
+    count: int,
+    states: FloatArray,
+    box: tuple[float, float],
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return centres of radial functions.
+
+    Parameters
+    ----------
+    rule : {"box", "data", "k-means"}
+        Uniformly drawn from a box, drawn from the recorded states without repetition, or the means of their
+        clusters (Lloyd's algorithm from k-means++ seeds).
+    count : int
+        Number of centres n_p.
+    states : array, shape (T, q)
+        The recorded states.
+    box : (float, float)
+        Ends of every coordinate, for "box".
+    rng : numpy.random.Generator
+        What decides draws and seeds.
+
+    Returns
+    -------
+    centres : array, shape (count, q)
+
+    Raises
+    ------
+    DataError
+        Fewer different states were recorded than there are centres to place.
+    """
+    if rule == "box":
+        return rng.uniform(*box, (count, states.shape[1]))
+    different = np.unique(states, axis=0)
+    if len(different) < count:
+        raise DataError(
+            f'centres = "{rule}": {count} centres need as many different states; the recording has '
+            f"{len(different)}: lower count, or record longer"
+        )
+    if rule == "data":
+        return np.asarray(rng.choice(different, count, replace=False))
+    from scipy.cluster.vq import kmeans2  # most dictionaries do without its import
+
+    with warnings.catch_warnings():
+        # A cluster that loses all its states keeps its last centre: as good a centre as any.
+        warnings.simplefilter("ignore", UserWarning)
+        centres, _ = kmeans2(different, count, iter=_ROUNDS, minit="++", seed=int(rng.integers(2**31)))
+    return np.asarray(centres, dtype=np.float64)
+
+
+Lift = Callable[[FloatArray], FloatArray]
+"""From states, shape (..., (memory + 1) q), to observables, shape (..., n_p)."""
+
+
+@runtime_checkable
+class Dictionary(Protocol):
+    """Observables to lift a state of any size with.
+
+    A dictionary that looks back has an attribute ``memory``: the number of past samples that it needs.
+    """
+
+    def functions(self, size: int) -> int:
+        """Return the number of observables n_p for states of one size q."""
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Return the observables for states like the recorded ones.
+
+        Parameters
+        ----------
+        states : array, shape (T - memory, (memory + 1) q)
+            The recorded states, time along axis 0.
+        rng : numpy.random.Generator
+            Where random parameters come from.
+        """
+
+
+def memory_of(dictionary: Dictionary) -> int:
+    """Return how many past samples a dictionary needs beside the newest."""
+    return int(getattr(dictionary, "memory", 0))
+
+
+def require_dictionary(value: Any, what: str) -> None:
+    """Check that a setting is a dictionary.
+
+    Raises
+    ------
+    ConfigError
+        What it lacks.
+    """
+    if not isinstance(value, Dictionary):
+        raise ConfigError(
+            f"{what} = {value!r} lacks draw(states, rng) or functions(size); an example is ThinPlate()"
+        )
+
+
+def embed(samples: FloatArray, memory: int) -> FloatArray:
+    """Return samples, shape (T, q), with their past beside them: shape (T - memory, (memory + 1) q)."""
+    rows = len(samples) - memory
+    if rows < 1:
+        raise DataError(
+            f"a memory of {memory} samples needs a longer recording than {len(samples)} samples: "
+            "record longer, or look back less"
+        )
+    return np.hstack([samples[memory - back : memory - back + rows] for back in range(memory + 1)])
+
+
+class _Radial(ABC):
+    """What radial functions share besides their shape: where their centres come from.
+
+    The settings are declared by each kind, in an order of its own.
+    """
+
+    count: int
+    low: float
+    high: float
+    centres: Centres
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.low > self.high:
+            raise ConfigError(f"{type(self).__name__}: low = {self.low:g} is above high = {self.high:g}")
+
+    def functions(self, size: int) -> int:
+        """Return n_p: it does not depend on the state's size."""
+        return self.count
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Place the centres and return the functions; see :class:`Dictionary`."""
+        return self._about(place_centres(self.centres, self.count, states, (self.low, self.high), rng))
+
+    @abstractmethod
+    def _about(self, centres: FloatArray) -> Lift:
+        """Return the functions about given centres, shape (n_p, q)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThinPlate(_Radial):
+    """Thin-plate radial functions, equation (12): psi_i(x) = |x - c_i| log10 |x - c_i|.
+
+    The centres c_i are placed once per run, by default drawn uniformly from a box.
+    """
+
+    count: int = setting(10, low=1, doc="number of functions, n_p")
+    low: float = setting(0.0, doc="lower end of every coordinate of a centre in the box")
+    high: float = setting(1.0, doc="upper end of every coordinate of a centre in the box")
+    centres: Centres = setting("box", choices=CENTRES, doc="where centres come from")
+
+    def _about(self, centres: FloatArray) -> Lift:
+        return ThinPlateFunctions(centres)
+
+
+@dataclass(frozen=True, eq=False)
+class ThinPlateFunctions:
+    """Thin-plate functions about given centres.
+
+    Parameters
+    ----------
+    centres : array, shape (n_p, q)
+        The centres c_i.
+    power : int
+        Of the distance in front of the logarithm: 1 as printed in (12).
+    """
+
+    centres: FloatArray
+    power: int = 1
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        """Return psi_1 ... psi_np for states of shape (..., q)."""
+        return thin_plate(states[..., np.newaxis, :] - self.centres, self.power)
+
+
+def thin_plate(difference: FloatArray, power: int) -> FloatArray:
+    """Return ``d**power * log10(d)`` for the lengths d of differences, shape (..., q); 0 where d = 0."""
+    distance = np.sqrt(np.square(difference).sum(axis=-1))
+    logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)
+    values: FloatArray = distance**power * logarithm
+    return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gaussian(_Radial):
+    """Gaussian radial functions: psi_i(x) = exp(-|x - c_i|^2 / (2 width^2))."""
+
+    count: int = setting(10, low=1, doc="number of functions, n_p")
+    width: float = setting(1.0, above=0.0, doc="distance from the centre to the turning point")
+    low: float = setting(0.0, doc="lower end of every coordinate of a centre in the box")
+    high: float = setting(1.0, doc="upper end of every coordinate of a centre in the box")
+    centres: Centres = setting("box", choices=CENTRES, doc="where centres come from")
+
+    def _about(self, centres: FloatArray) -> Lift:
+        return _GaussianFunctions(centres, self.width)
+
+
+@dataclass(frozen=True, eq=False)
+class _GaussianFunctions:
+    centres: FloatArray
+    width: float
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        squares = np.square(states[..., np.newaxis, :] - self.centres).sum(axis=-1)
+        values: FloatArray = np.exp(-squares / (2.0 * self.width**2))
+        return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polynomials:
+    """All monomials of a state from degree two up to a total degree; the state itself is degree one."""
+
+    degree: int = setting(2, low=2, doc="highest total degree")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    def functions(self, size: int) -> int:
+        """Return the number of monomials of ``size`` variables."""
+        return comb(size + self.degree, size) - size - 1
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Return the monomials; see :class:`Dictionary`."""
+        size = states.shape[-1]
+        factors = [
+            list(factors)
+            for degree in range(2, self.degree + 1)
+            for factors in combinations_with_replacement(range(size), degree)
+        ]
+        return _Monomials(factors)
+
+
+@dataclass(frozen=True, eq=False)
+class _Monomials:
+    factors: list[list[int]]
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        return np.stack([states[..., chosen].prod(axis=-1) for chosen in self.factors], axis=-1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identity:
+    """No observables: the lifted state is the state itself."""
+
+    def functions(self, size: int) -> int:
+        """Return 0."""
+        return 0
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Return the empty function; see :class:`Dictionary`."""
+        return _nothing
+
+
+def _nothing(states: FloatArray) -> FloatArray:
+    return np.empty((*states.shape[:-1], 0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constant:
+    """The function 1, which makes a lifted model affine."""
+
+    def functions(self, size: int) -> int:
+        """Return 1."""
+        return 1
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Return the function; see :class:`Dictionary`."""
+        return _one
+
+
+def _one(states: FloatArray) -> FloatArray:
+    return np.ones((*states.shape[:-1], 1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnFunction:
+    """A function of the user's own, which returns all its observables at once."""
+
+    function: str = setting(doc="module:function; from states, shape (..., q), to shape (..., n_p)")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        self._load()
+
+    def functions(self, size: int) -> int:
+        """Return the number of observables that the function returns."""
+        with np.errstate(all="ignore"):
+            return int(np.shape(self._load()(np.zeros((1, size))))[-1])
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Return the function; see :class:`Dictionary`."""
+        function = self._load()
+        shape = np.shape(function(states))
+        if len(shape) != 2 or shape[0] != len(states):
+            raise ConfigError(
+                f"OwnFunction: {self.function} returned shape {shape} for {len(states)} states; "
+                f"needed: ({len(states)}, n_p)"
+            )
+        return function
+
+    def _load(self) -> Lift:
+        function: Lift = load_target(self.function, "function")
+        return function
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delays:
+    """Past samples of the state, and what another dictionary makes of the state with its past.
+
+    By Takens' argument a few past samples of the outputs stand for the states that are not measured.
+    """
+
+    samples: int = setting(1, low=1, doc="number of past samples")
+    dictionary: Dictionary = setting(
+        default_factory=Identity, doc="dictionary that lifts the state with its past"
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        require_dictionary(self.dictionary, "Delays: dictionary")
+        if memory_of(self.dictionary):
+            raise ConfigError("Delays: dictionary looks back itself; set samples to the sum instead")
+
+    @property
+    def memory(self) -> int:
+        """Number of past samples needed."""
+        return self.samples
+
+    def functions(self, size: int) -> int:
+        """Return the number of past values and of observables of all of them."""
+        return self.samples * size + self.dictionary.functions((self.samples + 1) * size)
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Draw the inner dictionary; see :class:`Dictionary`."""
+        size = states.shape[-1] // (self.samples + 1)
+        return _Delayed(size, self.dictionary.draw(states, rng))
+
+
+@dataclass(frozen=True, eq=False)
+class _Delayed:
+    size: int
+    inner: Lift
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        return np.concatenate([states[..., self.size :], self.inner(states)], axis=-1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Combined:
+    """Several dictionaries side by side."""
+
+    dictionaries: Sequence[Dictionary] = setting(doc="the dictionaries, in the order of their observables")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if not self.dictionaries:
+            raise ConfigError("Combined: dictionaries is empty")
+        for i, dictionary in enumerate(self.dictionaries):
+            require_dictionary(dictionary, f"Combined: dictionaries[{i}]")
+
+    @property
+    def memory(self) -> int:
+        """Number of past samples needed: the most that one of them needs."""
+        return max(map(memory_of, self.dictionaries))
+
+    def functions(self, size: int) -> int:
+        """Return the number of all observables."""
+        return sum(dictionary.functions(size) for dictionary in self.dictionaries)
+
+    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        """Draw one after another; see :class:`Dictionary`."""
+        size = states.shape[-1] // (self.memory + 1)
+        widths = [(memory_of(dictionary) + 1) * size for dictionary in self.dictionaries]
+        lifts = [d.draw(states[:, :width], rng) for d, width in zip(self.dictionaries, widths, strict=True)]
+        return _SideBySide(lifts, widths)
+
+
+@dataclass(frozen=True, eq=False)
+class _SideBySide:
+    lifts: list[Lift]
+    widths: list[int]
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        parts = [lift(states[..., :width]) for lift, width in zip(self.lifts, self.widths, strict=True)]
+        return np.concatenate(parts, axis=-1)

@@ -1,0 +1,235 @@
+"""Behavioural systems theory: Hankel matrices, persistency of excitation, and what a recording is worth."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from ddpc_cosim import DataError, FloatArray
+
+RANK_TOLERANCE = 1e-10
+"""A singular value below this fraction of the largest counts as zero."""
+
+_LARGEST_HANKEL = 200
+"""Rows of the largest Hankel matrix decomposed to find how far beyond the need a recording excites."""
+
+
+@dataclass(frozen=True, slots=True)
+class DataDiagnostics:
+    """How much a recording says about the plant.
+
+    Parameters
+    ----------
+    pe_order : int
+        Order of persistency of excitation of the inputs.
+    pe_order_needed : int
+        Order that the controller needs.
+    data_rank : int
+        Numerical rank of the stacked data matrix.
+    data_rows, data_columns : int
+        Its size.
+    smallest_singular_value, condition : float
+        The smallest singular value that counts towards the rank, and the ratio of the largest to it, of the
+        matrix with rows of root mean square 1: the units of the signals do not matter.
+    """
+
+    pe_order: int
+    pe_order_needed: int
+    data_rank: int
+    data_rows: int
+    data_columns: int
+    smallest_singular_value: float
+    condition: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the figures by name."""
+        return {name: float(value) for name, value in asdict(self).items()}
+
+
+def hankel_matrix(w: FloatArray, depth: int) -> FloatArray:
+    """Return the Hankel matrix of a recorded signal, equation (1).
+
+    Parameters
+    ----------
+    w : array, shape (T, d)
+        The signal, time along axis 0.
+    depth : int
+        Number of block rows L.
+
+    Returns
+    -------
+    matrix : array, shape (depth * d, T - depth + 1)
+        Column j is the window ``w[j], ..., w[j + depth - 1]``.
+
+    Raises
+    ------
+    DataError
+        The recording is shorter than one window.
+    """
+    length, width = w.shape
+    if not 1 <= depth <= length:
+        raise DataError(
+            f"a Hankel matrix of depth {depth} needs at least {max(depth, 1)} samples; there are {length}"
+        )
+    windows = sliding_window_view(w, depth, axis=0)  # (T - depth + 1, d, depth)
+    return windows.transpose(2, 1, 0).reshape(depth * width, length - depth + 1)
+
+
+def numerical_rank(matrix: FloatArray, tolerance: float = RANK_TOLERANCE) -> int:
+    """Return the number of singular values above ``tolerance`` times the largest."""
+    return _count_nonzero(np.linalg.svd(matrix, compute_uv=False).astype(np.float64), tolerance)
+
+
+def persistency_of_excitation(
+    u: FloatArray, at_most: int | None = None, tolerance: float = RANK_TOLERANCE
+) -> int:
+    """Return the highest order L for which ``hankel_matrix(u, L)`` has full row rank.
+
+    Parameters
+    ----------
+    u : array, shape (T, m)
+        Inputs, time along axis 0.
+    at_most : int, optional
+        Look no further than this order.
+    tolerance : float
+        Relative size of a singular value that counts as zero.
+
+    Returns
+    -------
+    order : int
+        0 if the signal does not excite at all.
+    """
+    length, width = u.shape
+    scale = np.abs(u).max(axis=0, initial=0.0)
+    if not scale.all():
+        return 0
+    highest = (length + 1) // (width + 1)  # beyond it there are fewer columns than rows
+    if at_most is not None:
+        highest = min(highest, at_most)
+    return _last_full_rank_depth(u / scale, highest, tolerance)
+
+
+def least_samples(order: int, inputs: int) -> int:
+    """Return the least number of samples with which ``inputs`` signals can excite up to an order."""
+    return (inputs + 1) * order - 1
+
+
+def diagnose(stacked: FloatArray, u: FloatArray, order_needed: int) -> DataDiagnostics:
+    """Return rank, smallest singular value and order of excitation of a recording, whatever its units.
+
+    Parameters
+    ----------
+    stacked : array, shape (rows, columns)
+        The stacked Hankel matrices that the controller predicts with.
+    u : array, shape (T, m)
+        The recorded inputs.
+    order_needed : int
+        Order of persistency of excitation that the controller needs.
+    """
+    size = np.sqrt(np.mean(np.square(stacked), axis=1, keepdims=True))
+    size[size == 0.0] = 1.0
+    values = np.linalg.svd(stacked / size, compute_uv=False).astype(np.float64)
+    rank = _count_nonzero(values, RANK_TOLERANCE)
+    smallest = float(values[rank - 1]) if rank else 0.0
+    look_up_to = max(order_needed, _LARGEST_HANKEL // u.shape[1])
+    return DataDiagnostics(
+        pe_order=persistency_of_excitation(u, look_up_to),
+        pe_order_needed=order_needed,
+        data_rank=rank,
+        data_rows=stacked.shape[0],
+        data_columns=stacked.shape[1],
+        smallest_singular_value=smallest,
+        condition=float(values[0]) / smallest if rank else np.inf,
+    )
+
+
+def require_length(samples: int, order_needed: int, inputs: int, who: str) -> None:
+    """Check that a recording is long enough to be persistently exciting of an order at all.
+
+    Raises
+    ------
+    DataError
+        The lengths there and needed.
+    """
+    needed = least_samples(order_needed, inputs)
+    if samples < needed:
+        raise DataError(
+            f"{who}: the recording has {samples} samples; persistency of excitation of order {order_needed} "
+            f"with {inputs} input(s) takes at least {needed}: record longer, or shorten horizon or "
+            "initial_length"
+        )
+
+
+def require_excitation(diagnostics: DataDiagnostics, why: str, who: str) -> None:
+    """Check that the inputs excite enough.
+
+    Raises
+    ------
+    DataError
+        The order reached and the order needed.
+    """
+    reached, needed = diagnostics.pe_order, diagnostics.pe_order_needed
+    if reached < needed:
+        raise DataError(
+            f"{who}: the recorded input is persistently exciting of order {reached}, needed {needed} "
+            f"({why}); its windows have rank {diagnostics.data_rank} of {diagnostics.data_rows} rows, "
+            f"smallest singular value {diagnostics.smallest_singular_value:.1e}: record more samples or use "
+            "a richer input"
+        )
+
+
+def _count_nonzero(singular_values: FloatArray, tolerance: float) -> int:
+    if not singular_values.size:
+        return 0
+    return int(np.count_nonzero(singular_values > tolerance * singular_values[0]))
+
+
+def _last_full_rank_depth(u: FloatArray, highest: int, tolerance: float) -> int:
+    """Bisect: a Hankel matrix with full row rank keeps it when it loses a block row."""
+    full, lacking = 0, highest + 1
+    depth = highest
+    while lacking - full > 1:
+        matrix = hankel_matrix(u, depth)
+        if numerical_rank(matrix, tolerance) == matrix.shape[0]:
+            full = depth
+        else:
+            lacking = depth
+        depth = (full + lacking) // 2
+    return full
+
+
+def require_informative(u: FloatArray, known: FloatArray, who: str) -> None:
+    """Check that every input does something that what went before it does not foretell.
+
+    Inputs that stand still do not, nor do those of a bare feedback; with an excitation added to it they do.
+
+    Parameters
+    ----------
+    u : array, shape (N, m)
+        Inputs, time along axis 0.
+    known : array, shape (N, k)
+        What the model explains beside them: outputs measured before each of them, and the inputs before it.
+    who : str
+        Who asks.
+
+    Raises
+    ------
+    DataError
+        How many inputs do, and by how much the weakest does.
+    """
+    size, m = len(u), u.shape[1]
+    moves = u - u.mean(axis=0)
+    length = np.linalg.norm(moves, axis=0)
+    still = length <= RANK_TOLERANCE * np.linalg.norm(u, axis=0)
+    moves = np.where(still, 0.0, moves / np.where(still, 1.0, length))
+    factor = np.asarray(np.linalg.qr(np.hstack([np.ones((size, 1)), known, moves]), mode="r"))
+    own = np.linalg.svd(factor[-m:, -m:], compute_uv=False)
+    rank = int(np.count_nonzero(own > RANK_TOLERANCE))
+    if rank < m:
+        order = persistency_of_excitation(np.where(still, 0.0, u - u.mean(axis=0)))
+        raise DataError(
+            f"{who}: the recorded inputs do not show what they do: they follow from the samples before them, "
+            f"or from each other (rank {rank} of {m}, smallest singular value {own[-1]:.1e}; off their means "
+            f"they are persistently exciting of order {order}): record with a richer input; in closed loop, "
+            "add an excitation to the controller's"
+        )

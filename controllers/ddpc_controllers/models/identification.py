@@ -1,0 +1,203 @@
+"""Linear models from a recording: an autoregressive model by least squares, realised in state space.
+
+    y_k = sum_i A_i y_k-i + B_i u_k-i + c,   i = 1 ... lags
+
+fits noise-free data of a linear plant exactly where ``lags`` reaches the plant's lag (L. Ljung, System
+Identification, 2nd ed., section 7.3). The model can be reduced to fewer states by a balanced realisation
+of its impulse response (J.-N. Juang, R. S. Pappa, J. Guidance 8(5), 1985, doi:10.2514/3.20031).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ddpc_controllers.data.hankel import require_informative
+from ddpc_controllers.data.windows import matching_recording
+from ddpc_controllers.models.control_api import realise
+from ddpc_controllers.models.linear import SampledModel
+from ddpc_cosim import DataError, FloatArray, Loop, Recording, check_settings, setting
+
+_AT_REST = 1e-8
+_NEGLIGIBLE = 1e-10
+_MOST_LAGS = 20
+_EXACT = 1e-8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identified:
+    """A model identified from the loop's recording."""
+
+    lags: int = setting(
+        0, low=0, doc="past samples that the outputs are explained by; 0: by the recording, up to 20"
+    )
+    order: int = setting(0, low=0, doc="states kept by balanced reduction; 0: all, lags x outputs")
+    ridge: float = setting(0.0, low=0.0, doc="weight of the squared coefficients in the least squares")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @property
+    def uses_recording(self) -> bool:
+        """Whether the loop needs a recording: it does."""
+        return True
+
+    def recording_length(self, inputs: int, outputs: int) -> int:
+        """Return the samples with as many equations as coefficients, twice as many where lags are chosen."""
+        if not self.lags:
+            return _samples_to_choose(1, inputs + outputs)
+        return self.lags + self.lags * (inputs + outputs) + 1
+
+    def model(self, loop: Loop) -> SampledModel:
+        """Identify the model; see :class:`~ddpc_controllers.models.linear.ModelSource`."""
+        recording = matching_recording(loop, "Identified")
+        m, p = recording.u.shape[1], recording.y.shape[1]
+        needed = self.recording_length(m, p)
+        if len(recording) < needed:
+            take = f"{self.lags} lags take" if self.lags else "choosing the lags takes"
+            raise DataError(
+                f"Identified: the recording has {len(recording)} samples; {take} at least {needed}: "
+                "record longer, or lower lags"
+            )
+        lags = self.lags or choose_lags(recording)
+        past, newest_u = _past(_standardised(recording)[0], lags), slice(p, p + m)
+        require_informative(past[:, newest_u], np.delete(past, newest_u, axis=1), "Identified")
+        arx = fit_arx(recording, lags, self.ridge)
+        fit = {"lags": float(lags), "one_step_error": float(arx.error.max())}
+        model = reduced(arx.state_space(), self.order)
+        return replace(model, samples=len(recording), fit=fit)
+
+
+@dataclass(frozen=True, slots=True)
+class ARX:
+    """An autoregressive model with inputs.
+
+    Parameters
+    ----------
+    past_y : array, shape (lags, p, p)
+        A_1, A_2, ...
+    past_u : array, shape (lags, p, m)
+        B_1, B_2, ...
+    constant : array, shape (p,)
+        c.
+    error : array, shape (p,)
+        Root mean square of the one-step prediction errors.
+    """
+
+    past_y: FloatArray
+    past_u: FloatArray
+    constant: FloatArray
+    error: FloatArray
+
+    def state_space(self) -> SampledModel:
+        """Return the model in observer form, about an operating point at which it rests."""
+        lags, p, m = self.past_u.shape
+        a = np.zeros((lags * p, lags * p))
+        a[:, :p] = self.past_y.reshape(lags * p, p)
+        a[:-p, p:] = np.eye((lags - 1) * p)
+        b = self.past_u.reshape(lags * p, m)
+        u_0, y_0 = self._operating_point()
+        return SampledModel(a, b, np.eye(p, lags * p), u_0, y_0)
+
+    def _operating_point(self) -> tuple[FloatArray, FloatArray]:
+        """Return inputs and outputs, the nearest to zero, at which the model with its constant rests."""
+        p, m = self.past_u.shape[1:]
+        gain = np.hstack([-self.past_u.sum(axis=0), np.eye(p) - self.past_y.sum(axis=0)])
+        rest, *_ = np.linalg.lstsq(gain, self.constant, rcond=_AT_REST)
+        return rest[:m], rest[m:]
+
+
+def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> ARX:
+    """Fit an autoregressive model to a recording by regularised least squares.
+
+    Parameters
+    ----------
+    recording : Recording
+        The experiment.
+    lags : int
+        Number of past samples.
+    ridge : float
+        Weight of the squared coefficients, for signals scaled to unit size; the constant goes free.
+    """
+    m, p, rows = recording.u.shape[1], recording.y.shape[1], len(recording) - lags
+    signals, means, size = _standardised(recording)
+    past = np.hstack([_past(signals, lags), np.ones((rows, 1))])
+    penalty = np.sqrt(ridge) * np.eye(past.shape[1] - 1, past.shape[1])
+    system = np.vstack([past, penalty])
+    target = np.vstack([signals[lags:, :p], np.zeros((len(penalty), p))])
+    # Least norm: data of a plant with fewer lags leave coefficients free.
+    solution, *_ = np.linalg.lstsq(system, target, rcond=_NEGLIGIBLE)
+    error = (past @ solution - target[:rows]) * size[:p]
+
+    coefficients = solution[:-1].reshape(lags, p + m, p).transpose(0, 2, 1)  # lag, output, signal
+    coefficients = coefficients * size[:p, np.newaxis] / size
+    constant = means[:p] + solution[-1] * size[:p] - (coefficients @ means).sum(axis=0)
+    return ARX(
+        past_y=coefficients[..., :p],
+        past_u=coefficients[..., p:],
+        constant=constant,
+        error=np.sqrt(np.square(error).mean(axis=0)),
+    )
+
+
+def choose_lags(recording: Recording) -> int:
+    """Return the number of past samples that explains a recording best for its size.
+
+    Schwarz's criterion, each output with noise of its own (G. Schwarz, Estimating the dimension of a model,
+    Annals of Statistics 6(2), 1978, doi:10.1214/aos/1176344136). All numbers are tried, not only until the
+    next one is worse: of a dead time nothing shows before the last of its samples. What is explained to eight
+    digits counts as explained.
+    """
+    m, p, samples = recording.u.shape[1], recording.y.shape[1], len(recording)
+    enough = (n for n in range(2, _MOST_LAGS + 1) if _samples_to_choose(n, m + p) <= samples)
+    most = max(enough, default=1)
+    signals, _, _ = _standardised(recording)
+    rows = samples - most
+    # The newest first: a triangular factor shows what is left of the outputs after every number of lags.
+    known = [np.ones((rows, 1)), _past(signals, most), signals[most:, :p]]
+    left = np.square(np.asarray(np.linalg.qr(np.hstack(known), mode="r"))[:, -p:])
+    lags = np.arange(1, most + 1)
+    variance = np.array([left[1 + n * (m + p) :].sum(axis=0) / rows for n in lags.tolist()])
+    criterion = rows * np.log(variance + _EXACT**2).sum(axis=1) + np.log(rows) * lags * (m + p) * p
+    return int(lags[np.argmin(criterion)])
+
+
+def _samples_to_choose(lags: int, signals: int) -> int:
+    """Return the samples that leave two equations for every coefficient of a model with so many lags."""
+    return lags + 2 * (1 + lags * signals)
+
+
+def _standardised(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return outputs and inputs side by side, off their means and in parts of their size; means; sizes."""
+    signals = np.hstack([recording.y, recording.u])
+    means = signals.mean(axis=0)
+    size = np.maximum(signals.std(axis=0), np.finfo(float).tiny)
+    size[size < _NEGLIGIBLE * np.maximum(np.abs(means), 1.0)] = 1.0
+    return (signals - means) / size, means, size
+
+
+def _past(signals: FloatArray, lags: int) -> FloatArray:
+    """Return the samples before each from sample ``lags`` on, the newest first, side by side."""
+    rows = len(signals) - lags
+    return np.hstack([signals[lags - i : lags - i + rows] for i in range(1, lags + 1)])
+
+
+def markov_parameters(model: SampledModel, count: int) -> FloatArray:
+    """Return ``C A^i B`` for i = 0 ... count - 1, shape (count, p, m)."""
+    response = np.empty((count, len(model.c), model.b.shape[1]))
+    states = model.b
+    for i in range(count):
+        response[i] = model.c @ states
+        states = model.a @ states
+    return response
+
+
+def reduced(model: SampledModel, order: int) -> SampledModel:
+    """Return the balanced model of an impulse response with ``order`` states; 0: the model as it is.
+
+    States that the inputs do not reach or the outputs do not show are the first to go.
+    """
+    if not 0 < order < len(model.a):
+        return model
+    response = markov_parameters(model, 2 * len(model.a) + 1)
+    a, b, c = realise(response, order)
+    return SampledModel(a, b, c, model.u_0, model.y_0)

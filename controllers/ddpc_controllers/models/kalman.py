@@ -1,0 +1,233 @@
+"""A Kalman filter for a linear model with a constant disturbance.
+
+The disturbance d is a state of its own, ``d+ = d``, that the outputs or the inputs carry; a regulator that
+rejects its estimate has no offset (G. Pannocchia, J. B. Rawlings, Disturbance models for offset-free
+model-predictive control, AIChE J. 49(2), 2003, doi:10.1002/aic.690490213).
+"""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, get_args
+
+import numpy as np
+
+from ddpc_controllers.checks import check_settings_and
+from ddpc_controllers.data.hankel import numerical_rank
+from ddpc_controllers.data.windows import resting_input
+from ddpc_controllers.models.control_api import estimator_covariance
+from ddpc_controllers.models.identification import Identified
+from ddpc_controllers.models.linear import ModelSource, SampledModel, source_faults
+from ddpc_controllers.scaling import ScaledSignals, Scales
+from ddpc_cosim import ConfigError, FloatArray, Loop, setting
+
+Disturbance = Literal["auto", "output", "input", "none"]
+DISTURBANCES: tuple[str, ...] = get_args(Disturbance)
+
+LOST_MEASUREMENT = "a measurement is not finite: the model's prediction stands in for it"
+"""Status of a step that had to do without a measurement."""
+
+_DETECTABLE = 1e-9
+_EVERY_STATE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What a filter takes the loop's noise to be, standard deviations.
+
+    Parameters
+    ----------
+    process : float
+        Of what is added to the inputs.
+    disturbance : float
+        Of the change of the disturbance per sample.
+    measurement : float
+        Of the measured outputs.
+    """
+
+    process: float
+    disturbance: float
+    measurement: float
+
+
+class Observer:
+    """The steady Kalman filter of a model with a constant disturbance.
+
+    Parameters
+    ----------
+    model : SampledModel
+        The plant.
+    disturbance : {"auto", "output", "input", "none"}
+        What carries the disturbance; ``"auto"``: the outputs if they tell it from the states, else the
+        inputs. Of a model with a pole that may be an integrator's the inputs come first: a disturbance at its
+        outputs would hardly show, and leave an offset for as long.
+    noise : Noise
+        The noise.
+
+    Attributes
+    ----------
+    a, b, c : array
+        The model of ``(x, d, 1)``, the 1 carrying the operating point: inputs and outputs are in their units.
+    state : array, shape (n + nd + 1,)
+        The estimate of ``(x, d, 1)``; changed in place.
+
+    Raises
+    ------
+    ConfigError
+        The outputs do not tell the disturbance from the states.
+    """
+
+    def __init__(self, model: SampledModel, disturbance: Disturbance, noise: Noise) -> None:
+        n, m, p = len(model.a), model.b.shape[1], len(model.c)
+        a, c = _with_disturbance(model, disturbance)
+        size = len(a) - n
+        b = np.vstack([model.b, np.zeros((size, m))])
+
+        drive = np.zeros((n + size, n + size))
+        drive[:n, :n] = noise.process**2 * (model.b @ model.b.T)
+        # A state that no input drives would make the Riccati equation singular.
+        drive[:n, :n] += (
+            _EVERY_STATE * max(float(np.trace(drive[:n, :n])) / n, np.finfo(float).tiny) * np.eye(n)
+        )
+        drive[n:, n:] = noise.disturbance**2 * np.eye(size)
+        r = noise.measurement**2 * np.eye(p)
+        covariance = estimator_covariance(a, c, drive, r)
+        self._gain = np.linalg.solve(c @ covariance @ c.T + r, c @ covariance).T  # P C' (C P C' + R)^-1
+
+        self.a = np.block([[a, -b @ model.u_0[:, np.newaxis]], [np.zeros((1, n + size)), np.ones((1, 1))]])
+        self.b = np.vstack([b, np.zeros((1, m))])
+        self.c = np.hstack([c, model.y_0[:, np.newaxis]])
+        self.state = np.zeros(n + size + 1)
+        self.state[-1] = 1.0
+
+    def rest(self, u: FloatArray, y: FloatArray) -> None:
+        """Suppose that the plant rests at u, shape (m,), and y, shape (p,), as nearly as it can."""
+        free = slice(None, -1)
+        steady = np.vstack([self.a[free, free] - np.eye(len(self.a) - 1), self.c[:, free]])
+        target = np.concatenate([-self.a[free, -1] - self.b[free] @ u, y - self.c[:, -1]])
+        self.state[free] = np.linalg.lstsq(steady, target, rcond=_DETECTABLE)[0]
+
+    def correct(self, y: FloatArray) -> None:
+        """Take a measurement, shape (p,), as far as it is finite."""
+        surprise = y - self.c @ self.state
+        self.state[:-1] += self._gain @ np.where(np.isfinite(surprise), surprise, 0.0)
+
+    def predict(self, u: FloatArray) -> None:
+        """Go on by one sample with inputs u, shape (m,)."""
+        self.state[:] = self.a @ self.state + self.b @ u
+
+    def follow(self, u: FloatArray, y: FloatArray) -> None:
+        """Run along a recording that begins at rest: u, shape (T, m), and y, shape (T, p)."""
+        self.rest(u[0], y[0])
+        for applied, measured in zip(u, y, strict=True):
+            self.correct(measured)
+            self.predict(applied)
+
+
+def _preferred(model: SampledModel) -> tuple[Disturbance, Disturbance]:
+    """Return what may carry a disturbance, the better first."""
+    nearest = np.abs(np.linalg.eigvals(model.a) - 1.0).min()
+    return ("input", "output") if nearest < 1.0 / model.samples else ("output", "input")
+
+
+def _size(matrix: FloatArray, axis: int) -> FloatArray:
+    """Return the Euclidean length of a matrix's rows (axis 1) or columns (axis 0), 1 where it is zero."""
+    length = np.linalg.norm(matrix, axis=axis, keepdims=True)
+    return np.where(length > 0.0, length, 1.0)
+
+
+def _with_disturbance(model: SampledModel, disturbance: Disturbance) -> tuple[FloatArray, FloatArray]:
+    """Return A and C of the model with a constant disturbance that does not hide behind the states."""
+    n, m, p = len(model.a), model.b.shape[1], len(model.c)
+    carriers = {
+        "output": (np.zeros((n, p)), np.eye(p)),
+        "input": (model.b, np.zeros((p, m))),
+        "none": (np.zeros((n, 0)), np.zeros((p, 0))),
+    }
+    hidden = {}
+    # Units must not decide what is seen: every output, and every disturbance, counts in its own size.
+    seen = model.c / _size(model.c, 1)
+    for kind in _preferred(model) if disturbance == "auto" else (disturbance,):
+        in_state, in_output = carriers[kind]
+        size = in_state.shape[1]
+        a = np.block([[model.a, in_state], [np.zeros((size, n)), np.eye(size)]])
+        c = np.hstack([model.c, in_output])
+        # What is constant is seen where (A - I; C) has full rank.
+        constant = np.block([[model.a - np.eye(n), in_state / _size(in_state, 0)], [seen, in_output]])
+        hidden[kind] = n + size - numerical_rank(constant, _DETECTABLE)
+        if disturbance == "none" or not hidden[kind]:
+            return a, c
+    told = "; ".join(
+        f'"{kind}": {count} constant mode(s) hidden' for kind, count in sorted(hidden.items(), reverse=True)
+    )
+    raise ConfigError(
+        f'disturbance = "{disturbance}" cannot be told from the states by the outputs ({told}): '
+        'control more outputs, or choose another, "input" for a plant that integrates, or "none"'
+    )
+
+
+@dataclass(kw_only=True)
+class ModelBased(ScaledSignals):
+    """Base of the controllers on a linear model.
+
+    A measurement that is not finite is replaced by the model's prediction; before the first finite one the
+    inputs stay at rest. Either is a status.
+    """
+
+    accepts_missing: ClassVar[bool] = True
+
+    model: ModelSource = setting(default_factory=Identified, doc="where the linear model comes from")
+    process_noise: float = setting(
+        1.0, above=0.0, doc="filter: standard deviation of what adds to the inputs"
+    )
+    measurement_noise: float = setting(0.1, above=0.0, doc="filter: standard deviation of the measurements")
+
+    def __post_init__(self) -> None:
+        check_settings_and(self, self._faults_between_settings)
+
+    @property
+    def uses_recording(self) -> bool:  # type: ignore[override]  # its model decides
+        """Whether ``start`` needs a recording."""
+        return self.model.uses_recording
+
+    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+        """Return the fewest samples that the model's identification can work with."""
+        return self.model.recording_length(inputs, outputs)
+
+    def start(self, loop: Loop) -> None:
+        """Get the model, and start on the loop in scaled signals.
+
+        Raises
+        ------
+        DataError
+            The recording cannot serve the model's identification.
+        ConfigError
+            The model or a setting does not fit the loop.
+        """
+        self._model = self._scaled_model(loop)
+        super().start(loop)
+
+    def _scaled_model(self, loop: Loop) -> SampledModel:
+        """Return the model of scaled signals: identified from them, or given for the signals themselves."""
+        scales = Scales.of(loop, self.scaling)
+        if self.model.uses_recording:
+            return self.model.model(scales.scaled_loop(loop))
+        given = self.model.model(loop)
+        return replace(
+            given,
+            b=given.b * scales.u,
+            c=given.c / scales.y[:, None],
+            u_0=given.u_0 / scales.u,
+            y_0=given.y_0 / scales.y,
+        )
+
+    def _observe(self, loop: Loop, disturbance: Disturbance, disturbance_noise: float) -> None:
+        """Set up the filter, and have it at the recording's end if the loop goes on there."""
+        noise = Noise(self.process_noise, disturbance_noise, self.measurement_noise)
+        self._observer = Observer(self._model, disturbance, noise)
+        self._u: FloatArray = resting_input(loop)
+        self._resting = True
+        if loop.continues_recording and loop.recording is not None:
+            self._observer.follow(loop.recording.u, loop.recording.y)
+            self._u, self._resting = loop.recording.u[-1], False
+
+    def _faults_between_settings(self) -> list[str]:
+        return source_faults(self.model, type(self).__name__)

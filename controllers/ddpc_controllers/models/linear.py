@@ -1,0 +1,226 @@
+"""Linear models for the model-based controllers, and where they come from.
+
+A source of models is a setting: :class:`~ddpc_controllers.models.identification.Identified` (from the
+recording), :class:`~ddpc_controllers.models.from_fmu.FMUModel` (from an FMU about an operating point),
+:class:`StateSpace` (numbers) or :class:`ModelFunction` (a function of the user's own, which may linearise any
+plant with :mod:`ddpc_controllers.models.from_fmu`). A controller sees the loop only, never the plant.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from ddpc_controllers.models.control_api import discretise
+from ddpc_cosim import ConfigError, FloatArray, LinearModel, Loop, check_settings, setting
+from ddpc_cosim.plugins import load_target
+
+Matrix = Sequence[Sequence[float]]
+
+
+@dataclass(frozen=True, slots=True)
+class SampledModel:
+    """A linear model at the loop's sampling time: ``x+ = A x + B (u - u_0)``, ``y = C x + y_0``.
+
+    Parameters
+    ----------
+    a, b, c : array, shapes (n, n), (n, m), (p, n)
+        The matrices.
+    u_0, y_0 : array, shapes (m,) and (p,)
+        The operating point.
+    samples : int
+        What it is good for: a pole nearer to 1 than ``1 / samples`` may be an integrator's.
+    fit : dict of str to float
+        Figures of its identification, by name.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    u_0: FloatArray
+    y_0: FloatArray
+    samples: int = 1000
+    fit: dict[str, float] = field(default_factory=dict)
+
+
+@runtime_checkable
+class ModelSource(Protocol):
+    """Where a controller's linear model comes from."""
+
+    @property
+    def uses_recording(self) -> bool:
+        """Whether the loop needs a recording."""
+
+    def recording_length(self, inputs: int, outputs: int) -> int:
+        """Return the fewest samples of a recording that it can work with."""
+
+    def model(self, loop: Loop) -> SampledModel:
+        """Return the model for a loop.
+
+        Raises
+        ------
+        ConfigError
+            The model does not fit the loop.
+        DataError
+            The recording cannot serve.
+        """
+
+
+def source_faults(model: object, who: str) -> list[str]:
+    """Return what is wrong with a setting that should be a source of models."""
+    if isinstance(model, ModelSource):
+        return []
+    return [f"{who}: model = {model!r} is no source of models; an example is Identified()"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateSpace:
+    """A linear model in numbers, continuous or sampled.
+
+    A sampled output is measured before the input of its sample is applied, so a direct feedthrough D shows
+    the input of the sample before.
+    """
+
+    a: Matrix = setting(doc="A, n rows of n numbers")
+    b: Matrix = setting(doc="B, n rows of m numbers")
+    c: Matrix = setting(doc="C, p rows of n numbers")
+    d: Matrix = setting((), doc="D, p rows of m numbers; empty: zero")
+    sampling_time: float = setting(
+        0.0, low=0.0, unit="s", doc="sampling time of the matrices; 0: they are continuous"
+    )
+    u_0: Sequence[float] = setting((), doc="inputs at the operating point; empty: zero")
+    y_0: Sequence[float] = setting((), doc="outputs at the operating point; empty: zero")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        a, b, c, d = self._matrices()
+        states, inputs, outputs = len(a), b.shape[-1], len(c)
+        wanted = {
+            "a": (a, (states, states)),
+            "b": (b, (states, inputs)),
+            "c": (c, (outputs, states)),
+            "d": (d, (outputs, inputs)),
+            "u_0": (self._offset(self.u_0, inputs), (inputs,)),
+            "y_0": (self._offset(self.y_0, outputs), (outputs,)),
+        }
+        faults = [
+            f"StateSpace: {name} has shape {array.shape}; needed: {shape}"
+            for name, (array, shape) in wanted.items()
+            if array.shape != shape
+        ]
+        faults += [
+            f"StateSpace: {name} holds a number that is not finite"
+            for name, (array, _) in wanted.items()
+            if not np.isfinite(array).all()
+        ]
+        if faults:
+            raise ConfigError(faults)
+
+    @classmethod
+    def about(
+        cls,
+        model: LinearModel | tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+        u_0: Sequence[float] = (),
+        y_0: Sequence[float] = (),
+    ) -> "StateSpace":
+        """Return the continuous model about an operating point.
+
+        Parameters
+        ----------
+        model : LinearModel or tuple of array
+            From :meth:`ddpc_cosim.FMUPlant.linearise`, with its operating point; or (A, B, C, D), as
+            ``fmu_plants.linearisation.linearise`` gives them for a plant's equations.
+        u_0, y_0 : sequence of float
+            Inputs and outputs at the operating point; empty: the model's own, or zero.
+        """
+        if isinstance(model, LinearModel):
+            u_0 = u_0 if len(u_0) else model.u_0.tolist()
+            y_0 = y_0 if len(y_0) else model.y_0.tolist()
+            model = model.a, model.b, model.c, model.d
+        a, b, c, d = (np.asarray(matrix, dtype=np.float64).tolist() for matrix in model)
+        return cls(a=a, b=b, c=c, d=d, u_0=tuple(u_0), y_0=tuple(y_0))
+
+    @property
+    def uses_recording(self) -> bool:
+        """Whether the loop needs a recording: it does not."""
+        return False
+
+    def recording_length(self, inputs: int, outputs: int) -> int:
+        """Return 0."""
+        return 0
+
+    def model(self, loop: Loop) -> SampledModel:
+        """Return the model at the loop's sampling time; see :class:`ModelSource`."""
+        a, b, c, d = self._matrices()
+        wanted = len(loop.outputs), len(loop.inputs)
+        if d.shape != wanted:
+            raise ConfigError(
+                f"StateSpace: the model has (outputs, inputs) = {d.shape}, the loop has {wanted}"
+            )
+        if self.sampling_time == 0.0:
+            a, b = discretise(a, b, loop.sampling_time)
+        elif not np.isclose(self.sampling_time, loop.sampling_time, rtol=1e-9):
+            raise ConfigError(
+                f"StateSpace: the model is sampled every {self.sampling_time:g} s, the loop every "
+                f"{loop.sampling_time:g} s: give the continuous matrices with sampling_time = 0"
+            )
+        if d.any():
+            a, b, c = _with_last_input(a, b, c, d)
+        return SampledModel(a, b, c, self._offset(self.u_0, wanted[1]), self._offset(self.y_0, wanted[0]))
+
+    def _matrices(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        a, b, c = (_matrix(name, getattr(self, name)) for name in "abc")
+        d = _matrix("d", self.d) if len(self.d) else np.zeros((len(c), b.shape[-1]))
+        return a, b, c, d
+
+    def _offset(self, values: Sequence[float], size: int) -> FloatArray:
+        return np.array(values, dtype=np.float64) if len(values) else np.zeros(size)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelFunction:
+    """A function of the user's own that makes the model."""
+
+    function: str = setting(doc="module:function; called with the Loop, returns a StateSpace")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        load_target(self.function, "function")
+
+    @property
+    def uses_recording(self) -> bool:
+        """Whether the loop needs a recording: the function decides itself what it looks at."""
+        return False
+
+    def recording_length(self, inputs: int, outputs: int) -> int:
+        """Return 0."""
+        return 0
+
+    def model(self, loop: Loop) -> SampledModel:
+        """Call the function and return its model at the loop's sampling time; see :class:`ModelSource`."""
+        made: Any = load_target(self.function, "function")(loop)
+        if not isinstance(made, StateSpace):
+            raise ConfigError(
+                f"ModelFunction: {self.function} returned {type(made).__name__}; needed: StateSpace"
+            )
+        return made.model(loop)
+
+
+def _matrix(name: str, value: Any) -> FloatArray:
+    try:
+        matrix = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"StateSpace: {name} = {value!r} is not a matrix of numbers") from error
+    if matrix.ndim != 2 or not matrix.size:
+        raise ConfigError(f"StateSpace: {name} has shape {matrix.shape}; needed: rows of numbers")
+    return matrix
+
+
+def _with_last_input(
+    a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return ``y_k = C x_k + D u_k-1`` as a model without feedthrough, the last input a part of its state."""
+    n, m = b.shape
+    a = np.block([[a, np.zeros((n, m))], [np.zeros((m, n + m))]])
+    return a, np.vstack([b, np.eye(m)]), np.hstack([c, d])

@@ -1,0 +1,1 @@
+"""Tracking problems: written down in named blocks, condensed, and solved within their limits."""

@@ -1,0 +1,339 @@
+"""From a data-driven tracking problem as printed to the few variables that matter online.
+
+With a rank-revealing factorisation ``M = B V'`` of the stacked data and ``g = V v``, the data rows are
+``h = B v`` and ``|g| = |v|``: the length of the recording is gone, nothing is inverted, and data without full
+row rank (noise-free, lifted) are no special case. What remains is, p being the parameters,
+
+    minimise |G z - T p|^2 + |v - v_0 p|_W^2   subject to   E z = E_p p,   lower <= C z <= upper,
+
+with ``z = (v, other variables)``. The equalities are eliminated through a null space that reveals their rank,
+``z = particular p + null_space w``. A triangular factor of what is left of the cost measures the distance t
+from the unconstrained optimum in units of the cost, and so
+
+    minimise |t|^2   subject to   e_0(p) + L t <= 0
+
+is left of the problem, ``e`` being by how much each bound is exceeded in parts of its range.
+
+The factor is block lower triangular where g costs differently block by block: each block of v belongs to a
+block of rows, what of them the rows above do not determine.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.linalg.blas import dtrsm
+
+from ddpc_cosim import ConfigError, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class RowFactor:
+    """Stacked data in as few coordinates as they have independent rows.
+
+    Parameters
+    ----------
+    basis : array, shape (rows, rank)
+        B, of full column rank.
+    weights : array, shape (rank,)
+        Weight of the square of each coordinate.
+    """
+
+    basis: FloatArray
+    weights: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Regularisation:
+    """Weights of |v|^2, one for each block of data rows.
+
+    One block weighs ``|g|^2``. With the predicted outputs as a last block of their own and no weight on the
+    rest it is ``|(I - Pi) g|^2``, Pi projecting on the rows that the outputs are predicted from (F. Doerfler,
+    J. Coulson, I. Markovsky, doi:10.1109/TAC.2022.3148374, arXiv:2101.01273).
+
+    Parameters
+    ----------
+    sizes : tuple of int
+        Rows in each block, from the top.
+    weights : tuple of float
+        Weight of each block; an infinite one keeps its coordinates at zero.
+    """
+
+    sizes: tuple[int, ...]
+    weights: tuple[float, ...]
+
+    def factor(self, data: FloatArray) -> RowFactor:
+        """Factorise the stacked data, shape (rows, columns)."""
+        basis, ranks = _block_triangular(data, self.sizes)
+        weights = np.repeat(self.weights, ranks)
+        kept = np.isfinite(weights)
+        return RowFactor(basis[:, kept], weights[kept])
+
+
+def _block_triangular(data: FloatArray, sizes: tuple[int, ...]) -> tuple[FloatArray, list[int]]:
+    """Return B and the number of its columns that each block of rows adds."""
+    basis, significant = _row_space_factor(data)
+    if len(sizes) == 1:
+        return basis, [basis.shape[1]]
+    size = basis.shape[1]
+    rows, known, ranks = basis, np.zeros((size, 0)), []
+    for block in np.split(rows, np.cumsum(sizes)[:-1]):
+        new = block.T - known @ (known.T @ block.T)
+        new -= known @ (known.T @ new)  # once more: twice is enough for orthogonality to rounding
+        directions, factor, _ = qr(new, mode="economic", pivoting=True, check_finite=False)
+        rank = int(np.count_nonzero(np.abs(np.diag(factor)) > significant))
+        known = np.hstack([known, directions[:, :rank]])
+        ranks.append(rank)
+    return basis @ known, ranks
+
+
+def _row_space_factor(data: FloatArray) -> tuple[FloatArray, float]:
+    """Return B with as many columns as M has independent rows, and what counted as significant."""
+    factor, order = qr(data.T, mode="r", pivoting=True, check_finite=False)
+    diagonal = np.abs(np.diag(factor))
+    significant = float(np.finfo(float).eps * max(data.shape) * diagonal[0])
+    rank = int(np.count_nonzero(diagonal > significant))
+    basis = np.empty((len(data), rank))
+    basis[order] = factor[:rank].T
+    return basis, significant
+
+
+EQUALITY_TOLERANCE = 1e-10
+"""An equality that others repeat to within this fraction is redundant."""
+
+_INSIGNIFICANT = 1e-12
+_SAME_DIRECTION = 1e-14
+
+
+@dataclass(frozen=True, slots=True)
+class CondensedProblem:
+    """Minimise ``|t|^2`` subject to ``excess_law @ p + excess_gain @ t <= 0``.
+
+    Parameters
+    ----------
+    excess_law : array, shape (n, parameters)
+        By how much each bound is exceeded at the unconstrained optimum, in parts of the bound's range.
+    excess_gain : array, shape (n, k)
+        How the deviation t changes that.
+    move_law, move_gain : arrays, shapes (m, parameters) and (m, k)
+        The inputs to apply now, likewise, in their units; after them whatever else is asked for.
+    conflict_law : array, shape (c, parameters)
+        What must vanish: the part of the past that no combination of the recorded windows has, in parts of
+        what they hold.
+    labels : tuple of str
+        What each bound is called; empty where nobody needs to know.
+    """
+
+    excess_law: FloatArray
+    excess_gain: FloatArray
+    move_law: FloatArray
+    move_gain: FloatArray
+    conflict_law: FloatArray
+    labels: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ReducedProblem:
+    """A tracking problem without its equalities, in the free variables w.
+
+    The cost is ``|residual w + offset p|^2 + |own_gain w + own_law p|_weights^2``; everything else is
+    affine in (p, w) too.
+
+    Parameters
+    ----------
+    residual, offset : arrays, shapes (r, k) and (r, parameters)
+        The tracking cost.
+    own_gain, own_law : arrays, shapes (rank, k) and (rank, parameters)
+        The coordinates v, less where they are drawn to.
+    weights : array, shape (rank,)
+        Weight of the square of each.
+    excess_gain, excess_law : arrays, shapes (n, k) and (n, parameters)
+        By how much each bound is exceeded, in parts of its range.
+    move_gain, move_law : arrays, shapes (m, k) and (m, parameters)
+        The inputs to apply now.
+    conflict_law, labels
+        See :class:`CondensedProblem`.
+    """
+
+    residual: FloatArray
+    offset: FloatArray
+    own_gain: FloatArray
+    own_law: FloatArray
+    weights: FloatArray
+    excess_gain: FloatArray
+    excess_law: FloatArray
+    move_gain: FloatArray
+    move_law: FloatArray
+    conflict_law: FloatArray
+    labels: tuple[str, ...]
+
+    def optimise(self) -> CondensedProblem:
+        """Eliminate the unconstrained optimum.
+
+        Raises
+        ------
+        ConfigError
+            The weights leave the optimum undetermined.
+        """
+        law, gain = self._unconstrained_optimum()
+        return CondensedProblem(
+            self.excess_law + self.excess_gain @ law,
+            self.excess_gain @ gain,
+            self.move_law + self.move_gain @ law,
+            self.move_gain @ gain,
+            self.conflict_law,
+            self.labels,
+        )
+
+    def _unconstrained_optimum(self) -> tuple[FloatArray, FloatArray]:
+        """Return ``w = law p + gain t`` such that the cost is |t|^2 and a constant."""
+        root = np.sqrt(self.weights)[:, np.newaxis]
+        residual = np.vstack([self.residual, root * self.own_gain])
+        offset = np.vstack([self.offset, root * self.own_law])
+        size = residual.shape[1]
+        if size == 0:
+            return np.zeros((0, offset.shape[1])), np.zeros((0, 0))
+        # Factorised side by side: R and Q' offset, without Q.
+        factor = np.asarray(np.linalg.qr(np.hstack([residual, offset]), mode="r"))[:size]
+        triangular, projected = factor[:, :size], factor[:, size:]
+        diagonal = np.abs(np.diag(triangular))
+        if len(triangular) < size or diagonal.min() <= _INSIGNIFICANT * diagonal.max():
+            ratio = 0.0 if len(triangular) < size else diagonal.min() / diagonal.max()
+            raise ConfigError(
+                f"the weights leave the optimum undetermined ({size} directions, the weakest with "
+                f"{ratio:.1e} of the strongest's root of a curvature): make them positive and alike in "
+                "size, or do without the artificial setpoint where several leave the outputs the same"
+            )
+        # Not solve_triangular: its LAPACK routine starts threads even for a handful of rows.
+        gain = dtrsm(1.0, triangular, np.eye(size), side=1)
+        return -gain @ projected, gain
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Condenser:
+    """A tracking problem over (h, other variables), ready to meet its data.
+
+    Parameters
+    ----------
+    row_count : int
+        Number of data rows h.
+    regularisation : Regularisation
+        What the combination of recorded windows costs.
+    origin : array, shape (row_count, parameters)
+        ``origin @ p`` are the data rows that the regularisation draws to; zero where |g| itself is weighed.
+    residual, target : arrays, shapes (r, variables) and (r, parameters)
+        The cost ``|residual @ x - target @ p|^2``.
+    equality, equality_target : arrays, shapes (e, variables) and (e, parameters)
+        ``equality @ x = equality_target @ p``.
+    bounded : array, shape (b, variables)
+        The quantities with limits.
+    lower, upper : array, shape (b,)
+        The limits, infinite where there is none.
+    labels : tuple of str
+        What the finite limits are called: the upper ones, and then the lower ones.
+    move : array, shape (m, variables)
+        The inputs to apply now, and whatever else is asked for.
+    """
+
+    row_count: int
+    regularisation: Regularisation
+    origin: FloatArray
+    residual: FloatArray
+    target: FloatArray
+    equality: FloatArray
+    equality_target: FloatArray
+    bounded: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    labels: tuple[str, ...]
+    move: FloatArray
+
+    def condense(self, data: FloatArray) -> CondensedProblem:
+        """Eliminate everything but the deviation t.
+
+        Parameters
+        ----------
+        data : array, shape (row_count, columns)
+            The stacked Hankel matrices M.
+
+        Raises
+        ------
+        ConfigError
+            The weights leave the optimum undetermined.
+        """
+        return self.reduce(self.regularisation.factor(data)).optimise()
+
+    def reduce(self, factor: RowFactor) -> ReducedProblem:
+        """Eliminate the equalities in the coordinates of a factor of the data."""
+        basis = factor.basis
+        equality = self._in_z(self.equality, basis)
+        particular, null_space, conflict = _eliminate(equality, self.equality_target)
+        residual, bounded = self._in_z(self.residual, basis), self._in_z(self.bounded, basis)
+        move, own = self._in_z(self.move, basis), slice(basis.shape[1])
+        excess = self._excess(bounded @ particular, bounded @ null_space)
+        return ReducedProblem(
+            residual=residual @ null_space,
+            offset=residual @ particular - self.target,
+            own_gain=null_space[own],
+            own_law=particular[own] - self._origin_in_v(basis),
+            weights=factor.weights,
+            excess_law=excess[0],
+            excess_gain=excess[1],
+            move_law=move @ particular,
+            move_gain=move @ null_space,
+            conflict_law=conflict,
+            labels=excess[2],
+        )
+
+    def _in_z(self, matrix: FloatArray, basis: FloatArray) -> FloatArray:
+        """Rewrite rows over (h, other variables) as rows over z = (v, other variables)."""
+        return np.hstack([matrix[:, : self.row_count] @ basis, matrix[:, self.row_count :]])
+
+    def _origin_in_v(self, basis: FloatArray) -> FloatArray:
+        if not self.origin.any():
+            return np.zeros((basis.shape[1], self.origin.shape[1]))
+        return np.asarray(np.linalg.lstsq(basis, self.origin)[0])
+
+    def _excess(self, law: FloatArray, gain: FloatArray) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
+        """Turn ``lower <= law p + gain w <= upper`` into normalised rows that must not be positive."""
+        above, below = np.isfinite(self.upper), np.isfinite(self.lower)
+        span = self.upper - self.lower
+        size = np.where(np.isfinite(span) & (span > 0.0), span, 1.0)
+        scale = np.concatenate([size[above], size[below]])[:, np.newaxis]
+        law = np.vstack([law[above], -law[below]])
+        law[:, -1] -= np.concatenate([self.upper[above], -self.lower[below]])  # the last parameter is 1
+        law, gain = law / scale, np.vstack([gain[above], -gain[below]]) / scale
+        kept = _tightest(law, gain)
+        return law[kept], gain[kept], tuple(self.labels[i] for i in kept.tolist())
+
+
+def _eliminate(equality: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Solve ``E z = E_p p`` by ``z = particular p + null_space w``; return also what p must satisfy."""
+    scale = np.linalg.norm(equality, axis=1, keepdims=True)
+    scale[scale == 0.0] = 1.0
+    left, values, right = np.linalg.svd(equality / scale)
+    rank = int(np.count_nonzero(values > EQUALITY_TOLERANCE * values[:1]))
+    rotated = left.T @ (target / scale)
+    particular = right[:rank].T @ (rotated[:rank] / values[:rank, np.newaxis])
+    conflict = rotated[rank:]
+    # In parts of each parameter's column: parameters have units of their own.
+    size = np.linalg.norm(rotated, axis=0)
+    size[size == 0.0] = 1.0
+    significant = np.linalg.norm(conflict / size, axis=1) > _INSIGNIFICANT
+    return particular, right[rank:].T, conflict[significant]
+
+
+def _tightest(law: FloatArray, gain: FloatArray) -> NDArray[np.intp]:
+    """Of rows that bound the same quantity, keep the tightest; return the numbers of those kept."""
+    rows = np.hstack([law[:, :-1], gain])
+    size = np.linalg.norm(rows, axis=1)
+    size[size == 0.0] = 1.0
+    rows /= size[:, np.newaxis]
+    same = rows @ rows.T > 1.0 - _SAME_DIRECTION
+    limits = law[:, -1] / size
+    # The terminal condition makes bounds equal but for rounding: the first of them is kept.
+    equal = np.abs(limits - limits[:, np.newaxis]) <= _SAME_DIRECTION * np.abs(limits)
+    tighter = (limits > limits[:, np.newaxis]) & ~equal
+    as_tight_and_earlier = equal & np.tri(len(rows), k=-1, dtype=bool)
+    return np.flatnonzero(~np.any(same & (tighter | as_tight_and_earlier), axis=1)).astype(np.intp)

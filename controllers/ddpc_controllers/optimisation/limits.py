@@ -1,0 +1,209 @@
+"""Inputs within their limits, and their changes: the box QP in dU, or the first change clipped."""
+
+from collections.abc import Sequence
+from itertools import accumulate
+from math import isfinite
+from typing import Any
+
+import numpy as np
+import piqp
+
+from ddpc_controllers.checks import per_signal
+from ddpc_controllers.optimisation.backends import PIQP_TOLERANCE
+from ddpc_cosim import Bounds, FloatArray, Weight
+
+_CORRECTIONS = 5
+_ROUNDING = 1e-12
+_AT_LIMIT = 1e-9
+
+NOT_FINITE = "a measurement or a reference is not finite: inputs held"
+
+
+def rate_limits(rate_bounds: Weight, inputs: int) -> FloatArray:
+    """Return the largest change of each input in one sample, shape (m,); infinite where none is given.
+
+    Raises
+    ------
+    ConfigError
+        Neither one number nor one for each input.
+    """
+    if np.size(rate_bounds) == 0:
+        return np.full(inputs, np.inf)
+    return per_signal("rate_bounds", rate_bounds, inputs)
+
+
+class InputLimits:
+    """The limits of the inputs, which stand first in a move.
+
+    Parameters
+    ----------
+    u_min, u_max : array, shape (m,)
+        The limits.
+
+    Attributes
+    ----------
+    endless : bool
+        Whether an input has none on a side.
+    """
+
+    def __init__(self, u_min: FloatArray, u_max: FloatArray) -> None:
+        self._u_min, self._u_max, self._inputs = u_min, u_max, len(u_min)
+        self._low, self._high = u_min.tolist(), u_max.tolist()
+        self.endless = not (np.isfinite(u_min).all() and np.isfinite(u_max).all())
+        span = np.zeros(len(u_min))
+        np.subtract(u_max, u_min, out=span, where=np.isfinite(u_min) & np.isfinite(u_max))
+        self._near_low = (u_min + _AT_LIMIT * span).tolist()
+        self._near_high = (u_max - _AT_LIMIT * span).tolist()
+
+    def reach(self, u: FloatArray) -> None:
+        """Put inputs that are at a limit but for rounding exactly there, in place."""
+        for i, value in enumerate(u[: self._inputs].tolist()):
+            if value <= self._near_low[i]:
+                u[i] = self._low[i]
+            elif value >= self._near_high[i]:
+                u[i] = self._high[i]
+
+    def hold(self, u: FloatArray) -> None:
+        """Keep the inputs exactly within their limits, in place."""
+        inputs = u[: self._inputs]
+        for low, value, high in zip(self._low, inputs.tolist(), self._high, strict=True):
+            if not low <= value <= high:  # seldom: comparing a few numbers takes less time than a clip
+                np.maximum(inputs, self._u_min, out=inputs)
+                np.minimum(inputs, self._u_max, out=inputs)
+                return
+
+
+class ChangeLimits:
+    """Limits of the inputs and of their changes over a control horizon.
+
+    Parameters
+    ----------
+    bounds : Bounds
+        Input limits, held exactly.
+    rates : array, shape (m,)
+        Largest change of each input in one sample.
+    steps : int
+        Control horizon Nu.
+    optimise : bool
+        Find the best changes that keep all limits over the control horizon, by PIQP. Otherwise only the first
+        change is clipped, which the plan after it does not know.
+    """
+
+    def __init__(self, bounds: Bounds, rates: FloatArray, steps: int, optimise: bool) -> None:
+        self._u_min, self._u_max = bounds.u_min, bounds.u_max
+        self._rates, self._steps = rates, steps
+        self._optimise = optimise
+        self._spans = _spans(bounds.u_max - bounds.u_min, rates)
+        self._scales = np.tile(self._spans, steps)
+        # In parts of the spans. Limits are for the levels of the inputs, then for their changes.
+        self._limited = np.vstack([np.kron(np.tri(steps), np.eye(len(rates))), np.eye(steps * len(rates))])
+        self._largest = np.tile(rates / self._spans, steps)
+        self._channels = list(zip(bounds.u_min.tolist(), bounds.u_max.tolist(), rates.tolist(), strict=True))
+        self._piqp: Any = None
+
+    def apply(
+        self, u: Sequence[float], changes: FloatArray, hessian: FloatArray, slope: FloatArray
+    ) -> tuple[list[float], str]:
+        """Return the next inputs and why they are not the optimum, empty if they are.
+
+        Parameters
+        ----------
+        u : sequence of float
+            The last inputs.
+        changes : array, shape (Nu m,)
+            The changes that minimise ``dU' hessian dU / 2 - slope' dU`` without limits.
+        hessian : array, shape (Nu m, Nu m)
+            Positive definite.
+        slope : array, shape (Nu m,)
+            See above.
+        """
+        plan, fault = changes.tolist(), ""
+        if not isfinite(sum(plan)):
+            return list(u), NOT_FINITE
+        if self._optimise:
+            admitted = self._admit(u, plan)
+            if admitted:
+                return admitted, ""
+            plan, fault = self._constrained(u, plan, hessian, slope)
+        return [
+            min(max(old + min(max(change, -rate), rate), low), high)
+            for old, change, (low, high, rate) in zip(u, plan, self._channels, strict=False)
+        ], fault
+
+    def _admit(self, u: Sequence[float], plan: list[float]) -> list[float]:
+        """Return the next inputs if the whole plan keeps the limits, nothing otherwise."""
+        admitted = []
+        for j, (low, high, rate) in enumerate(self._channels):
+            own = plan[j :: len(u)]
+            levels = list(accumulate(own, initial=u[j]))[1:]
+            if min(levels) < low or max(levels) > high or min(own) < -rate or max(own) > rate:
+                return []
+            admitted.append(levels[0])
+        return admitted
+
+    def _constrained(
+        self, u: Sequence[float], plan: list[float], hessian: FloatArray, slope: FloatArray
+    ) -> tuple[list[float], str]:
+        # The solver's tolerances are absolute: changes in parts of their span, and a cost of size one.
+        scales = self._scales
+        hessian, slope = hessian * np.outer(scales, scales), slope * scales
+        unit = float(np.abs(hessian).max())
+        hessian, slope = np.asfortranarray(hessian / unit), slope / unit
+        room_below = np.tile((self._u_min - u) / self._spans, self._steps)
+        room_above = np.tile((self._u_max - u) / self._spans, self._steps)
+        if self._piqp is None:
+            self._piqp = self._set_up(hessian, slope, room_below, room_above)
+        else:
+            self._piqp.update(P=hessian, c=-slope, h_l=room_below, h_u=room_above)
+        status = self._piqp.solve()
+        if status != piqp.PIQP_SOLVED:
+            return plan, f"no changes keep all limits ({status.name}): unconstrained optimum, clipped"
+        optimum: list[float] = (self._exact(hessian, slope, room_below, room_above) * scales).tolist()
+        return optimum, ""
+
+    def _exact(
+        self, hessian: FloatArray, slope: FloatArray, below: FloatArray, above: FloatArray
+    ) -> FloatArray:
+        """Return the optimum on the limits that PIQP found active, or its own if that is not the optimum.
+
+        A limit that is only just active costs an interior-point method half of its digits.
+        """
+        result, n = self._piqp.result, len(slope)
+        at_low = np.append(result.z_l > result.s_l, result.z_bl > result.s_bl)
+        at_high = np.append(result.z_u > result.s_u, result.z_bu > result.s_bu)
+        low, high = np.append(below, -self._largest), np.append(above, self._largest)
+        for _ in range(_CORRECTIONS):
+            active = at_low | at_high
+            rows, values = self._limited[active], np.where(at_high, high, low)[active]
+            system = np.block([[hessian, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
+            try:
+                solution = np.linalg.solve(system, np.append(slope, values))
+            except np.linalg.LinAlgError:  # limits that coincide
+                break
+            reached, force = self._limited @ solution[:n], np.zeros(len(low))
+            force[active] = solution[n:]
+            beyond_low, beyond_high = reached < low - _ROUNDING, reached > high + _ROUNDING
+            weak = _ROUNDING * np.abs(force).max(initial=0.0)
+            released = active & np.where(at_high, force < -weak, force > weak) & (low < high)
+            if not (beyond_low | beyond_high | released).any():
+                return np.asarray(solution[:n])
+            at_low, at_high = (at_low & ~released) | beyond_low, (at_high & ~released) | beyond_high
+        return np.asarray(result.x)
+
+    def _set_up(self, hessian: FloatArray, slope: FloatArray, below: FloatArray, above: FloatArray) -> Any:
+        solver = piqp.DenseSolver()
+        for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
+            setattr(solver.settings, name, PIQP_TOLERANCE)
+        sums = np.asfortranarray(self._limited[: len(slope)])
+        solver.setup(hessian, -slope, G=sums, h_l=below, h_u=above, x_l=-self._largest, x_u=self._largest)
+        return solver
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave PIQP's workspace behind: it is set up again when it is needed."""
+        return {**self.__dict__, "_piqp": None}
+
+
+def _spans(ranges: FloatArray, rates: FloatArray) -> FloatArray:
+    """Return what a change of each input is measured by: its range, else its rate, else its unit."""
+    of_rates = np.where(np.isfinite(rates), rates, 1.0)
+    return np.where(np.isfinite(ranges) & (ranges > 0.0), ranges, of_rates)

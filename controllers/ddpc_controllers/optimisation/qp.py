@@ -1,0 +1,346 @@
+"""The condensed problem online: an affine law, the laws of remembered active sets, and a solver for new ones.
+
+With e the normalised excess over every bound and S = L L', the optimality conditions of a
+:class:`~ddpc_controllers.optimisation.condensing.CondensedProblem` read
+
+    e = e_0 - S mu,   e <= 0,   mu >= 0,   e' mu = 0.
+
+For a given active set they are linear in e_0: one small product and one comparison prove its law optimal.
+
+On data that change at every sample no law is made that would be used once. What the condensing eliminates
+before it meets the Gram matrix K of the data does not change with it: in the
+coordinates of :class:`~ddpc_controllers.data.online.OnlineData`, with ``K = L L'``, the cost of the free
+variables w at the parameters p is
+
+    |residual w + offset p|^2 + |L^-1 (own_gain w + own_law p)|_weights^2.
+
+One triangular solution, one product and one factorisation give its optimum.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
+
+from ddpc_controllers.data.online import OnlineData
+from ddpc_controllers.optimisation.backends import ActiveSet, Backend, PIQPBackend, contradiction
+from ddpc_controllers.optimisation.condensing import CondensedProblem, Condenser
+from ddpc_controllers.optimisation.limits import InputLimits
+from ddpc_cosim import FloatArray
+
+NOT_FINITE = "a measurement or a reference is not finite: inputs at zero, or at the limit nearest to it"
+"""The fault of a problem that cannot be posed."""
+
+_FEASIBLE = 1e-11
+_NO_CONFLICT = 1e-6
+_LARGEST_CONDITION = 1e12
+_SINGULAR = 1e-6
+_ILL_CONDITIONED = 1e-5
+_REMEMBERED = 256
+
+
+class Move(NamedTuple):
+    """What to apply now.
+
+    Parameters
+    ----------
+    u : array, shape (m,)
+        The inputs, within their bounds; a new array. After them whatever else the problem was asked for.
+    fault : str
+        Why ``u`` is not the optimum of the problem as posed; empty if it is.
+    """
+
+    u: FloatArray
+    fault: str
+
+
+class ParametricQP:
+    """A condensed problem, solved for one parameter vector after another.
+
+    Parameters
+    ----------
+    problem : CondensedProblem
+        What to solve.
+    u_min, u_max : array, shape (m,)
+        Input limits, held exactly.
+    backend : Backend, optional
+        The solver for active sets not seen before; default: PIQP.
+    """
+
+    def __init__(
+        self,
+        problem: CondensedProblem,
+        u_min: FloatArray,
+        u_max: FloatArray,
+        backend: Backend | None = None,
+    ) -> None:
+        self._limits = InputLimits(u_min, u_max)
+        self._backend = backend or PIQPBackend()
+        self._active: ActiveSet = ()
+        self._active_sets: dict[ActiveSet, ActiveSet] = {}
+        self.replace(problem)
+
+    def replace(self, problem: CondensedProblem) -> None:
+        """Take new matrices; active sets seen before stay the first guesses."""
+        self._problem = problem
+        self._watches_conflict = problem.conflict_law.size > 0
+        self._bounds = len(problem.excess_law)
+        self._law = np.vstack([problem.excess_law, problem.move_law])
+        self._laws: dict[ActiveSet, FloatArray | None] = {}
+        # Where nothing else would hold it back, an input that is not finite would pass.
+        self._checks_inputs = self._limits.endless or not self._bounds
+        if self._bounds:
+            self._backend.load(problem.excess_gain)
+
+    def solve(self, parameters: FloatArray) -> Move:
+        """Return the optimal move, or the documented fallback with its reason.
+
+        Parameters
+        ----------
+        parameters : array, shape (parameters,)
+            The parameter vector p; its last entry is 1.
+        """
+        answer = np.dot(self._law, parameters)
+        excess, u = answer[: self._bounds], answer[self._bounds :]
+        fault = find_conflict(self._problem.conflict_law, parameters) if self._watches_conflict else ""
+        if self._bounds and not max(excess.tolist()) <= 0.0:
+            fault = self._respect_bounds(excess, u) or fault
+            self._limits.reach(u)
+        elif self._checks_inputs:
+            fault = zero_unless_finite(u) or fault
+        self._limits.hold(u)
+        return Move(u, fault)
+
+    def _respect_bounds(self, excess: FloatArray, u: FloatArray) -> str:
+        """Correct the unconstrained optimum ``u`` in place."""
+        if self._active and self._apply(self._active, excess, u):
+            return ""
+        pattern = tuple(np.flatnonzero(excess > 0.0).tolist())
+        guess = self._active_sets.get(pattern, pattern)
+        if guess and self._apply(guess, excess, u):
+            self._active = guess
+            return ""
+        return self._ask_solver(excess, u, pattern)
+
+    def _apply(self, active: ActiveSet, excess: FloatArray, u: FloatArray) -> bool:
+        """Apply the law of an active set where it proves optimal."""
+        if active not in self._laws:
+            _make_room(self._laws)
+            self._laws[active] = self._derive_law(active)
+        law = self._laws[active]
+        if law is None:
+            return False
+        answer = np.dot(law, excess)
+        if not max(answer[: self._bounds].tolist()) <= _FEASIBLE:
+            return False
+        u += answer[self._bounds :]
+        return True
+
+    def _derive_law(self, active: ActiveSet) -> FloatArray | None:
+        """Return the map from e_0 to (e inactive, -mu active; change of u), None if degenerate."""
+        rows = list(active)
+        gain = self._problem.excess_gain[rows]
+        curvature = gain @ gain.T
+        if np.linalg.cond(curvature) > _LARGEST_CONDITION:
+            return None
+        multipliers = np.zeros((len(rows), self._bounds))
+        multipliers[:, rows] = np.linalg.inv(curvature)
+        certificate = np.eye(self._bounds) - self._problem.excess_gain @ (gain.T @ multipliers)
+        certificate[rows] = -multipliers / np.abs(multipliers).max()
+        return np.vstack([certificate, -self._problem.move_gain @ (gain.T @ multipliers)])
+
+    def _ask_solver(self, excess: FloatArray, u: FloatArray, pattern: ActiveSet) -> str:
+        """Solve, read off the active set, and prefer its exact law to the solver's digits."""
+        if fault := zero_unless_finite(u, excess):
+            return fault
+        t, active, failure = self._backend.solve(excess)
+        # Whatever the solver says of itself: a law that satisfies the optimality conditions is the optimum.
+        if active and self._apply(active, excess, u):
+            self._active = active
+            _make_room(self._active_sets)
+            self._active_sets[pattern] = active
+            return ""
+        if failure:
+            return infeasible(failure, self._problem.excess_gain, excess, self._problem.labels)
+        u += self._problem.move_gain @ t
+        return ""
+
+
+def find_conflict(conflict_law: FloatArray, parameters: FloatArray) -> str:
+    """Say how far a past is from what the recorded windows can combine to; empty if it is not."""
+    size = float(np.abs(conflict_law @ parameters).max())
+    if size <= _NO_CONFLICT:  # of what the recorded windows hold
+        return ""
+    if size <= _NO_CONFLICT * float((np.abs(conflict_law) @ np.abs(parameters)).max()):
+        return ""
+    return f"no combination of the recorded windows has this past (off by {size:.1e}); the nearest is used"
+
+
+def zero_unless_finite(u: FloatArray, excess: FloatArray | None = None) -> str:
+    """Set the move to zero, in place, and say so, if the problem's numbers are not finite."""
+    if np.isfinite(u if excess is None else excess).all():
+        return ""
+    u[...] = 0.0
+    return NOT_FINITE
+
+
+def infeasible(failure: str, gain: FloatArray, excess: FloatArray, labels: Sequence[str]) -> str:
+    """Say that a solver failed, and which bounds contradict each other."""
+    conflicting = sorted({labels[row] for row in contradiction(gain, excess)}) if labels else []
+    which = f": {', '.join(conflicting)}" if conflicting else ""
+    return f"no way to meet all bounds ({failure}{which}): unconstrained optimum, clipped at the input limits"
+
+
+def _make_room(store: dict[ActiveSet, Any]) -> None:
+    if len(store) >= _REMEMBERED:
+        del store[next(iter(store))]
+
+
+class AdaptiveQP:
+    """A tracking problem, solved on the present data for one parameter vector after another.
+
+    Parameters
+    ----------
+    condenser : Condenser
+        The problem.
+    data : OnlineData
+        What it meets; changed by its owner between solutions.
+    u_min, u_max : array, shape (m,)
+        Input limits, held exactly.
+    backend : Backend
+        The solver for active sets that the last one does not lead to.
+    """
+
+    def __init__(
+        self,
+        condenser: Condenser,
+        data: OnlineData,
+        u_min: FloatArray,
+        u_max: FloatArray,
+        backend: Backend,
+    ) -> None:
+        self._condenser, self._data, self._backend = condenser, data, backend
+        self._limits = InputLimits(u_min, u_max)
+        self._active: ActiveSet = ()
+        self._adopt_factor()
+
+    def solve(self, parameters: FloatArray) -> Move:
+        """Return the optimal move, or the documented fallback with its reason.
+
+        Parameters
+        ----------
+        parameters : array, shape (parameters,)
+            The parameter vector p; its last entry is 1.
+        """
+        gram_factor = self._gram_factor()
+        affine = np.dot(self._laws, parameters)
+        triangular, w = self._unconstrained_optimum(gram_factor, affine[: self._split], parameters)
+        answer = affine[self._split :] + np.dot(self._gains, w)
+        excess, u = answer[: self._bounds], answer[self._bounds :]
+        conflict = self._reduced.conflict_law
+        fault = find_conflict(conflict, parameters) if conflict.size else ""
+        if self._bounds and not max(excess.tolist()) <= 0.0:
+            fault = self._respect_bounds(excess, u, triangular) or fault
+            self._limits.reach(u)
+        elif self._limits.endless or not self._bounds:
+            fault = zero_unless_finite(u) or fault
+        self._limits.hold(u)
+        return Move(u, fault)
+
+    def _gram_factor(self) -> FloatArray:
+        """Return L, in new coordinates where K has become singular in the old ones."""
+        if self._factor is not self._data.factor:
+            self._adopt_factor()
+        factor, info = dpotrf(self._data.gram, lower=1)
+        diagonal = factor.diagonal().tolist()
+        if info or not min(diagonal) > _SINGULAR * max(diagonal):
+            self._data.renew()
+            self._adopt_factor()
+            return self._data.gram  # the identity, its own factor
+        return np.asarray(factor)
+
+    def _adopt_factor(self) -> None:
+        """Eliminate the equalities in the coordinates of the data's factor."""
+        self._factor = self._data.factor
+        reduced = self._reduced = self._condenser.reduce(self._factor)
+        rank, size = reduced.own_gain.shape
+        self._bounds, self._split = len(reduced.excess_law), size + rank
+        linear = reduced.residual.T @ reduced.offset
+        self._laws = np.vstack([linear, reduced.own_law, reduced.excess_law, reduced.move_law])
+        self._gains = np.vstack([reduced.excess_gain, reduced.move_gain])
+        self._curvature = reduced.residual.T @ reduced.residual
+        self._root = np.sqrt(reduced.weights)[:, np.newaxis]
+        self._own = np.zeros((rank, size + 1), order="F")
+        self._own[:, :size] = reduced.own_gain
+
+    def _unconstrained_optimum(
+        self, gram_factor: FloatArray, affine: FloatArray, parameters: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return R, ``R'R`` being the curvature of the cost, and the optimum w."""
+        size = len(self._curvature)
+        own = self._own
+        own[:, -1] = affine[size:]
+        deviation = dtrsm(1.0, gram_factor, own, lower=1)
+        deviation *= self._root
+        products = dsyrk(1.0, deviation, trans=1)
+        triangular, info = dpotrf(self._curvature + products[:size, :size])
+        diagonal = triangular.diagonal().tolist()
+        if info or (size and min(diagonal) < _ILL_CONDITIONED * max(diagonal)):
+            return self._optimum_by_roots(deviation, parameters)
+        return triangular, -dpotrs(triangular, affine[:size] + products[:size, size])[0]
+
+    def _optimum_by_roots(
+        self, deviation: FloatArray, parameters: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the same without squaring the condition: slower, for weights that are far apart."""
+        size = len(self._curvature)
+        offset = np.dot(self._reduced.offset, parameters)[:, np.newaxis]
+        stacked = np.vstack([np.hstack([self._reduced.residual, offset]), deviation])
+        factor = np.asarray(np.linalg.qr(stacked, mode="r"))[:size]
+        triangular = np.asfortranarray(factor[:, :size])
+        return triangular, -dtrtrs(triangular, factor[:, size])[0]
+
+    def _respect_bounds(self, excess: FloatArray, u: FloatArray, triangular: FloatArray) -> str:
+        """Correct the unconstrained optimum ``u`` in place; t = R (w - optimum) is the deviation."""
+        if fault := zero_unless_finite(u, excess):
+            return fault
+        gains = dtrsm(1.0, triangular, self._gains, side=1)
+        gain, move_gain = gains[: self._bounds], gains[self._bounds :]
+        t = self._deviation(gain, excess)
+        if t is None:
+            self._backend.load(gain)
+            t, active, failure = self._backend.solve(excess)
+            # Whatever the solver says of itself: what satisfies the optimality conditions is the optimum.
+            exact = _certified(gain, excess, active)
+            if failure and exact is None:
+                return infeasible(failure, gain, excess, self._reduced.labels)
+            t, self._active = (t if exact is None else exact), active
+        u += move_gain @ t
+        return ""
+
+    def _deviation(self, gain: FloatArray, excess: FloatArray) -> FloatArray | None:
+        """Try the last active set, and then the bounds that are exceeded."""
+        for active in (self._active, tuple(np.flatnonzero(excess > 0.0).tolist())):
+            t = _certified(gain, excess, active)
+            if t is not None:
+                self._active = active
+                return t
+        return None
+
+
+def _certified(gain: FloatArray, excess: FloatArray, active: ActiveSet) -> FloatArray | None:
+    """Return the optimum on an active set where it proves to be that of the problem, None otherwise."""
+    if not active:
+        return None
+    rows = gain[list(active)]
+    factor, info = dpotrf(rows @ rows.T)
+    if info:
+        return None
+    multipliers = dpotrs(factor, excess[list(active)])[0]
+    if not min(multipliers.tolist()) >= 0.0:
+        return None
+    t = -(multipliers @ rows)
+    beyond = max((excess + gain @ t).tolist())
+    return np.asarray(t) if beyond <= _FEASIBLE else None

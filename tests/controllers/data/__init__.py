@@ -1,0 +1,1 @@
+"""Tests of data and what is made of them."""

@@ -1,0 +1,1 @@
+"""Tests of condensing, solvers and limits."""
