@@ -1,0 +1,36 @@
+"""The public names and where they are defined; :mod:`lazy_loader` reads them from here too."""
+
+from .cascade import Cascade as Cascade
+from .data.dictionaries import (
+    Combined as Combined,
+    Constant as Constant,
+    Delays as Delays,
+    Dictionary as Dictionary,
+    Gaussian as Gaussian,
+    Identity as Identity,
+    OwnFunction as OwnFunction,
+    Polynomials as Polynomials,
+    ThinPlate as ThinPlate,
+)
+from .data.hankel import (
+    DataDiagnostics as DataDiagnostics,
+    hankel_matrix as hankel_matrix,
+    numerical_rank as numerical_rank,
+    persistency_of_excitation as persistency_of_excitation,
+)
+from .decentralised import Decentralised as Decentralised, Group as Group
+from .deepc import DeePC as DeePC
+from .ipid import IPID as IPID
+from .koopman_mpc import KoopmanMPC as KoopmanMPC
+from .lqr import LQR as LQR
+from .mfac import MFAC as MFAC, MFAPC as MFAPC
+from .models.from_fmu import FMUModel as FMUModel, pulse_model as pulse_model
+from .models.identification import Identified as Identified
+from .models.linear import ModelFunction as ModelFunction, StateSpace as StateSpace
+from .mpc import MPC as MPC
+from .offset_free import OffsetFree as OffsetFree
+from .pid import PID as PID
+from .scaling import Scaled as Scaled
+from .spc import SPC as SPC, GammaDDPC as GammaDDPC
+from .spsa import SPSA as SPSA
+from .wkpc import WKPC as WKPC
