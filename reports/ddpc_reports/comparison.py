@@ -154,6 +154,11 @@ def _condition(results: StudyResults, scenario: str) -> Condition:
     )
 
 
+def metric_keys(conditions: Iterable[Condition], name: str) -> tuple[str, ...]:
+    """Return the keys of a metric in any of the conditions: one for each signal that has it."""
+    return tuple(dict.fromkeys(key for condition in conditions for key in condition.keys(name)))
+
+
 def labels(results: StudyResults) -> dict[str, str]:
     """Return a distinct label for every controller, in the study's order."""
     given = {case.controller: case.label for case in results.cases}

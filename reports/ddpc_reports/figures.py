@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
-from ddpc_reports.charts import COLOURS, DASHES, time_chart
+from ddpc_reports.charts import COLOURS, DASHES, spread_chart, step_time_chart, time_chart
 from ddpc_reports.comparison import (
     STEP_TIMES,
     TRACKING,
@@ -19,10 +19,9 @@ from ddpc_reports.comparison import (
     metric_signal,
     metric_unit,
 )
+from ddpc_reports.embedding import static_svg
 from ddpc_reports.numbers import duration, given_duration, significant, with_unit
 from ddpc_reports.samples import Column, FirstSeed, Signal, column_name, first_seed, known
-from ddpc_reports.static import static_svg
-from ddpc_reports.strip_charts import spread_chart, step_time_chart
 
 _LOGARITHMIC_FROM = 8.0
 _PANEL_HEIGHT = 168

@@ -8,8 +8,17 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults
-from ddpc_reports.across import across_statements, across_table
-from ddpc_reports.assets import (
+from ddpc_reports.case_tables import (
+    cases_table,
+    failures_table,
+    fallbacks_table,
+    provenance_table,
+    step_time_table,
+)
+from ddpc_reports.charts import COLOURS, CONFIG
+from ddpc_reports.comparison import Condition, conditions
+from ddpc_reports.comparison_tables import across_table, reproduction_table, verdict_table
+from ddpc_reports.embedding import (
     chart_library,
     content_policy,
     json_for_script,
@@ -17,33 +26,20 @@ from ddpc_reports.assets import (
     page_script,
     stylesheet,
 )
-from ddpc_reports.charts import COLOURS, CONFIG
-from ddpc_reports.comparison import Condition, conditions
-from ddpc_reports.diagnostics import diagnostics_table
-from ddpc_reports.fallbacks import fallbacks_table
 from ddpc_reports.figures import Figure, spread_figures, step_time_figure, time_figures
-from ddpc_reports.limitations import limitations
 from ddpc_reports.numbers import as_given, with_unit
-from ddpc_reports.reproduction import reproduction_table
 from ddpc_reports.samples import Column
 from ddpc_reports.sensitivity import sensitivity_figures, sweep_statements
 from ddpc_reports.settings_tables import (
     bounds_table,
     compact_seeds,
     controllers_table,
+    diagnostics_table,
     family_tables,
     loop_table,
 )
 from ddpc_reports.table import Table
-from ddpc_reports.tables import (
-    cases_table,
-    failures_table,
-    provenance_table,
-    step_time_table,
-)
-from ddpc_reports.verdict import verdict
-from ddpc_reports.verdict_table import verdict_table
-from ddpc_reports.words import Statement
+from ddpc_reports.verdict import Statement, across_statements, limitations, verdict
 
 _MOST_DRAWN = 4
 """Scenarios of a study with figures over time: each costs some 300 kB of page."""

@@ -8,6 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from ddpc_reports.charts import heat_chart
 from ddpc_reports.comparison import (
     TRACKING,
     Competitor,
@@ -17,11 +18,10 @@ from ddpc_reports.comparison import (
     metric_unit,
     spread as summed_up,
 )
+from ddpc_reports.embedding import static_svg
 from ddpc_reports.figures import Figure, View, specification
 from ddpc_reports.numbers import as_given, significant, with_unit
-from ddpc_reports.static import static_svg
-from ddpc_reports.strip_charts import heat_chart
-from ddpc_reports.words import Statement, by_signal, shower
+from ddpc_reports.verdict import Statement, by_signal, shower
 
 
 @dataclass(frozen=True)

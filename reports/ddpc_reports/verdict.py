@@ -1,16 +1,35 @@
-"""The verdict in words, computed from the figures and claiming no more than they carry."""
+"""The verdict in words and the known limitations: computed, claiming no more than the results carry."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
-from ddpc_reports.comparison import Competitor, Condition, metric_signal, ranked
-from ddpc_reports.numbers import duration, given_duration, significant
-from ddpc_reports.ranking import least, least_travel, tracking
-from ddpc_reports.words import Statement, counted, listed, shower
+from ddpc_reports.comparison import (
+    TRACKING,
+    Competitor,
+    Condition,
+    Spread,
+    metric_keys,
+    metric_label,
+    metric_signal,
+    metric_unit,
+    ranked,
+)
+from ddpc_reports.numbers import duration, given_duration, integer, significant, with_unit
+
+_POOR = 3.0
+"""From this many times the best tracking error on, little actuator travel is no merit."""
+
+
+class Statement(NamedTuple):
+    """One finding: what it is about, and the sentences."""
+
+    topic: str
+    text: Markup
 
 
 def verdict(condition: Condition) -> list[Statement]:
@@ -118,3 +137,281 @@ def _fallbacks(condition: Condition) -> Markup:
     if not who:
         return Markup("No controller reported a fallback.")
     return Markup("Controllers fell back on a substitute: {}.").format(listed(who))
+
+
+def tracking(condition: Condition) -> list[Statement]:
+    """Return who tracks best: at the first seed and over all; of several outputs one line for each."""
+    keys = condition.keys(TRACKING)
+    if len(keys) > 1:
+        return [_each_signal(condition, keys, "Tracking")]
+    statements = []
+    for key in keys:
+        statements.append(Statement("Tracking", _first_seed(condition, key)))
+        if len(condition.seeds) > 1:
+            statements.append(Statement("Spread", _over_seeds(condition, key)))
+    return statements
+
+
+def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> Statement:
+    """State in short who is first, next and last for each of several signals."""
+    seeds = len(condition.seeds)
+    over = f", medians over {seeds} seeds and ranges" if seeds > 1 else ""
+    lines = [(metric_signal(key), _in_short(condition, key)) for key in keys]
+    return Statement(topic, Markup("{}{}:").format(metric_label(keys[0]), over) + by_signal(lines))
+
+
+def _in_short(condition: Condition, key: str) -> Markup:
+    order = _by_median(condition, key)
+    if not order:
+        return Markup("no controller completed every case.")
+    show = shower(key)
+    winner = order[0][1]
+    text = Markup("<b>{}</b> {}").format(winner.label, median_and_range(winner.over_seeds(key), key))
+    if len(order) > 1:
+        text += Markup(", then <i>{}</i> {}").format(order[1][1].label, show(order[1][0]))
+    if len(order) > 2:
+        text += Markup("; last is <i>{}</i> with {}").format(order[-1][1].label, show(order[-1][0]))
+    return text + "."
+
+
+def least(condition: Condition, name: str, topic: str, claim: str) -> list[Statement]:
+    """State who has the smallest median of a metric, and by how much, for each signal that has it."""
+    known = [(key, order) for key in condition.keys(name) if len(order := _by_median(condition, key)) > 1]
+    if len(known) > 1:
+        return [_each_signal(condition, [key for key, _ in known], topic)]
+    return [Statement(topic, _leader(order, key, claim, len(condition.seeds))) for key, order in known]
+
+
+def least_travel(condition: Condition) -> list[Statement]:
+    """State who moves the actuators least and, of one that hardly tracks, that too."""
+    statements = least(condition, "total_variation", "Actuator", "moves the actuator least")
+    travels, costs = condition.keys("total_variation"), condition.keys(TRACKING)
+    if not statements or len(travels) > 1 or len(costs) > 1:
+        return statements
+    tracks = _by_median(condition, costs[0])
+    winner = _by_median(condition, travels[0])[0][1]
+    own = winner.over_seeds(costs[0]).median
+    if not tracks or not own > _POOR * tracks[0][0]:
+        return statements
+    show = shower(costs[0], 3)
+    text = Markup(" Its tracking error is far from the best, though: {} against {}.").format(
+        show(own), show(tracks[0][0])
+    )
+    return [Statement(topic, sentence + text) for topic, sentence in statements]
+
+
+def _by_median(condition: Condition, key: str) -> list[tuple[float, Competitor]]:
+    complete = [one for one in condition.competitors if one.completed_all]
+    return ranked(complete, [one.over_seeds(key).median for one in complete])
+
+
+def _first_seed(condition: Condition, key: str) -> Markup:
+    order = ranked(condition.competitors, [one.at_first(key) for one in condition.competitors])
+    seed = condition.seeds[0]
+    if not order:
+        return Markup("No controller completed the case of seed {}.").format(seed)
+    show = shower(key)
+    what = metric_label(key).lower()
+    if len(order) == 1:
+        return Markup(
+            "On seed {}, <b>{}</b> reaches an {} of {}; no other completed case to compare with."
+        ).format(seed, order[0][1].label, what, show(order[0][0]))
+    (best, winner), (second, next_one), (worst, last) = order[0], order[1], order[-1]
+    if show(best) == show(worst):
+        return Markup("On seed {} all controllers track alike: {} {}.").format(seed, what, show(best))
+    if show(best) == show(second):
+        text = Markup("On seed {}, {} track best: {} {}").format(
+            seed, listed(names([one for value, one in order if show(value) == show(best)])), what, show(best)
+        )
+    else:
+        text = Markup("On seed {}, <b>{}</b> tracks best: {} {}, then <i>{}</i> with {}").format(
+            seed, winner.label, what, show(best), next_one.label, show(second)
+        )
+    return text + (
+        Markup("; last is <i>{}</i> with {}.").format(last.label, show(worst))
+        if len(order) > 2
+        else Markup(".")
+    )
+
+
+def _over_seeds(condition: Condition, key: str) -> Markup:
+    order = _by_median(condition, key)
+    if not order:
+        return Markup("No controller completed every seed, so medians over the seeds are not compared.")
+    winner, rest = order[0][1], [one for _, one in order[1:]]
+    figure = median_and_range(winner.over_seeds(key), key)
+    if not rest:
+        return Markup("Only <b>{}</b> completed every seed: median {}; nothing to compare with.").format(
+            winner.label, figure
+        )
+    alike = [one for value, one in order if shower(key)(value) == shower(key)(order[0][0])]
+    if len(alike) > 1:
+        return Markup("Over {} seeds, {} share the smallest median: {}.").format(
+            len(condition.seeds), listed(names(alike)), shower(key)(order[0][0])
+        )
+    text = Markup("Over {} seeds, <b>{}</b> has the smallest median: {}.").format(
+        len(condition.seeds), winner.label, figure
+    )
+    return text + _duel(winner, rest[0], key) + _overlap(winner, rest, key) + _constant([winner, *rest], key)
+
+
+def _duel(winner: Competitor, rival: Competitor, key: str) -> Markup:
+    mine, theirs = winner.by_seed(key), rival.by_seed(key)
+    shared = mine.keys() & theirs.keys()
+    wins = sum(mine[seed] < theirs[seed] for seed in shared)
+    return Markup(" Seed by seed it is ahead of the next, <i>{}</i> ({}), on {} of {}.").format(
+        rival.label, median_and_range(rival.over_seeds(key), key), wins, len(shared)
+    )
+
+
+def _overlap(winner: Competitor, others: Sequence[Competitor], key: str) -> Markup:
+    reach = winner.over_seeds(key).high
+    inside = [one for one in others if one.over_seeds(key).low <= reach]
+    if not inside:
+        return Markup(" Its range lies below that of every other controller.")
+    return Markup(" The ranges of {} overlap with its own, so the seed decides who is ahead there.").format(
+        listed(names(inside)) if len(inside) < 4 else f"{len(inside)} controllers"
+    )
+
+
+def _constant(order: Sequence[Competitor], key: str) -> Markup:
+    same = [one for one in order if not one.over_seeds(key).varies]
+    if not same or len(same) == len(order):
+        return Markup(" The seed changes nothing here.") if same else Markup("")
+    return Markup(" The seed changes nothing for {}.").format(listed(names(same)))
+
+
+def _leader(order: Sequence[tuple[float, Competitor]], key: str, claim: str, seeds: int) -> Markup:
+    show = shower(key, 3)
+    (best, winner), (second, next_one) = order[0], order[1]
+    what = metric_label(key).lower() + (" (median of the seeds)" if seeds > 1 else "")
+    if show(best) == show(second):
+        alike = [one for value, one in order if show(value) == show(best)]
+        return Markup("{} share the smallest {}: {}.").format(listed(names(alike)), what, show(best))
+    return (
+        Markup("<b>{}</b> {}: {} {}, against {} of <i>{}</i> and {} of <i>{}</i>.").format(
+            winner.label,
+            claim,
+            what,
+            show(best),
+            show(second),
+            next_one.label,
+            show(order[-1][0]),
+            order[-1][1].label,
+        )
+        if len(order) > 2
+        else Markup("<b>{}</b> {}: {} {}, against {} of <i>{}</i>.").format(
+            winner.label, claim, what, show(best), show(second), next_one.label
+        )
+    )
+
+
+def listed(parts: Sequence[str | Markup]) -> Markup:
+    """Join parts as in a sentence: ``a, b and c``."""
+    *head, last = parts
+    return Markup("{} and {}").format(Markup(", ").join(head), last) if head else Markup("{}").format(last)
+
+
+def names(competitors: Sequence[Competitor]) -> list[Markup]:
+    """Set names in italics: a label may itself hold commas."""
+    return [Markup("<i>{}</i>").format(one.label) for one in competitors]
+
+
+def by_signal(lines: Sequence[tuple[str, Markup]]) -> Markup:
+    """Set one line for each signal; the line alone where there is one signal."""
+    if len(lines) == 1:
+        return lines[0][1]
+    entry = Markup("<li><span class='signal'>{}:</span> {}</li>")
+    return Markup("<ul class='signals'>{}</ul>").format(
+        Markup(" ").join(entry.format(*line) for line in lines)
+    )
+
+
+def counted(count: float, noun: str) -> str:
+    """Write a count and its noun: ``1 step``, ``2 steps``."""
+    return f"{integer(count)} {noun}" if count == 1 else f"{integer(count)} {noun}s"
+
+
+def median_and_range(figure: Spread, key: str) -> str:
+    """Write a median and, where the cases differ, their range in brackets."""
+    show = shower(key)
+    if not figure.varies:
+        return show(figure.median)
+    return f"{show(figure.median)} [{significant(figure.low)} … {significant(figure.high)}]"
+
+
+def shower(key: str, digits: int = 4) -> Callable[[float], str]:
+    """Return the function that writes a value of this metric with its unit."""
+    return lambda value: with_unit(significant(value, digits), metric_unit(key))
+
+
+def across_statements(conditions: Sequence[Condition]) -> list[Statement]:
+    """Return who tracks best in which scenario; nothing for a single one."""
+    if len(conditions) < 2:
+        return []
+    lines = [(metric_signal(key), _winners(conditions, key)) for key in metric_keys(conditions, TRACKING)]
+    return [Statement("Tracking", by_signal(lines))] if lines else []
+
+
+def _winners(conditions: Sequence[Condition], key: str) -> Markup:
+    """Say in which scenarios each winner has the smallest median."""
+    won: dict[str, list[Markup]] = {}
+    for condition in conditions:
+        complete = [one for one in condition.competitors if one.completed_all]
+        order = ranked(complete, [one.over_seeds(key).median for one in complete])
+        if len(order) > 1:
+            won.setdefault(order[0][1].label, []).append(Markup("<i>{}</i>").format(condition.label))
+    if not won:
+        return Markup("There is no scenario in which two controllers completed every case.")
+    claims = [" has the smallest tracking cost", *[""] * (len(won) - 1)]
+    parts = [
+        Markup("<b>{}</b>{} in {}").format(label, claim, listed(where))
+        for (label, where), claim in zip(won.items(), claims, strict=True)
+    ]
+    return Markup("{}.").format(Markup("; ").join(parts))
+
+
+def limitations(conditions: tuple[Condition, ...], drawn: int) -> list[str]:
+    """Return the study's own limitations, then those that its results show.
+
+    Parameters
+    ----------
+    conditions : tuple of Condition
+        All conditions of the study.
+    drawn : int
+        How many of them have figures.
+    """
+    found = [*conditions[0].results.study.report.limitations] if conditions else []
+    found += _of_cases(conditions) + _of_seeds(conditions) + _of_drawing(conditions, drawn)
+    if conditions:
+        found.append(
+            "Step times are wall-clock times of one machine under the load it had; they rank "
+            "implementations, not methods."
+        )
+    return found
+
+
+def _of_cases(conditions: tuple[Condition, ...]) -> list[str]:
+    lost = {one.label: 0 for condition in conditions for one in condition.competitors}
+    for condition in conditions:
+        for one in condition.competitors:
+            lost[one.label] += len(one.cases) - len(one.completed)
+    return [
+        f"{label}: {count} {'case' if count == 1 else 'cases'} did not complete; its medians and ranges are "
+        "those of the others, which may be the easier ones."
+        for label, count in lost.items()
+        if count
+    ]
+
+
+def _of_seeds(conditions: tuple[Condition, ...]) -> list[str]:
+    if any(len(condition.seeds) > 1 for condition in conditions):
+        return ["The figures over time show the first seed only; the spread over seeds is shown on its own."]
+    return ["One seed only: how much the figures depend on it is not known."] if conditions else []
+
+
+def _of_drawing(conditions: tuple[Condition, ...], drawn: int) -> list[str]:
+    left_out = [condition.label for condition in conditions[drawn:]]
+    if not left_out:
+        return []
+    return [f"To keep the page small, these scenarios have no figures over time: {', '.join(left_out)}."]

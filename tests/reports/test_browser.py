@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -151,8 +152,7 @@ def test_a_run_that_falls_over_sets_the_range_only_where_it_is_alone(
 ) -> None:
     def far(key: str, seed: int) -> Trace:
         trace = trace_of("quick" if key == "falls" else key, seed)
-        fields = {name: getattr(trace, name) for name in trace.__dataclass_fields__}
-        return Trace(**fields | {"y": 40.0 * trace.y}) if key == "falls" else trace
+        return replace(trace, y=40.0 * trace.y) if key == "falls" else trace
 
     controllers: dict[str, dict[str, Any]] = {name: {"type": "a"} for name in ("quick", "falls", "slow")}
     results = make_results_in(tmp_path / "results", far, controllers)

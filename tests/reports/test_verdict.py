@@ -1,19 +1,22 @@
 """The verdict says what the figures carry, and nothing else."""
 
 import re
+from dataclasses import replace
 from statistics import median
 
 import pytest
 
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_reports.comparison import Condition, conditions
+from ddpc_reports.comparison_tables import verdict_table
 from ddpc_reports.table import Table
 from ddpc_reports.verdict import listed, verdict
-from ddpc_reports.verdict_table import verdict_table
 
-from .synthetic import MakeResults, make_trace
+from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
 
 SEEDS = [7, 0, 1]
+
+
 COST = "sum_abs_error.angle [deg]"
 
 
@@ -132,3 +135,56 @@ def test_the_table_marks_the_smallest_of_each_column(make_results: MakeResults) 
 )
 def test_lists_read_as_sentences(parts: list[str], text: str) -> None:
     assert str(listed(parts)) == text
+
+
+def test_several_outputs_are_told_in_one_statement_each(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        lag = 0.3 if key == "quick" else 1.0
+        return make_trace(lag, outputs=(ANGLE, SPEED), inputs=(TORQUE, FORCE), noise_seed=seed)
+
+    results = make_results(trace_of, seeds=[7, 8, 9])
+    told = statements(results)
+    assert told["Tracking"].startswith(
+        "Absolute integral error, medians over 3 seeds and ranges:angle: quick"
+    )
+    assert "speed: quick" in told["Tracking"]
+    assert "Spread" not in told
+    heads = [heading.words for heading in verdict_table(only(results), "").headings]
+    assert heads[1:5] == [
+        "tracking cost angle (°)",
+        "tracking cost speed (m/s)",
+        "settled error angle (°)",
+        "settled error speed (m/s)",
+    ]
+    assert not any("beyond bounds" in head for head in heads)
+
+
+def test_outputs_without_limits_are_not_said_to_have_kept_them(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        trace = make_trace(0.5)
+        trace.bounds.y_min[:], trace.bounds.y_max[:] = -float("inf"), float("inf")
+        return trace
+
+    assert statements(make_results(trace_of))["Bounds"] == "The outputs have no limits here."
+
+
+def test_little_travel_is_no_merit_where_nothing_is_tracked(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        trace = make_trace(0.3 if key == "quick" else 50.0)
+        return replace(trace, u=trace.u * (1.0 if key == "quick" else 0.1))
+
+    told = statements(make_results(trace_of))
+    assert told["Actuator"].startswith("slow moves the actuator least")
+    assert "Its tracking error is far from the best, though" in told["Actuator"]
+
+
+def test_twins_share_the_first_place(make_results: MakeResults) -> None:
+    lags = {"a": 0.3, "twin": 0.3, "slow": 1.0}
+    results = make_results(
+        lambda key, seed: make_trace(lags[key], noise_seed=seed),
+        {key: {"type": "x"} for key in lags},
+        seeds=[7, 8],
+    )
+    told = statements(results)
+    assert told["Tracking"].startswith("On seed 7, a and twin track best")
+    assert told["Spread"].startswith("Over 2 seeds, a and twin share the smallest median")

@@ -1,5 +1,7 @@
-"""Published and reproduced figures, derived here once more from the cases."""
+"""Scenarios compared, and published with reproduced values, derived here once more from the cases."""
 
+import re
+from dataclasses import replace
 from statistics import median
 from typing import Any
 
@@ -7,12 +9,60 @@ import pytest
 
 from ddpc_cosim import StudyResults, Trace
 from ddpc_reports.comparison import conditions
-from ddpc_reports.reproduction import reproduction_table
+from ddpc_reports.comparison_tables import across_table, reproduction_table
+from ddpc_reports.page import render_page
 from ddpc_reports.table import Row
+from ddpc_reports.verdict import across_statements
 
 from .synthetic import MakeResults, make_trace
 
 COST = "sum_abs_error.angle [deg]"
+
+
+SCENARIOS = {"calm": {}, "noisy": {"label": "Noisy", "noise": {"angle": 0.01}}}
+
+
+def plain(text: object) -> str:
+    return re.sub("<[^>]*>", "", str(text))
+
+
+def median_cost(results: StudyResults, controller: str, scenario: str) -> float:
+    (case,) = (c for c in results.cases if (c.controller, c.scenario) == (controller, scenario))
+    return case.metrics[COST]
+
+
+def test_scenarios_stand_beside_each_other(make_results: MakeResults) -> None:
+    results = make_results(scenarios=SCENARIOS)
+    table = across_table(conditions(results), "x-")
+    assert table is not None
+    assert [heading.title for heading in table.headings] == ["Controller", "calm", "Noisy"]
+    row = next(row for row in table.rows if row.group == "tracking cost of angle / °" and row.key == "quick")
+    assert [cell.raw for cell in row.cells] == [median_cost(results, "quick", name) for name in SCENARIOS]
+    assert [cell.best for cell in row.cells] == [True, True]
+    (statement,) = across_statements(conditions(results))
+    assert plain(statement.text) == "quick has the smallest tracking cost in calm and Noisy."
+
+
+def test_one_scenario_has_nothing_beside_it(make_results: MakeResults) -> None:
+    results = make_results()
+    assert across_table(conditions(results), "x-") is None
+    assert across_statements(conditions(results)) == []
+    assert "Scenarios beside each other" not in render_page([results])
+
+
+def test_different_winners_are_named_with_their_scenarios(make_results: MakeResults) -> None:
+    results = make_results(scenarios=SCENARIOS)
+    other = {"quick": "slow", "slow": "quick"}
+    swapped = tuple(
+        replace(case, controller=other[case.controller], label=other[case.controller])
+        if case.scenario == "noisy"
+        else case
+        for case in results.cases
+    )
+    (statement,) = across_statements(conditions(replace(results, cases=swapped)))
+    assert plain(statement.text) == "quick has the smallest tracking cost in calm; slow in Noisy."
+
+
 SEEDS = [7, 0, 1, 2]
 
 

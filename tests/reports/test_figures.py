@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,11 @@ import pytest
 from hypothesis import given, strategies as st
 
 from ddpc_cosim import Bounds, Trace
-from ddpc_reports.assets import pack
-from ddpc_reports.charts import COLOURS, DASHES
+from ddpc_reports.charts import COLOURS, DASHES, log_ticks
 from ddpc_reports.comparison import conditions
+from ddpc_reports.embedding import _steps, pack
 from ddpc_reports.figures import time_figures
 from ddpc_reports.samples import first_seed, trusted
-from ddpc_reports.static import _steps
-from ddpc_reports.strip_charts import log_ticks
 
 from .synthetic import MakeResults, make_trace
 
@@ -29,8 +28,7 @@ def scaled(trace: Trace, factor: float, **limits: float) -> Trace:
     if limits:
         low, high = (np.full(1, limits[end]) for end in ("low", "high"))
         bounds = Bounds(bounds.u_min, bounds.u_max, low, high)
-    fields = {name: getattr(trace, name) for name in trace.__dataclass_fields__}
-    return Trace(**fields | {"y": factor * trace.y, "bounds": bounds})
+    return replace(trace, y=factor * trace.y, bounds=bounds)
 
 
 def falls(key: str, seed: int) -> Trace:
@@ -94,8 +92,7 @@ def test_restless_lines_lie_behind_calm_ones(make_results: MakeResults) -> None:
         calm = make_trace(0.3)
         shaken = calm.u.copy()
         shaken[::2] *= -1.0
-        fields = {name: getattr(calm, name) for name in calm.__dataclass_fields__}
-        return Trace(**fields | {"u": shaken}) if key == "slow" else calm
+        return replace(calm, u=shaken) if key == "slow" else calm
 
     (condition,) = conditions(make_results(trace_of))
     view = time_figures(condition, "x-")[0][1].views[0]
@@ -159,8 +156,8 @@ def test_a_page_of_one_sample_has_an_axis(make_results: MakeResults, tmp_path: P
     def trace_of(key: str, seed: int) -> Trace:
         whole = make_trace(0.3)
         rows = {"time", "reference", "y", "measured", "u", "status", "solve_time"}
-        fields = {name: getattr(whole, name) for name in whole.__dataclass_fields__}
-        return Trace(**fields | {name: fields[name][:1] for name in rows} | {"planned_samples": 1})
+        samples = {name: getattr(whole, name)[:1] for name in rows}
+        return replace(whole, **samples, planned_samples=1)
 
     (condition,) = conditions(make_results(trace_of))
     signal = first_seed(condition, "x-").outputs[0]

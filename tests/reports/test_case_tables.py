@@ -1,0 +1,46 @@
+"""The reasons for fallbacks, as the table of them tells."""
+
+from dataclasses import replace
+
+from ddpc_cosim import Outcome, Trace
+from ddpc_reports.case_tables import fallbacks_table
+from ddpc_reports.comparison import conditions
+from ddpc_reports.page import render_page
+
+from .synthetic import MakeResults, make_trace
+
+
+def test_reasons_for_fallbacks_are_told_with_their_first_time(make_results: MakeResults) -> None:
+    results = make_results(
+        lambda key, seed: make_trace(0.5, fallbacks=4 if key == "slow" else 0, noise_seed=seed), seeds=[7, 8]
+    )
+    table = fallbacks_table(conditions(results), "x-")
+    assert table is not None
+    (row,) = table.rows
+    assert (row.header, [cell.text for cell in row.cells]) == (
+        "slow",
+        ["infeasible", "8", "2", "5.7\u00a0s (seed 7)"],
+    )
+    assert "infeasible" in render_page([results])
+
+
+def test_reasons_that_differ_in_a_number_are_one_with_its_range(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        trace = make_trace(0.5)
+        said = [f"off by {k}.0e-02; held" for k in (3, 1, 2)]
+        return replace(trace, status=("ok", *said, *trace.status[4:]))
+
+    table = fallbacks_table(conditions(make_results(trace_of, {"only": {"type": "x"}})), "x-")
+    assert table is not None
+    (row,) = table.rows
+    assert [cell.text for cell in row.cells][:2] == ["off by 1.0e-02 … 3.0e-02; held", "3"]
+
+
+def test_the_fault_that_ends_a_case_is_no_fallback(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        trace = make_trace(0.5, outcome=Outcome.CONTROLLER_ERROR, reason="boom")
+        return replace(trace, status=(*trace.status[:-1], "error"))
+
+    (condition,) = conditions(make_results(trace_of))
+    assert fallbacks_table([condition], "x-") is None
+    assert [one.fallbacks for one in condition.competitors] == [0, 0]
