@@ -6,9 +6,17 @@
 PosixPath('pendulum.fmu')
 """
 
-from fmu_plants.errors import ExportError, ModelError
 from fmu_plants.export import build_fmu, export_fmu
-from fmu_plants.model import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants.model import (
+    DisplayUnit,
+    Equations,
+    ExportError,
+    ModelError,
+    Parameter,
+    PlantModel,
+    Symbols,
+    Variable,
+)
 
 __all__ = [
     "DisplayUnit",

@@ -63,7 +63,7 @@ def compile_sources(folder: Path, model_identifier: str, target: Path, label: st
         There is no compiler, it fails, or the description of the sources is wrong.
     """
     from fmu_plants import ExportError
-    from fmu_plants.compiler import cache_dir, find_compiler
+    from fmu_plants.export.compiler import cache_dir, find_compiler
 
     sources = folder / "sources"
     sets = _source_sets(folder, model_identifier, label)

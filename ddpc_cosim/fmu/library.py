@@ -307,7 +307,7 @@ def library_in(folder: Path, name: str, major: int) -> Path | None:
 
 def _has_functions(library: Path, major: int) -> bool:
     """Whether a library exports what an FMU's has to, whatever the prefix."""
-    from fmu_plants.binaries import exported_symbols
+    from fmu_plants.export.binaries import exported_symbols
 
     name = "fmiInstantiate" if major == 1 else f"fmi{major}Instantiate"
     try:

@@ -138,7 +138,7 @@ def _check_content(
 
 def _missing_functions(content: bytes, major: int, interface: str, prefixes: Sequence[str]) -> list[str]:
     """Return the functions that are missing; FMI 1.0 has a prefix, others have it from static linking."""
-    from fmu_plants.binaries import exported_symbols
+    from fmu_plants.export.binaries import exported_symbols
 
     plain = "fmi" if major == 1 else f"fmi{major}"
     try:
@@ -177,7 +177,7 @@ def _build_description_files(sources: Path) -> list[str]:
 
 def _has_compiler() -> bool:
     from fmu_plants import ExportError
-    from fmu_plants.compiler import find_compiler
+    from fmu_plants.export.compiler import find_compiler
 
     try:
         find_compiler()

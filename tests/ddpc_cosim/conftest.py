@@ -8,7 +8,7 @@ from pathlib import Path
 import fmpy
 import pytest
 
-from fmu_plants.compiler import compile_library, find_compiler
+from fmu_plants.export.compiler import compile_library, find_compiler
 
 # Signals to process groups and terminals in software are matters of POSIX.
 collect_ignore = ["test_interrupt.py", "test_terminal.py"] if sys.platform == "win32" else []

@@ -11,7 +11,7 @@ from ddpc_cosim import CaseResult, FloatArray, Outcome, StudyResults
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
 from fmu_plants import cstr
-from fmu_plants.linearisation import linearise
+from fmu_plants.linear import linearise
 
 STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 SEED = {"direction-change": 1, "time-varying": 1, "tuning": 5489}

@@ -10,8 +10,7 @@ from fmpy.validation import validate_fmu
 from scipy.linalg import expm
 
 from fmu_plants import DisplayUnit, Equations, ModelError, Variable, export_fmu
-from fmu_plants.linear import identifier, state_space_model
-from fmu_plants.linearisation import linearise
+from fmu_plants.linear import identifier, linearise, state_space_model
 from fmu_plants.pendulum import MODEL
 
 A = np.array([[-1.0, 2.0, 0.0], [-3.0, -0.5, 1.0], [0.0, 0.0, -0.2]])

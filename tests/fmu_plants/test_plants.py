@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from ddpc_cosim import FMUPlant
 from fmu_plants import build_fmu
-from fmu_plants.linearisation import linearise
+from fmu_plants.linear import linearise
 
 SAMPLES = 40
 

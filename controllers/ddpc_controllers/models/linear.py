@@ -130,7 +130,7 @@ class StateSpace:
         ----------
         model : LinearModel or tuple of array
             From :meth:`ddpc_cosim.FMUPlant.linearise`, with its operating point; or (A, B, C, D), as
-            ``fmu_plants.linearisation.linearise`` gives them for a plant's equations.
+            ``fmu_plants.linear.linearise`` gives them for a plant's equations.
         u_0, y_0 : sequence of float
             Inputs and outputs at the operating point; empty: the model's own, or zero.
         """

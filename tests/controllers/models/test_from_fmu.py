@@ -40,7 +40,7 @@ from fmu_plants import (
     pendulum,
     quadruple_tank,
 )
-from fmu_plants.linearisation import linearise
+from fmu_plants.linear import linearise
 
 H = 0.1
 HIDDEN = PlantModel(

@@ -24,7 +24,7 @@ from ddpc_cosim import (
     Recording,
     Variable,
 )
-from fmu_plants.linearisation import linearise
+from fmu_plants.linear import linearise
 from fmu_plants.pendulum import MODEL as PENDULUM_MODEL
 
 from ..loops import ANGLE, LinearPlant, experiment, make_loop, pendulum_experiment, quick_pendulum

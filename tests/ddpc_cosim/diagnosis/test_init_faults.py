@@ -7,7 +7,7 @@ import fmpy
 import pytest
 
 from ddpc_cosim.suggestion import suggest_study, write_study
-from fmu_plants.compiler import compile_library, find_compiler
+from fmu_plants.export.compiler import compile_library, find_compiler
 
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="fragile" guid="{fault}">

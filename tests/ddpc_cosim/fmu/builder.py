@@ -9,7 +9,7 @@ from typing import Any
 
 import fmpy
 
-from fmu_plants.compiler import compile_library, find_compiler
+from fmu_plants.export.compiler import compile_library, find_compiler
 
 HERE = Path(__file__).parent
 IDENTIFIER = "models"

@@ -11,7 +11,7 @@ from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.session import FMUSession
 from ddpc_cosim.inspection import inspect_fmu
 from ddpc_cosim.inspection.needed_libraries import needs
-from fmu_plants.compiler import find_compiler
+from fmu_plants.export.compiler import find_compiler
 
 from .builder import HERE, LAG, describe, platform_folder, write_fmu
 from .test_leniency import value_after_a_second

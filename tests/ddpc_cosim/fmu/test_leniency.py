@@ -11,7 +11,7 @@ import pytest
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import unpack
 from ddpc_cosim.fmu.session import FMUSession
-from fmu_plants.compiler import compile_library, find_compiler
+from fmu_plants.export.compiler import compile_library, find_compiler
 
 from .builder import HERE, IDENTIFIER, LAG, V, describe, model_fmu, model_library, platform_folder, write_fmu
 

@@ -23,7 +23,7 @@ from fmu_plants import (
     pendulum,
     quadruple_tank,
 )
-from fmu_plants.linearisation import linearise
+from fmu_plants.linear import linearise
 
 from .builder import LAG, V, describe, model_fmu, model_library, write_fmu
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import fmpy
 
-from fmu_plants.compiler import compile_library, find_compiler
+from fmu_plants.export.compiler import compile_library, find_compiler
 
 HERE = Path(__file__).parent
 MODEL = "integrator"

@@ -10,7 +10,7 @@ import pytest
 
 from ddpc_cosim import FMUPlant
 from ddpc_cosim.fmu import output
-from fmu_plants.compiler import compile_library, find_compiler
+from fmu_plants.export.compiler import compile_library, find_compiler
 
 from .builder import library_name
 from .loop import H

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 SAMPLING_TIME = 0.1
 NOMINAL = {"mass": 1.0, "radius": 0.2, "damping": 0.4, "torque_gain": 1.0, "gravity": 9.81}
 STATES = ["angle", "angular_velocity"]
-DATA = Path(__file__).parents[1] / "data"
+DATA = Path(__file__).parents[2] / "data"
 
 
 def exact_step(state, torque, duration=SAMPLING_TIME, **changed):

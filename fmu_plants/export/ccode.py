@@ -9,12 +9,9 @@ from sympy.codegen.rewriting import create_expand_pow_optimization
 from sympy.printing.c import C99CodePrinter
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
-from fmu_plants.errors import ModelError
-from fmu_plants.jacobian import Partial, partials
-from fmu_plants.layout import Scalar, scalars
-from fmu_plants.model import PlantModel, Variable
-from fmu_plants.symbolic import SymbolicModel
-from fmu_plants.validation import TIME
+from fmu_plants.equations import Partial, SymbolicModel, partials
+from fmu_plants.export.description import Scalar, scalars
+from fmu_plants.model import TIME, ModelError, PlantModel, Variable
 
 LARGEST_WRITTEN_OUT_POWER = 4  # x*x*x*x is faster than pow(x, 4) and just as exact
 

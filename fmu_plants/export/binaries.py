@@ -1,12 +1,21 @@
-"""Which functions a shared library exports, read from its file: ELF, PE and Mach-O, 64 bit, little endian.
+"""Shared libraries as files: ELF, PE and Mach-O, 64 bit, little endian.
 
-A library for another platform cannot be loaded here to see whether it has what it must.
+A library for another platform cannot be loaded here to see whether it has what it must: which functions it
+exports is read from its file.
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 _ELF_MAGIC, _PE_MAGIC, _MACHO_MAGIC = b"\x7fELF\x02\x01", b"MZ", b"\xcf\xfa\xed\xfe"
+
+# Universal libraries of macOS, for several processors: a table in big-endian order, followed by the
+# libraries, each at a multiple of the page size (Apple, Mach-O file format reference, `fat.h`).
+_UNIVERSAL_MAGIC = 0xCAFEBABE
+_UNIVERSAL_HEADER = struct.Struct(">2I")  # magic, number of libraries
+_UNIVERSAL_ENTRY = struct.Struct(">5I")  # processor type, subtype, offset, size, log2(alignment)
+_PROCESSOR = struct.Struct("<2I")  # of a single library, after its magic number
+_ALIGNMENT = 14  # the pages of arm64 have 16 KiB; those of x86-64 are smaller
 
 
 def exported_symbols(library: bytes) -> frozenset[str]:
@@ -87,3 +96,17 @@ def _macho_exports(content: bytes) -> Iterator[str]:
                 if kind & external and not kind & private and kind & type_mask == in_section:
                     yield _text(content, names + name).removeprefix("_")
         position += size
+
+
+def universal_binary(libraries: Sequence[bytes]) -> bytes:
+    """Return one library that contains all of these 64-bit Mach-O libraries."""
+    page = 1 << _ALIGNMENT
+    table = _UNIVERSAL_HEADER.pack(_UNIVERSAL_MAGIC, len(libraries))
+    content = bytearray(page)
+    for library in libraries:
+        content += bytes(-len(content) % page)
+        processor = _PROCESSOR.unpack_from(library, 4)
+        table += _UNIVERSAL_ENTRY.pack(*processor, len(content), len(library), _ALIGNMENT)
+        content += library
+    content[: len(table)] = table
+    return bytes(content)

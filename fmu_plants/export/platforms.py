@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from fmu_plants.errors import ExportError
-from fmu_plants.universal import universal_binary
+from fmu_plants.export.binaries import universal_binary
+from fmu_plants.model import ExportError
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 import hashlib
 import importlib.util
 import json
+import re
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,18 +13,14 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from fmu_plants import fmi2, fmi3
-from fmu_plants.archive import write_atomically, zip_bytes
-from fmu_plants.compiler import Compiler, cache_dir, compile_library, find_compiler
-from fmu_plants.cross_compiler import cross_compiler
-from fmu_plants.description import Description
-from fmu_plants.errors import ExportError
-from fmu_plants.model import PlantModel
-from fmu_plants.platforms import Platform, binary_files, parse_platforms
+from fmu_plants.export.compiler import Compiler, cache_dir, compile_library, cross_compiler, find_compiler
+from fmu_plants.export.description import Description
+from fmu_plants.export.platforms import Platform, binary_files, parse_platforms
+from fmu_plants.files import write_atomically, zip_bytes
+from fmu_plants.model import ExportError, PlantModel
 
 DEFAULT_TOLERANCE = 1e-10
 FMI_VERSIONS = ("2.0", "3.0")
-_FRONT_ENDS = {"2.0": fmi2, "3.0": fmi3}
 _CORE = (
     "model.h",
     "dopri54.h",
@@ -38,6 +35,21 @@ _CORE = (
     "cosimulation.c",
     "model_exchange.c",
 )
+_FRONT_ENDS = {
+    "2.0": ("fmi2_common.c", "fmi2_cosimulation.c", "fmi2_model_exchange.c"),
+    "3.0": (
+        "fmi3_common.c",
+        "fmi3_variables.c",
+        "fmi3_clocks.c",
+        "fmi3_cosimulation.c",
+        "fmi3_model_exchange.c",
+    ),
+}
+_HEADERS = {
+    "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
+_DECLARED_FUNCTION = re.compile(r"^\s*FMI\d_Export\s+\w+\s+(\w+);", re.MULTILINE)
 _MODEL_SOURCE = "model.c"
 _COMPILERS_AT_ONCE = 2
 
@@ -173,8 +185,8 @@ def fmu_source(
 ) -> FMUSource:
     """Generate everything that an FMU consists of, except its binaries."""
     # Here and not above: a plant's variables can be read without the cost of SymPy's import.
-    from fmu_plants.codegen import model_source
-    from fmu_plants.symbolic import dependencies, resolve
+    from fmu_plants.equations import dependencies, resolve
+    from fmu_plants.export.ccode import model_source
 
     if fmi_version not in _FRONT_ENDS:
         available = ", ".join(FMI_VERSIONS)
@@ -183,19 +195,19 @@ def fmu_source(
     for name, value in tolerances.items():
         if not (isfinite(value) and value > 0):
             raise ExportError(f"{name} must be positive and finite, not {value}")
-    front_end = _FRONT_ENDS[fmi_version]
     symbolic = resolve(model)
     uses = dependencies(model, symbolic)
     runtime = package_files("fmu_plants") / "runtime"
-    sources = {name: (runtime / name).read_text(encoding="utf-8") for name in (*_CORE, *front_end.FRONT_END)}
+    names = (*_CORE, *_FRONT_ENDS[fmi_version])
+    sources = {name: (runtime / name).read_text(encoding="utf-8") for name in names}
     # The code of the model is the same but for the GUID in it, which its own text decides on.
     code = model_source(model, symbolic, guid="", **tolerances)
 
     def described(guid: str) -> FMUSource:
         all_sources = {_MODEL_SOURCE: code.replace('.guid = ""', f'.guid = "{guid}"'), **sources}
         listed = [name for name in all_sources if name.endswith(".c") and with_sources]
-        description = Description(model, uses, guid, relative_tolerance)
-        files = front_end.description_files(description, listed)
+        description = Description(model, uses, guid, relative_tolerance, listed)
+        files = description.files(fmi_version)
         return FMUSource(model.name, guid, fmi_version, files, all_sources, with_sources)
 
     draft = described(guid="")
@@ -234,13 +246,11 @@ def _write(path: Path, source: FMUSource, compilers: Sequence[Compiler], progres
 
 def _compile(source: FMUSource, compilers: Sequence[Compiler], progress: Progress) -> dict[Platform, bytes]:
     """Compile the library for every platform, two at a time; the first failure ends it."""
-    front_end = _FRONT_ENDS[source.fmi_version]
-    all_files = {**source.sources, **fmi_headers(front_end.HEADERS)}
+    headers = fmi_headers(source.fmi_version)
+    all_files, functions = {**source.sources, **headers}, fmi_functions(headers)
     libraries: dict[Platform, bytes] = {}
     with ThreadPoolExecutor(_COMPILERS_AT_ONCE) as pool:
-        jobs = {
-            c.platform: pool.submit(compile_library, c, all_files, front_end.FUNCTIONS) for c in compilers
-        }
+        jobs = {c.platform: pool.submit(compile_library, c, all_files, functions) for c in compilers}
         try:
             for count, (platform, job) in enumerate(jobs.items(), 1):
                 progress(f"compiling for {platform.name} ({count} of {len(jobs)})")
@@ -254,13 +264,18 @@ def _silent(_: str) -> None:
     """Tell nobody."""
 
 
-def fmi_headers(names: Sequence[str]) -> dict[str, str]:
-    """Read the standard's headers where FMPy keeps them, without the cost of its import."""
+def fmi_headers(fmi_version: str) -> dict[str, str]:
+    """Return the standard's headers by name, read where FMPy keeps them, without the cost of its import."""
     package = importlib.util.find_spec("fmpy")
     if package is None or not package.submodule_search_locations:
         raise ExportError("the FMI headers were not found: install the Python package fmpy, which has them")
     folder = Path(package.submodule_search_locations[0]) / "c-code"
-    return {name: (folder / name).read_text(encoding="utf-8") for name in names}
+    return {name: (folder / name).read_text(encoding="utf-8") for name in _HEADERS[fmi_version]}
+
+
+def fmi_functions(headers: Mapping[str, str]) -> list[str]:
+    """Return the names of the functions that the headers declare: a library must export all of them."""
+    return [name for text in headers.values() for name in _DECLARED_FUNCTION.findall(text)]
 
 
 def _digest(texts: Sequence[str]) -> str:
