@@ -25,10 +25,9 @@ from ddpc_controllers.data.windows import (
     padded_with_zeros,
     resting_input,
 )
-from ddpc_controllers.models.kalman import LOST_MEASUREMENT
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.condensing import Condenser, Regularisation
-from ddpc_controllers.optimisation.limits import NOT_FINITE as INPUTS_HELD
+from ddpc_controllers.optimisation.limits import HELD, PREDICTED
 from ddpc_controllers.optimisation.problem import SUM_G, Problem, write_tracking_problem
 from ddpc_controllers.optimisation.qp import NOT_FINITE, AdaptiveQP, Move, ParametricQP
 from ddpc_controllers.scaling import ScaledSignals
@@ -114,7 +113,7 @@ class BehavioralTracking(ScaledSignals):
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the optimal input for this sample, of the present plan or of a new one."""
         parameters, learner, y = self._parameters, self._learner, sample.y
-        lost = "" if all_finite(y) else LOST_MEASUREMENT
+        lost = "" if all_finite(y) else PREDICTED
         if self._resting:
             if lost:
                 return Action(parameters.window("u_ini")[-1].copy(), lost)
@@ -247,7 +246,7 @@ class BehavioralTracking(ScaledSignals):
         parameters.fill("r", reference)
         answer, fault = self._solver.solve(parameters.array)
         if fault == NOT_FINITE:
-            return parameters.window("u_ini")[-1].copy(), INPUTS_HELD
+            return parameters.window("u_ini")[-1].copy(), HELD
         planned, forecast = self._planned
         self._forecast = answer[planned:forecast]
         if self._applies_answer:

@@ -24,6 +24,7 @@ import numpy as np
 
 from ddpc_controllers.checks import check_settings_and, per_signal
 from ddpc_controllers.data.windows import resting_input
+from ddpc_controllers.optimisation.limits import AT_REST, EXPECTED, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, Weight, setting
 
 
@@ -140,12 +141,12 @@ class IPID(Controller):
         y, fault = sample.y, ""
         if not np.isfinite(y).all():
             if not self._started:
-                return Action(self._u.copy(), "no finite measurement yet: inputs at rest")
+                return Action(self._u.copy(), AT_REST)
             y = np.where(np.isfinite(y), y, self._model.ahead(self._u))
-            fault = "a measurement is not finite: replaced by what the model expects"
+            fault = EXPECTED
         self._observe(y)
         if not np.isfinite(sample.reference).all():
-            return Action(self._u.copy(), "a reference is not finite: inputs held")
+            return Action(self._u.copy(), HELD_WITHOUT_REFERENCE)
         error = sample.reference[0] - y
         estimates = self._model.estimates()
         integral = self._integral + self._h * error

@@ -27,8 +27,8 @@ from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.data.dictionaries import Dictionary, ThinPlate, embed, memory_of, require_dictionary
 from ddpc_controllers.data.hankel import require_informative
 from ddpc_controllers.data.windows import StateWindow, matching_recording, resting_input
-from ddpc_controllers.models.kalman import LOST_MEASUREMENT
 from ddpc_controllers.mpc import Predictor, TrackingSettings
+from ddpc_controllers.optimisation.limits import PREDICTED
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import Action, DataError, FloatArray, Loop, Recording, Sample, setting
 
@@ -247,7 +247,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal inputs of the horizon."""
         lifted = sample.y if self.state == "delays" else sample.measured
-        lost = "" if np.isfinite(lifted).all() else LOST_MEASUREMENT
+        lost = "" if np.isfinite(lifted).all() else PREDICTED
         if lost and self._predicted is None:
             return Action(self._u.copy(), lost)
         z = self._state(sample, bool(lost))

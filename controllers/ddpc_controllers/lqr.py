@@ -14,11 +14,9 @@ import numpy as np
 
 from ddpc_controllers.checks import weight_matrices
 from ddpc_controllers.models.control_api import regulator_gain
-from ddpc_controllers.models.kalman import LOST_MEASUREMENT, ModelBased
+from ddpc_controllers.models.kalman import ModelBased
+from ddpc_controllers.optimisation.limits import PREDICTED, SUM_HELD
 from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, Weight, setting
-
-LOST_REFERENCE = "a reference is not finite: the sum of its error is held"
-"""Status of a step that had to do without a reference."""
 
 
 @dataclass(kw_only=True)
@@ -61,7 +59,7 @@ class LQR(ModelBased):
         lost = not np.isfinite(sample.y).all()
         if self._resting:
             if lost:
-                return Action(self._u.copy(), LOST_MEASUREMENT)
+                return Action(self._u.copy(), PREDICTED)
             observer.rest(self._u, sample.y)
             self._resting = False
         observer.correct(sample.y)
@@ -76,7 +74,7 @@ class LQR(ModelBased):
         u: FloatArray = np.clip(wanted, self._bounds.u_min, self._bounds.u_max)
         self._sum = total - self._sums_of_inputs @ (u - wanted)
         observer.predict(u)
-        fault = LOST_MEASUREMENT if lost else "" if known.all() else LOST_REFERENCE
+        fault = PREDICTED if lost else "" if known.all() else SUM_HELD
         return Action(u, fault) if fault else u
 
     def diagnostics(self) -> Mapping[str, float]:

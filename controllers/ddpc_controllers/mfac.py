@@ -18,7 +18,7 @@ from scipy.linalg.lapack import dposv
 from ddpc_controllers.data.windows import resting_input
 from ddpc_controllers.data_model import DataModel, Estimation, Form
 from ddpc_controllers.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
-from ddpc_controllers.optimisation.limits import NOT_FINITE, ChangeLimits, rate_limits
+from ddpc_controllers.optimisation.limits import HELD, ChangeLimits, rate_limits
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, Weight, setting
 
@@ -81,7 +81,7 @@ class ModelFreeAdaptive(ScaledSignals):
         y: list[float] = sample.y.tolist()
         if not isfinite(sum(y)):
             self._model.pause()
-            return Action(np.array(self._u), NOT_FINITE)
+            return Action(np.array(self._u), HELD)
         self._model.observe(y)
         u, fault = self._decide(sample)
         self._model.apply(list(map(sub, u, self._u)))

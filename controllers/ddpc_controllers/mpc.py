@@ -17,9 +17,9 @@ import numpy as np
 
 from ddpc_controllers.checks import weight_matrices
 from ddpc_controllers.data.windows import ParameterVector, resting_input
-from ddpc_controllers.models.kalman import DISTURBANCES, LOST_MEASUREMENT, Disturbance, ModelBased
+from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
-from ddpc_controllers.optimisation.limits import NOT_FINITE as INPUTS_HELD, rate_limits
+from ddpc_controllers.optimisation.limits import HELD, PREDICTED, rate_limits
 from ddpc_controllers.optimisation.problem import (
     Problem,
     bound_signals,
@@ -150,7 +150,7 @@ class Predictor:
         self._parameters.fill("r", reference)
         u, fault = self._qp.solve(self._parameters.array)
         if fault == NOT_FINITE:
-            return Move(last_input.copy(), INPUTS_HELD)
+            return Move(last_input.copy(), HELD)
         np.clip(u, last_input - self._rates, last_input + self._rates, out=u)
         np.clip(u, self._bounds.u_min, self._bounds.u_max, out=u)
         return Move(u, fault)
@@ -222,7 +222,7 @@ class MPC(TrackingSettings, ModelBased):
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal inputs of the horizon."""
         observer = self._observer
-        lost = "" if np.isfinite(sample.y).all() else LOST_MEASUREMENT
+        lost = "" if np.isfinite(sample.y).all() else PREDICTED
         if self._resting:
             if lost:
                 return Action(self._u.copy(), lost)

@@ -26,6 +26,7 @@ import numpy as np
 
 from ddpc_controllers.data.windows import matching_recording, resting_input
 from ddpc_controllers.models.identification import fit_arx
+from ddpc_controllers.optimisation.limits import HELD_WITHOUT_MEASUREMENT, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import (
     Action,
     ConfigError,
@@ -194,9 +195,6 @@ def _within(pole: complex, fastest: float, slowest: float) -> complex:
 Tuning = Literal["manual", "step-test"]
 AntiWindup = Literal["back-calculation", "clamping"]
 
-_LOST_MEASUREMENT = "a measurement is not finite: inputs held"
-_NO_REFERENCE = "a reference is not finite: inputs held"
-
 
 @dataclass(kw_only=True)
 class PID(Controller):
@@ -268,9 +266,9 @@ class PID(Controller):
         """Return the inputs of all loops, within their limits."""
         gains, h, y, r = self._gains, self._sampling_time, sample.y, sample.reference[0]
         if not np.isfinite(y).all():
-            return self._hold(_LOST_MEASUREMENT)
+            return self._hold(HELD_WITHOUT_MEASUREMENT)
         if not np.isfinite(r).all():
-            return self._hold(_NO_REFERENCE)
+            return self._hold(HELD_WITHOUT_REFERENCE)
         before = y if self._y is None else self._y
         proportional = gains.proportional * (self.setpoint_share * r - y)
         self._derivative = (gains.filter_time * self._derivative - gains.derivative * (y - before)) / (

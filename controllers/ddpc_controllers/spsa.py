@@ -20,6 +20,7 @@ from typing import ClassVar
 import numpy as np
 
 from ddpc_controllers.data.windows import resting_input
+from ddpc_controllers.optimisation.limits import HELD
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, setting
 
 _STEP_DECAY, _PERTURBATION_DECAY = 0.602, 0.101  # the values that Spall recommends
@@ -78,7 +79,7 @@ class SPSA(Controller):
         if not np.isfinite(error).all():
             for pair in self._pairs:
                 pair.pause()
-            return Action(self._u.copy(), "a measurement or a reference is not finite: inputs held")
+            return Action(self._u.copy(), HELD)
         wanted = self._rest + [
             pair.step(e, y) for pair, e, y in zip(self._pairs, error.tolist(), sample.y.tolist(), strict=True)
         ]

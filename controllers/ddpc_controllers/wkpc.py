@@ -22,9 +22,8 @@ from ddpc_controllers.data.windows import (
     setpoint_bounds,
     without_first,
 )
-from ddpc_controllers.models.kalman import LOST_MEASUREMENT
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
-from ddpc_controllers.optimisation.limits import NOT_FINITE as INPUTS_HELD
+from ddpc_controllers.optimisation.limits import HELD, PREDICTED
 from ddpc_controllers.optimisation.problem import Problem
 from ddpc_controllers.optimisation.qp import NOT_FINITE, AdaptiveQP, ParametricQP
 from ddpc_controllers.published import DoubleShift, PublishedThinPlate
@@ -106,7 +105,7 @@ class WKPC(OnlineLearning):
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal input of the horizon."""
         parameters, y, measured = self._parameters, sample.y, sample.measured
-        lost = "" if all_finite(y) and all_finite(measured) else LOST_MEASUREMENT
+        lost = "" if all_finite(y) and all_finite(measured) else PREDICTED
         if self._resting:
             if lost:
                 return Action(parameters.window("u_ini")[-1].copy(), lost)
@@ -134,7 +133,7 @@ class WKPC(OnlineLearning):
         parameters, m = self._parameters, len(self._bounds.u_min)
         answer, fault = self._qp.solve(parameters.array)
         if fault == NOT_FINITE:
-            return parameters.window("u_ini")[-1].copy(), parameters.window("y_ini")[-1].copy(), INPUTS_HELD
+            return parameters.window("u_ini")[-1].copy(), parameters.window("y_ini")[-1].copy(), HELD
         u, forecast = answer[:m], answer[m:]
         if self._learner:
             self._learner.add_dither(u)

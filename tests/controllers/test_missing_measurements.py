@@ -7,7 +7,7 @@ import pytest
 
 from ddpc_controllers import SPC, WKPC, DeePC, Identity
 from ddpc_controllers.deepc import BehavioralTracking
-from ddpc_controllers.models.kalman import LOST_MEASUREMENT
+from ddpc_controllers.optimisation.limits import PREDICTED
 from ddpc_cosim import Action, Bounds, Controller, FloatArray, Loop, Recording, Sample, Variable
 
 A = np.array([[0.8, 0.1], [-0.1, 0.7]])
@@ -90,7 +90,7 @@ def test_what_was_predicted_stands_in_channel_by_channel(
     # Without noise the prediction is what would have been measured.
     assert u == pytest.approx(undisturbed, abs=1e-3)
     assert {k for k, status in enumerate(said) if status != "ok"} == {7, 17, 18}
-    assert {said[k] for k in (7, 17, 18)} == {LOST_MEASUREMENT}
+    assert {said[k] for k in (7, 17, 18)} == {PREDICTED}
 
 
 @pytest.mark.parametrize("make", CONTROLLERS.values(), ids=CONTROLLERS)
@@ -98,7 +98,7 @@ def test_before_the_first_measurement_the_inputs_rest(make: Callable[[], Control
     u, said = run(make(), {0: np.full(2, np.nan), 1: np.full(2, np.nan)}, continues=False)
     later, _ = run(make(), {}, continues=False)
     assert np.array_equal(u[:2], np.tile(REST, (2, 1)))
-    assert said[:3] == [LOST_MEASUREMENT, LOST_MEASUREMENT, "ok"]
+    assert said[:3] == [PREDICTED, PREDICTED, "ok"]
     assert u[2] == pytest.approx(later[0], abs=1e-6)
 
 
@@ -150,5 +150,5 @@ def test_the_published_program_survives(lost: int, redraw_centre: bool) -> None:
         assert np.isfinite(u).all()
         if k == lost:
             assert isinstance(answer, Action)
-            assert answer.status == LOST_MEASUREMENT
+            assert answer.status == PREDICTED
         state = advance(state, u)

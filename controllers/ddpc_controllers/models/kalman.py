@@ -22,9 +22,6 @@ from ddpc_cosim import ConfigError, FloatArray, Loop, setting
 Disturbance = Literal["auto", "output", "input", "none"]
 DISTURBANCES: tuple[str, ...] = get_args(Disturbance)
 
-LOST_MEASUREMENT = "a measurement is not finite: the model's prediction stands in for it"
-"""Status of a step that had to do without a measurement."""
-
 _DETECTABLE = 1e-9
 _EVERY_STATE = 1e-9
 

@@ -1,6 +1,6 @@
 """Inputs within their limits, and their changes: the box QP in dU, or the first change clipped."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import accumulate
 from math import isfinite
 from typing import Any
@@ -16,7 +16,37 @@ _CORRECTIONS = 5
 _ROUNDING = 1e-12
 _AT_LIMIT = 1e-9
 
-NOT_FINITE = "a measurement or a reference is not finite: inputs held"
+HELD = "a measurement or a reference is not finite: inputs held"
+HELD_WITHOUT_MEASUREMENT = "a measurement is not finite: inputs held"
+HELD_WITHOUT_REFERENCE = "a reference is not finite: inputs held"
+SUM_HELD = "a reference is not finite: the sum of its error is held"
+PREDICTED = "a measurement is not finite: the model's prediction stands in for it"
+EXPECTED = "a measurement is not finite: replaced by what the model expects"
+AT_REST = "no finite measurement yet: inputs at rest"
+
+
+def past_not_recorded(distance: float) -> str:
+    """Say how far a past is from what the recorded windows can combine to."""
+    return (
+        f"no combination of the recorded windows has this past (off by {distance:.1e}); the nearest is used"
+    )
+
+
+def bounds_not_met(failure: str, conflicting: Iterable[str]) -> str:
+    """Say that a solver failed, and which bounds contradict each other where that is known."""
+    names = ", ".join(sorted(set(conflicting)))
+    which = f": {names}" if names else ""
+    return f"no way to meet all bounds ({failure}{which}): unconstrained optimum, clipped at the input limits"
+
+
+def limits_not_kept(failure: str) -> str:
+    """Say that no changes of the inputs keep all limits."""
+    return f"no changes keep all limits ({failure}): unconstrained optimum, clipped"
+
+
+def not_solved(failure: str) -> str:
+    """Say that the solver of an uncondensed problem failed."""
+    return f"PIQP on the full problem: {failure}; the last input is held"
 
 
 def rate_limits(rate_bounds: Weight, inputs: int) -> FloatArray:
@@ -119,7 +149,7 @@ class ChangeLimits:
         """
         plan, fault = changes.tolist(), ""
         if not isfinite(sum(plan)):
-            return list(u), NOT_FINITE
+            return list(u), HELD
         if self._optimise:
             admitted = self._admit(u, plan)
             if admitted:
@@ -157,7 +187,7 @@ class ChangeLimits:
             self._piqp.update(P=hessian, c=-slope, h_l=room_below, h_u=room_above)
         status = self._piqp.solve()
         if status != piqp.PIQP_SOLVED:
-            return plan, f"no changes keep all limits ({status.name}): unconstrained optimum, clipped"
+            return plan, limits_not_kept(status.name)
         optimum: list[float] = (self._exact(hessian, slope, room_below, room_above) * scales).tolist()
         return optimum, ""
 

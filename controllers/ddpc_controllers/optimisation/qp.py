@@ -27,7 +27,7 @@ from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 from ddpc_controllers.data.online import OnlineData
 from ddpc_controllers.optimisation.backends import ActiveSet, Backend, PIQPBackend, contradiction
 from ddpc_controllers.optimisation.condensing import CondensedProblem, Condenser
-from ddpc_controllers.optimisation.limits import InputLimits
+from ddpc_controllers.optimisation.limits import InputLimits, bounds_not_met, past_not_recorded
 from ddpc_cosim import FloatArray
 
 NOT_FINITE = "a measurement or a reference is not finite: inputs at zero, or at the limit nearest to it"
@@ -175,7 +175,7 @@ def find_conflict(conflict_law: FloatArray, parameters: FloatArray) -> str:
         return ""
     if size <= _NO_CONFLICT * float((np.abs(conflict_law) @ np.abs(parameters)).max()):
         return ""
-    return f"no combination of the recorded windows has this past (off by {size:.1e}); the nearest is used"
+    return past_not_recorded(size)
 
 
 def zero_unless_finite(u: FloatArray, excess: FloatArray | None = None) -> str:
@@ -188,9 +188,7 @@ def zero_unless_finite(u: FloatArray, excess: FloatArray | None = None) -> str:
 
 def infeasible(failure: str, gain: FloatArray, excess: FloatArray, labels: Sequence[str]) -> str:
     """Say that a solver failed, and which bounds contradict each other."""
-    conflicting = sorted({labels[row] for row in contradiction(gain, excess)}) if labels else []
-    which = f": {', '.join(conflicting)}" if conflicting else ""
-    return f"no way to meet all bounds ({failure}{which}): unconstrained optimum, clipped at the input limits"
+    return bounds_not_met(failure, [labels[row] for row in contradiction(gain, excess)] if labels else [])
 
 
 def _make_room(store: dict[ActiveSet, Any]) -> None:

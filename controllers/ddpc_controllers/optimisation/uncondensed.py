@@ -14,6 +14,7 @@ from scipy.sparse.linalg import norm
 
 from ddpc_controllers.data.windows import resting_input
 from ddpc_controllers.deepc import DeePC
+from ddpc_controllers.optimisation.limits import not_solved
 from ddpc_controllers.optimisation.qp import NOT_FINITE, Move
 from ddpc_controllers.wkpc import WKPC
 from ddpc_cosim import Bounds, FloatArray, Loop, Recording, weight_matrix
@@ -442,7 +443,7 @@ class UncondensedSolver:
         if np.isfinite(parameters).all():
             self._full = self._full or self._set_up()
             solution = self._full.solve(u_ini, y_ini, r)
-            fault = f"PIQP on the full problem: {solution.failure}; the last input is held"
+            fault = not_solved(solution.failure)
             if solution.solved:
                 u, y, fault = solution.u[: self._planned], solution.y[: self._planned], ""
         u = np.clip(u, loop.bounds.u_min, loop.bounds.u_max)
