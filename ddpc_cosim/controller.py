@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -157,11 +157,15 @@ class Controller(ABC):
     horizon: int = 1
     """How many future reference samples ``step`` wants; a subclass may make it a setting."""
 
-    uses_recording: ClassVar[bool] = False
-    """Whether ``start`` needs ``loop.recording``."""
+    @property
+    def uses_recording(self) -> bool:
+        """Whether ``start`` needs ``loop.recording``; a class whose answer is fixed sets an attribute."""
+        return False
 
-    accepts_missing: ClassVar[bool] = False
-    """Whether ``step`` answers NaN in a sample (a lost measurement) with finite inputs and a status."""
+    @property
+    def accepts_missing(self) -> bool:
+        """Whether ``step`` answers NaN in a sample (missing measurements) by finite inputs and a status."""
+        return False
 
     def __post_init__(self) -> None:
         check_settings(self)

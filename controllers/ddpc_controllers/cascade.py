@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import ClassVar
 
 import numpy as np
 
@@ -34,8 +33,6 @@ class Cascade(Controller):
     A status of either is passed on with its name.
     """
 
-    uses_recording: ClassVar[bool] = False
-
     inner: Controller = setting(default_factory=IPID, doc="the controller that drives the plant")
     outer: Controller = setting(default_factory=MFAPC, doc="the controller that sets its reference")
     inner_outputs: Sequence[str] = setting(
@@ -48,7 +45,7 @@ class Cascade(Controller):
         self.horizon = self.outer.horizon * self.outer_period
 
     @property
-    def accepts_missing(self) -> bool:  # type: ignore[override]  # its controllers decide
+    def accepts_missing(self) -> bool:
         """Whether both controllers go on when a measurement is lost."""
         return self.inner.accepts_missing and self.outer.accepts_missing
 

@@ -56,12 +56,12 @@ class Decentralised(Controller):
         self.horizon = max(group.controller.horizon for group in self.groups)
 
     @property
-    def uses_recording(self) -> bool:  # type: ignore[override]  # its controllers decide
+    def uses_recording(self) -> bool:
         """Whether one of the controllers needs a recording."""
         return any(group.controller.uses_recording for group in self.groups)
 
     @property
-    def accepts_missing(self) -> bool:  # type: ignore[override]  # its controllers decide
+    def accepts_missing(self) -> bool:
         """Whether every one of the controllers goes on when a measurement is lost."""
         return all(group.controller.accepts_missing for group in self.groups)
 

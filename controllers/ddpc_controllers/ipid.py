@@ -102,7 +102,6 @@ class IPID(Controller):
     model expects, and counted.
     """
 
-    uses_recording: ClassVar[bool] = False
     accepts_missing: ClassVar[bool] = True
 
     order: int = setting(1, choices=(1, 2), doc="nu, order of the ultra-local model")

@@ -32,7 +32,6 @@ class ModelFreeAdaptive(ScaledSignals):
     are forgotten, but not the estimates.
     """
 
-    uses_recording: ClassVar[bool] = False
     accepts_missing: ClassVar[bool] = True
 
     form: str = setting(

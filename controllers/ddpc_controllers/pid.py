@@ -234,7 +234,7 @@ class PID(Controller):
     accepts_missing: ClassVar[bool] = True
 
     @property
-    def uses_recording(self) -> bool:  # type: ignore[override]  # its tuning decides
+    def uses_recording(self) -> bool:
         """Whether ``start`` needs a recording."""
         return self.tuning == "step-test"
 

@@ -220,12 +220,12 @@ class Wrapper(Controller):
         self.horizon = self.controller.horizon
 
     @property
-    def uses_recording(self) -> bool:  # type: ignore[override]  # its controller decides
+    def uses_recording(self) -> bool:
         """Whether the controller needs a recording."""
         return self.controller.uses_recording
 
     @property
-    def accepts_missing(self) -> bool:  # type: ignore[override]  # its controller decides
+    def accepts_missing(self) -> bool:
         """Whether the controller goes on when a measurement is lost."""
         return self.controller.accepts_missing
 

@@ -39,7 +39,6 @@ class SPSA(Controller):
     of this perturbation begin anew.
     """
 
-    uses_recording: ClassVar[bool] = False
     accepts_missing: ClassVar[bool] = True
 
     kp: float = setting(1.0, doc="initial proportional gain, with the sign of the control direction")

@@ -181,7 +181,7 @@ class ModelBased(ScaledSignals):
         check_settings_and(self, self._faults_between_settings)
 
     @property
-    def uses_recording(self) -> bool:  # type: ignore[override]  # its model decides
+    def uses_recording(self) -> bool:
         """Whether ``start`` needs a recording."""
         return self.model.uses_recording
 
