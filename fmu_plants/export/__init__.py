@@ -21,7 +21,7 @@ from fmu_plants.model import ExportError, PlantModel
 
 DEFAULT_TOLERANCE = 1e-10
 FMI_VERSIONS = ("2.0", "3.0")
-_CORE = (
+_RUNTIME = (
     "model.h",
     "dopri54.h",
     "dopri54.c",
@@ -29,22 +29,9 @@ _CORE = (
     "simulation.c",
     "instance.h",
     "instance.c",
-    "variables.c",
-    "derivatives.c",
-    "fmu_state.c",
-    "cosimulation.c",
-    "model_exchange.c",
+    "interfaces.c",
 )
-_FRONT_ENDS = {
-    "2.0": ("fmi2_common.c", "fmi2_cosimulation.c", "fmi2_model_exchange.c"),
-    "3.0": (
-        "fmi3_common.c",
-        "fmi3_variables.c",
-        "fmi3_clocks.c",
-        "fmi3_cosimulation.c",
-        "fmi3_model_exchange.c",
-    ),
-}
+_FRONT_ENDS = {"2.0": "fmi2.c", "3.0": "fmi3.c"}
 _HEADERS = {
     "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -198,7 +185,7 @@ def fmu_source(
     symbolic = resolve(model)
     uses = dependencies(model, symbolic)
     runtime = package_files("fmu_plants") / "runtime"
-    names = (*_CORE, *_FRONT_ENDS[fmi_version])
+    names = (*_RUNTIME, _FRONT_ENDS[fmi_version])
     sources = {name: (runtime / name).read_text(encoding="utf-8") for name in names}
     # The code of the model is the same but for the GUID in it, which its own text decides on.
     code = model_source(model, symbolic, guid="", **tolerances)

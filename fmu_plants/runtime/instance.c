@@ -1,4 +1,4 @@
-/* Life cycle of an instance, and how a call is refused. */
+/* Life cycle of an instance, how a call is refused, values of variables, saved states. */
 #include "instance.h"
 
 #include <math.h>
@@ -63,6 +63,13 @@ bool paired(const Instance *instance, size_t n_references, size_t n_values, cons
     if (!instance) return false;
     if (n_references == n_values) return true;
     refuse(instance, STATUS_ERROR, "%s: %zu values for %zu variables.", function, n_values, n_references);
+    return false;
+}
+
+bool known(const Instance *instance, unsigned reference, const char *function)
+{
+    if (reference < model.n_variables) return true;
+    refuse(instance, STATUS_ERROR, "%s: there is no variable with value reference %u.", function, reference);
     return false;
 }
 
@@ -180,5 +187,201 @@ Status instance_reset(Instance *instance, const char *function)
     if (!allowed(instance, MODES_ANY, function)) return STATUS_ERROR;
     simulation_reset(instance->simulation);
     start_over(instance);
+    return STATUS_OK;
+}
+
+/* Values of variables; all variables are floating point numbers of double precision. */
+
+/* The modes in which a variable may be set, none for what the model computes. */
+static unsigned settable_in(VariableKind kind)
+{
+    switch (kind) {
+    case VARIABLE_STATE:
+    case VARIABLE_FIXED_PARAMETER: return MODES_BEFORE_SIMULATION;
+    case VARIABLE_TUNABLE_PARAMETER: return MODES_BEFORE_SIMULATION | MODE_STEP | MODE_EVENT;
+    case VARIABLE_INPUT: return MODES_BEFORE_SIMULATION | MODES_SIMULATING;
+    case VARIABLE_TIME:
+    case VARIABLE_DERIVATIVE:
+    case VARIABLE_OUTPUT: return 0;
+    }
+    return 0;
+}
+
+Status instance_get(Instance *instance, const unsigned references[], size_t n, double values[], const char *function)
+{
+    Status status = STATUS_OK;
+    if (!allowed(instance, MODES_READABLE, function)) return STATUS_ERROR;
+    if (!present(instance, references, n, function) || !present(instance, values, n, function)) return STATUS_ERROR;
+    simulation_refresh(instance->simulation);
+    for (size_t i = 0; i < n; ++i) {
+        if (!known(instance, references[i], function)) return STATUS_ERROR;
+        values[i] = instance->simulation->values[references[i]];
+        if (!isfinite(values[i])) {
+            status = refuse(instance, STATUS_ERROR, "%s: %s is not finite at time %.10g.", function,
+                            model.variables[references[i]].name, simulation_time(instance->simulation));
+        }
+    }
+    return status;
+}
+
+static Status check_mode(const Instance *instance, const Variable *variable, const char *function)
+{
+    const unsigned modes = settable_in(variable->kind);
+    if (modes & instance->mode) return STATUS_OK;
+    if (!modes) {
+        return refuse(instance, STATUS_ERROR, "%s: %s is computed by the model and cannot be set.", function,
+                      variable->name);
+    }
+    if (variable->kind == VARIABLE_TUNABLE_PARAMETER) {
+        return refuse(instance, STATUS_ERROR, "%s: %s cannot be set in continuous-time mode, only in event mode.",
+                      function, variable->name);
+    }
+    return refuse(instance, STATUS_ERROR, "%s: %s can only be set before or in initialization mode.", function,
+                  variable->name);
+}
+
+/* What is wrong with giving this variable this value now. */
+static Status check_setting(const Instance *instance, unsigned reference, double value, const char *function)
+{
+    if (!known(instance, reference, function)) return STATUS_ERROR;
+    const Variable *variable = &model.variables[reference];
+    const Status status = check_mode(instance, variable, function);
+    if (status != STATUS_OK) return status;
+    if (!isfinite(value)) {
+        return refuse(instance, STATUS_ERROR, "%s: the value for %s is not finite.", function, variable->name);
+    }
+    if (value >= variable->min && value <= variable->max) return STATUS_OK;
+    if (variable->kind == VARIABLE_INPUT) {
+        return refuse(instance, STATUS_WARNING, "%s: %s = %g is outside its range of %g to %g.", function,
+                      variable->name, value, variable->min, variable->max);
+    }
+    return refuse(instance, STATUS_DISCARD, "%s: %s = %g is outside its range of %g to %g; nothing was set.", function,
+                  variable->name, value, variable->min, variable->max);
+}
+
+Status instance_set(Instance *instance, const unsigned references[], size_t n, const double values[],
+                    const char *function)
+{
+    Status status = STATUS_OK;
+    if (!allowed(instance, MODES_BEFORE_SIMULATION | MODES_SIMULATING, function)) return STATUS_ERROR;
+    if (!present(instance, references, n, function) || !present(instance, values, n, function)) return STATUS_ERROR;
+    for (size_t i = 0; i < n; ++i) {
+        const Status checked = check_setting(instance, references[i], values[i], function);
+        if (checked > STATUS_WARNING) return checked;
+        if (checked > status) status = checked;
+    }
+    for (size_t i = 0; i < n; ++i) simulation_set_value(instance->simulation, references[i], values[i]);
+    return status;
+}
+
+static Status no_variables(const Instance *instance, size_t n, const char *function)
+{
+    if (n == 0) return STATUS_OK;
+    return refuse(instance, STATUS_ERROR, "%s: there are no such variables.", function);
+}
+
+Status instance_get_other_type(const Instance *instance, size_t n, const char *function)
+{
+    return allowed(instance, MODES_READABLE, function) ? no_variables(instance, n, function) : STATUS_ERROR;
+}
+
+Status instance_set_other_type(const Instance *instance, size_t n, const char *function)
+{
+    const unsigned modes = MODES_BEFORE_SIMULATION | MODES_SIMULATING;
+    return allowed(instance, modes, function) ? no_variables(instance, n, function) : STATUS_ERROR;
+}
+
+/* Saving, restoring and serializing the complete state of an instance. */
+
+/* A saved state is an array of numbers: these, then the state of the simulation. */
+enum { SAVED_TYPE, SAVED_MODE, SAVED_EXPERIMENT_DEFINED, SAVED_STOP_TIME, SAVED_SIMULATION };
+
+/* The serialized state is the model's GUID, its terminator, and those numbers in the machine's own format. */
+static size_t state_bytes(void)
+{
+    return (SAVED_SIMULATION + simulation_state_size()) * sizeof(double);
+}
+
+static size_t guid_bytes(void)
+{
+    return strlen(model.guid) + 1;
+}
+
+Status instance_get_state(const Instance *instance, void **state, const char *function)
+{
+    if (!allowed(instance, MODES_ANY, function)) return STATUS_ERROR;
+    if (!present(instance, state, 1, function)) return STATUS_ERROR;
+    double *saved = *state ? *state : malloc(state_bytes());
+    if (!saved) return refuse(instance, STATUS_ERROR, "%s: out of memory.", function);
+    saved[SAVED_TYPE] = instance->type;
+    saved[SAVED_MODE] = instance->mode;
+    saved[SAVED_EXPERIMENT_DEFINED] = instance->experiment_defined;
+    saved[SAVED_STOP_TIME] = instance->stop_time;
+    simulation_save(instance->simulation, saved + SAVED_SIMULATION);
+    *state = saved;
+    return STATUS_OK;
+}
+
+Status instance_set_state(Instance *instance, const void *state, const char *function)
+{
+    const double *saved = state;
+    if (!allowed(instance, MODES_ANY, function)) return STATUS_ERROR;
+    if (!present(instance, saved, 1, function)) return STATUS_ERROR;
+    if (saved[SAVED_TYPE] != (double)instance->type) {
+        return refuse(instance, STATUS_ERROR, "%s: the state was saved by an instance of the other interface type.",
+                      function);
+    }
+    instance->mode = (Mode)saved[SAVED_MODE];
+    instance->experiment_defined = saved[SAVED_EXPERIMENT_DEFINED] != 0.0;
+    instance->stop_time = saved[SAVED_STOP_TIME];
+    simulation_restore(instance->simulation, saved + SAVED_SIMULATION);
+    return STATUS_OK;
+}
+
+Status instance_free_state(const Instance *instance, void **state, const char *function)
+{
+    if (!allowed(instance, MODES_ANY, function)) return STATUS_ERROR;
+    if (state) {
+        free(*state);
+        *state = NULL;
+    }
+    return STATUS_OK;
+}
+
+Status instance_serialized_size(const Instance *instance, const void *state, size_t *size, const char *function)
+{
+    if (!allowed(instance, MODES_ANY, function)) return STATUS_ERROR;
+    if (!present(instance, state, 1, function) || !present(instance, size, 1, function)) return STATUS_ERROR;
+    *size = guid_bytes() + state_bytes();
+    return STATUS_OK;
+}
+
+Status instance_serialize(const Instance *instance, const void *state, void *bytes, size_t size,
+                          const char *function)
+{
+    const size_t needed = guid_bytes() + state_bytes();
+    if (!allowed(instance, MODES_ANY, function)) return STATUS_ERROR;
+    if (!present(instance, state, 1, function) || !present(instance, bytes, 1, function)) return STATUS_ERROR;
+    if (size < needed) {
+        return refuse(instance, STATUS_ERROR, "%s: %zu bytes are needed, %zu were given.", function, needed, size);
+    }
+    memcpy(bytes, model.guid, guid_bytes());
+    memcpy((char *)bytes + guid_bytes(), state, state_bytes());
+    return STATUS_OK;
+}
+
+Status instance_deserialize(const Instance *instance, const void *bytes, size_t size, void **state,
+                            const char *function)
+{
+    if (!allowed(instance, MODES_ANY, function)) return STATUS_ERROR;
+    if (!present(instance, bytes, 1, function) || !present(instance, state, 1, function)) return STATUS_ERROR;
+    if (size != guid_bytes() + state_bytes() || memcmp(bytes, model.guid, guid_bytes()) != 0) {
+        return refuse(instance, STATUS_ERROR, "%s: this is not a state of model %s with GUID %s.", function,
+                      model.identifier, model.guid);
+    }
+    double *saved = *state ? *state : malloc(state_bytes());
+    if (!saved) return refuse(instance, STATUS_ERROR, "%s: out of memory.", function);
+    memcpy(saved, (const char *)bytes + guid_bytes(), state_bytes());
+    *state = saved;
     return STATUS_OK;
 }

@@ -64,10 +64,13 @@ bool allowed(const Instance *instance, unsigned modes, const char *function);
 /* Whether the array argument is there; logs if not. An empty array may be NULL. */
 bool present(const Instance *instance, const void *array, size_t n, const char *function);
 
+/* Whether there is a variable with the value reference; logs if not. */
+bool known(const Instance *instance, unsigned reference, const char *function);
+
 /* Whether there is one value per variable, all variables being scalars; logs if not. */
 bool paired(const Instance *instance, size_t n_references, size_t n_values, const char *function);
 
-/* Life cycle (instance.c). */
+/* Life cycle. */
 Instance *instance_create(InterfaceType type, const char *name, const char *token, bool logging_on, Logger logger,
                           const char *function); /* NULL if it is refused */
 void instance_free(Instance *instance);
@@ -80,7 +83,7 @@ Status instance_exit_initialization(Instance *instance, const char *function);
 Status instance_terminate(Instance *instance, const char *function);
 Status instance_reset(Instance *instance, const char *function);
 
-/* Values by value reference (variables.c). */
+/* Values by value reference. */
 Status instance_get(Instance *instance, const unsigned references[], size_t n, double values[], const char *function);
 Status instance_set(Instance *instance, const unsigned references[], size_t n, const double values[],
                     const char *function);
@@ -89,11 +92,11 @@ Status instance_get_other_type(const Instance *instance, size_t n, const char *f
 Status instance_set_other_type(const Instance *instance, size_t n, const char *function);
 
 /* Jacobian times vector: what a seed of knowns does to unknowns; the adjoint takes its transpose, from a seed of
- * unknowns to knowns (derivatives.c). */
+ * unknowns to knowns. */
 Status instance_derivative(Instance *instance, bool adjoint, const unsigned from[], size_t n_from, const double seed[],
                            const unsigned to[], size_t n_to, double sensitivity[], const char *function);
 
-/* Saved states (fmu_state.c). */
+/* Saved states. */
 Status instance_get_state(const Instance *instance, void **state, const char *function);
 Status instance_set_state(Instance *instance, const void *state, const char *function);
 Status instance_free_state(const Instance *instance, void **state, const char *function);
@@ -103,10 +106,10 @@ Status instance_serialize(const Instance *instance, const void *state, void *byt
 Status instance_deserialize(const Instance *instance, const void *bytes, size_t size, void **state,
                             const char *function);
 
-/* Co-Simulation (cosimulation.c). */
+/* Co-Simulation. */
 Status instance_do_step(Instance *instance, double start, double size, const char *function);
 
-/* Model Exchange (model_exchange.c). */
+/* Model Exchange. */
 Status instance_enter_event_mode(Instance *instance, const char *function);
 Status instance_enter_continuous_time_mode(Instance *instance, const char *function);
 Status instance_set_time(Instance *instance, double time, const char *function);
