@@ -32,10 +32,6 @@ class DisplayUnit:
         """Convert values in the variable's own unit to this unit (any shape)."""
         return self.factor * value + self.offset
 
-    def to_unit(self, value: FloatArray) -> FloatArray:
-        """Convert values in this unit to the variable's own unit (any shape)."""
-        return (value - self.offset) / self.factor
-
 
 @dataclass(frozen=True, slots=True)
 class Variable:

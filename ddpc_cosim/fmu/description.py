@@ -56,8 +56,6 @@ class FMUVariable:
         Names of an enumeration's values.
     derivative_of : str
         Name of the state that this is the derivative of; empty for none.
-    alias_of : str
-        Name of the variable with the same value reference that this is an alias of (FMI 3.0).
     negated : bool
         Whether its value is the opposite of what the FMU has under the value reference (FMI 1.0).
     """
@@ -73,7 +71,6 @@ class FMUVariable:
     start_text: str | None = None
     items: Mapping[str, int] = field(default_factory=dict)
     derivative_of: str = ""
-    alias_of: str = ""
     negated: bool = False
 
     @property

@@ -492,7 +492,6 @@ def _variable(
         start_text=variable.start,
         items={str(i.name): int(number(i.value, 0.0)) for i in getattr(declared, "items", ())},
         derivative_of=str(variable.derivative.name) if variable.derivative is not None else "",
-        alias_of=str(variable.alias.name) if variable.alias is not None else "",
         negated=negated,
     )
 

@@ -32,14 +32,11 @@ class DeclaredVariable:
         Its attributes and those of its type element.
     inherited : mapping of str to str
         Attributes of the type definition that it names.
-    has_dimensions : bool
-        Whether it is an array.
     """
 
     type: str
     own: Attributes
     inherited: Attributes = field(default_factory=dict)
-    has_dimensions: bool = False
 
     @property
     def name(self) -> str:
@@ -185,7 +182,7 @@ def _variables(root: ElementTree.Element, types: Mapping[str, Attributes]) -> It
             own.setdefault("start", "")
         declared_type = types.get(own.get("declaredType", ""), {})
         type_name = "" if inner is None else inner.tag
-        yield DeclaredVariable(type_name, own, declared_type, element.find("Dimension") is not None)
+        yield DeclaredVariable(type_name, own, declared_type)
 
 
 def _structure(root: ElementTree.Element) -> Iterator[StructureEntry]:

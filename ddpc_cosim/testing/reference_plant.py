@@ -1,6 +1,6 @@
 """A loop that every controller ought to master: stable, well scaled, of unit gain, nearly decoupled."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +13,6 @@ INPUT_LIMIT, OUTPUT_LIMIT = 1.0, 2.0
 TARGET = np.array([0.5, -0.3])
 _COUPLING = 0.1
 _RECORDED = 200
-
-Measure = Callable[[int, FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
