@@ -2,7 +2,10 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files as package_files
 from math import inf
+from typing import Any
 
 import sympy
 from sympy.codegen.rewriting import create_expand_pow_optimization
@@ -14,14 +17,51 @@ from fmu_plants.export.description import Scalar, scalars
 from fmu_plants.model import TIME, ModelError, PlantModel, Variable
 
 LARGEST_WRITTEN_OUT_POWER = 4  # x*x*x*x is faster than pow(x, 4) and just as exact
+_INLINE_FUNCTIONS = frozenset({"ceil", "fabs", "floor", "fma", "fmax", "fmin"})  # few instructions, no import
+_IMPORTED_FUNCTION = re.compile(r"^IMPORTED_\d\((\w+)\);", re.MULTILINE)
+_CALL = re.compile(r"\b([A-Za-z_]\w*)\(")
+_expand_powers = create_expand_pow_optimization(LARGEST_WRITTEN_OUT_POWER)
+
+
+@cache
+def callable_functions() -> frozenset[str]:
+    """Return the C functions that equations can call on every platform: `runtime/windows.c` lists them."""
+    windows = (package_files("fmu_plants") / "runtime" / "windows.c").read_text(encoding="utf-8")
+    return _INLINE_FUNCTIONS | frozenset(_IMPORTED_FUNCTION.findall(windows))
+
+
+class _UnavailableError(Exception):
+    """An expression needs a function of this name, which the FMU does not have."""
 
 
 class _CPrinter(C99CodePrinter):  # type: ignore[misc]  # SymPy has no types
     """Prints expressions of doubles, with the variables of the model as elements of arrays."""
 
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
-        super().__init__({"strict": True, "math_macros": {}})
+        # SymPy has C's abs for integers, which is a function of int.
+        super().__init__({"strict": True, "math_macros": {}, "user_functions": {"Abs": "fabs"}})
         self._names = names
+
+    def c_text(self, expression: sympy.Expr) -> str:
+        """Return the expression in C.
+
+        Raises
+        ------
+        _UnavailableError
+            It needs a function that C does not have, or not on every platform.
+        """
+        text: str = self.doprint(_expand_powers(expression))
+        for name in _CALL.findall(text):
+            if name not in callable_functions():
+                raise _UnavailableError(name)
+        return text
+
+    def _print(self, expr: sympy.Basic, **options: Any) -> str:
+        try:
+            text: str = super()._print(expr, **options)
+        except PrintMethodNotImplementedError as error:
+            raise _UnavailableError(type(expr).__name__) from error
+        return text
 
     def _print_Symbol(self, expr: sympy.Symbol) -> str:  # noqa: N802 (names are SymPy's)
         return self._names.get(expr, expr.name)
@@ -54,7 +94,7 @@ def model_source(
     Raises
     ------
     ModelError
-        An expression has no C counterpart.
+        An expression uses a function that FMUs do not have on every platform.
     """
     layout = scalars(model)
     elements = partials(model, symbolic)
@@ -69,9 +109,11 @@ def model_source(
             "",
             *_partial_table(elements, layout),
             *_legend(model),
-            _function(model, "derivatives", _results(model.states, symbolic.derivatives)),
+            _function(
+                model, "derivatives", _results("the derivative of", model.states, symbolic.derivatives)
+            ),
             "",
-            _function(model, "outputs", _results(model.computed_outputs, symbolic.outputs)),
+            _function(model, "outputs", _results("the output", model.computed_outputs, symbolic.outputs)),
             "",
             _function(model, "jacobian", [(_quotient(e), e.expression) for e in elements]),
             "",
@@ -125,9 +167,10 @@ def _quotient(element: Partial) -> str:
 
 
 def _results(
-    variables: Sequence[Variable], expressions: Sequence[sympy.Expr]
+    what: str, variables: Sequence[Variable], expressions: Sequence[sympy.Expr]
 ) -> list[tuple[str, sympy.Expr]]:
-    return [(repr(v.name), expression) for v, expression in zip(variables, expressions, strict=True)]
+    """Return the expressions with what they are called in messages."""
+    return [(f"{what} {v.name!r}", expression) for v, expression in zip(variables, expressions, strict=True)]
 
 
 def _legend(model: PlantModel) -> list[str]:
@@ -159,23 +202,20 @@ def _element_names(model: PlantModel) -> dict[sympy.Symbol, str]:
 def _function(model: PlantModel, name: str, results: Sequence[tuple[str, sympy.Expr]]) -> str:
     """Return a function that evaluates the expressions, which have names, common subexpressions once."""
     printer = _CPrinter(_element_names(model))
-    expand_powers = create_expand_pow_optimization(LARGEST_WRITTEN_OUT_POWER)
+    for where, expression in results:
+        try:
+            printer.c_text(expression)
+        except _UnavailableError as error:
+            raise ModelError(
+                f"model {model.name!r}: {where} uses the function {error}, which FMUs do not have on every "
+                f"platform: {expression}\n"
+                f"Write it in terms of these C functions: {', '.join(sorted(callable_functions()))}"
+            ) from error
     # A variable may be called t0, too: variables are printed as elements of arrays, never by name.
     expressions = [expression for _, expression in results]
     common, reduced = sympy.cse(expressions, symbols=sympy.numbered_symbols("t"), list=True)
-
-    def c_text(expression: sympy.Expr, where: str) -> str:
-        try:
-            text: str = printer.doprint(expand_powers(expression))
-        except PrintMethodNotImplementedError as error:
-            raise ModelError(
-                f"model {model.name!r}: {where} uses a function that C does not have: {expression}"
-            ) from error
-        return text
-
-    lines = [f"    const double {symbol} = {c_text(part, name)};" for symbol, part in common]
-    for index, ((where, _), expression) in enumerate(zip(results, reduced, strict=True)):
-        lines.append(f"    result[{index}] = {c_text(expression, where)};")
+    lines = [f"    const double {symbol} = {printer.c_text(part)};" for symbol, part in common]
+    lines += [f"    result[{index}] = {printer.c_text(part)};" for index, part in enumerate(reduced)]
     body = "\n".join(lines)
     arguments = ("time", "x", "u", "p", "result")
     unused = [f"    (void){argument};" for argument in arguments if not re.search(rf"\b{argument}\b", body)]

@@ -128,13 +128,3 @@ def test_equations_that_do_not_fit_the_variables_are_refused(equations, messages
     for message in messages:
         assert message in str(error.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_function_without_a_counterpart_in_c_is_refused(tmp_path):
-    from sympy import besselj
-
-    def equations(v):
-        return Equations({"angle": besselj(0, v.angle), "angular_velocity": 0})
-
-    with pytest.raises(ModelError, match="'angle' uses a function that C does not have: besselj"):
-        export_fmu(replace(MODEL, equations=equations), tmp_path / "pendulum.fmu")

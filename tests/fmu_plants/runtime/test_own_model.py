@@ -119,6 +119,7 @@ def test_functions_mean_in_c_what_they_mean_in_sympy(tmp_path, open_fmu):
         "hyperbola": (lambda v: sp.tanh(v.a) + sp.cosh(v.b), math.tanh(a) + math.cosh(b)),
         "bounds": (lambda v: sp.Max(v.a, 0.0) + sp.Min(v.b, 0.25), 0.25),
         "parts": (lambda v: sp.Abs(v.a) + sp.sign(v.a) + sp.floor(v.a), 1.7 - 1.0 - 2.0),
+        "size_of_an_integer": (lambda v: sp.Abs(sp.floor(v.a)), 2.0),
         "remainder": (lambda v: sp.Mod(v.a, v.b), a % b),
         "choice": (lambda v: sp.Piecewise((v.b, v.a > 0), (2 * v.b, True)), 2 * b),
         "large": (lambda v: 10**20 * v.b, 1e20 * b),
