@@ -34,6 +34,7 @@ from .settings import (
 )
 from .signals import (
     Constant as Constant,
+    Excitation as Excitation,
     GaussianNoise as GaussianNoise,
     ParameterChange as ParameterChange,
     Ramp as Ramp,

@@ -1,84 +1,155 @@
-"""How a plant is wired into a loop: controlled outputs, measurements and their noise, limits, references."""
+"""What a loop is made of, checked before its first sample: times, signals, noise, limits, references."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ddpc_cosim.controller import Bounds
-from ddpc_cosim.errors import ConfigError, did_you_mean
+from ddpc_cosim.controller import Bounds, Loop, Recording
+from ddpc_cosim.errors import ConfigError, DataError, did_you_mean
 from ddpc_cosim.plant import Plant
-from ddpc_cosim.signals import GaussianNoise, Reference
+from ddpc_cosim.signals import Excitation, GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.variables import FloatArray, Variable, names
 
-
-@dataclass(frozen=True, slots=True)
-class Wiring:
-    """Which of the plant's outputs are controlled and which are measured.
-
-    Parameters
-    ----------
-    outputs, measurements : tuple of Variable
-        The p controlled outputs and the q measurements, in the controller's order.
-    output_index, measured_index : array of int, shape (p,), (q,)
-        Where they stand among the plant's outputs.
-    """
-
-    outputs: tuple[Variable, ...]
-    measurements: tuple[Variable, ...]
-    output_index: NDArray[np.intp]
-    measured_index: NDArray[np.intp]
+MOST_STEPS = 100_000_000
+# Which stream of a seed serves whom; a new one gets a new number.
+CONTROLLER_STREAM, NOISE_STREAM, STABILISER_STREAM = 0, 1, 2
 
 
-def wire(plant: Plant, outputs: Sequence[str] | None, measurements: Sequence[str] | None) -> Wiring:
-    """Choose controlled outputs (default: all of the plant's) and measurements (default: all).
+def check_sampling_time(sampling_time: float) -> None:
+    """Raise ConfigError if this time between samples [s] is not possible."""
+    if not (_is_finite(sampling_time) and sampling_time > 0):
+        raise ConfigError(f"sampling_time = {sampling_time} is not possible; allowed: a number > 0")
+
+
+def whole_steps(duration: float, sampling_time: float) -> int:
+    """Return the number of sampling intervals in a duration.
 
     Raises
     ------
     ConfigError
-        Names that the plant does not have among its outputs, or nothing to drive or to read.
+        It is not a whole number, or too large.
     """
-    missing = [what for what, has in (("inputs", plant.inputs), ("outputs", plant.outputs)) if not has]
-    if missing:
-        raise ConfigError([f"the plant has no {what}: there is nothing to control" for what in missing])
-    available = names(plant.outputs)
-    controlled = _listed("outputs", outputs) or available
-    measured = _listed("measurements", measurements) or available
-    check_names("outputs and measurements", dict.fromkeys((*controlled, *measured)), plant.outputs)
-    output_index = np.array([available.index(name) for name in controlled], dtype=np.intp)
-    measured_index = np.array([available.index(name) for name in measured], dtype=np.intp)
-    return Wiring(
-        tuple(plant.outputs[i] for i in output_index),
-        tuple(plant.outputs[i] for i in measured_index),
-        output_index,
-        measured_index,
-    )
+    check_sampling_time(sampling_time)
+    if not _is_finite(duration):
+        raise ConfigError(f"duration = {duration} is not possible; allowed: a number > 0")
+    steps = duration / sampling_time
+    if not steps < MOST_STEPS:
+        raise ConfigError(f"duration / sampling_time = {steps:g} samples; allowed: 1 to {MOST_STEPS:.0e}")
+    if round(steps) < 1 or abs(round(steps) * sampling_time - duration) > 1e-9 * max(duration, sampling_time):
+        raise ConfigError(
+            f"duration = {duration:g} must be a whole multiple of sampling_time = {sampling_time:g}"
+        )
+    return round(steps)
 
 
-def _listed(what: str, chosen: Sequence[str] | None) -> tuple[str, ...]:
-    if isinstance(chosen, str):
-        raise ConfigError(f'{what}: needed: a list of names, got the text "{chosen}"')
-    listed = tuple(chosen or ())
-    twice = [name for name in dict.fromkeys(listed) if listed.count(name) > 1]
-    if twice:
-        raise ConfigError([f'{what}: "{name}" is listed more than once' for name in twice])
-    return listed
+def end_time(start_time: float, steps: int, sampling_time: float) -> float:
+    """Return the time of the last sample [s].
+
+    Raises
+    ------
+    ConfigError
+        The start time is not a number, or so large that one sample cannot be told from the next.
+    """
+    if not _is_finite(start_time):
+        raise ConfigError(f"start_time = {start_time} is not possible; allowed: a finite number")
+    end = start_time + steps * sampling_time
+    if np.spacing(max(abs(start_time), abs(end))) > 1e-3 * sampling_time:
+        raise ConfigError(
+            f"start_time = {start_time:g} is too large: samples {sampling_time:g} s apart coincide there"
+        )
+    return end
 
 
-class Sensors:
-    """What the controller sees of the plant's outputs."""
+def check_seed(seed: int) -> None:
+    """Raise ConfigError if this seed is not possible."""
+    if not isinstance(seed, Integral) or seed < 0:
+        raise ConfigError(f"seed = {seed!r} is not possible; allowed: a whole number >= 0")
 
-    def __init__(self, wiring: Wiring, noise: GaussianNoise | None, rng: np.random.Generator) -> None:
-        self._outputs, self._measured = wiring.output_index, wiring.measured_index
-        self._rng = rng
-        deviations = noise.standard_deviation if noise else {}
-        plant_outputs = int(max(wiring.output_index.max(), wiring.measured_index.max())) + 1
-        self._deviation = np.zeros(plant_outputs)
-        for index, variable in zip(wiring.measured_index, wiring.measurements, strict=True):
-            self._deviation[index] = deviations.get(variable.name, 0.0)
+
+def check_events(events: Sequence[ParameterChange], end: float) -> None:
+    """Raise ConfigError for every event that would never act on the plant, as the run ends before."""
+    late = [event.time for event in events if not event.time < end]
+    if late:
+        advice = f"the run ends at t = {end:g} s; choose an earlier time or a longer duration"
+        raise ConfigError([f"events: the one at t = {time:g} s would not happen: {advice}" for time in late])
+
+
+def check_names(what: str, given: Iterable[str], known: Sequence[Variable]) -> None:
+    """Raise ConfigError for every given name that is not among the known variables."""
+    unknown = [name for name in given if name not in names(known)]
+    if unknown:
+        raise ConfigError(
+            [f'{what}: no signal "{name}"; {did_you_mean(name, names(known))}' for name in unknown]
+        )
+
+
+def excitation_table(excitation: Excitation, inputs: int) -> FloatArray:
+    """Return an excitation, which may be of any class, shape (T, inputs)."""
+    table = np.asarray(excitation.draw(inputs), dtype=np.float64)
+    if table.ndim != 2 or not len(table) or table.shape[1] != inputs or not np.isfinite(table).all():
+        needed = f"needed: finite values, shape (T, {inputs}) with T >= 1"
+        raise ConfigError(f"excitation: {type(excitation).__name__}.draw: shape {table.shape}; {needed}")
+    return table
+
+
+class LoopSetup:
+    """A plant in a loop: which outputs are controlled, which are measured, with what noise and limits.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    sampling_time, outputs, measurements, bounds, noise, seed
+        As in :func:`ddpc_cosim.cosimulate`.
+
+    Raises
+    ------
+    ConfigError
+        Names that the plant does not have, impossible values, or nothing to drive or to read.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        sampling_time: float,
+        outputs: Sequence[str] | None,
+        measurements: Sequence[str] | None,
+        bounds: Mapping[str, tuple[float, float]] | None,
+        noise: GaussianNoise | None,
+        seed: int,
+    ) -> None:
+        check_sampling_time(sampling_time)
+        check_seed(seed)
+        missing = [what for what, has in (("inputs", plant.inputs), ("outputs", plant.outputs)) if not has]
+        if missing:
+            raise ConfigError([f"the plant has no {what}: there is nothing to control" for what in missing])
+        available = names(plant.outputs)
+        controlled = _chosen("outputs", outputs) or available
+        measured = _chosen("measurements", measurements) or available
+        check_names("outputs and measurements", dict.fromkeys((*controlled, *measured)), plant.outputs)
+        self.plant, self.sampling_time, self._seed = plant, sampling_time, seed
+        self._outputs = np.array([available.index(name) for name in controlled], dtype=np.intp)
+        self._measured = np.array([available.index(name) for name in measured], dtype=np.intp)
+        self.outputs = tuple(plant.outputs[i] for i in self._outputs)
+        self.measurements = tuple(plant.outputs[i] for i in self._measured)
+        self.bounds = _bounds(plant.inputs, self.outputs, bounds or {})
+        self._rng = self._stream(NOISE_STREAM)
+        self._deviation = self._deviations(noise.standard_deviation if noise else {})
         self._noisy = bool(self._deviation.any())
+
+    def _stream(self, number: int) -> np.random.Generator:
+        return np.random.default_rng([self._seed, number])
+
+    def _deviations(self, given: Mapping[str, float]) -> FloatArray:
+        """Return the noise of the plant's outputs up to the last that takes part."""
+        check_names("noise", given, self.measurements)
+        deviations = np.zeros(int(max(self._outputs.max(), self._measured.max())) + 1)
+        for index, variable in zip(self._measured, self.measurements, strict=True):
+            deviations[index] = given.get(variable.name, 0.0)
+        return deviations
 
     def controlled(self, y_plant: FloatArray) -> FloatArray:
         """Return the controlled outputs without noise, shape (p,)."""
@@ -92,19 +163,76 @@ class Sensors:
             y_plant[:n] += self._deviation * self._rng.standard_normal(n)
         return y_plant[self._outputs], y_plant[self._measured]
 
+    def references(self, reference: Reference | Mapping[str, Reference], time: FloatArray) -> FloatArray:
+        """Return the references of all outputs at all times, shape (len(time), p)."""
+        if isinstance(reference, Reference):
+            if len(self.outputs) != 1:
+                raise ConfigError(f"reference: give one for each output: {', '.join(names(self.outputs))}")
+            reference = {self.outputs[0].name: reference}
+        check_names("reference", reference, self.outputs)
+        missing = [name for name in names(self.outputs) if name not in reference]
+        if missing:
+            raise ConfigError(f"reference: none for {', '.join(missing)}")
+        table = np.column_stack([_values(v.name, reference[v.name], time) for v in self.outputs])
+        table.setflags(write=False)  # controllers are handed views of it
+        return table
 
-def loop_bounds(plant: Plant, wiring: Wiring, given: Mapping[str, tuple[float, float]]) -> Bounds:
+    def loop(self, stream: int, recording: Recording | None = None, *, continues: bool = False) -> Loop:
+        """Return what a controller learns; raise DataError for a recording of another loop."""
+        if recording is not None:
+            self._check_recording(recording)
+        return Loop(
+            sampling_time=self.sampling_time,
+            inputs=self.plant.inputs,
+            outputs=self.outputs,
+            measurements=self.measurements,
+            bounds=self.bounds,
+            recording=_protected(recording),
+            rng=self._stream(stream),
+            continues_recording=continues,
+        )
+
+    def _check_recording(self, recording: Recording) -> None:
+        columns = {
+            "inputs": (recording.u.shape[1], len(self.plant.inputs)),
+            "controlled outputs": (recording.y.shape[1], len(self.outputs)),
+            "measurements": (recording.measured.shape[1], len(self.measurements)),
+        }
+        faults = [f"{has} {what}, the loop {here}" for what, (has, here) in columns.items() if has != here]
+        if not np.isclose(recording.sampling_time, self.sampling_time, rtol=1e-9, atol=0.0):
+            faults.append(f"sampling time {recording.sampling_time:g} s, the loop {self.sampling_time:g} s")
+        if faults:
+            raise DataError(f"recording: it does not fit the loop: it has {'; '.join(faults)}")
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, Real) and math.isfinite(value)
+
+
+def _chosen(what: str, chosen: Sequence[str] | None) -> tuple[str, ...]:
+    if isinstance(chosen, str):
+        raise ConfigError(f'{what}: needed: a list of names, got the text "{chosen}"')
+    listed = tuple(chosen or ())
+    twice = [name for name in dict.fromkeys(listed) if listed.count(name) > 1]
+    if twice:
+        raise ConfigError([f'{what}: "{name}" is listed more than once' for name in twice])
+    return listed
+
+
+def _bounds(
+    inputs: Sequence[Variable], outputs: Sequence[Variable], given: Mapping[str, tuple[float, float]]
+) -> Bounds:
     """Return the limits of inputs and controlled outputs: those given, else the plant's own."""
-    check_names("bounds", given, (*plant.inputs, *wiring.outputs))
+    check_names("bounds", given, (*inputs, *outputs))
     faults = [fault for name, pair in given.items() if (fault := _bounds_fault(name, pair))]
     if faults:
         raise ConfigError(faults)
     limits = [
         np.array([given.get(v.name, (v.min, v.max)) for v in variables], dtype=float).reshape(-1, 2)
-        for variables in (plant.inputs, wiring.outputs)
+        for variables in (inputs, outputs)
     ]
     for table in limits:
-        table.setflags(write=False)  # the master saturates at what controllers are shown
+        table.setflags(write=False)  # the master clips at what controllers are shown
     return Bounds(limits[0][:, 0], limits[0][:, 1], limits[1][:, 0], limits[1][:, 1])
 
 
@@ -116,23 +244,8 @@ def _bounds_fault(name: str, pair: Any) -> str:
     return "" if low < high else f"bounds of {name}: {low:g} must be below {high:g}"
 
 
-def reference_table(
-    reference: Reference | Mapping[str, Reference], outputs: Sequence[Variable], time: FloatArray
-) -> FloatArray:
-    """Return the references of all outputs at all times, shape (len(time), p)."""
-    if isinstance(reference, Reference):
-        if len(outputs) != 1:
-            raise ConfigError(f"reference: give one for each output: {', '.join(names(outputs))}")
-        reference = {outputs[0].name: reference}
-    check_names("reference", reference, outputs)
-    missing = [name for name in names(outputs) if name not in reference]
-    if missing:
-        raise ConfigError(f"reference: none for {', '.join(missing)}")
-    return np.column_stack([_values(name, reference[name], time) for name in names(outputs)])
-
-
 def _values(name: str, reference: Reference, time: FloatArray) -> FloatArray:
-    """Return the values of one reference, which may be anybody's class, shape (len(time),)."""
+    """Return the values of one reference, which may be of any class, shape (len(time),)."""
     try:
         values = np.asarray(reference.at(time.copy()), dtype=np.float64)
     except Exception as error:
@@ -145,10 +258,11 @@ def _values(name: str, reference: Reference, time: FloatArray) -> FloatArray:
     return values
 
 
-def check_names(what: str, given: Iterable[str], known: Sequence[Variable]) -> None:
-    """Raise ConfigError for every given name that is not among the known variables."""
-    unknown = [name for name in given if name not in names(known)]
-    if unknown:
-        raise ConfigError(
-            [f'{what}: no signal "{name}"; {did_you_mean(name, names(known))}' for name in unknown]
-        )
+def _protected(recording: Recording | None) -> Recording | None:
+    """Return a recording that a controller can only read: others may learn from the same one."""
+    if recording is None:
+        return None
+    u, y, measured = (array.view() for array in (recording.u, recording.y, recording.measured))
+    for view in (u, y, measured):
+        view.setflags(write=False)
+    return Recording(u, y, measured, recording.sampling_time)

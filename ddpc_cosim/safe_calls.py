@@ -1,144 +1,97 @@
-"""Calls of plants and controllers: whatever theirs raise or return becomes one of this project's errors."""
+"""Calls of plants and controllers: whatever theirs raise or return becomes one of this project's errors.
+
+Plants fail with an ``FMUStepError``, controllers with a ``ControllerError``; errors of this project that the
+contract lets them raise themselves pass unchanged.
+"""
 
 import math
 import reprlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_cosim.controller import OK, Action, Controller, Loop, Sample
+from ddpc_cosim.controller import OK, Action, Bounds, Controller, Loop, Sample
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.variables import FloatArray, Variable
+from ddpc_cosim.variables import FloatArray
 
-# Somebody's code can fail in any way, exit() included; an interrupt is the user's.
+CLIPPED = "input beyond its bounds, clipped"
+"""Status of a sample at which a controller asked for more than its bounds allow."""
+
+# A plug-in can fail in any way, exit() included; an interrupt is the user's.
 _ANY_FAULT = (Exception, SystemExit)
 _REAL_KINDS = "fiub"
+# An input may exceed its bounds by a rounding error, relative to the largest finite bound.
+_ROUNDING = 1e-9
 
 
 class Decision(NamedTuple):
-    """What a controller decided.
-
-    Parameters
-    ----------
-    u : array, shape (m,)
-        Inputs to hold until the next sample.
-    status : str
-        ``"ok"``, or why ``u`` is a fallback.
-    seconds : float
-        Wall-clock time of its ``step`` [s].
-    """
+    """What a controller decided: inputs, shape (m,); ``"ok"`` or why they are a fallback; wall time [s]."""
 
     u: NDArray[Any]
     status: str
     seconds: float
 
 
-def make_plant(make: Callable[[], Plant]) -> Plant:
-    """Make a plant.
+class NotFiniteError(Exception):
+    """The plant returned a value that is not finite."""
 
-    Raises
-    ------
-    CosimError
-        What its constructor says itself; an ``FMUStepError`` for anything else that it raises.
-    """
-    try:
+
+def make_plant(make: Callable[[], Plant]) -> Plant:
+    """Make a plant, which may raise any CosimError itself."""
+    with _plant_errors(getattr(make, "__name__", repr(make)) + "()", own=CosimError):
         return make()
-    except CosimError:
-        raise
-    except _ANY_FAULT as error:
-        name = getattr(make, "__name__", repr(make))
-        raise FMUStepError(f"{name}() {_raised(error)}", StepStatus.CRASHED, math.nan) from error
 
 
 def close_plant(plant: Plant) -> None:
-    """Close a plant.
-
-    Raises
-    ------
-    FMUStepError
-        The plant failed.
-    """
-    try:
+    """Close a plant."""
+    with _plant_errors(f"{type(plant).__name__}.close"):
         plant.close()
-    except FMUStepError:
-        raise
-    except _ANY_FAULT as error:
-        message = f"{type(plant).__name__}.close {_raised(error)}"
-        raise FMUStepError(message, StepStatus.CRASHED, math.nan) from error
 
 
 def reset_plant(plant: Plant, parameters: Mapping[str, ParameterValue] | None, t0: float) -> FloatArray:
-    """Reset a plant and return its outputs, shape (p,).
-
-    Raises
-    ------
-    CosimError
-        What the plant says itself; an ``FMUStepError`` for anything else that it raises, and for outputs
-        that are none.
-    """
-    try:
+    """Reset a plant, which may raise any CosimError itself, and return its outputs, shape (p,)."""
+    with _plant_errors(f"{type(plant).__name__}.reset", t0, own=CosimError):
         y = np.asarray(plant.reset(parameters, t0))
-    except CosimError:
-        raise
-    except _ANY_FAULT as error:
-        raise _plant_fault(plant, "reset", _raised(error), t0) from error
     return _outputs(plant, "reset", y, t0)
 
 
 def step_plant(plant: Plant, u: FloatArray, h: float, time: float) -> FloatArray:
-    """Step a plant from ``time`` [s] on and return its outputs, shape (p,).
-
-    Raises
-    ------
-    FMUStepError
-        The plant failed, or returned what are no outputs.
-    """
-    try:
+    """Step a plant by h [s] from ``time`` [s] on and return its outputs, shape (p,)."""
+    with _plant_errors(f"{type(plant).__name__}.step", time):
         y = np.asarray(plant.step(u, h))
-    except FMUStepError:
-        raise
-    except _ANY_FAULT as error:
-        raise _plant_fault(plant, "step", _raised(error), time) from error
     return _outputs(plant, "step", y, time + h)
 
 
 def set_plant_parameters(plant: Plant, parameters: Mapping[str, ParameterValue], time: float) -> None:
-    """Change a plant's tunable parameters at ``time`` [s].
-
-    Raises
-    ------
-    ConfigError
-        The plant refuses.
-    FMUStepError
-        The plant failed.
-    """
-    try:
+    """Change tunable parameters at ``time`` [s]; a plant that refuses them raises ConfigError."""
+    with _plant_errors(f"{type(plant).__name__}.set_parameters", time, own=(ConfigError, FMUStepError)):
         plant.set_parameters(parameters)
-    except (ConfigError, FMUStepError):
-        raise
+
+
+def plant_provenance(plant: Plant) -> dict[str, str]:
+    """Return the identifiers of a plant; a failure to tell them does not prevent the run."""
+    try:
+        return {str(name): str(value) for name, value in plant.provenance().items()}
     except _ANY_FAULT as error:
-        raise _plant_fault(plant, "set_parameters", _raised(error), time) from error
+        return {"class": type(plant).__qualname__, "provenance": _raised(error)}
+
+
+def require_finite(y_plant: FloatArray, plant: Plant) -> None:
+    """Raise NotFiniteError if an output is not finite."""
+    if not np.isfinite(y_plant).all():
+        bad = int(np.flatnonzero(~np.isfinite(y_plant))[0])
+        raise NotFiniteError(f"output {plant.outputs[bad].name} is {y_plant[bad]}")
 
 
 def start_controller(controller: Controller, loop: Loop) -> None:
-    """Start a controller.
-
-    Raises
-    ------
-    CosimError
-        What the controller says itself; a ``ControllerError`` for anything else that it raises, and for a
-        horizon that is no number of samples.
-    """
-    try:
+    """Start a controller, which may raise any CosimError itself, and check its horizon."""
+    with _controller_errors(controller, "start", own=CosimError):
         controller.start(loop)
-    except CosimError:
-        raise
-    except _ANY_FAULT as error:
-        raise _controller_fault(controller, "start", _raised(error)) from error
     horizon = controller.horizon
     if not isinstance(horizon, int | np.integer) or isinstance(horizon, bool) or horizon < 0:
         what = f"{type(controller).__name__}.horizon = {horizon!r}"
@@ -146,35 +99,78 @@ def start_controller(controller: Controller, loop: Loop) -> None:
 
 
 def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decision:
-    """Let a controller decide on its inputs, shape (inputs,).
-
-    Raises
-    ------
-    ControllerError
-        The controller raised, or returned something else than finite real inputs.
-    """
+    """Let a controller decide on its inputs, shape (inputs,), which have to be finite."""
     status = OK
-    try:
+    with _controller_errors(controller, "step", own=ControllerError):
         started = perf_counter()
         answer = controller.step(sample)
         seconds = perf_counter() - started
         if isinstance(answer, Action):
             status, answer = str(answer.status), answer.u
         u = np.asarray(answer)
-    except _ANY_FAULT as error:
-        raise _controller_fault(controller, "step", _raised(error)) from error
     if u.shape != (inputs,) or u.dtype.kind not in _REAL_KINDS or not np.isfinite(u).all():
         needed = f"needed: finite values, shape ({inputs},)"
-        raise _controller_fault(controller, "step", f"{_returned(u)}; {needed}")
+        raise ControllerError(f"{type(controller).__name__}.step {_returned(u)}; {needed}")
     return Decision(u, status, seconds)
 
 
+def clip_inputs(decision: Decision, bounds: Bounds) -> Decision:
+    """Return a decision within the bounds; one that was beyond them is a fallback, and its status says so."""
+    u, status, seconds = decision
+    held = np.minimum(np.maximum(u, bounds.u_min), bounds.u_max)
+    if not np.array_equal(held, u):
+        limits = np.abs(np.stack((bounds.u_min, bounds.u_max)))
+        largest = np.where(np.isfinite(limits), limits, 0.0).max(axis=0)
+        if (np.abs(u - held) > _ROUNDING * largest).any():
+            status = CLIPPED if status == OK else f"{status}; {CLIPPED}"
+    return Decision(held, status, seconds)
+
+
+def controller_settings(controller: Controller) -> dict[str, Any]:
+    """Return the settings of a controller."""
+    with _controller_errors(controller, "settings"):
+        return dict(controller.settings())
+
+
+def controller_diagnostics(controller: Controller) -> dict[str, float]:
+    """Return what a controller says about its data or model, in numbers."""
+    with _controller_errors(controller, "diagnostics"):
+        return {str(name): float(value) for name, value in controller.diagnostics().items()}
+
+
+_Own = type[Exception] | tuple[type[Exception], ...]
+
+
+@contextmanager
+def _plant_errors(call: str, time: float = math.nan, own: _Own = FMUStepError) -> Iterator[None]:
+    """Raise an FMUStepError for anything that a plant raises, except its ``own`` errors."""
+    try:
+        yield
+    except own:
+        raise
+    except _ANY_FAULT as error:
+        when = "" if math.isnan(time) else f" at t = {time:g} s"
+        raise FMUStepError(f"{call} {_raised(error)}{when}", StepStatus.CRASHED, time) from error
+
+
+@contextmanager
+def _controller_errors(controller: Controller, call: str, own: _Own = ()) -> Iterator[None]:
+    """Raise a ControllerError for anything that a controller raises, except its ``own`` errors."""
+    try:
+        yield
+    except own:
+        raise
+    except _ANY_FAULT as error:
+        raise ControllerError(f"{type(controller).__name__}.{call} {_raised(error)}") from error
+
+
 def _outputs(plant: Plant, call: str, y: NDArray[Any], time: float) -> FloatArray:
-    """Return a plant's answer if it can be its outputs; whether they are finite is for others to say."""
+    """Return a plant's answer if it can be its outputs; whether they are finite, the loop checks."""
     size = len(plant.outputs)
     if y.shape != (size,) or y.dtype.kind not in _REAL_KINDS:
         needed = f"needed: real numbers, shape ({size},)"
-        raise _plant_fault(plant, call, f"{_returned(y)}; {needed}", time)
+        message = f"{type(plant).__name__}.{call} {_returned(y)}; {needed} at t = {time:g} s"
+        raise FMUStepError(message, StepStatus.CRASHED, time)
     return np.asarray(y, dtype=np.float64)
 
 
@@ -182,61 +178,5 @@ def _returned(answer: NDArray[Any]) -> str:
     return f"returned {reprlib.repr(answer.tolist())}, shape {answer.shape}"
 
 
-def controller_settings(controller: Controller) -> dict[str, Any]:
-    """Return the settings of a controller.
-
-    Raises
-    ------
-    ControllerError
-        It cannot tell them.
-    """
-    try:
-        return dict(controller.settings())
-    except _ANY_FAULT as error:
-        raise _controller_fault(controller, "settings", _raised(error)) from error
-
-
-def controller_diagnostics(controller: Controller) -> dict[str, float]:
-    """Return what a controller says about its data or model.
-
-    Raises
-    ------
-    ControllerError
-        It raised, or told something else than numbers.
-    """
-    try:
-        return {str(name): float(value) for name, value in controller.diagnostics().items()}
-    except _ANY_FAULT as error:
-        raise _controller_fault(controller, "diagnostics", _raised(error)) from error
-
-
-def plant_provenance(plant: Plant) -> dict[str, str]:
-    """Return what identifies a plant; what it cannot tell is no reason not to run it."""
-    try:
-        return {str(name): str(value) for name, value in plant.provenance().items()}
-    except _ANY_FAULT as error:
-        return {"class": type(plant).__qualname__, "provenance": _raised(error)}
-
-
 def _raised(error: BaseException) -> str:
     return f"raised {type(error).__name__}: {error}".removesuffix(": ")
-
-
-def _plant_fault(plant: Plant, call: str, what: str, time: float) -> FMUStepError:
-    message = f"{type(plant).__name__}.{call} {what} at t = {time:g} s"
-    return FMUStepError(message, StepStatus.CRASHED, time)
-
-
-def _controller_fault(controller: Controller, call: str, what: str) -> ControllerError:
-    return ControllerError(f"{type(controller).__name__}.{call} {what}")
-
-
-class NotFiniteError(Exception):
-    """The plant returned a value that is not finite."""
-
-
-def require_finite(y_plant: FloatArray, outputs: Sequence[Variable]) -> None:
-    """Raise NotFiniteError if an output is not finite."""
-    if not np.isfinite(y_plant).all():
-        bad = int(np.flatnonzero(~np.isfinite(y_plant))[0])
-        raise NotFiniteError(f"output {outputs[bad].name} is {y_plant[bad]}")

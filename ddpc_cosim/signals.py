@@ -102,8 +102,22 @@ class Sine(Reference):
         return self.offset + self.amplitude * np.sin(2 * np.pi * self.frequency * time + self.phase)
 
 
+class Excitation(ABC):
+    """What an experiment applies to a plant, or adds to the inputs of a controller that stabilises it."""
+
+    @abstractmethod
+    def draw(self, inputs: int) -> FloatArray:
+        """Return the excitation of all inputs, shape (T, inputs), in their units, time along axis 0.
+
+        Raises
+        ------
+        ConfigError
+            It is made for another number of inputs.
+        """
+
+
 @dataclass(frozen=True, slots=True)
-class UniformRandom:
+class UniformRandom(Excitation):
     """An excitation: independent uniform samples, one stream of ``numpy.random.RandomState`` for all inputs.
 
     Sample by sample the stream serves the inputs in their order, so that one input's data of a seed equal
@@ -140,7 +154,7 @@ class UniformRandom:
             raise ConfigError([f"uniform excitation: {fault}" for fault in faults])
 
     def draw(self, inputs: int) -> FloatArray:
-        """Return the excitation of all inputs, shape (samples, inputs).
+        """Return the excitation of all inputs, shape (samples, inputs), time along axis 0.
 
         Raises
         ------

@@ -1,5 +1,6 @@
 """The experiment about a stabilising controller: what is applied, recorded, refused."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,7 @@ from ddpc_cosim import (
     Controller,
     ControllerError,
     DataError,
+    Excitation,
     FloatArray,
     Loop,
     Plant,
@@ -104,6 +106,69 @@ def test_the_excitation_is_added_and_what_is_recorded_was_applied() -> None:
     assert recording.u == pytest.approx(expected)
     assert recording.y[1:] == pytest.approx(1.5 * recording.y[:-1] + recording.u[:-1])
     assert np.abs(recording.y).max() < 0.3
+
+
+def test_an_excitation_alone_is_applied_beyond_the_limits_of_the_loop_too() -> None:
+    recording = record(Unstable(), UniformRandom(-9.0, 9.0, samples=5), sampling_time=0.5)
+    assert np.array_equal(recording.u, UniformRandom(-9.0, 9.0, samples=5).draw(1))
+    assert np.abs(recording.u).max() > 1.0
+
+
+@dataclass
+class Given(Excitation):
+    """An excitation of anyone's."""
+
+    table: object
+
+    def draw(self, inputs: int) -> FloatArray:
+        return self.table  # type: ignore[return-value]
+
+
+def test_an_excitation_can_be_of_any_class() -> None:
+    table = np.array([[0.1], [-0.2], [0.3]])
+    recording = record(Unstable(), Given(table), sampling_time=0.5)
+    assert np.array_equal(recording.u, table)
+    assert recording.y[:, 0] == pytest.approx([0.1, 0.25, 0.175])
+
+
+@pytest.mark.parametrize(
+    ("table", "shape"),
+    [(np.ones(3), "(3,)"), (np.ones((3, 2)), "(3, 2)"), (np.full((3, 1), np.nan), "(3, 1)")],
+)
+def test_an_excitation_that_cannot_be_applied_is_refused(table: FloatArray, shape: str) -> None:
+    with pytest.raises(
+        ConfigError, match=re.escape(f"excitation: Given.draw: shape {shape}; needed: finite")
+    ):
+        record(Unstable(), Given(table), sampling_time=0.5)
+
+
+def test_a_stabiliser_can_do_with_its_sample_what_it_likes() -> None:
+    class Careless(Proportional):
+        def step(self, sample: Sample) -> Action:
+            action = super().step(sample)
+            sample.y[:] = sample.measured[:] = 7.0
+            return action
+
+    careful, careless = experiment(Proportional()), experiment(Careless())
+    assert careless.y.tobytes() == careful.y.tobytes()
+    assert careless.measured.tobytes() == careful.measured.tobytes()
+
+
+def test_limits_that_the_excitation_meets_are_not_the_stabilisers_fault() -> None:
+    reader = Reader()
+    trace = cosimulate(
+        Unstable(),
+        reader,
+        sampling_time=0.5,
+        duration=1.0,
+        reference=Constant(0.0),
+        excitation=EXCITATION,
+        stabiliser=Proportional(),
+        bounds={"u": (-0.15, 0.2)},
+    )
+    assert reader.loop.recording is not None
+    assert reader.loop.recording.u.min() == -0.15
+    assert trace.diagnostics["stabiliser_fallbacks"] == 5
 
 
 def test_the_applied_inputs_keep_their_limits() -> None:

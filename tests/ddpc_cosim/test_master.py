@@ -29,6 +29,7 @@ from ddpc_cosim import (
 )
 
 Call = tuple[object, ...]
+CLIPPED = "input beyond its bounds, clipped"
 
 
 class Integrators(Plant):
@@ -150,9 +151,41 @@ def test_controllers_cannot_change_the_reference() -> None:
     assert "read-only" in trace.reason
 
 
-def test_inputs_are_saturated_at_the_bounds_and_the_trace_says_so() -> None:
-    trace = close_loop(Integrators(), Scripted(script=[[9.0], [-9.0], [0.5]]), bounds={"u0": (-1.0, 1.5)})
-    assert np.array_equal(trace.u[:, 0], [1.5, -1.0, 0.5, 0.5, 0.5])
+def test_inputs_are_clipped_at_the_bounds_and_the_trace_says_so() -> None:
+    script = [[9.0], [-9.0], [1.5], [-1.0], [0.5]]
+    trace = close_loop(Integrators(), Scripted(script=script), bounds={"u0": (-1.0, 1.5)})
+    assert np.array_equal(trace.u[:, 0], [1.5, -1.0, 1.5, -1.0, 0.5])
+    assert trace.status == (CLIPPED, CLIPPED, "ok", "ok", "ok")
+    assert trace.failures == 2
+
+
+@pytest.mark.parametrize(
+    ("bounds", "asked", "counts"),
+    [
+        ((-1.0, 1e3), 1e3 * (1 + 1e-10), False),
+        ((-1.0, 1e3), 1e3 * (1 + 1e-8), True),
+        ((0.0, 1e3), -1e-7, False),  # beside a limit of zero the other limit says what is small
+        ((0.0, 1e3), -1e-5, True),
+        ((-np.inf, 2.0), 2.0 + 1e-12, False),
+        ((0.0, np.inf), -1e-300, True),
+    ],
+)
+def test_a_rounding_error_beyond_a_bound_is_clipped_and_not_counted(
+    bounds: tuple[float, float], asked: float, counts: bool
+) -> None:
+    trace = close_loop(Integrators(), Scripted(script=[[asked]]), bounds={"u0": bounds})
+    assert bounds[0] <= trace.u[0, 0] <= bounds[1]
+    assert trace.status[0] == (CLIPPED if counts else "ok")
+
+
+def test_a_fallback_beyond_the_bounds_keeps_its_reason() -> None:
+    class Failing(Scripted):
+        def step(self, sample: Sample) -> Action:  # type: ignore[override]
+            return Action(np.full(1, 9.0), "infeasible")
+
+    trace = close_loop(Integrators(), Failing())
+    assert trace.status[0] == f"infeasible; {CLIPPED}"
+    assert trace.failures == len(trace)
 
 
 def test_without_bounds_the_plant_s_own_hold() -> None:
