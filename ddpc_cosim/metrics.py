@@ -1,168 +1,24 @@
-"""Figures taken from one trace, in display units.
+"""Metrics of one run: a registry that files, terminal and reports follow, so that one is added here alone.
 
-Figures of the response are taken over the *held* samples: those whose inputs acted on the plant (the last
-sample of a completed run, at which the run ends, is left out). Keys read ``name.signal [unit]``.
+Metrics of the response are taken over the *held* samples: those whose inputs acted on the plant (the last
+sample of a completed run, at which the run ends, is left out). Keys read ``name.signal [unit]``; values are
+in the variables' display units, and NaN where there is none.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ddpc_cosim.trace import Trace
 from ddpc_cosim.variables import FloatArray, Variable
-
-
-class MetricInfo(NamedTuple):
-    """What a metric means, and which direction is better (empty where neither is)."""
-
-    label: str
-    description: str
-    better: Literal["low", "high", ""] = "low"
-
-
-METRICS: dict[str, MetricInfo] = {
-    "sum_abs_error": MetricInfo("Absolute integral error", "sum of |reference - output| over the samples"),
-    "iae": MetricInfo("IAE", "integral of |reference - output| over time"),
-    "rmse": MetricInfo("RMSE", "root mean square of reference - output"),
-    "min_abs_error": MetricInfo("Minimum absolute error", "smallest |reference - output|"),
-    "max_abs_error": MetricInfo("Maximum absolute error", "largest |reference - output|"),
-    "settled_error": MetricInfo(
-        "Settled error",
-        "largest mean error over the last fifth of a stretch of constant reference, in magnitude",
-    ),
-    "overshoot": MetricInfo(
-        "Overshoot", "largest excursion beyond the new reference after a step, of the step"
-    ),
-    "rise_time": MetricInfo(
-        "Rise time", "median time from 10 % to 90 % of a step; NaN if one is not reached"
-    ),
-    "settling_time": MetricInfo(
-        "Settling time",
-        "longest time after a step until the output stays within 5 % of it; NaN if it does not",
-    ),
-    "bound_violation_max": MetricInfo("Largest bound violation", "how far the output went beyond its limits"),
-    "bound_violation_time": MetricInfo(
-        "Time beyond bounds", "time of samples with the output beyond its limits"
-    ),
-    "max_abs_input": MetricInfo("Maximum absolute input", "largest |input|", ""),
-    "max_abs_change": MetricInfo(
-        "Largest input change", "largest |change of the input| from sample to sample"
-    ),
-    "rms_change": MetricInfo(
-        "RMS input change", "root mean square change of the input from sample to sample"
-    ),
-    "total_variation": MetricInfo("Actuator travel", "sum of |change of the input| over the samples"),
-    "time_at_bounds": MetricInfo("Time at input limits", "time of samples with the input at a limit", ""),
-    "solve_time_mean": MetricInfo("Mean step time", "mean wall-clock time of a controller step"),
-    "solve_time_median": MetricInfo("Median step time", "median wall-clock time of a controller step"),
-    "solve_time_p95": MetricInfo(
-        "95 % step time", "95th percentile of the wall-clock time of a controller step"
-    ),
-    "solve_time_p99": MetricInfo(
-        "99 % step time", "99th percentile of the wall-clock time of a controller step"
-    ),
-    "solve_time_max": MetricInfo("Longest step time", "longest wall-clock time of a controller step"),
-    "deadline_misses": MetricInfo("Deadline misses", "controller steps longer than the sampling time"),
-    "failures": MetricInfo("Fallbacks", "samples at which the controller reported a fallback"),
-    "samples": MetricInfo("Samples", "rows of the trace", ""),
-}
 
 _SETTLED_FRACTION = 0.2
 _SETTLING_BAND = 0.05
-
-
-def split_key(key: str) -> tuple[str, str, str]:
-    """Split a metric's key into name, signal and unit; the signal is empty for figures of the whole run."""
-    head, _, unit = key.partition(" [")
-    name, _, signal = head.partition(".")
-    return name, signal, unit.removesuffix("]")
-
-
-def metrics(trace: Trace) -> dict[str, float]:
-    """Return the figures of a trace by key; NaN where a figure does not exist."""
-    with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
-        return _metrics(trace)
-
-
-def _metrics(trace: Trace) -> dict[str, float]:
-    table: dict[str, float] = {}
-    rows = slice(0, trace.held)
-    for i, output in enumerate(trace.outputs):
-        limits = (trace.bounds.y_min[i], trace.bounds.y_max[i])
-        table.update(_output_metrics(output, trace, trace.reference[rows, i], trace.y[rows, i], limits))
-    for i, variable in enumerate(trace.inputs):
-        limits = (trace.bounds.u_min[i], trace.bounds.u_max[i])
-        table.update(_input_metrics(variable, trace.u[rows, i], limits, trace.sampling_time))
-    table.update(_time_metrics(trace))
-    return table
-
-
-def _output_metrics(
-    output: Variable, trace: Trace, reference: FloatArray, y: FloatArray, limits: tuple[float, float]
-) -> dict[str, float]:
-    shown, h = output.shown_in, trace.sampling_time
-    scale = abs(shown.factor)
-    error = (reference - y) * shown.factor
-    magnitude = np.abs(error)
-    steps = list(_steps(reference, y))
-    beyond = np.maximum(np.maximum(y - limits[1], limits[0] - y), 0.0) * scale
-    values = {
-        "sum_abs_error": (_or_nan(lambda e: float(e.sum()), magnitude), shown.name),
-        "iae": (_or_nan(lambda e: float(e.sum()) * h, magnitude), f"{shown.name}.s".lstrip(".")),
-        "rmse": (_or_nan(lambda e: math.sqrt(float(np.mean(e**2))), error), shown.name),
-        "min_abs_error": (_or_nan(lambda e: float(e.min()), magnitude), shown.name),
-        "max_abs_error": (_or_nan(lambda e: float(e.max()), magnitude), shown.name),
-        "settled_error": (_settled_error(reference, error), shown.name),
-        "overshoot": (100 * max((step.overshoot() for step in steps), default=math.nan), "%"),
-        "rise_time": (h * _median([step.rise_samples() for step in steps]), "s"),
-        "settling_time": (
-            h * max((step.settling_samples() for step in steps), default=math.nan, key=_nan_last),
-            "s",
-        ),
-        "bound_violation_max": (_or_nan(lambda e: float(e.max()), beyond), shown.name),
-        "bound_violation_time": (float(np.count_nonzero(beyond)) * h, "s"),
-    }
-    return {f"{name}.{output.name} [{unit or '1'}]": value for name, (value, unit) in values.items()}
-
-
-def _input_metrics(
-    variable: Variable, u: FloatArray, limits: tuple[float, float], h: float
-) -> dict[str, float]:
-    shown = variable.shown_in
-    values = shown.from_unit(u)
-    change = np.abs(np.diff(u, prepend=np.clip(variable.start, *limits))) * abs(shown.factor)
-    span = limits[1] - limits[0]
-    tolerance = 1e-9 * span if math.isfinite(span) else 0.0
-    at_limit = (u >= limits[1] - tolerance) | (u <= limits[0] + tolerance)
-    table = {
-        "max_abs_input": (_or_nan(lambda v: float(np.abs(v).max()), values), shown.name),
-        "max_abs_change": (_or_nan(lambda v: float(v.max()), change), shown.name),
-        "rms_change": (_or_nan(lambda v: math.sqrt(float(np.mean(v**2))), change), shown.name),
-        "total_variation": (float(change.sum()), shown.name),
-        "time_at_bounds": (float(np.count_nonzero(at_limit)) * h, "s"),
-    }
-    return {f"{name}.{variable.name} [{unit or '1'}]": value for name, (value, unit) in table.items()}
-
-
-def _time_metrics(trace: Trace) -> dict[str, float]:
-    times = trace.solve_time[np.isfinite(trace.solve_time)]
-    mean, median, p95, p99, longest = (math.nan,) * 5
-    if times.size:
-        mean, longest = float(times.mean()), float(times.max())
-        median, p95, p99 = (float(value) for value in np.percentile(times, (50, 95, 99)))
-    return {
-        "solve_time_mean [s]": mean,
-        "solve_time_median [s]": median,
-        "solve_time_p95 [s]": p95,
-        "solve_time_p99 [s]": p99,
-        "solve_time_max [s]": longest,
-        "deadline_misses [1]": float(np.count_nonzero(times > trace.sampling_time)),
-        "failures [1]": float(trace.failures),
-        "samples [1]": float(len(trace)),
-    }
 
 
 class _Step(NamedTuple):
@@ -191,30 +47,390 @@ def _stretches(reference: FloatArray) -> Iterator[tuple[int, int]]:
             yield int(first), int(end)
 
 
-def _steps(reference: FloatArray, y: FloatArray) -> Iterator[_Step]:
-    """Yield the steps of the reference; a stretch of one or two rows is a moving reference, not a step."""
-    for first, end in _stretches(reference):
-        size = reference[first] - y[first]
-        if end - first > 2 and abs(size) > 1e-9 * max(1.0, abs(reference[first])):
-            yield _Step((y[first:end] - y[first]) / size)
+@dataclass(frozen=True)
+class _Signal:
+    """A signal over the held samples.
+
+    Parameters
+    ----------
+    variable : Variable
+        The controlled output or the input.
+    values : array, shape (K,)
+        Its values, in its unit.
+    limits : tuple of float
+        Its bounds in the run, in its unit.
+    sampling_time : float
+        Time between samples [s].
+    """
+
+    variable: Variable
+    values: FloatArray
+    limits: tuple[float, float]
+    sampling_time: float
 
 
-def _settled_error(reference: FloatArray, error: FloatArray) -> float:
+@dataclass(frozen=True)
+class Response(_Signal):
+    """A controlled output over the held samples, and its reference, shape (K,)."""
+
+    reference: FloatArray
+
+    @cached_property
+    def error(self) -> FloatArray:
+        """Reference minus output, in the display unit."""
+        return (self.reference - self.values) * self.variable.shown_in.factor
+
+    @cached_property
+    def magnitude(self) -> FloatArray:
+        """The error without its sign."""
+        return np.abs(self.error)
+
+    @cached_property
+    def beyond(self) -> FloatArray:
+        """How far the output lies beyond its limits, in the display unit; zero within them."""
+        excess = np.maximum(self.values - self.limits[1], self.limits[0] - self.values)
+        return np.maximum(excess, 0.0) * abs(self.variable.shown_in.factor)
+
+    @cached_property
+    def steps(self) -> list[_Step]:
+        """The steps of the reference; a stretch of one or two rows is a moving reference, not a step."""
+        found, y = [], self.values
+        for first, end in _stretches(self.reference):
+            new = self.reference[first]
+            size = new - y[first]
+            if end - first > 2 and abs(size) > 1e-9 * max(1.0, abs(new)):
+                found.append(_Step((y[first:end] - y[first]) / size))
+        return found
+
+
+@dataclass(frozen=True)
+class Actuation(_Signal):
+    """An input over the held samples."""
+
+    @cached_property
+    def magnitude(self) -> FloatArray:
+        """The input without its sign, in the display unit."""
+        return np.abs(self.variable.shown_in.from_unit(self.values))
+
+    @cached_property
+    def change(self) -> FloatArray:
+        """Magnitude of the change at every sample, the first one from rest, in the display unit."""
+        rest = np.clip(self.variable.start, *self.limits)
+        return np.abs(np.diff(self.values, prepend=rest)) * abs(self.variable.shown_in.factor)
+
+    @cached_property
+    def at_limit(self) -> NDArray[np.bool_]:
+        """Whether the input is at one of its limits, at every sample."""
+        span = self.limits[1] - self.limits[0]
+        tolerance = 1e-9 * span if math.isfinite(span) else 0.0
+        return (self.values >= self.limits[1] - tolerance) | (self.values <= self.limits[0] + tolerance)
+
+
+@dataclass(frozen=True)
+class StepTimes:
+    """The controller's steps: times [s], shape (K,), NaN without a step; fallbacks; rows of the trace."""
+
+    solve_time: FloatArray
+    sampling_time: float
+    fallbacks: int
+    rows: int
+
+    @cached_property
+    def times(self) -> FloatArray:
+        """The times of the steps that were taken [s]."""
+        return self.solve_time[np.isfinite(self.solve_time)]
+
+
+Samples = TypeVar("Samples")
+
+
+@dataclass(frozen=True)
+class Metric(Generic[Samples]):
+    """How a metric is computed, and how it is shown.
+
+    Parameters
+    ----------
+    of : type
+        What it is computed from: a controlled output, an input, or the controller's steps.
+    label : str
+        Its name in sentences.
+    description : str
+        What it is, in one line.
+    compute : callable
+        Takes the samples and returns the value.
+    unit : {"difference", "value", "difference.s", "%", "s", "1"}
+        Its unit: that of the signal, for a difference of two values or for a value; the same times seconds;
+        or the one given.
+    better : {"low", "high", ""}
+        Which values are better; empty where neither are.
+    over_seeds : {"median", "largest", "total"}
+        How the cases of several seeds are summed up in one value.
+    title, group : str
+        Heading in the report's tables, and the heading above it; without a title the metric stands in
+        ``metrics.csv`` alone.
+    short : str
+        Heading in the terminal's table; empty if it is not shown there.
+    """
+
+    of: type[Samples]
+    label: str
+    description: str
+    compute: Callable[[Samples], float]
+    unit: Literal["difference", "value", "difference.s", "%", "s", "1"] = "difference"
+    better: Literal["low", "high", ""] = "low"
+    over_seeds: Literal["median", "largest", "total"] = "median"
+    title: str = ""
+    group: str = ""
+    short: str = ""
+
+    def rank(self, value: float) -> float:
+        """Return a number by which values are sorted, the best first."""
+        return -value if self.better == "high" else value
+
+
+def split_key(key: str) -> tuple[str, str, str]:
+    """Split a metric's key into name, signal and unit; the signal is empty for metrics of the whole run."""
+    head, _, unit = key.partition(" [")
+    name, _, signal = head.partition(".")
+    return name, signal, unit.removesuffix("]")
+
+
+def compute_metrics(
+    responses: Iterable[Response], actuations: Iterable[Actuation], step_times: StepTimes
+) -> dict[str, float]:
+    """Return the metrics of a run by key: those of every output, of every input, and of the steps."""
+    table: dict[str, float] = {}
+    registry: Mapping[str, Metric[Any]] = METRICS
+    with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
+        for samples in (*responses, *actuations, step_times):
+            for name, metric in registry.items():
+                if isinstance(samples, metric.of):
+                    table[_key(name, metric.unit, samples)] = metric.compute(samples)
+    return table
+
+
+def _key(name: str, unit: str, samples: Response | Actuation | StepTimes) -> str:
+    if isinstance(samples, StepTimes):
+        return f"{name} [{unit}]"
+    shown = samples.variable.shown_in.name
+    units = {"difference": shown, "value": shown, "difference.s": f"{shown}.s".lstrip(".")}
+    return f"{name}.{samples.variable.name} [{units.get(unit, unit) or '1'}]"
+
+
+def _largest(values: FloatArray) -> float:
+    return float(values.max()) if values.size else math.nan
+
+
+def _smallest(values: FloatArray) -> float:
+    return float(values.min()) if values.size else math.nan
+
+
+def _total(values: FloatArray) -> float:
+    return float(values.sum()) if values.size else math.nan
+
+
+def _mean(values: FloatArray) -> float:
+    return float(values.mean()) if values.size else math.nan
+
+
+def _rms(values: FloatArray) -> float:
+    return math.sqrt(float(np.mean(values**2))) if values.size else math.nan
+
+
+def _percentile(values: FloatArray, percent: float) -> float:
+    return float(np.percentile(values, percent)) if values.size else math.nan
+
+
+def _settled_error(response: Response) -> float:
     settled = [
-        abs(float(error[end - max(1, round(_SETTLED_FRACTION * (end - first))) : end].mean()))
-        for first, end in _stretches(reference)
+        abs(float(response.error[end - max(1, round(_SETTLED_FRACTION * (end - first))) : end].mean()))
+        for first, end in _stretches(response.reference)
         if end - first > 2
     ]
     return max(settled, default=math.nan)
 
 
-def _or_nan(figure: Callable[[FloatArray], float], values: FloatArray) -> float:
-    return figure(values) if values.size else math.nan
+def _overshoot(response: Response) -> float:
+    return 100 * max((step.overshoot() for step in response.steps), default=math.nan)
 
 
-def _median(values: list[float]) -> float:
-    return float(np.median(values)) if values else math.nan
+def _rise_time(response: Response) -> float:
+    samples = [step.rise_samples() for step in response.steps]
+    return response.sampling_time * (float(np.median(samples)) if samples else math.nan)
 
 
-def _nan_last(value: float) -> float:
-    return math.inf if math.isnan(value) else value
+def _settling_time(response: Response) -> float:
+    samples = [step.settling_samples() for step in response.steps]
+    longest = math.nan if any(map(math.isnan, samples)) else max(samples, default=math.nan)
+    return response.sampling_time * longest
+
+
+METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[StepTimes]] = {
+    "sum_abs_error": Metric(
+        Response,
+        "Absolute integral error",
+        "sum of |reference - output| over the samples",
+        lambda r: _total(r.magnitude),
+        title="tracking cost",
+        short="sum |error|",
+    ),
+    "iae": Metric(
+        Response,
+        "IAE",
+        "integral of |reference - output| over time",
+        lambda r: _total(r.magnitude) * r.sampling_time,
+        "difference.s",
+    ),
+    "rmse": Metric(Response, "RMSE", "root mean square of reference - output", lambda r: _rms(r.error)),
+    "min_abs_error": Metric(
+        Response, "Minimum absolute error", "smallest |reference - output|", lambda r: _smallest(r.magnitude)
+    ),
+    "max_abs_error": Metric(
+        Response, "Maximum absolute error", "largest |reference - output|", lambda r: _largest(r.magnitude)
+    ),
+    "settled_error": Metric(
+        Response,
+        "Settled error",
+        "largest mean error over the last fifth of a stretch of constant reference; who looks ahead and "
+        "moves before a step pays for it here",
+        _settled_error,
+        title="settled error",
+        short="settled",
+    ),
+    "overshoot": Metric(
+        Response,
+        "Overshoot",
+        "largest excursion beyond the new reference after a step, of the step",
+        _overshoot,
+        "%",
+    ),
+    "rise_time": Metric(
+        Response,
+        "Rise time",
+        "median time from 10 % to 90 % of a step; NaN if one is not reached",
+        _rise_time,
+        "s",
+    ),
+    "settling_time": Metric(
+        Response,
+        "Settling time",
+        "longest time after a step until the output stays within 5 % of it; NaN if it does not",
+        _settling_time,
+        "s",
+    ),
+    "bound_violation_max": Metric(
+        Response,
+        "Largest bound violation",
+        "how far the output went beyond its limits",
+        lambda r: _largest(r.beyond),
+        over_seeds="largest",
+        title="beyond bounds",
+    ),
+    "bound_violation_time": Metric(
+        Response,
+        "Time beyond bounds",
+        "time of samples with the output beyond its limits",
+        lambda r: float(np.count_nonzero(r.beyond)) * r.sampling_time,
+        "s",
+    ),
+    "max_abs_input": Metric(
+        Actuation,
+        "Maximum absolute input",
+        "largest |input|",
+        lambda a: _largest(a.magnitude),
+        "value",
+        better="",
+        short="max |input|",
+    ),
+    "max_abs_change": Metric(
+        Actuation,
+        "Largest input change",
+        "largest |change of the input| from sample to sample",
+        lambda a: _largest(a.change),
+    ),
+    "rms_change": Metric(
+        Actuation,
+        "RMS input change",
+        "root mean square change of the input from sample to sample",
+        lambda a: _rms(a.change),
+    ),
+    "total_variation": Metric(
+        Actuation,
+        "Actuator travel",
+        "sum of |change of the input|",
+        lambda a: float(a.change.sum()),
+        title="actuator travel",
+    ),
+    "time_at_bounds": Metric(
+        Actuation,
+        "Time at input limits",
+        "time of samples with the input at a limit",
+        lambda a: float(np.count_nonzero(a.at_limit)) * a.sampling_time,
+        "s",
+        better="",
+    ),
+    "solve_time_mean": Metric(
+        StepTimes,
+        "Mean step time",
+        "mean wall-clock time of a controller step",
+        lambda s: _mean(s.times),
+        "s",
+    ),
+    "solve_time_median": Metric(
+        StepTimes,
+        "Median step time",
+        "median wall-clock time of a controller step",
+        lambda s: _percentile(s.times, 50),
+        "s",
+        title="median",
+        group="step time",
+    ),
+    "solve_time_p95": Metric(
+        StepTimes,
+        "95 % step time",
+        "95th percentile of the wall-clock time of a controller step",
+        lambda s: _percentile(s.times, 95),
+        "s",
+    ),
+    "solve_time_p99": Metric(
+        StepTimes,
+        "99 % step time",
+        "99th percentile of the wall-clock time of a controller step",
+        lambda s: _percentile(s.times, 99),
+        "s",
+        title="99\u00a0%",
+        group="step time",
+    ),
+    "solve_time_max": Metric(
+        StepTimes,
+        "Longest step time",
+        "longest wall-clock time of a controller step",
+        lambda s: _largest(s.times),
+        "s",
+        over_seeds="largest",
+        title="longest",
+        group="step time",
+    ),
+    "deadline_misses": Metric(
+        StepTimes,
+        "Deadline misses",
+        "steps longer than the sampling time",
+        lambda s: float(np.count_nonzero(s.times > s.sampling_time)),
+        "1",
+        over_seeds="total",
+        title="missed",
+        group="steps",
+    ),
+    "failures": Metric(
+        StepTimes,
+        "Fallbacks",
+        "steps with a substitute for the input",
+        lambda s: float(s.fallbacks),
+        "1",
+        over_seeds="total",
+        title="fallback",
+        group="steps",
+    ),
+    "samples": Metric(StepTimes, "Samples", "rows of the trace", lambda s: float(s.rows), "1", better=""),
+}
+"""All metrics, in the order of files and tables."""

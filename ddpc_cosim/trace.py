@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ddpc_cosim.controller import OK, Bounds
+from ddpc_cosim.metrics import Actuation, Response, StepTimes, compute_metrics
 from ddpc_cosim.variables import FloatArray, Variable
 
 if TYPE_CHECKING:
@@ -106,10 +107,21 @@ class Trace:
         return sum(status != OK for status in self.status)
 
     def metrics(self) -> dict[str, float]:
-        """Return the figures of :mod:`ddpc_cosim.metrics`, in the variables' display units."""
-        from ddpc_cosim.metrics import metrics
-
-        return metrics(self)
+        """Return the metrics of :mod:`ddpc_cosim.metrics` by key, in the variables' display units."""
+        rows, h, bounds = slice(0, self.held), self.sampling_time, self.bounds
+        y_limits = zip(bounds.y_min, bounds.y_max, strict=True)
+        u_limits = zip(bounds.u_min, bounds.u_max, strict=True)
+        return compute_metrics(
+            [
+                Response(output, self.y[rows, i], limits, h, self.reference[rows, i])
+                for i, (output, limits) in enumerate(zip(self.outputs, y_limits, strict=True))
+            ],
+            [
+                Actuation(variable, self.u[rows, i], limits, h)
+                for i, (variable, limits) in enumerate(zip(self.inputs, u_limits, strict=True))
+            ],
+            StepTimes(self.solve_time, h, self.failures, len(self)),
+        )
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the numeric columns under the headers of ``signals.csv``, each of shape (K,).

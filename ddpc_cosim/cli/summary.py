@@ -10,14 +10,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ddpc_cosim.metrics import split_key
+from ddpc_cosim.metrics import METRICS, split_key
 from ddpc_cosim.study.results import METRICS_FILE, CaseResult, StudyResults
 from ddpc_cosim.trace import Outcome
 
-_SHOWN = {"sum_abs_error": "sum |error|", "settled_error": "settled", "max_abs_input": "max |input|"}
 _RANGE = "range"
-# What a narrow window leaves out, one after the other.
-_DISPENSABLE = ("max_abs_input", "settled_error", _RANGE)
 _VARIANTS_SHOWN = 2
 _LONGEST_NAME = 60
 _UNLIMITED = 10_000
@@ -39,7 +36,9 @@ def summary_table(results: StudyResults, console: Console) -> Table:
     """
     unlimited = console.options.update(width=_UNLIMITED)
     several_seeds = len({case.seed for case in results.cases}) > 1
-    order = _DISPENSABLE if several_seeds else (_RANGE, *_DISPENSABLE)
+    # What a narrow window leaves out, one after the other: all metrics but the first, then the range.
+    metrics = [*reversed(_shown()[1:])]
+    order = [*metrics, _RANGE] if several_seeds else [_RANGE, *metrics]
     for dropped in range(0 if several_seeds else 1, len(order) + 1):
         table = _table(results, left_out=order[:dropped])
         if console.measure(table, options=unlimited).maximum <= console.width:
@@ -47,9 +46,13 @@ def summary_table(results: StudyResults, console: Console) -> Table:
     return table
 
 
+def _shown() -> list[str]:
+    return [name for name, metric in METRICS.items() if metric.short]
+
+
 def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
     first = results.cases[0]
-    keys = [key for key in first.metrics if (name := split_key(key)[0]) in _SHOWN and name not in left_out]
+    keys = [key for key in first.metrics if (name := split_key(key)[0]) in _shown() and name not in left_out]
     rows = _rows(results, keys[0] if keys else "")
     several = len({case.scenario for case in results.cases}) > 1
     table = Table(
@@ -101,9 +104,9 @@ def _indented(variant: Sequence[CaseResult], own: Sequence[Sequence[CaseResult]]
 
 
 def _rank(cases: Sequence[CaseResult], key: str) -> tuple[int, float]:
-    """Order by cases lost, then by the median of a metric; what has none comes last."""
+    """Order by cases lost, then by the median of a metric, the best first; what has none comes last."""
     values = _completed_values(cases, key)
-    return (len(cases) - len(values), median(values) if values else math.inf)
+    return (len(cases) - len(values), METRICS[split_key(key)[0]].rank(median(values)) if values else math.inf)
 
 
 def _completed_values(cases: Sequence[CaseResult], key: str) -> list[float]:
@@ -125,7 +128,7 @@ def _title(results: StudyResults) -> Text:
 
 def _heading(key: str) -> Text:
     name, signal, unit = split_key(key)
-    return Text(f"{_SHOWN[name]}\n{signal} [{unit}]")
+    return Text(f"{METRICS[name].short}\n{signal} [{unit}]")
 
 
 def _spread(cases: Sequence[CaseResult], key: str) -> str:

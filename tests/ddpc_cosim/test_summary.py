@@ -8,10 +8,11 @@ from rich.console import Console
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults
 from ddpc_cosim.cli.summary import summary_table
+from ddpc_cosim.metrics import METRICS
 from ddpc_cosim.study.sections import Study
 
 COST = "sum_abs_error.angle [deg]"
-METRICS = {COST: 0.0, "settled_error.angle [deg]": 0.1, "max_abs_input.torque [N.m]": 3.0}
+VALUES = {COST: 0.0, "settled_error.angle [deg]": 0.1, "max_abs_input.torque [N.m]": 3.0}
 
 
 def study(variants: int) -> Study:
@@ -40,7 +41,7 @@ def results(variants: int, lost: str = "") -> StudyResults:
         varied = told.controllers[key].variant_of
         label = f"DeePC, horizon = {place - 1}" if varied else told.controllers[key].label or key
         for seed in told.seeds:
-            figures = METRICS | {COST: 100.0 - place + 0.5 * seed, "solve_time_median [s]": 2e-5}
+            figures = VALUES | {COST: 100.0 - place + 0.5 * seed, "solve_time_median [s]": 2e-5}
             outcome = Outcome.DIVERGED if key == lost else Outcome.COMPLETED
             head = (f"{key}_{seed}", key, label, "nominal", seed, outcome, "")
             cases.append(CaseResult(*head, figures, {}, {}, Path()))
@@ -92,3 +93,11 @@ def test_one_seed_needs_no_range() -> None:
     first = replace(some, cases=tuple(case for case in some.cases if case.seed == 1))
     assert "over the seeds" in "".join(printed(some))
     assert "over the seeds" not in "".join(printed(first))
+
+
+def test_the_best_settings_of_a_sweep_follow_from_the_direction_of_the_metric(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(METRICS, "sum_abs_error", replace(METRICS["sum_abs_error"], better="high"))
+    rows = [line.strip().split("  ")[0] for line in printed(results(4)) if "horizon" in line]
+    assert rows == ["horizon = 0", "horizon = 1"]
