@@ -27,6 +27,7 @@ from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.data.dictionaries import Dictionary, ThinPlate, embed, memory_of, require_dictionary
 from ddpc_controllers.data.hankel import require_informative
 from ddpc_controllers.data.windows import StateWindow, matching_recording, resting_input
+from ddpc_controllers.models.linear import SampledModel
 from ddpc_controllers.mpc import Predictor, TrackingSettings
 from ddpc_controllers.optimisation.limits import PREDICTED
 from ddpc_controllers.scaling import ScaledSignals
@@ -38,25 +39,7 @@ STATE_KINDS = ("measured", "delays")
 _NEGLIGIBLE = 1e-12
 
 
-@dataclass(frozen=True, slots=True)
-class LiftedModel:
-    """A linear model of lifted states.
-
-    Parameters
-    ----------
-    a, b, c : array, shapes (n_z, n_z), (n_z, m), (p, n_z)
-        The matrices.
-    error : array, shape (n_z,)
-        Root mean square of the one-step prediction errors over the recording.
-    """
-
-    a: FloatArray
-    b: FloatArray
-    c: FloatArray
-    error: FloatArray
-
-
-def fit_lifted_model(z: FloatArray, u: FloatArray, y: FloatArray, ridge: float = 0.0) -> LiftedModel:
+def fit_lifted_model(z: FloatArray, u: FloatArray, y: FloatArray, ridge: float = 0.0) -> SampledModel:
     """Fit ``z+ = A z + B u`` by regularised least squares, and ``y = C z``.
 
     C reads off the outputs that are among the lifted states, and is fitted to others.
@@ -67,6 +50,11 @@ def fit_lifted_model(z: FloatArray, u: FloatArray, y: FloatArray, ridge: float =
         Lifted states, inputs and outputs, time along axis 0.
     ridge : float
         Weight of the squared coefficients, for observables and inputs scaled to unit size.
+
+    Returns
+    -------
+    model : SampledModel
+        ``one_step_error`` is the root mean square of the prediction errors of the state predicted worst.
 
     Raises
     ------
@@ -80,9 +68,10 @@ def fit_lifted_model(z: FloatArray, u: FloatArray, y: FloatArray, ridge: float =
     dynamics = _least_squares(scaled[:-1], z[1:] / size[:n_z], ridge)
     shown = _least_squares(scaled[:, :n_z], y, 0.0).T / size[:n_z]
     both = (dynamics.T / size) * size[:n_z, np.newaxis]
-    model = both[:, :n_z], both[:, n_z:], _reading_off(shown, z, y)
+    a, b, c = both[:, :n_z], both[:, n_z:], _reading_off(shown, z, y)
     errors = z[1:] - np.hstack([z, u])[:-1] @ both.T
-    return LiftedModel(*model, error=_root_mean_square(errors))
+    fit = {"one_step_error": float(_root_mean_square(errors).max())}
+    return SampledModel(a, b, c, np.zeros(u.shape[1]), np.zeros(y.shape[1]), len(z), fit)
 
 
 class LiftedState:
@@ -280,5 +269,4 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         return {
             "model_order": float(len(self._model.a)),
             "spectral_radius": float(np.abs(np.linalg.eigvals(self._model.a)).max()),
-            "one_step_error": float(self._model.error.max()),
-        }
+        } | self._model.fit

@@ -51,7 +51,7 @@ def step_gain(recording: Recording, samples: int) -> FloatArray:
     samples = max(samples, _FEWEST_SAMPLES)
     # Twice as many equations as coefficients.
     lags = max(1, min(samples, len(recording) // (2 * (m + p) + 1)))
-    gain = markov_parameters(fit_arx(recording, lags).state_space(), samples).sum(axis=0)
+    gain = markov_parameters(fit_arx(recording, lags), samples).sum(axis=0)
     return np.asarray(gain * recording.u.std(axis=0) / spread(recording)[:, np.newaxis])
 
 

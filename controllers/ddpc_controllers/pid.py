@@ -120,11 +120,11 @@ def fit_second_order(recording: Recording, output: int, chosen: int) -> SecondOr
     h, samples = recording.sampling_time, len(recording)
     y = recording.y[:, [output]]
     longest = min(_LARGEST_DELAY, samples - least_test_samples(recording.u.shape[1]))
-    fits = [fit_arx(Recording(_delayed(recording.u, d), y, y, h), _LAGS) for d in range(longest + 1)]
-    delay = int(np.argmin([fit.error[0] for fit in fits]))
+    models = [fit_arx(Recording(_delayed(recording.u, d), y, y, h), _LAGS) for d in range(longest + 1)]
+    delay = int(np.argmin([model.fit["one_step_error"] for model in models]))
     u, y = recording.u[: samples - delay], y[delay:]
-    fit = fit_arx(Recording(u, y, y, h), _LAGS)
-    discrete = np.roots([1.0, *(-fit.past_y[:, 0, 0])])
+    model = fit_arx(Recording(u, y, y, h), _LAGS)
+    discrete = np.roots([1.0, *(-model.a[:, 0])])
     if np.abs(discrete).max() > 1.0 + 1.0 / samples:
         raise DataError(
             f"PID: output {output} of the recording grows by itself, by up to {np.abs(discrete).max():.4g} a "
@@ -133,11 +133,11 @@ def fit_second_order(recording: Recording, output: int, chosen: int) -> SecondOr
     # What is slower than the experiment counts as ten times as long, what is faster than sampling as instant.
     slowest = np.exp(-0.1 / samples)
     discrete = np.array([_within(pole, _FASTEST_POLE, slowest) for pole in discrete])
-    gain = float(fit.past_u[:, 0, chosen].sum() / np.prod(1.0 - discrete).real)
+    gain = float(model.b[:, chosen].sum() / np.prod(1.0 - discrete).real)
     if gain == 0.0 or not np.isfinite(gain):
         raise DataError(f"PID: output {output} of the recording does not follow input {chosen}: tune by hand")
     first, second = np.log(discrete.astype(complex)) / h
-    inverse = _inverse_response(fit.past_u[:, 0, chosen], h)
+    inverse = _inverse_response(model.b[:, chosen], h)
     return SecondOrder(gain, (complex(first), complex(second)), delay * h + inverse)
 
 

@@ -75,7 +75,7 @@ def test_without_observables_it_is_dynamic_mode_decomposition() -> None:
     assert np.hstack([model.a, model.b]) == pytest.approx(pseudo_inverse, abs=1e-9)
     assert model.a == pytest.approx(plant.a, abs=1e-9)
     assert model.c == pytest.approx(plant.c, abs=1e-9)
-    assert model.error.max() < 1e-12
+    assert model.fit["one_step_error"] < 1e-12
 
 
 def test_the_ridge_is_that_of_the_normal_equations() -> None:

@@ -89,7 +89,7 @@ def test_a_plant_that_cannot_be_stabilised_is_refused() -> None:
 
 
 def test_what_is_no_model_is_refused() -> None:
-    with pytest.raises(ConfigError, match="LQR: model = None is no source of models"):
+    with pytest.raises(ConfigError, match="LQR: model = None is not a source of models"):
         LQR(model=None)  # type: ignore[arg-type]
 
 

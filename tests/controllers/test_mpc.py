@@ -278,7 +278,7 @@ def test_a_lost_measurement_is_bridged_by_the_model(state_recording: Recording) 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"model": 3}, "model = 3 is no source of models"),
+        ({"model": 3}, "model = 3 is not a source of models"),
         ({"terminal_length": 7}, "horizon = 5 is shorter than terminal_length = 7"),
         ({"terminal_length": 3, "setpoint": "none"}, "ties the horizon's end to the artificial setpoints"),
         ({"rate_bounds": [1.0, -1.0]}, "rate_bounds"),

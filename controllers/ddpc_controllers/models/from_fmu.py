@@ -23,7 +23,7 @@ import numpy as np
 from ddpc_controllers.data.hankel import hankel_matrix, numerical_rank
 from ddpc_controllers.models.control_api import realise
 from ddpc_controllers.models.identification import reduced
-from ddpc_controllers.models.linear import SampledModel, StateSpace
+from ddpc_controllers.models.linear import ModelSource, SampledModel, StateSpace
 from ddpc_cosim import ConfigError, CosimWarning, FloatArray, Loop, Plant, check_settings, setting
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ _CHOICES: tuple[str, ...] = get_args(Derivatives)
 
 
 @dataclass(frozen=True, kw_only=True)
-class FMUModel:
+class FMUModel(ModelSource):
     """The linear model of an FMU about an operating point.
 
     The FMU may be the one that is controlled: it is opened for this, on its own, and closed again. Its inputs
@@ -159,16 +159,7 @@ class FMUModel:
     def __post_init__(self) -> None:
         check_settings(self)
         if not isinstance(self.fmu, str) or not self.fmu:
-            raise ConfigError(f"FMUModel: fmu = {self.fmu!r} is no path of an FMU")
-
-    @property
-    def uses_recording(self) -> bool:
-        """Whether the loop needs a recording: it does not."""
-        return False
-
-    def recording_length(self, inputs: int, outputs: int) -> int:
-        """Return 0."""
-        return 0
+            raise ConfigError(f"FMUModel: fmu = {self.fmu!r} is not a path of an FMU")
 
     def model(self, loop: Loop) -> SampledModel:
         """Linearise the FMU; see :class:`~ddpc_controllers.models.linear.ModelSource`.

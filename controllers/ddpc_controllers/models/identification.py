@@ -14,7 +14,7 @@ import numpy as np
 from ddpc_controllers.data.hankel import require_informative
 from ddpc_controllers.data.windows import matching_recording
 from ddpc_controllers.models.control_api import realise
-from ddpc_controllers.models.linear import SampledModel
+from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_cosim import DataError, FloatArray, Loop, Recording, check_settings, setting
 
 _AT_REST = 1e-8
@@ -24,7 +24,7 @@ _EXACT = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Identified:
+class Identified(ModelSource):
     """A model identified from the loop's recording."""
 
     lags: int = setting(
@@ -61,53 +61,11 @@ class Identified:
         lags = self.lags or choose_lags(recording)
         past, newest_u = _past(_standardised(recording)[0], lags), slice(p, p + m)
         require_informative(past[:, newest_u], np.delete(past, newest_u, axis=1), "Identified")
-        arx = fit_arx(recording, lags, self.ridge)
-        fit = {"lags": float(lags), "one_step_error": float(arx.error.max())}
-        model = reduced(arx.state_space(), self.order)
-        return replace(model, samples=len(recording), fit=fit)
+        return reduced(fit_arx(recording, lags, self.ridge), self.order)
 
 
-@dataclass(frozen=True, slots=True)
-class ARX:
-    """An autoregressive model with inputs.
-
-    Parameters
-    ----------
-    past_y : array, shape (lags, p, p)
-        A_1, A_2, ...
-    past_u : array, shape (lags, p, m)
-        B_1, B_2, ...
-    constant : array, shape (p,)
-        c.
-    error : array, shape (p,)
-        Root mean square of the one-step prediction errors.
-    """
-
-    past_y: FloatArray
-    past_u: FloatArray
-    constant: FloatArray
-    error: FloatArray
-
-    def state_space(self) -> SampledModel:
-        """Return the model in observer form, about an operating point at which it rests."""
-        lags, p, m = self.past_u.shape
-        a = np.zeros((lags * p, lags * p))
-        a[:, :p] = self.past_y.reshape(lags * p, p)
-        a[:-p, p:] = np.eye((lags - 1) * p)
-        b = self.past_u.reshape(lags * p, m)
-        u_0, y_0 = self._operating_point()
-        return SampledModel(a, b, np.eye(p, lags * p), u_0, y_0)
-
-    def _operating_point(self) -> tuple[FloatArray, FloatArray]:
-        """Return inputs and outputs, the nearest to zero, at which the model with its constant rests."""
-        p, m = self.past_u.shape[1:]
-        gain = np.hstack([-self.past_u.sum(axis=0), np.eye(p) - self.past_y.sum(axis=0)])
-        rest, *_ = np.linalg.lstsq(gain, self.constant, rcond=_AT_REST)
-        return rest[:m], rest[m:]
-
-
-def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> ARX:
-    """Fit an autoregressive model to a recording by regularised least squares.
+def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> SampledModel:
+    """Fit an autoregressive model with inputs to a recording by regularised least squares.
 
     Parameters
     ----------
@@ -117,6 +75,13 @@ def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> ARX:
         Number of past samples.
     ridge : float
         Weight of the squared coefficients, for signals scaled to unit size; the constant goes free.
+
+    Returns
+    -------
+    model : SampledModel
+        In observer form, about an operating point at which it rests: the first p columns of A hold A_1,
+        A_2, ... below each other, B holds B_1, B_2, ...; ``one_step_error`` is the root mean square of
+        the one-step prediction errors of the output predicted worst.
     """
     m, p, rows = recording.u.shape[1], recording.y.shape[1], len(recording) - lags
     signals, means, size = _standardised(recording)
@@ -131,12 +96,16 @@ def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> ARX:
     coefficients = solution[:-1].reshape(lags, p + m, p).transpose(0, 2, 1)  # lag, output, signal
     coefficients = coefficients * size[:p, np.newaxis] / size
     constant = means[:p] + solution[-1] * size[:p] - (coefficients @ means).sum(axis=0)
-    return ARX(
-        past_y=coefficients[..., :p],
-        past_u=coefficients[..., p:],
-        constant=constant,
-        error=np.sqrt(np.square(error).mean(axis=0)),
-    )
+    past_y, past_u = coefficients[..., :p], coefficients[..., p:]
+    a = np.zeros((lags * p, lags * p))
+    a[:, :p] = past_y.reshape(lags * p, p)
+    a[:-p, p:] = np.eye((lags - 1) * p)
+    b = past_u.reshape(lags * p, m)
+    # The inputs and outputs nearest to zero at which the model with its constant rests.
+    gain = np.hstack([-past_u.sum(axis=0), np.eye(p) - past_y.sum(axis=0)])
+    rest, *_ = np.linalg.lstsq(gain, constant, rcond=_AT_REST)
+    fit = {"lags": float(lags), "one_step_error": float(np.sqrt(np.square(error).mean(axis=0)).max())}
+    return SampledModel(a, b, np.eye(p, lags * p), rest[:m], rest[m:], len(recording), fit)
 
 
 def choose_lags(recording: Recording) -> int:
@@ -200,4 +169,4 @@ def reduced(model: SampledModel, order: int) -> SampledModel:
         return model
     response = markov_parameters(model, 2 * len(model.a) + 1)
     a, b, c = realise(response, order)
-    return SampledModel(a, b, c, model.u_0, model.y_0)
+    return replace(model, a=a, b=b, c=c)

@@ -15,7 +15,7 @@ from ddpc_controllers.data.hankel import numerical_rank
 from ddpc_controllers.data.windows import resting_input
 from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.identification import Identified
-from ddpc_controllers.models.linear import ModelSource, SampledModel, source_faults
+from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_controllers.scaling import ScaledSignals, Scales
 from ddpc_cosim import ConfigError, FloatArray, Loop, setting
 
@@ -227,4 +227,7 @@ class ModelBased(ScaledSignals):
             self._u, self._resting = loop.recording.u[-1], False
 
     def _faults_between_settings(self) -> list[str]:
-        return source_faults(self.model, type(self).__name__)
+        if isinstance(self.model, ModelSource):
+            return []
+        who = type(self).__name__
+        return [f"{who}: model = {self.model!r} is not a source of models; an example is Identified()"]

@@ -6,6 +6,7 @@ recording), :class:`~ddpc_controllers.models.from_fmu.FMUModel` (from an FMU abo
 plant with :mod:`ddpc_controllers.models.from_fmu`). A controller sees the loop only, never the plant.
 """
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
@@ -30,9 +31,9 @@ class SampledModel:
     u_0, y_0 : array, shapes (m,) and (p,)
         The operating point.
     samples : int
-        What it is good for: a pole nearer to 1 than ``1 / samples`` may be an integrator's.
+        Samples that it rests on: a pole nearer to 1 than ``1 / samples`` may be an integrator's.
     fit : dict of str to float
-        Figures of its identification, by name.
+        Quality of its identification, by name.
     """
 
     a: FloatArray
@@ -46,15 +47,18 @@ class SampledModel:
 
 @runtime_checkable
 class ModelSource(Protocol):
-    """Where a controller's linear model comes from."""
+    """Where a controller's linear model comes from; a subclass needs no recording unless it says so."""
 
     @property
     def uses_recording(self) -> bool:
         """Whether the loop needs a recording."""
+        return False
 
     def recording_length(self, inputs: int, outputs: int) -> int:
         """Return the fewest samples of a recording that it can work with."""
+        return 0
 
+    @abstractmethod
     def model(self, loop: Loop) -> SampledModel:
         """Return the model for a loop.
 
@@ -67,15 +71,8 @@ class ModelSource(Protocol):
         """
 
 
-def source_faults(model: object, who: str) -> list[str]:
-    """Return what is wrong with a setting that should be a source of models."""
-    if isinstance(model, ModelSource):
-        return []
-    return [f"{who}: model = {model!r} is no source of models; an example is Identified()"]
-
-
 @dataclass(frozen=True, kw_only=True)
-class StateSpace:
+class StateSpace(ModelSource):
     """A linear model in numbers, continuous or sampled.
 
     A sampled output is measured before the input of its sample is applied, so a direct feedthrough D shows
@@ -101,8 +98,8 @@ class StateSpace:
             "b": (b, (states, inputs)),
             "c": (c, (outputs, states)),
             "d": (d, (outputs, inputs)),
-            "u_0": (self._offset(self.u_0, inputs), (inputs,)),
-            "y_0": (self._offset(self.y_0, outputs), (outputs,)),
+            "u_0": (_vector(self.u_0, inputs), (inputs,)),
+            "y_0": (_vector(self.y_0, outputs), (outputs,)),
         }
         faults = [
             f"StateSpace: {name} has shape {array.shape}; needed: {shape}"
@@ -141,15 +138,6 @@ class StateSpace:
         a, b, c, d = (np.asarray(matrix, dtype=np.float64).tolist() for matrix in model)
         return cls(a=a, b=b, c=c, d=d, u_0=tuple(u_0), y_0=tuple(y_0))
 
-    @property
-    def uses_recording(self) -> bool:
-        """Whether the loop needs a recording: it does not."""
-        return False
-
-    def recording_length(self, inputs: int, outputs: int) -> int:
-        """Return 0."""
-        return 0
-
     def model(self, loop: Loop) -> SampledModel:
         """Return the model at the loop's sampling time; see :class:`ModelSource`."""
         a, b, c, d = self._matrices()
@@ -167,19 +155,16 @@ class StateSpace:
             )
         if d.any():
             a, b, c = _with_last_input(a, b, c, d)
-        return SampledModel(a, b, c, self._offset(self.u_0, wanted[1]), self._offset(self.y_0, wanted[0]))
+        return SampledModel(a, b, c, _vector(self.u_0, wanted[1]), _vector(self.y_0, wanted[0]))
 
     def _matrices(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         a, b, c = (_matrix(name, getattr(self, name)) for name in "abc")
         d = _matrix("d", self.d) if len(self.d) else np.zeros((len(c), b.shape[-1]))
         return a, b, c, d
 
-    def _offset(self, values: Sequence[float], size: int) -> FloatArray:
-        return np.array(values, dtype=np.float64) if len(values) else np.zeros(size)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ModelFunction:
+class ModelFunction(ModelSource):
     """A function of the user's own that makes the model."""
 
     function: str = setting(doc="module:function; called with the Loop, returns a StateSpace")
@@ -187,15 +172,6 @@ class ModelFunction:
     def __post_init__(self) -> None:
         check_settings(self)
         load_target(self.function, "function")
-
-    @property
-    def uses_recording(self) -> bool:
-        """Whether the loop needs a recording: the function decides itself what it looks at."""
-        return False
-
-    def recording_length(self, inputs: int, outputs: int) -> int:
-        """Return 0."""
-        return 0
 
     def model(self, loop: Loop) -> SampledModel:
         """Call the function and return its model at the loop's sampling time; see :class:`ModelSource`."""
@@ -215,6 +191,10 @@ def _matrix(name: str, value: Any) -> FloatArray:
     if matrix.ndim != 2 or not matrix.size:
         raise ConfigError(f"StateSpace: {name} has shape {matrix.shape}; needed: rows of numbers")
     return matrix
+
+
+def _vector(values: Sequence[float], size: int) -> FloatArray:
+    return np.array(values, dtype=np.float64) if len(values) else np.zeros(size)
 
 
 def _with_last_input(

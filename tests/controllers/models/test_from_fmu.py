@@ -298,7 +298,7 @@ def test_what_cannot_be_is_an_error_that_says_so(fmu_of: Any, tmp_path: Path) ->
         model(fmu=fmu_of(cart_pendulum.MODEL))
     with pytest.raises(ConfigError, match="derivatives = 'magic' is not possible"):
         model(derivatives="magic")
-    with pytest.raises(ConfigError, match="fmu = '' is no path of an FMU"):
+    with pytest.raises(ConfigError, match="fmu = '' is not a path of an FMU"):
         model(fmu="")
     with pytest.raises(ConfigError, match="only studies know"):
         model(fmu="{plant}")

@@ -133,8 +133,8 @@ def test_the_constant_of_data_off_the_origin_is_an_operating_point() -> None:
 def test_a_ridge_shrinks_the_coefficients() -> None:
     recording = pendulum_experiment(1)
     free, held = fit_arx(recording, 2), fit_arx(recording, 2, ridge=1e3)
-    assert np.abs(held.past_y).sum() < np.abs(free.past_y).sum()
-    assert held.error[0] > free.error[0]
+    assert np.abs(held.a[:, 0]).sum() < np.abs(free.a[:, 0]).sum()
+    assert held.fit["one_step_error"] > free.fit["one_step_error"]
 
 
 def test_a_recording_too_short_for_the_lags_is_refused() -> None:
@@ -166,7 +166,7 @@ def test_the_lags_chosen_are_those_of_schwarz() -> None:
     for lags in range(1, most + 1):
         # The same samples for every number of lags, the fit by its own least squares.
         cut = Recording(recording.u[most - lags :], recording.y[most - lags :], recording.y[most - lags :], H)
-        variance = (fit_arx(cut, lags).error / recording.y.std(axis=0)) ** 2 + 1e-16
+        variance = (fit_arx(cut, lags).fit["one_step_error"] / recording.y.std(axis=0)) ** 2 + 1e-16
         criteria.append(rows * np.log(variance[0]) + np.log(rows) * 2 * lags)
     assert choose_lags(recording) == 1 + int(np.argmin(criteria))
 
