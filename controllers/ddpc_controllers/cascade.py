@@ -6,21 +6,21 @@ adaptive control cascaded with intelligent PID, Chinese Control and Decision Con
 (section III), and what an i-PID controller has stabilised is one.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from math import isfinite
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.ipid import IPID
 from ddpc_controllers.mfac import MFAPC
+from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined
 from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Recording, Sample, setting
 
 
 @dataclass(kw_only=True)
-class Cascade(Controller):
+class Cascade(Wrapper):
     """An inner and an outer controller; by default i-PID and MFAPC, as in [18].
 
     The inner controller drives the plant's inputs. It controls the controlled outputs, or other measurements
@@ -41,13 +41,8 @@ class Cascade(Controller):
     outer_period: int = setting(1, low=1, doc="samples of the inner loop for one of the outer")
 
     def __post_init__(self) -> None:
-        check_settings_and(self, self._faults)
+        super().__post_init__()
         self.horizon = self.outer.horizon * self.outer_period
-
-    @property
-    def accepts_missing(self) -> bool:
-        """Whether both controllers go on when a measurement is lost."""
-        return self.inner.accepts_missing and self.outer.accepts_missing
 
     def start(self, loop: Loop) -> None:
         """Start both controllers, each with a loop of its own.
@@ -55,12 +50,12 @@ class Cascade(Controller):
         Raises
         ------
         ConfigError
-            ``inner_outputs`` are no measurements, or a controller refuses its loop.
+            ``inner_outputs`` are not among the measurements, or a controller refuses its loop.
         """
         self._chosen = self._choose(loop)
         inner = self._inner_loop(loop)
-        # Copies: what they learn is of this run, not of the settings.
-        self._inner, self._outer = deepcopy(self.inner), deepcopy(self.outer)
+        self._inner, self._outer = Inner(self.inner, "inner"), Inner(self.outer, "outer")
+        self._running = (self._inner, self._outer)
         self._inner.start(inner)
         bounds = Bounds(inner.bounds.y_min, inner.bounds.y_max, loop.bounds.y_min, loop.bounds.y_max)
         self._outer_loop = replace(
@@ -73,30 +68,25 @@ class Cascade(Controller):
         )
         self._begun = False
         self._start_outer()  # refused here, not at the first sample
-        self._target = np.empty((self._inner.horizon, len(inner.outputs)))
+        self._target = np.empty((self._inner.controller.horizon, len(inner.outputs)))
 
     def step(self, sample: Sample) -> Action:
         """Return what the inner controller does about the outer one's latest reference."""
-        faults: list[str] = []
-        info: dict[str, float] = {}
+        actions = []
         y = sample.y if self._chosen is None else sample.measured[self._chosen]
         if not self._begun:
             self._begin_at(y)
         if sample.k % self.outer_period == 0:
             later = sample.reference[self.outer_period - 1 :: self.outer_period]
             slow = sample._replace(k=sample.k // self.outer_period, reference=later)
-            outer = _as_action(self._outer.step(slow))
-            self._target[...] = outer.u
-            _report("outer", outer, faults, info)
-        inner = _as_action(self._inner.step(sample._replace(y=y, reference=self._target.copy())))
-        _report("inner", inner, faults, info)
-        return Action(inner.u, "; ".join(faults), info) if faults else Action(inner.u, info=info)
+            actions.append(self._outer.step(slow))
+            self._target[...] = actions[0].u
+        actions.append(self._inner.step(sample._replace(y=y, reference=self._target.copy())))
+        return joined(actions[-1].u, actions)
 
-    def diagnostics(self) -> Mapping[str, float]:
-        """Return the figures of both, under their names."""
-        return {f"inner.{name}": value for name, value in self._inner.diagnostics().items()} | {
-            f"outer.{name}": value for name, value in self._outer.diagnostics().items()
-        }
+    @property
+    def _held(self) -> Sequence[Controller]:
+        return self.inner, self.outer
 
     def _begin_at(self, y: FloatArray) -> None:
         """Let the outer controller's inputs begin where the inner outputs are, if these are known."""
@@ -140,25 +130,10 @@ class Cascade(Controller):
         bounds = Bounds(loop.bounds.u_min, loop.bounds.u_max, low, high)
         return replace(loop, outputs=outputs, bounds=bounds, recording=recording)
 
-    def _faults(self) -> list[str]:
-        faults = []
-        for name in ("inner", "outer"):
-            controller = getattr(self, name)
-            if not isinstance(controller, Controller):
-                faults.append(f"Cascade: {name} = {controller!r} is not a controller")
-            elif controller.uses_recording:
-                faults.append(
-                    f"Cascade: {name}: {type(controller).__name__} learns from a recording of its own"
-                )
-        return faults
-
-
-def _as_action(answer: FloatArray | Action) -> Action:
-    return answer if isinstance(answer, Action) else Action(answer)
-
-
-def _report(who: str, action: Action, faults: list[str], info: dict[str, float]) -> None:
-    """Add what a controller says besides its inputs."""
-    if action.status != Action(action.u).status:
-        faults.append(f"{who}: {action.status}")
-    info.update({f"{who}.{name}": value for name, value in action.info.items()})
+    def _faults_between_settings(self) -> list[str]:
+        faults = controller_faults("Cascade", inner=self.inner, outer=self.outer)
+        return faults or [
+            f"Cascade: {name}: {type(controller).__name__} learns from a recording of its own"
+            for name, controller in (("inner", self.inner), ("outer", self.outer))
+            if controller.uses_recording
+        ]

@@ -1,19 +1,18 @@
 """Decentralised control: one controller for every group of inputs and outputs, none knowing of the others."""
 
-import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and
+from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined
 from ddpc_cosim import (
     Action,
     Bounds,
     ConfigError,
     Controller,
-    FloatArray,
     Loop,
     Recording,
     Sample,
@@ -25,7 +24,7 @@ from ddpc_cosim import (
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Inputs and outputs that belong together, and who controls them."""
+    """Inputs and outputs that belong together, and what controls them."""
 
     inputs: Sequence[str] = setting(doc="names of the inputs")
     outputs: Sequence[str] = setting(doc="names of the controlled outputs")
@@ -34,17 +33,17 @@ class Group:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        if not isinstance(self.controller, Controller):
-            raise ConfigError(f"Group: controller = {self.controller!r} is no controller")
+        if faults := controller_faults("Group", controller=self.controller):
+            raise ConfigError(faults)
 
     @property
     def name(self) -> str:
-        """The group's name in statuses and figures: its outputs."""
+        """The group's name in statuses and values: its outputs."""
         return "+".join(self.outputs)
 
 
 @dataclass(kw_only=True)
-class Decentralised(Controller):
+class Decentralised(Wrapper):
     """One controller per group of inputs and outputs."""
 
     groups: Sequence[Group] = setting(
@@ -52,18 +51,8 @@ class Decentralised(Controller):
     )
 
     def __post_init__(self) -> None:
-        check_settings_and(self, self._faults_between_settings)
+        super().__post_init__()
         self.horizon = max(group.controller.horizon for group in self.groups)
-
-    @property
-    def uses_recording(self) -> bool:
-        """Whether one of the controllers needs a recording."""
-        return any(group.controller.uses_recording for group in self.groups)
-
-    @property
-    def accepts_missing(self) -> bool:
-        """Whether every one of the controllers goes on when a measurement is lost."""
-        return all(group.controller.accepts_missing for group in self.groups)
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the longest that one of the controllers needs."""
@@ -80,51 +69,42 @@ class Decentralised(Controller):
         Raises
         ------
         ConfigError
-            The groups do not share out the loop's inputs and outputs.
+            An input or an output of the loop is not in exactly one group.
         CosimError
             A controller does not start on its part.
         """
         self._shares = _share_out(self.groups, loop)
         self._inputs = len(loop.inputs)
-        # Copies: groups may have been given one and the same controller.
-        self._controllers = [copy.deepcopy(group.controller) for group in self.groups]
-        for controller, share in zip(self._controllers, self._shares, strict=True):
-            controller.start(_part_of(loop, share))
+        self._running = [Inner(group.controller, group.name) for group in self.groups]
+        for inner, share in zip(self._running, self._shares, strict=True):
+            inner.start(_part_of(loop, share))
 
-    def step(self, sample: Sample) -> FloatArray | Action:
-        """Return the inputs of all controllers, with the faults and figures of each."""
-        u = np.empty(self._inputs)
-        faults, info = [], {}
-        for group, controller, share in zip(self.groups, self._controllers, self._shares, strict=True):
-            answer = controller.step(
+    def step(self, sample: Sample) -> Action:
+        """Return the inputs of all controllers, with the fallbacks and values of each."""
+        actions = [
+            inner.step(
                 sample._replace(
                     y=sample.y[share.outputs],
                     measured=sample.measured[share.measurements],
-                    reference=sample.reference[: controller.horizon, share.outputs],
+                    reference=sample.reference[: inner.controller.horizon, share.outputs],
                 )
             )
-            action = answer if isinstance(answer, Action) else Action(answer)
+            for inner, share in zip(self._running, self._shares, strict=True)
+        ]
+        u = np.empty(self._inputs)
+        for action, share in zip(actions, self._shares, strict=True):
             u[share.inputs] = action.u
-            if action.status != Action(action.u).status:
-                faults.append(f"{group.name}: {action.status}")
-            info.update({f"{group.name}.{name}": value for name, value in action.info.items()})
-        if faults:
-            return Action(u, "; ".join(faults), info)
-        return Action(u, info=info) if info else u
+        return joined(u, actions)
 
-    def diagnostics(self) -> Mapping[str, float]:
-        """Return the figures of all controllers, by group."""
-        return {
-            f"{group.name}.{name}": value
-            for group, controller in zip(self.groups, self._controllers, strict=True)
-            for name, value in controller.diagnostics().items()
-        }
+    @property
+    def _held(self) -> Sequence[Controller]:
+        return [group.controller for group in self.groups]
 
     def _faults_between_settings(self) -> list[str]:
         if not self.groups:
             return ["Decentralised: groups is empty"]
         return [
-            f"Decentralised: groups[{i}] = {group!r} is no group; an example is "
+            f"Decentralised: groups[{i}] = {group!r} is not a group; an example is "
             'Group(inputs=["u"], outputs=["y"], controller=PID())'
             for i, group in enumerate(self.groups)
             if not isinstance(group, Group)
@@ -194,5 +174,5 @@ def _part_of(loop: Loop, share: _Share) -> Loop:
             recording.measured[:, share.measurements],
             recording.sampling_time,
         ),
-        rng=copy.deepcopy(loop.rng),  # each controller draws as if it were alone
+        rng=deepcopy(loop.rng),  # each controller draws as if it were alone
     )

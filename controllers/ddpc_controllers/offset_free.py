@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_controllers.models.identification import fit_arx, markov_parameters
-from ddpc_controllers.scaling import Wrapper
+from ddpc_controllers.wrapper import SingleWrapper
 from ddpc_cosim import Action, Bounds, FloatArray, Loop, Recording, Sample, setting
 
 _FEWEST_SAMPLES = 20
@@ -81,7 +81,7 @@ _AT_A_LIMIT = 1e-9
 
 
 @dataclass(kw_only=True)
-class OffsetFree(Wrapper):
+class OffsetFree(SingleWrapper):
     """A controller whose reference is shifted until there is no offset."""
 
     gain: float = setting(
@@ -109,7 +109,7 @@ class OffsetFree(Wrapper):
         self._start_directions(loop)
         self._reachable = self._directions(self._high > self._low)
 
-    def step(self, sample: Sample) -> FloatArray | Action:
+    def step(self, sample: Sample) -> Action:
         """Return the controller's inputs for the shifted reference."""
         expected = self._expected
         if np.isfinite(sample.y).all():
@@ -127,15 +127,14 @@ class OffsetFree(Wrapper):
         shifted = np.clip(wanted, self._bounds.y_min, self._bounds.y_max)
         self._clipped = shifted[0] != wanted[0]
         self._expected = self._phi * expected + (1.0 - self._phi) * shifted[0]
-        answer = self._inner.step(sample._replace(reference=shifted))
-        u = answer.u if isinstance(answer, Action) else answer
-        self._reachable = self._directions((u > self._low) & (u < self._high))
-        return answer
+        action = self._inner.step(sample._replace(reference=shifted))
+        self._reachable = self._directions((action.u > self._low) & (action.u < self._high))
+        return action
 
     def diagnostics(self) -> Mapping[str, float]:
-        """Return the controller's figures, and the largest disturbance of each output, in its unit."""
+        """Return the controller's values, and the largest disturbance of each output, in its unit."""
         largest = {f"largest_disturbance[{i}]": value for i, value in enumerate(self._largest.tolist())}
-        return {**self._inner.diagnostics(), **largest}
+        return {**super().diagnostics(), **largest}
 
     def _start_directions(self, loop: Loop) -> None:
         """Learn how the inputs move the outputs, where it matters and there is a recording."""

@@ -34,9 +34,10 @@ class Probe(Controller):
 def started(cascade: Cascade, loop: Loop) -> tuple[Probe, Probe]:
     """Start a cascade of probes and return its inner and outer one."""
     cascade.start(loop)
-    assert isinstance(cascade._inner, Probe)
-    assert isinstance(cascade._outer, Probe)
-    return cascade._inner, cascade._outer
+    inner, outer = cascade._inner.controller, cascade._outer.controller
+    assert isinstance(inner, Probe)
+    assert isinstance(outer, Probe)
+    return inner, outer
 
 
 def test_the_outer_controller_sets_the_inner_reference() -> None:

@@ -68,8 +68,7 @@ def test_each_group_gets_its_signals_and_keeps_to_its_inputs() -> None:
     controller.start(loop_of_two())
     sample = Sample(0, 0.0, np.zeros(2), np.zeros(2), np.array([[1.0, 3.0]]))
     answer = controller.step(sample)
-    assert isinstance(answer, np.ndarray)
-    assert answer.tolist() == [3.0, 1.0]
+    assert (answer.u.tolist(), answer.status) == ([3.0, 1.0], "ok")
     assert controller.diagnostics()["y1.proportional[0]"] == 1.0
 
 
@@ -157,7 +156,7 @@ def test_without_a_range_the_nominal_value_is_the_unit() -> None:
     controller = Scaled(controller=PID(proportional=1.0))
     controller.start(loop)
     answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((1, 1), 0.25)))
-    assert answer == pytest.approx([10.0])
+    assert answer.u == pytest.approx([10.0])
     unknown = replace(loop, inputs=(Variable("u0", nominal=0.0),))
     with pytest.raises(ConfigError, match='"u0" cannot be scaled: its nominal value is 0'):
         controller.start(unknown)
@@ -277,12 +276,12 @@ def test_what_is_wrong_inside_a_wrapper_is_found() -> None:
 @pytest.mark.parametrize(
     ("kind", "settings", "message"),
     [
-        (Scaled, {"controller": 3}, "Scaled: controller = 3 is no controller"),
-        (OffsetFree, {"controller": None}, "OffsetFree: controller = None is no controller"),
+        (Scaled, {"controller": 3}, "Scaled: controller = 3 is not a controller"),
+        (OffsetFree, {"controller": None}, "OffsetFree: controller = None is not a controller"),
         (OffsetFree, {"controller": PID(), "gain": 1.5}, "gain = 1.5 is not possible"),
         (Decentralised, {"groups": []}, "groups is empty"),
-        (Decentralised, {"groups": [PID()]}, r"groups\[0\] = PID\(.*\) is no group"),
-        (Group, {"inputs": [], "outputs": [], "controller": 1}, "Group: controller = 1 is no controller"),
+        (Decentralised, {"groups": [PID()]}, r"groups\[0\] = PID\(.*\) is not a group"),
+        (Group, {"inputs": [], "outputs": [], "controller": 1}, "Group: controller = 1 is not a controller"),
     ],
 )
 def test_impossible_wrappers_are_refused(kind: Any, settings: dict[str, Any], message: str) -> None:

@@ -199,14 +199,14 @@ class ModelBased(ScaledSignals):
         ConfigError
             The model or a setting does not fit the loop.
         """
-        self._model = self._scaled_model(loop)
-        super().start(loop)
+        scales = self._scales = Scales(loop, self.scaling)
+        self._model = self._scaled_model(loop, scales)
+        self._start(scales.loop)
 
-    def _scaled_model(self, loop: Loop) -> SampledModel:
+    def _scaled_model(self, loop: Loop, scales: Scales) -> SampledModel:
         """Return the model of scaled signals: identified from them, or given for the signals themselves."""
-        scales = Scales.of(loop, self.scaling)
         if self.model.uses_recording:
-            return self.model.model(scales.scaled_loop(loop))
+            return self.model.model(scales.loop)
         given = self.model.model(loop)
         return replace(
             given,

@@ -1,0 +1,142 @@
+"""What controllers that hold other controllers share."""
+
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+
+from ddpc_controllers.checks import check_settings_and
+from ddpc_cosim import Action, Controller, FloatArray, Loop, Sample, setting
+
+
+class Inner:
+    """A running copy of a controller that another one holds; what it reports carries its name.
+
+    A copy, because the setting stays as it was given, and may be given twice.
+
+    Parameters
+    ----------
+    controller : Controller
+        The controller as it was given.
+    name : str
+        Stands in front of its statuses, and of the names of its values; empty: it reports as if alone.
+
+    Attributes
+    ----------
+    controller : Controller
+        The copy.
+    """
+
+    def __init__(self, controller: Controller, name: str = "") -> None:
+        self.controller = deepcopy(controller)
+        self._name = name
+
+    def start(self, loop: Loop) -> None:
+        """Start the copy.
+
+        Raises
+        ------
+        CosimError
+            What it says itself.
+        """
+        self.controller.start(loop)
+
+    def step(self, sample: Sample) -> Action:
+        """Return its action."""
+        answer = self.controller.step(sample)
+        action = answer if isinstance(answer, Action) else Action(answer)
+        if not self._name:
+            return action
+        status = f"{self._name}: {action.status}" if is_fallback(action) else action.status
+        return Action(action.u, status, self._named(action.info))
+
+    def diagnostics(self) -> dict[str, float]:
+        """Return what it says about its data or model."""
+        return self._named(self.controller.diagnostics())
+
+    def _named(self, values: Mapping[str, float]) -> dict[str, float]:
+        prefix = f"{self._name}." if self._name else ""
+        return {prefix + name: value for name, value in values.items()}
+
+
+def is_fallback(action: Action) -> bool:
+    """Whether an action's inputs are not those that its controller wanted."""
+    return action.status != Action(action.u).status
+
+
+def joined(u: FloatArray, actions: Iterable[Action]) -> Action:
+    """Return inputs with the statuses and the values of several actions."""
+    actions = list(actions)
+    info = {name: value for action in actions for name, value in action.info.items()}
+    fallbacks = [action.status for action in actions if is_fallback(action)]
+    return Action(u, "; ".join(fallbacks), info) if fallbacks else Action(u, info=info)
+
+
+def controller_faults(who: str, **given: object) -> list[str]:
+    """Return which settings do not hold a controller, though they should."""
+    return [
+        f"{who}: {name} = {value!r} is not a controller; an example is PID()"
+        for name, value in given.items()
+        if not isinstance(value, Controller)
+    ]
+
+
+class Wrapper(Controller):
+    """Base of the controllers that hold others: what one of these needs, they need."""
+
+    _running: Sequence[Inner]
+    """The copies that run, set by ``start``."""
+
+    def __post_init__(self) -> None:
+        check_settings_and(self, self._faults_between_settings)
+
+    @property
+    @abstractmethod
+    def _held(self) -> Sequence[Controller]:
+        """The controllers among the settings."""
+
+    @property
+    def uses_recording(self) -> bool:
+        """Whether one of the controllers needs a recording."""
+        return any(controller.uses_recording for controller in self._held)
+
+    @property
+    def accepts_missing(self) -> bool:
+        """Whether all of the controllers go on when a measurement is missing."""
+        return all(controller.accepts_missing for controller in self._held)
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """Return what all controllers say about their data or models."""
+        return {name: value for inner in self._running for name, value in inner.diagnostics().items()}
+
+    @abstractmethod
+    def _faults_between_settings(self) -> list[str]:
+        """Return what is wrong with settings that are possible each by itself."""
+
+
+@dataclass(kw_only=True)
+class SingleWrapper(Wrapper):
+    """Base of the controllers that change what another one sees."""
+
+    controller: Controller = setting(doc="the controller inside")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.horizon = self.controller.horizon
+
+    def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
+        """Return what the controller needs."""
+        return self.controller.recording_length(inputs, outputs, measurements)
+
+    @property
+    def _held(self) -> Sequence[Controller]:
+        return (self.controller,)
+
+    def _start_inside(self, loop: Loop) -> None:
+        """Start a copy of the controller."""
+        self._inner = Inner(self.controller)
+        self._running = (self._inner,)
+        self._inner.start(loop)
+
+    def _faults_between_settings(self) -> list[str]:
+        return controller_faults(type(self).__name__, controller=self.controller)
