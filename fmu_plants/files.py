@@ -1,11 +1,13 @@
-"""Files written so that the same content gives the same bytes, and nobody sees half of one."""
+"""Files written as a whole, archives whose bytes depend on their content alone, and the cache folder."""
 
 import os
-import tempfile
+import uuid
 import zipfile
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
+
+from platformdirs import user_cache_dir
 
 _FIXED_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest a zip archive can hold
 _UNIX = 3
@@ -33,13 +35,34 @@ def write_atomically(path: Path, content: bytes) -> None:
     OSError
         The folder does not exist or cannot be written to.
     """
-    descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    temporary = Path(name)
+    draft = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-        temporary.chmod(0o644)  # mkstemp makes it private
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+        draft.write_bytes(content)
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def cache_dir() -> Path:
+    """Return the folder for what can be rebuilt: ``$DDPC_COSIM_CACHE``, else the user's cache folder."""
+    return Path(os.environ.get("DDPC_COSIM_CACHE") or user_cache_dir("ddpc-cosim", appauthor=False))
+
+
+def write_to_cache(path: Path, content: bytes) -> None:
+    """Write a file below the cache folder, which several processes may do at the same time.
+
+    Raises
+    ------
+    OSError
+        It cannot be written to; the message says how to choose another folder.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, content)
+    except OSError as error:
+        # Windows does not replace a file that is being read; then another process has written it.
+        if not path.is_file():
+            message = (
+                f"{path}: the cache cannot be written to: {error}; set DDPC_COSIM_CACHE to another folder"
+            )
+            raise OSError(message) from error

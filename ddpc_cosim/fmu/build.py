@@ -63,7 +63,8 @@ def compile_sources(folder: Path, model_identifier: str, target: Path, label: st
         There is no compiler, it fails, or the description of the sources is wrong.
     """
     from fmu_plants import ExportError
-    from fmu_plants.export.compiler import cache_dir, find_compiler
+    from fmu_plants.export.compiler import find_compiler
+    from fmu_plants.files import cache_dir, write_to_cache
 
     sources = folder / "sources"
     sets = _source_sets(folder, model_identifier, label)
@@ -77,7 +78,7 @@ def compile_sources(folder: Path, model_identifier: str, target: Path, label: st
         with tempfile.TemporaryDirectory(prefix="ddpc-cosim-") as scratch:
             built = Path(scratch) / target.name
             _build(compiler.command, compiler.libraries, sources, sets, built, label)
-            _store(built, cached)
+            write_to_cache(cached, built.read_bytes())
     target.write_bytes(cached.read_bytes())
 
 
@@ -159,20 +160,6 @@ def _run(command: Sequence[str], folder: Path, label: str) -> None:
         raise FMUImportError(
             f"{label}: no binary for this platform, and {command[0]} cannot compile its C sources:\n{output}"
         )
-
-
-def _store(built: Path, cached: Path) -> None:
-    """Put a library into the cache in one go: several processes may build the same."""
-    cached.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=cached.parent, delete=False) as file:
-        file.write(built.read_bytes())
-    try:
-        Path(file.name).replace(cached)
-    except OSError:
-        # Windows does not replace a file that is being read; then another process has built it.
-        Path(file.name).unlink()
-        if not cached.is_file():
-            raise
 
 
 def _digest(sources: Path, sets: Sequence[_SourceSet], compiler: str) -> str:

@@ -20,6 +20,7 @@ from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.study.sections import Study
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
+from fmu_plants.files import write_atomically
 
 STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "study.toml",
@@ -182,9 +183,9 @@ def write_results(
     facts: dict[str, Any] = {**provenance, "cases": [case.id for case in cases]}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / STUDY_FILE, tomli_w.dumps(content))
-        write_whole(folder / PROVENANCE_FILE, json.dumps(facts, indent=1) + "\n")
-        write_whole(folder / METRICS_FILE, _metrics_table(study, cases))
+        write_atomically(folder / STUDY_FILE, tomli_w.dumps(content).encode())
+        write_atomically(folder / PROVENANCE_FILE, (json.dumps(facts, indent=1) + "\n").encode())
+        write_atomically(folder / METRICS_FILE, _metrics_table(study, cases).encode())
     except OSError as error:
         reason = error.strerror or str(error)
         raise CosimError(f"{folder}: results cannot be written: {reason}; finished cases are kept") from error
@@ -267,16 +268,6 @@ def _move_into_place(draft: Path, folder: Path) -> None:
             raise
         # Another run has just written the same case, and what decides its result is the same.
     shutil.rmtree(older, ignore_errors=True)
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file in one move, so that nobody ever finds half of it."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        draft.write_text(text, encoding="utf-8", newline="")
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def read_run(folder: Path) -> dict[str, Any]:

@@ -13,10 +13,10 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from fmu_plants.export.compiler import Compiler, cache_dir, compile_library, cross_compiler, find_compiler
+from fmu_plants.export.compiler import Compiler, compile_library, cross_compiler, find_compiler
 from fmu_plants.export.description import Description
 from fmu_plants.export.platforms import Platform, binary_files, parse_platforms
-from fmu_plants.files import write_atomically, zip_bytes
+from fmu_plants.files import cache_dir, write_atomically, write_to_cache, zip_bytes
 from fmu_plants.model import ExportError, PlantModel
 
 DEFAULT_TOLERANCE = 1e-10
@@ -127,7 +127,12 @@ def export_fmu(
         absolute_tolerance,
         with_sources=platforms is None,
     )
-    return _write(path, source, compilers, progress or _silent)
+    content = _archive(source, compilers, progress)
+    try:
+        write_atomically(path, content)
+    except OSError as error:
+        raise ExportError(f"the FMU cannot be written to {path}: {error}") from error
+    return path
 
 
 def build_fmu(
@@ -146,20 +151,12 @@ def build_fmu(
     compiler = find_compiler()
     key = _digest([source.guid, compiler.identity, *compiler.flags, compiler.platform.name])
     path = cache_dir() / "fmus" / key[:16] / f"{model.name}.fmu"
-    if path.is_file():
-        return path
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = f"the cache folder {path.parent} cannot be made: {error}; set DDPC_COSIM_CACHE"
-        raise ExportError(reason) from error
-    try:
-        return _write(path, source, [compiler], _silent)
-    except ExportError:
-        # Another process may have been faster, and Windows does not replace a file that is being read.
-        if path.is_file():
-            return path
-        raise
+    if not path.is_file():
+        try:
+            write_to_cache(path, _archive(source, [compiler]))
+        except OSError as error:
+            raise ExportError(str(error)) from error
+    return path
 
 
 def fmu_source(
@@ -219,20 +216,19 @@ def _compilers(platforms: str | Sequence[str] | None) -> list[Compiler]:
     return [cross_compiler(platform) for platform in parse_platforms(platforms)]
 
 
-def _write(path: Path, source: FMUSource, compilers: Sequence[Compiler], progress: Progress) -> Path:
+def _archive(source: FMUSource, compilers: Sequence[Compiler], progress: Progress | None = None) -> bytes:
+    """Compile the library for every platform and return the FMU's content."""
     files = {name: text.encode() for name, text in source.descriptions.items()}
     if source.with_sources:
         files |= {f"sources/{name}": text.encode() for name, text in source.sources.items()}
     files |= binary_files(source.fmi_version, source.name, _compile(source, compilers, progress))
-    try:
-        write_atomically(path, zip_bytes(files))
-    except OSError as error:
-        raise ExportError(f"the FMU cannot be written to {path}: {error}") from error
-    return path
+    return zip_bytes(files)
 
 
-def _compile(source: FMUSource, compilers: Sequence[Compiler], progress: Progress) -> dict[Platform, bytes]:
-    """Compile the library for every platform, two at a time; the first failure ends it."""
+def _compile(
+    source: FMUSource, compilers: Sequence[Compiler], progress: Progress | None
+) -> dict[Platform, bytes]:
+    """Compile two at a time; the first failure ends it."""
     headers = fmi_headers(source.fmi_version)
     all_files, functions = {**source.sources, **headers}, fmi_functions(headers)
     libraries: dict[Platform, bytes] = {}
@@ -240,15 +236,12 @@ def _compile(source: FMUSource, compilers: Sequence[Compiler], progress: Progres
         jobs = {c.platform: pool.submit(compile_library, c, all_files, functions) for c in compilers}
         try:
             for count, (platform, job) in enumerate(jobs.items(), 1):
-                progress(f"compiling for {platform.name} ({count} of {len(jobs)})")
+                if progress:
+                    progress(f"compiling for {platform.name} ({count} of {len(jobs)})")
                 libraries[platform] = job.result()
         finally:
             pool.shutdown(cancel_futures=True)
     return libraries
-
-
-def _silent(_: str) -> None:
-    """Tell nobody."""
 
 
 def fmi_headers(fmi_version: str) -> dict[str, str]:

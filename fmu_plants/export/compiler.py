@@ -13,10 +13,9 @@ from dataclasses import dataclass, field
 from importlib.resources import files as package_files
 from pathlib import Path
 
-from platformdirs import user_cache_dir
-
 from fmu_plants.export.binaries import exported_symbols
 from fmu_plants.export.platforms import Platform, host_platform
+from fmu_plants.files import cache_dir
 from fmu_plants.model import ExportError
 
 _SYSTEM_COMPILERS = ("cc", "gcc", "clang")
@@ -72,11 +71,6 @@ _LINK = {
 }
 _UNIT, _OBJECT = "library.c", "library.o"
 _WINDOWS_SOURCE = "windows.c"
-
-
-def cache_dir() -> Path:
-    """Return the folder for what can be rebuilt: ``$DDPC_COSIM_CACHE``, else the user's cache folder."""
-    return Path(os.environ.get("DDPC_COSIM_CACHE") or user_cache_dir("ddpc-cosim", appauthor=False))
 
 
 @dataclass(frozen=True, slots=True)

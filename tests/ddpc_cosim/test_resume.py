@@ -284,7 +284,7 @@ def test_results_that_cannot_be_written_are_told(
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("ddpc_cosim.study.results.write_whole", fail)
+    monkeypatch.setattr("ddpc_cosim.study.results.write_atomically", fail)
     with pytest.raises(
         CosimError, match=r"out: results cannot be written: No space left on device; finished"
     ):

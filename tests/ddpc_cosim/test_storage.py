@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as arrays
 from ddpc_cosim import ConfigError, CosimError, DisplayUnit, Outcome, Trace, Variable, load_results
 from ddpc_cosim.controller import Bounds
 from ddpc_cosim.study import results as storage
-from ddpc_cosim.study.results import load_case, read_run, read_trace, write_case, write_whole
+from ddpc_cosim.study.results import load_case, read_run, read_trace, write_case
 
 HEAD = {"id": "a_seed0_1", "controller": "a", "label": "A", "scenario": "nominal", "seed": 0}
 
@@ -193,23 +193,6 @@ def test_a_case_that_another_run_wrote_meanwhile_is_kept(
     assert load_case(tmp_path / "case").label == "theirs"
     assert len(read_trace(tmp_path / "case")) == 2
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["case", "run.json", "signals.csv", "theirs"]
-
-
-def test_a_text_replaces_an_older_one_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_whole(tmp_path / "a", "old")
-
-    def fail(path: Path, text: str, **_: object) -> None:
-        path.touch()
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_text", fail)
-        with pytest.raises(OSError, match="No space"):
-            write_whole(tmp_path / "a", "new")
-    assert (tmp_path / "a").read_text(encoding="utf-8") == "old"
-    write_whole(tmp_path / "a", "new\n")
-    assert (tmp_path / "a").read_bytes() == b"new\n"
-    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_figures_that_do_not_exist_are_nan_again(tmp_path: Path, trace: Trace) -> None:

@@ -7,6 +7,7 @@ import pytest
 from fmpy.validation import validate_fmu
 
 import fmu_plants.export
+import fmu_plants.files
 from fmu_plants import ExportError, build_fmu
 from fmu_plants.pendulum import MODEL
 
@@ -78,7 +79,7 @@ def test_a_file_that_another_process_wrote_first_is_used(cache, monkeypatch):
         target.write_bytes(content)
         raise PermissionError("the file is being read")
 
-    monkeypatch.setattr(fmu_plants.export, "write_atomically", slower)
+    monkeypatch.setattr(fmu_plants.files, "write_atomically", slower)
     assert build_fmu(MODEL) == path
 
 

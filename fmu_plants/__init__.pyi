@@ -1,0 +1,13 @@
+"""The public names and where they are defined; :mod:`lazy_loader` reads them from here too."""
+
+from .export import build_fmu as build_fmu, export_fmu as export_fmu
+from .model import (
+    DisplayUnit as DisplayUnit,
+    Equations as Equations,
+    ExportError as ExportError,
+    ModelError as ModelError,
+    Parameter as Parameter,
+    PlantModel as PlantModel,
+    Symbols as Symbols,
+    Variable as Variable,
+)
