@@ -6,70 +6,62 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults
+from ddpc_cosim.metrics import METRICS, split_key
 from ddpc_reports.comparison import (
     STEP_TIMES,
-    TRACKING,
-    Competitor,
     Condition,
+    ControllerResults,
     indices,
     labels,
     metric_keys,
     metric_signal,
-    metric_unit,
+    shown_as,
+    shown_metrics,
 )
 from ddpc_reports.numbers import MISSING, as_given, integer, time_scale, with_unit
 from ddpc_reports.settings_tables import compact_seeds, facts_table
-from ddpc_reports.table import Cell, Heading, Row, Table, number_cells
+from ddpc_reports.table import Cell, Column, Heading, Row, Table, controller_table, number_cells
 
 _OK = "ok"
 _READ = 20
 """Cases of a controller whose samples are read: the first ones tell the reasons."""
-_LISTED = 6
+_REASONS_SHOWN = 6
 """Reasons listed for a controller."""
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
 def step_time_table(condition: Condition, prefix: str) -> Table:
     """Return median, 95 %, 99 % and longest step time per controller, and deadline misses."""
-    everybody = condition.competitors
-    columns: list[tuple[Heading, list[Cell]]] = []
-    for words, (key, figure) in STEP_TIMES.items():
-        seconds = [figure(one.over_seeds(key)) for one in everybody]
-        scale = time_scale(seconds)
-        shown = [value * scale.factor for value in seconds]
-        eligible = [one.completed_all for one in everybody]
-        columns.append(
-            (Heading(words, scale.unit, group="step time"), number_cells(shown, eligible=eligible, digits=3))
-        )
-    share = [_share(one.over_seeds("solve_time_max [s]").high, condition.results) for one in everybody]
+    everyone = condition.controllers
+    eligible = [one.completed_all for one in everyone]
+    columns: list[Column] = []
+    for words, key in STEP_TIMES.items():
+        seconds = [one.summed(key) for one in everyone]
+        unit, factor = time_scale(seconds)
+        cells = number_cells([value * factor for value in seconds], eligible=eligible, digits=3)
+        columns.append((Heading(words, unit, group="step time"), cells))
+    sampling_time = condition.results.study.loop.sampling_time
+    share = [100 * one.summed(STEP_TIMES["longest"]) / sampling_time for one in everyone]
     columns.append((Heading("longest", "% of the sampling time"), number_cells(share, digits=2)))
-    misses = [one.total("deadline_misses [1]") for one in everybody]
+    misses = [one.total("deadline_misses [1]") for one in everyone]
     columns.append((Heading("deadline misses", "steps"), [Cell(integer(n), int(n)) for n in misses]))
-    rows = (
-        Row(one.label, tuple(cells[i] for _, cells in columns), one.key, one.index)
-        for i, one in enumerate(everybody)
-    )
-    return Table(
+    return controller_table(
         f"{prefix}step-times",
         "Computation time of one controller step",
-        (Heading("Controller", numeric=False), *(heading for heading, _ in columns)),
-        tuple(rows),
+        everyone,
+        columns,
         (
             "Wall-clock times. Median, 95\u00a0% and 99\u00a0% are medians over the completed cases; "
             "longest is of all of them.",
         ),
-        download="step-times.csv",
+        "step-times.csv",
     )
-
-
-def _share(seconds: float, results: StudyResults) -> float:
-    return 100 * seconds / results.study.loop.sampling_time
 
 
 def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], prefix: str) -> Table:
     """Return every case with its outcome and main figures, in the study's order."""
     keys = _case_keys(condition_of_all)
-    scales = [_shown_as(key, results) for key in keys]
+    scales = [shown_as(key, (case.metrics.get(key, math.nan) for case in results.cases)) for key in keys]
     columns = [
         number_cells([case.metrics.get(key, math.nan) * factor for case in results.cases])
         for key, (_, factor) in zip(keys, scales, strict=True)
@@ -108,31 +100,16 @@ def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], 
     )
 
 
-def _case_keys(conditions: tuple[Condition, ...]) -> list[str]:
-    names = (TRACKING, "settled_error", "bound_violation_max", "total_variation")
-    keys = [key for name in names for key in metric_keys(conditions, name)]
-    return [*keys, "solve_time_median [s]", "solve_time_max [s]"]
+_CASE_STEP_TIMES = {STEP_TIMES["median"]: "median step", STEP_TIMES["longest"]: "longest step"}
 
 
-def _shown_as(key: str, results: StudyResults) -> tuple[str, float]:
-    if metric_unit(key) != "s":
-        return metric_unit(key), 1.0
-    return time_scale(case.metrics.get(key, math.nan) for case in results.cases)
-
-
-_CASE_TITLES = {
-    TRACKING: "tracking cost",
-    "settled_error": "settled error",
-    "bound_violation_max": "beyond bounds",
-    "total_variation": "actuator travel",
-    "solve_time_median": "median step",
-    "solve_time_max": "longest step",
-}
+def _case_keys(conditions: Sequence[Condition]) -> list[str]:
+    keys = [key for name in shown_metrics() for key in metric_keys(conditions, name) if metric_signal(key)]
+    return [*keys, *_CASE_STEP_TIMES]
 
 
 def _case_title(key: str) -> str:
-    title = _CASE_TITLES[key.partition(".")[0].partition(" ")[0]]
-    return f"{title}, {metric_signal(key)}" if metric_signal(key) else title
+    return _CASE_STEP_TIMES.get(key) or f"{METRICS[split_key(key)[0]].title}, {metric_signal(key)}"
 
 
 def failures_table(results: StudyResults, prefix: str) -> Table | None:
@@ -207,7 +184,7 @@ def fallbacks_table(conditions: Sequence[Condition], prefix: str) -> Table | Non
     rows = tuple(
         Row(one.label, (*([Cell(condition.label)] if several else []), *cells), one.key, one.index)
         for condition in conditions
-        for one in condition.competitors
+        for one in condition.controllers
         for cells in _told(one)
     )
     if not rows:
@@ -223,7 +200,7 @@ def fallbacks_table(conditions: Sequence[Condition], prefix: str) -> Table | Non
     notes = [
         "At these samples the controller had no answer of its own and returned a substitute, as it says."
     ]
-    if any(len(_failing(one)) > _READ for condition in conditions for one in condition.competitors):
+    if any(len(_failing(one)) > _READ for condition in conditions for one in condition.controllers):
         notes.append(f"Reasons are those of the first {_READ} cases with fallbacks of a controller.")
     return Table(
         f"{prefix}fallbacks",
@@ -236,18 +213,18 @@ def fallbacks_table(conditions: Sequence[Condition], prefix: str) -> Table | Non
     )
 
 
-def _failing(one: Competitor) -> list[CaseResult]:
+def _failing(one: ControllerResults) -> list[CaseResult]:
     return [case for case in one.cases if case.metrics.get("failures [1]", 0.0) > 0]
 
 
-def _told(one: Competitor) -> Iterator[tuple[Cell, ...]]:
+def _told(one: ControllerResults) -> Iterator[tuple[Cell, ...]]:
     """Yield the cells of each reason, the most frequent first."""
     order = sorted(_reasons(_failing(one)[:_READ]), key=lambda reason: -reason.samples)
-    for reason in order[:_LISTED]:
+    for reason in order[:_REASONS_SHOWN]:
         time, seed = reason.first
         when = f"{with_unit(as_given(time), 's')} (seed {seed})"
         yield Cell(str(reason)), _count(reason.samples), _count(len(reason.cases)), Cell(when)
-    rest = order[_LISTED:]
+    rest = order[_REASONS_SHOWN:]
     if rest:
         words = f"{len(rest)} other reasons"
         cases = set().union(*(reason.cases for reason in rest))

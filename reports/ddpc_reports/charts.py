@@ -86,21 +86,21 @@ CONFIG: dict[str, Any] = {
 
 
 def colour(index: int) -> str:
-    """Return the colour of a competitor as a CSS variable."""
+    """Return the colour of a controller as a CSS variable."""
     return f"var(--c{index % COLOURS})"
 
 
 def time_chart(
     signal: Signal, names: Sequence[str], dashes: dict[str, int], sampling_time: float, last: bool
 ) -> Any:
-    """Return the chart of one signal over time, for the competitors of one panel.
+    """Return the chart of one signal over time, for the controllers of one panel.
 
     Parameters
     ----------
     signal : Signal
         What is drawn.
     names : sequence of str
-        Columns of the competitors in this panel, the one drawn first at the back.
+        Columns of the controllers in this panel, the one drawn first at the back.
     dashes : dict
         Number of the dash pattern of every column.
     sampling_time : float
@@ -208,12 +208,12 @@ def _reading(samples: alt.Chart, signal: Signal, names: Sequence[str], x: alt.X)
 
 
 def spread_chart(rows: list[dict[str, Any]], title: str, logarithmic: bool) -> Any:
-    """Return a strip of one point per seed for each competitor, its median and the first seed marked.
+    """Return a strip of one point per seed for each controller, its median and the first seed marked.
 
     Parameters
     ----------
     rows : list of dict
-        ``label``, ``key``, ``seed``, ``value``, ``first`` (bool), in the order of the competitors.
+        ``label``, ``key``, ``seed``, ``value``, ``first`` (bool), in the order of the controllers.
     title : str
         Metric and unit.
     logarithmic : bool
@@ -243,12 +243,12 @@ def spread_chart(rows: list[dict[str, Any]], title: str, logarithmic: bool) -> A
 
 
 def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Any:
-    """Return median, 95 %, 99 % and longest step time of each competitor, and the sampling time.
+    """Return median, 95 %, 99 % and longest step time of each controller, and the sampling time.
 
     Parameters
     ----------
     rows : list of dict
-        ``label``, ``key``, ``figure`` (its name), ``value`` [s], in the order of the competitors.
+        ``label``, ``key``, ``figure`` (its name), ``value`` [s], in the order of the controllers.
     sampling_time : float
         Time between samples [s].
     """

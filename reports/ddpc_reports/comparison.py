@@ -1,15 +1,15 @@
-"""The results of a study seen by competitor: cases gathered, metrics summed up over seeds."""
+"""The results of a study seen by controller: cases gathered, metrics summed up over seeds."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
-from ddpc_cosim.metrics import METRICS, split_key
-from ddpc_reports.numbers import difference_symbol, unit_symbol
+from ddpc_cosim.metrics import METRICS, Metric, split_key
+from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
 
 TRACKING = "sum_abs_error"
 
@@ -36,17 +36,17 @@ def spread(values: Iterable[float]) -> Spread:
     return Spread(median(known), min(known), max(known), len(known))
 
 
-STEP_TIMES: dict[str, tuple[str, Callable[[Spread], float]]] = {
-    "median": ("solve_time_median [s]", lambda s: s.median),
-    "95\u00a0%": ("solve_time_p95 [s]", lambda s: s.median),
-    "99\u00a0%": ("solve_time_p99 [s]", lambda s: s.median),
-    "longest": ("solve_time_max [s]", lambda s: s.high),
+STEP_TIMES = {
+    "median": "solve_time_median [s]",
+    "95\u00a0%": "solve_time_p95 [s]",
+    "99\u00a0%": "solve_time_p99 [s]",
+    "longest": "solve_time_max [s]",
 }
-"""Figures of the step time: the metric, and how the cases are summed up."""
+"""The step times that the section on them shows."""
 
 
 @dataclass(frozen=True, eq=False)
-class Competitor:
+class ControllerResults:
     """One controller under one condition, with its cases in the order of the seeds."""
 
     key: str
@@ -83,25 +83,33 @@ class Competitor:
         """Sum up a metric over the completed cases."""
         return spread(self.by_seed(key).values())
 
-    def total(self, key: str) -> float:
-        """Return the sum of a count over all cases, completed or not."""
-        return sum(value for case in self.cases if not math.isnan(value := case.metrics.get(key, math.nan)))
+    def summed(self, key: str) -> float:
+        """Return a metric in one value over the seeds, in the way that suits it.
 
-    @property
-    def fallbacks(self) -> float:
-        """How many samples have a substitute for the input; faults that ended cases do not count."""
+        Medians and largest values are those of the completed cases, totals those of all.
+        """
+        how = METRICS[split_key(key)[0]].over_seeds
+        if how == "total":
+            return self.total(key)
+        return self.over_seeds(key).high if how == "largest" else self.over_seeds(key).median
+
+    def total(self, key: str) -> float:
+        """Return the sum of a count over all cases; the fault that ended a case is not a fallback."""
+        total = sum(value for case in self.cases if not math.isnan(value := case.metrics.get(key, math.nan)))
+        if split_key(key)[0] != "failures":
+            return total
         ended = sum(case.outcome is Outcome.CONTROLLER_ERROR for case in self.cases)
-        return max(self.total("failures [1]") - ended, 0.0)
+        return max(total - ended, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """One scenario of a study: all competitors under the same conditions, and the variants of sweeps."""
+    """One scenario of a study: all controllers under the same conditions, and the variants of sweeps."""
 
     results: StudyResults
     scenario: str
-    competitors: tuple[Competitor, ...]
-    variants: tuple[Competitor, ...] = ()
+    controllers: tuple[ControllerResults, ...]
+    variants: tuple[ControllerResults, ...] = ()
 
     @property
     def label(self) -> str:
@@ -112,17 +120,17 @@ class Condition:
     @cached_property
     def seeds(self) -> tuple[int, ...]:
         """Seeds of the cases here, in the study's order."""
-        everyone = (*self.competitors, *self.variants)
+        everyone = (*self.controllers, *self.variants)
         return tuple(dict.fromkeys(case.seed for one in everyone for case in one.cases))
 
     @cached_property
     def cases(self) -> tuple[CaseResult, ...]:
         """All cases of this condition."""
-        return tuple(case for competitor in self.competitors for case in competitor.cases)
+        return tuple(case for controller in self.controllers for case in controller.cases)
 
     @cached_property
     def _keys(self) -> tuple[str, ...]:
-        everyone = (*self.competitors, *self.variants)
+        everyone = (*self.controllers, *self.variants)
         return tuple(dict.fromkeys(key for one in everyone for case in one.cases for key in case.metrics))
 
     @cached_property
@@ -135,6 +143,11 @@ class Condition:
         """Return the keys of a metric: one for each signal that has it."""
         return tuple(key for key in self._keys if split_key(key)[0] == name)
 
+    def ranking(self, key: str) -> list[tuple[float, ControllerResults]]:
+        """Return the controllers that completed every case with their medians of a metric, the best first."""
+        complete = [one for one in self.controllers if one.completed_all]
+        return ranked(key, complete, [one.over_seeds(key).median for one in complete])
+
 
 def conditions(results: StudyResults) -> tuple[Condition, ...]:
     """Return one condition for each scenario that has cases, in the study's order."""
@@ -143,7 +156,7 @@ def conditions(results: StudyResults) -> tuple[Condition, ...]:
 
 
 def _condition(results: StudyResults, scenario: str) -> Condition:
-    everyone = _competitors(results, scenario)
+    everyone = _controllers_in(results, scenario)
     sections = results.study.controllers
     varied = {one.key for one in everyone if one.key in sections and sections[one.key].variant_of}
     return Condition(
@@ -178,14 +191,19 @@ def indices(results: StudyResults) -> dict[str, int]:
     return {key: numbers.get(base[key] or key, 0) for key in base}
 
 
-def _competitors(results: StudyResults, scenario: str) -> tuple[Competitor, ...]:
+def _controllers_in(results: StudyResults, scenario: str) -> tuple[ControllerResults, ...]:
     cases = [case for case in results.cases if case.scenario == scenario]
     numbers = indices(results)
     return tuple(
-        Competitor(key, label, numbers[key], own, cases[0].seed)
+        ControllerResults(key, label, numbers[key], own, cases[0].seed)
         for key, label in labels(results).items()
         if (own := tuple(case for case in cases if case.controller == key))
     )
+
+
+def shown_metrics() -> dict[str, Metric[Any]]:
+    """Return the metrics that stand in tables, by name."""
+    return {name: metric for name, metric in METRICS.items() if metric.title}
 
 
 def metric_label(key: str) -> str:
@@ -194,14 +212,16 @@ def metric_label(key: str) -> str:
     return METRICS[name].label if name in METRICS else name.replace("_", " ")
 
 
-_OF_VALUES = ("max_abs_input",)
-"""Metrics that are values of a signal; all others are differences of values, or made of them."""
-
-
 def metric_unit(key: str) -> str:
     """Return the unit symbol of a metric; empty for counts and ratios."""
     name, _, unit = split_key(key)
-    return unit_symbol(unit) if name in _OF_VALUES else difference_symbol(unit)
+    is_value = name in METRICS and METRICS[name].unit == "value"
+    return unit_symbol(unit) if is_value else difference_symbol(unit)
+
+
+def shown_as(key: str, values: Iterable[float]) -> Scale:
+    """Return the unit symbol and the factor with which values of a metric are shown."""
+    return time_scale(values) if metric_unit(key) == "s" else Scale(metric_unit(key), 1.0)
 
 
 def metric_signal(key: str) -> str:
@@ -209,7 +229,10 @@ def metric_signal(key: str) -> str:
     return split_key(key)[1].replace("_", " ")
 
 
-def ranked(competitors: Sequence[Competitor], figures: Sequence[float]) -> list[tuple[float, Competitor]]:
-    """Return the competitors whose figure exists, smallest first; equal ones in the study's order."""
-    pairs = [(value, one) for value, one in zip(figures, competitors, strict=True) if not math.isnan(value)]
-    return sorted(pairs, key=lambda pair: pair[0])
+def ranked(
+    key: str, controllers: Sequence[ControllerResults], values: Sequence[float]
+) -> list[tuple[float, ControllerResults]]:
+    """Return the controllers that have a value of a metric, the best first; equal ones as in the study."""
+    pairs = [(value, one) for value, one in zip(values, controllers, strict=True) if not math.isnan(value)]
+    metric = METRICS[split_key(key)[0]]
+    return sorted(pairs, key=lambda pair: metric.rank(pair[0]))

@@ -1,169 +1,119 @@
 """Controllers compared: in one scenario, from scenario to scenario, and with published figures."""
 
 import math
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ddpc_cosim.metrics import METRICS, Metric, split_key
 from ddpc_reports.comparison import (
-    STEP_TIMES,
     TRACKING,
-    Competitor,
     Condition,
+    ControllerResults,
     Spread,
     metric_keys,
     metric_signal,
     metric_unit,
+    shown_as,
+    shown_metrics,
 )
 from ddpc_reports.numbers import MINUS, MISSING, as_given, like, percent, significant, time_scale, unit_symbol
-from ddpc_reports.table import Cell, Heading, Row, Table, number_cells, range_texts
+from ddpc_reports.table import Cell, Column, Heading, Row, Table, controller_table, number_cells, range_texts
 
 if TYPE_CHECKING:
     from ddpc_cosim.study.sections import PublishedMethod, Reproduction
 
-_Column = tuple[Heading, list[Cell]]
-
 
 def verdict_table(condition: Condition, prefix: str) -> Table:
-    """Return the table of tracking, settling, constraints, actuator, time and failures."""
-    columns = [
-        *_tracking(condition),
-        *_medians(condition, "settled_error", "settled error"),
-        *_beyond_bounds(condition),
-        *_medians(condition, "total_variation", "actuator travel"),
-        *_times(condition),
-        *_counts(condition),
-    ]
-    rows = tuple(
-        Row(one.label, tuple(cells[i] for _, cells in columns), one.key, one.index)
-        for i, one in enumerate(condition.competitors)
-    )
-    return Table(
-        f"{prefix}verdict",
-        "Verdict in figures, per controller",
-        (Heading("Controller", numeric=False), *(heading for heading, _ in columns)),
-        rows,
-        _notes(condition),
-        download="verdict.csv",
-    )
-
-
-def _tracking(condition: Condition) -> list[_Column]:
-    """Return first seed, median and range; of several outputs the medians only, or nothing else has room."""
-    if len(condition.keys(TRACKING)) > 1:
-        return _medians(condition, TRACKING, "tracking cost", digits=4)
-    columns = []
-    for key in condition.keys(TRACKING):
-        group = " / ".join(filter(None, ("tracking cost", metric_unit(key))))
-        firsts = [one.at_first(key) for one in condition.competitors]
-        eligible = [one.completed_first for one in condition.competitors]
-        heading = Heading(f"seed {condition.seeds[0]}", group=group)
-        columns.append((heading, number_cells(firsts, eligible=eligible)))
-        if len(condition.seeds) > 1:
-            columns += _over_seeds(condition, key, group)
-    return columns
-
-
-def _over_seeds(condition: Condition, key: str, group: str) -> list[_Column]:
-    spreads = [one.over_seeds(key) for one in condition.competitors]
-    medians = number_cells([s.median for s in spreads], eligible=_all_done(condition))
-    return [
-        (Heading("median", group=group), medians),
-        (Heading("range", group=group), [Cell(text) for text in range_texts(spreads)]),
-    ]
-
-
-def _medians(condition: Condition, name: str, title: str, digits: int = 3) -> list[_Column]:
-    return _summed(condition, name, title, lambda s: s.median, digits)
-
-
-def _beyond_bounds(condition: Condition) -> list[_Column]:
-    """Return the largest violations; of several outputs only if there are any, to keep the table narrow."""
-    name = "bound_violation_max"
-    keys = condition.keys(name)
-    if len(keys) > 1 and not any(
-        one.over_seeds(key).high > 0 for one in condition.competitors for key in keys
-    ):
-        return []
-    return _summed(condition, name, "beyond bounds", lambda s: s.high, 3)
-
-
-def _summed(
-    condition: Condition, name: str, title: str, figure: Callable[[Spread], float], digits: int
-) -> list[_Column]:
-    """Return one column for each signal, under a common head where there are several."""
-    columns = []
-    for key in condition.keys(name):
-        values = [figure(one.over_seeds(key)) for one in condition.competitors]
-        cells = number_cells(values, eligible=_all_done(condition), digits=digits)
-        several = len(condition.keys(name)) > 1
-        heading = (
-            Heading(metric_signal(key), metric_unit(key), group=title)
-            if several
-            else Heading(title, metric_unit(key))
-        )
-        columns.append((heading, cells))
-    return columns
-
-
-def _times(condition: Condition) -> list[_Column]:
-    columns = []
-    for words in ("median", "99\u00a0%", "longest"):
-        key, figure = STEP_TIMES[words]
-        seconds = [figure(one.over_seeds(key)) for one in condition.competitors]
-        scale = time_scale(seconds)
-        shown = [value * scale.factor for value in seconds]
-        cells = number_cells(shown, eligible=_all_done(condition), digits=3)
-        columns.append((Heading(words, scale.unit, group="step time"), cells))
-    return columns
-
-
-def _counts(condition: Condition) -> list[_Column]:
-    everybody = condition.competitors
-    misses = [one.total("deadline_misses [1]") for one in everybody]
-    fallbacks = [one.fallbacks for one in everybody]
+    """Return the metrics that have a title, and the cases completed: a row per controller."""
+    by_name = {name: columns for name in shown_metrics() if (columns := _columns(condition, name))}
     completed = [
         Cell(f"{len(one.completed)} of {len(one.cases)}", len(one.completed), failed=not one.completed_all)
-        for one in everybody
+        for one in condition.controllers
     ]
-    return [
-        (Heading("missed", group="steps"), number_cells(misses, eligible=_all_done(condition))),
-        (Heading("fallback", group="steps"), number_cells(fallbacks, eligible=_all_done(condition))),
-        (Heading("cases completed"), completed),
-    ]
+    columns = [column for columns in by_name.values() for column in columns]
+    return controller_table(
+        f"{prefix}verdict",
+        "Verdict in figures, per controller",
+        condition.controllers,
+        [*columns, (Heading("cases completed"), completed)],
+        _notes(condition, list(by_name)),
+        "verdict.csv",
+    )
+
+
+def _columns(condition: Condition, name: str) -> list[Column]:
+    """Return one column for each signal that has a metric; violated bounds only where there are several."""
+    keys = condition.keys(name)
+    if name == TRACKING and len(keys) == 1:
+        return _tracking(condition, keys[0])
+    kept = name == "bound_violation_max" and not any(
+        one.summed(key) > 0 for one in condition.controllers for key in keys
+    )
+    return [] if kept and len(keys) > 1 else [_column(condition, key) for key in keys]
+
+
+def _column(condition: Condition, key: str) -> Column:
+    """Return the column of a metric, under the head of the metric where several signals have it."""
+    name = split_key(key)[0]
+    metric = METRICS[name]
+    values = [one.summed(key) for one in condition.controllers]
+    unit, factor = shown_as(key, values)
+    shown = [value * factor for value in values]
+    digits = 4 if name == TRACKING else 3
+    cells = number_cells(shown, eligible=_all_done(condition), better=metric.better, digits=digits)
+    if len(condition.keys(name)) > 1:
+        return Heading(metric_signal(key), unit, group=metric.title), cells
+    return Heading(metric.title, unit, group=metric.group), cells
+
+
+def _tracking(condition: Condition, key: str) -> list[Column]:
+    """Return first seed, median and range; with several outputs there is room for the medians only."""
+    metric = METRICS[TRACKING]
+    group = " / ".join(filter(None, (metric.title, metric_unit(key))))
+    firsts = [one.at_first(key) for one in condition.controllers]
+    eligible = [one.completed_first for one in condition.controllers]
+    cells = number_cells(firsts, eligible=eligible, better=metric.better)
+    columns = [(Heading(f"seed {condition.seeds[0]}", group=group), cells)]
+    if len(condition.seeds) > 1:
+        spreads = [one.over_seeds(key) for one in condition.controllers]
+        medians = [s.median for s in spreads]
+        cells = number_cells(medians, eligible=_all_done(condition), better=metric.better)
+        columns.append((Heading("median", group=group), cells))
+        columns.append((Heading("range", group=group), [Cell(text) for text in range_texts(spreads)]))
+    return columns
 
 
 def _all_done(condition: Condition) -> list[bool]:
-    """Whether each competitor may be best: one that lost cases has figures of the easier seeds only."""
-    return [one.completed_all for one in condition.competitors]
+    """Whether each controller may be best: one that lost cases has values of the easier seeds only."""
+    return [one.completed_all for one in condition.controllers]
 
 
-def _notes(condition: Condition) -> tuple[str, ...]:
-    best = "Bold and tinted: the smallest of the column"
+def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
+    best = "Bold and tinted: the best of the column"
     if not all(_all_done(condition)):
         best += ", among controllers that completed every case (for the first seed: that completed it)"
-    meaning = (
-        f"Tracking cost: sum of |reference {MINUS} output| over the samples. Settled error: largest mean "
-        "error over the last fifth of a stretch of constant reference; who looks ahead and moves before a "
-        "step pays for it here. Actuator travel: sum of |change of the input|. Missed: steps longer than the "
-        "sampling time. Fallback: steps with a substitute for the input."
-    )
-    several = len(condition.keys(TRACKING)) > 1
-    over = (
-        f" Over {len(condition.seeds)} seeds, {'tracking cost, ' if several else ''}settled error, actuator "
-        "travel, median and 99\u00a0% step time are medians, beyond bounds and longest step time are the "
-        "largest, steps are summed."
-    )
-    return (
-        f"{best}; where most are equal, nobody is marked.",
-        meaning + (over if len(condition.seeds) > 1 else ""),
-    )
+    metrics = [METRICS[name] for name in shown]
+    meanings = [
+        f"{metric.title.capitalize()}: {metric.description.replace(' - ', f' {MINUS} ')}."
+        for metric in metrics
+        if metric.group != "step time"
+    ]
+    # With one output, its columns say it themselves.
+    own = METRICS[TRACKING] if len(condition.keys(TRACKING)) == 1 else None
+    summed = [metric for metric in metrics if metric is not own]
+    words = [_summing_words(condition, summed)] if len(condition.seeds) > 1 else []
+    return f"{best}; where most are equal, none is marked.", " ".join([*meanings, *words])
 
 
-_COMPARED = {
-    TRACKING: "tracking cost",
-    "settled_error": "settled error",
-    "total_variation": "actuator travel",
-}
+def _summing_words(condition: Condition, metrics: Sequence[Metric[Any]]) -> str:
+    """Say how the metrics are summed up over the seeds."""
+    ways = {"median": "medians of", "largest": "the largest of", "total": "totals of"}
+    titles = {
+        words: [f"{one.title} {one.group}".strip() for one in metrics if one.over_seeds == way]
+        for way, words in ways.items()
+    }
+    parts = [f"{words} {', '.join(found)}" for words, found in titles.items() if found]
+    return f"Over {len(condition.seeds)} seeds: {'; '.join(parts)}."
 
 
 def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
@@ -172,14 +122,16 @@ def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
         return None
     rows = [
         row
-        for name, title in _COMPARED.items()
+        for name, metric in shown_metrics().items()
+        if metric.over_seeds == "median"
         for key in metric_keys(conditions, name)
-        for row in _rows(conditions, key, _title(key, title))
+        if metric_signal(key)
+        for row in _across_rows(conditions, key)
     ]
     headings = (Heading("Controller", numeric=False), *(Heading(one.label) for one in conditions))
     over = max(len(condition.seeds) for condition in conditions)
     notes = (
-        "Bold and tinted: the smallest in a scenario, among controllers that completed every case.",
+        "Bold and tinted: the best in a scenario, among controllers that completed every case.",
         *((f"Medians over {over} seeds.",) if over > 1 else ()),
     )
     return Table(
@@ -193,24 +145,22 @@ def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
     )
 
 
-def _rows(conditions: Sequence[Condition], key: str, group: str) -> list[Row]:
-    by_key = [{one.key: one for one in condition.competitors} for condition in conditions]
-    everybody = {one.key: one for members in by_key for one in members.values()}
-    columns = [_column([members.get(name) for name in everybody], key) for members in by_key]
+def _across_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
+    metric = METRICS[split_key(key)[0]]
+    group = " / ".join(filter(None, (f"{metric.title} of {metric_signal(key)}", metric_unit(key))))
+    by_key = [{one.key: one for one in condition.controllers} for condition in conditions]
+    everyone = {one.key: one for members in by_key for one in members.values()}
+    columns = [_across_column([members.get(name) for name in everyone], key) for members in by_key]
     return [
         Row(one.label, tuple(cells[i] for cells in columns), one.key, one.index, group)
-        for i, one in enumerate(everybody.values())
+        for i, one in enumerate(everyone.values())
     ]
 
 
-def _column(members: Sequence[Competitor | None], key: str) -> list[Cell]:
-    values = [one.over_seeds(key).median if one else float("nan") for one in members]
-    return number_cells(values, eligible=[bool(one and one.completed_all) for one in members])
-
-
-def _title(key: str, words: str) -> str:
-    signal = metric_signal(key)
-    return " / ".join(filter(None, (f"{words} of {signal}" if signal else words, metric_unit(key))))
+def _across_column(members: Sequence[ControllerResults | None], key: str) -> list[Cell]:
+    values = [one.summed(key) if one else math.nan for one in members]
+    eligible = [bool(one and one.completed_all) for one in members]
+    return number_cells(values, eligible=eligible, better=METRICS[split_key(key)[0]].better)
 
 
 _HEADINGS = (
@@ -250,9 +200,9 @@ class _Compared(NamedTuple):
 
 def reproduction_table(condition: Condition, reproduction: "Reproduction", prefix: str) -> Table:
     """Return published values, both variants of each method here, spread over seeds, and deviation."""
-    competitors = {one.key: one for one in condition.competitors}
+    controllers = {one.key: one for one in condition.controllers}
     rows = [
-        _row(title, key, method, competitors)
+        _row(title, key, method, controllers)
         for method in reproduction.methods
         for key, title in reproduction.metrics.items()
         if key in method.values
@@ -272,8 +222,8 @@ def reproduction_table(condition: Condition, reproduction: "Reproduction", prefi
     )
 
 
-def _row(title: str, key: str, method: "PublishedMethod", competitors: dict[str, Competitor]) -> Row:
-    compared = _compare(key, method, competitors)
+def _row(title: str, key: str, method: "PublishedMethod", controllers: dict[str, ControllerResults]) -> Row:
+    compared = _compare(key, method, controllers)
     scale, unit = 1.0, metric_unit(key)
     if unit == "s":
         unit, scale = time_scale([compared.published])
@@ -293,8 +243,8 @@ def _row(title: str, key: str, method: "PublishedMethod", competitors: dict[str,
     return Row(title, cells, group=method.label)
 
 
-def _compare(key: str, method: "PublishedMethod", competitors: dict[str, Competitor]) -> _Compared:
-    code, printed = competitors.get(method.published_code), competitors.get(method.printed)
+def _compare(key: str, method: "PublishedMethod", controllers: dict[str, ControllerResults]) -> _Compared:
+    code, printed = controllers.get(method.published_code), controllers.get(method.printed)
     stand_in = code or printed
     return _Compared(
         method.values[key],

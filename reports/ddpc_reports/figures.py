@@ -13,8 +13,8 @@ from ddpc_reports.charts import COLOURS, DASHES, spread_chart, step_time_chart, 
 from ddpc_reports.comparison import (
     STEP_TIMES,
     TRACKING,
-    Competitor,
     Condition,
+    ControllerResults,
     metric_label,
     metric_signal,
     metric_unit,
@@ -69,7 +69,7 @@ class Figure:
 @dataclass(frozen=True)
 class _Panel:
     title: str
-    members: tuple[Competitor, ...]
+    members: tuple[ControllerResults, ...]
 
 
 def time_figures(condition: Condition, prefix: str) -> tuple[list[Figure], dict[str, dict[str, Column]]]:
@@ -97,22 +97,22 @@ def _signals(seen: FirstSeed) -> list[Signal]:
 
 
 def _panels(condition: Condition) -> list[_Panel]:
-    """Return the study's panels that have competitors here; one with all of them where it names none."""
-    by_key = {one.key: one for one in condition.competitors}
+    """Return the study's panels that have controllers here; one with all of them where it names none."""
+    by_key = {one.key: one for one in condition.controllers}
     asked = condition.results.study.report.panels
     panels = [
         _Panel(one.title, tuple(by_key[key] for key in one.controllers if key in by_key)) for one in asked
     ]
-    return [panel for panel in panels if panel.members] or _even_panels(condition.competitors)
+    return [panel for panel in panels if panel.members] or _even_panels(condition.controllers)
 
 
-def _even_panels(competitors: tuple[Competitor, ...]) -> list[_Panel]:
-    """Share many competitors out over panels, so that no two in a panel have the same colour."""
-    count = -(-len(competitors) // COLOURS)
+def _even_panels(controllers: tuple[ControllerResults, ...]) -> list[_Panel]:
+    """Share many controllers out over panels, so that no two in a panel have the same colour."""
+    count = -(-len(controllers) // COLOURS)
     if count < 2:
-        return [_Panel("", competitors)]
-    ends = [round(len(competitors) * n / count) for n in range(count + 1)]
-    return [_Panel(f"Controllers {a + 1} to {b}", competitors[a:b]) for a, b in pairwise(ends)]
+        return [_Panel("", controllers)]
+    ends = [round(len(controllers) * n / count) for n in range(count + 1)]
+    return [_Panel(f"Controllers {a + 1} to {b}", controllers[a:b]) for a, b in pairwise(ends)]
 
 
 def dash_numbers(panels: Sequence[Sequence[str]], names: Sequence[str]) -> dict[str, int]:
@@ -133,7 +133,7 @@ def _time_figure(
     what: str,
     identifier: str,
 ) -> Figure:
-    names = [column_name(one) for one in condition.competitors]
+    names = [column_name(one) for one in condition.controllers]
     dashes = dash_numbers([[column_name(one) for one in panel.members] for panel in panels], names)
     places = [(panel, signal) for panel in panels for signal in signals]
     views = tuple(
@@ -141,7 +141,7 @@ def _time_figure(
         for number, place in enumerate(places, start=1)
     )
     shown = {one for panel in panels for one in panel.members}
-    legend = tuple(_entry(one, dashes) for one in condition.competitors if one in shown)
+    legend = tuple(_entry(one, dashes) for one in condition.controllers if one in shown)
     return Figure(
         identifier,
         title,
@@ -165,7 +165,7 @@ def _beyond_words(condition: Condition, signals: Sequence[Signal]) -> str:
         f"{with_unit(significant(max(values), 3), signal.unit)})"
         for signal in signals
         if not signal.own_range
-        for one in condition.competitors
+        for one in condition.controllers
         if (values := known(signal.columns.get(column_name(one), [])))
         and _leaves(values, signal.extent(list(signal.columns)))
     ]
@@ -176,7 +176,7 @@ def _leaves(values: Sequence[float], extent: tuple[float, float]) -> bool:
     return min(values) < extent[0] or max(values) > extent[1]
 
 
-def _entry(one: Competitor, dashes: Mapping[str, int]) -> Entry:
+def _entry(one: ControllerResults, dashes: Mapping[str, int]) -> Entry:
     name = column_name(one)
     pattern = DASHES[dashes[name] % len(DASHES)]
     return Entry(
@@ -245,11 +245,11 @@ def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure:
     return Figure(identifier, "Spread over seeds", caption, (view,))
 
 
-def _done(condition: Condition) -> list[tuple[Competitor, CaseResult]]:
-    return [(one, case) for one in condition.competitors for case in one.completed]
+def _done(condition: Condition) -> list[tuple[ControllerResults, CaseResult]]:
+    return [(one, case) for one in condition.controllers for case in one.completed]
 
 
-def _spread_row(condition: Condition, one: Competitor, seed: int, key: str) -> dict[str, Any]:
+def _spread_row(condition: Condition, one: ControllerResults, seed: int, key: str) -> dict[str, Any]:
     value = one.by_seed(key).get(seed, math.nan)
     shown = with_unit(significant(value), metric_unit(key))
     first = seed == condition.seeds[0]
@@ -263,11 +263,11 @@ def _spread_row(condition: Condition, one: Competitor, seed: int, key: str) -> d
 
 
 def step_time_figure(condition: Condition, prefix: str) -> Figure | None:
-    """Return the step times of all competitors on a logarithmic axis; None if nothing was timed."""
+    """Return the step times of all controllers on a logarithmic axis; None if nothing was timed."""
     rows = [
-        _step_time_row(one, words, figure(one.over_seeds(key)))
-        for one in condition.competitors
-        for words, (key, figure) in STEP_TIMES.items()
+        _step_time_row(one, words, one.summed(key))
+        for one in condition.controllers
+        for words, key in STEP_TIMES.items()
     ]
     rows = [row for row in rows if math.isfinite(row["value"]) and row["value"] > 0]
     if not rows:
@@ -283,7 +283,7 @@ def step_time_figure(condition: Condition, prefix: str) -> Figure | None:
     return Figure(identifier, "Step time", caption, (view,))
 
 
-def _step_time_row(one: Competitor, words: str, seconds: float) -> dict[str, Any]:
+def _step_time_row(one: ControllerResults, words: str, seconds: float) -> dict[str, Any]:
     return {
         "label": one.label,
         "key": column_name(one),

@@ -176,7 +176,7 @@ def _condition_part(
     condition: Condition, prefix: str, data: dict[str, dict[str, Column]], *, drawn: bool
 ) -> ConditionPart:
     # With `run --only` there may be variants of a sweep alone.
-    rivals = bool(condition.competitors)
+    rivals = bool(condition.controllers)
     figures, samples = time_figures(condition, prefix) if drawn and rivals else ([], {})
     data.update(samples)
     return ConditionPart(

@@ -8,7 +8,7 @@ from statistics import median_low
 import numpy as np
 
 from ddpc_cosim import FloatArray, Trace, Variable
-from ddpc_reports.comparison import Competitor, Condition
+from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.numbers import difference_symbol, unit_symbol
 
 _DIGITS = 6
@@ -18,7 +18,7 @@ Column = list[float | None]
 
 @dataclass(frozen=True)
 class Signal:
-    """One output, input, or change of an input, for all competitors: what one row of a figure draws.
+    """One output, input, or change of an input, for all controllers: what one row of a figure draws.
 
     Parameters
     ----------
@@ -29,9 +29,9 @@ class Signal:
     unit : str
         Unit symbol.
     columns : dict
-        ``t`` [s], ``r`` (the reference, if there is one) and one column ``c<index>`` for each competitor.
+        ``t`` [s], ``r`` (the reference, if there is one) and one column ``c<index>`` for each controller.
     scaled_by : tuple of str
-        Columns of competitors that set the range of the axis.
+        Columns of controllers that set the range of the axis.
     limits : tuple of float
         Limits that the axis should show because the samples come near them.
     held : bool
@@ -63,12 +63,12 @@ class Signal:
         return (times[0], times[-1]) if len(times) > 1 else (times[0] - 0.5, times[0] + 0.5)
 
     def scaling(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return the columns that set the range of the axis of a panel with these competitors."""
+        """Return the columns that set the range of the axis of a panel with these controllers."""
         asked = names if self.own_range else [name for name in self.columns if name.startswith("c")]
         return tuple(name for name in asked if name in self.scaled_by) or tuple(asked)
 
     def extent(self, names: Sequence[str]) -> tuple[float, float]:
-        """Return the range of the axis of a panel with these competitors, with a margin."""
+        """Return the range of the axis of a panel with these controllers, with a margin."""
         columns = [*self.scaling(names), *(["r"] if self.has_reference else [])]
         shown = [*self.limits, *(value for name in columns for value in known(self.columns[name]))]
         low, high = min(shown, default=0.0), max(shown, default=1.0)
@@ -78,22 +78,22 @@ class Signal:
 
 @dataclass(frozen=True)
 class FirstSeed:
-    """The signals of all competitors at the first seed of a condition."""
+    """The signals of all controllers at the first seed of a condition."""
 
     outputs: list[Signal] = field(default_factory=list)
     inputs: list[Signal] = field(default_factory=list)
     changes: list[Signal] = field(default_factory=list)
 
 
-def column_name(competitor: Competitor) -> str:
-    """Return the name of a competitor's column, which is also the name of its colour."""
-    return f"c{competitor.index}"
+def column_name(controller: ControllerResults) -> str:
+    """Return the name of a controller's column, which is also the name of its colour."""
+    return f"c{controller.index}"
 
 
 def first_seed(condition: Condition, prefix: str) -> FirstSeed:
     """Read the traces of the first seed and return their signals."""
     found = condition.first_traces
-    traces = {column_name(one): found[one.key] for one in condition.competitors if one.key in found}
+    traces = {column_name(one): found[one.key] for one in condition.controllers if one.key in found}
     if not traces:
         return FirstSeed()
     runs = _Runs(traces, max(traces.values(), key=len), trusted(traces))
@@ -141,7 +141,7 @@ def _within_limits(trace: Trace, i: int) -> bool:
 
 def _output(runs: _Runs, i: int, name: str) -> Signal:
     longest, variable = runs.longest, runs.longest.outputs[i]
-    columns = {"t": _listed(longest.time), "r": _shown(variable, longest.reference[:, i])}
+    columns = {"t": _rounded(longest.time), "r": _shown(variable, longest.reference[:, i])}
     columns |= {key: _shown(variable, trace.y[:, i]) for key, trace in runs.traces.items()}
     limits = _near(runs, columns, variable, (longest.bounds.y_min[i], longest.bounds.y_max[i]))
     unit = unit_symbol(variable.shown_in.name)
@@ -150,7 +150,7 @@ def _output(runs: _Runs, i: int, name: str) -> Signal:
 
 def _input(runs: _Runs, i: int, name: str) -> Signal:
     longest, variable = runs.longest, runs.longest.inputs[i]
-    columns = {"t": _listed(longest.time)}
+    columns = {"t": _rounded(longest.time)}
     columns |= {key: _shown(variable, trace.u[:, i]) for key, trace in runs.traces.items()}
     limits = _near(runs, columns, variable, (longest.bounds.u_min[i], longest.bounds.u_max[i]))
     unit = unit_symbol(variable.shown_in.name)
@@ -159,11 +159,11 @@ def _input(runs: _Runs, i: int, name: str) -> Signal:
 
 def _change(runs: _Runs, i: int, name: str) -> Signal:
     variable = runs.longest.inputs[i]
-    columns = {"t": _listed(runs.longest.time)}
+    columns = {"t": _rounded(runs.longest.time)}
     for key, trace in runs.traces.items():
         # Before the first sample the input stood at its value at rest, as far as the limits allow.
         rest = np.clip(variable.start, trace.bounds.u_min[i], trace.bounds.u_max[i])
-        columns[key] = _listed(np.diff(trace.u[:, i], prepend=rest) * variable.shown_in.factor)
+        columns[key] = _rounded(np.diff(trace.u[:, i], prepend=rest) * variable.shown_in.factor)
     unit = difference_symbol(variable.shown_in.name)
     title = _title(f"change of {_words(variable)}", unit)
     # One jump at the start would flatten every other panel.
@@ -197,8 +197,8 @@ def _title(name: str, unit: str) -> str:
 
 
 def _shown(variable: Variable, values: FloatArray) -> Column:
-    return _listed(variable.shown_in.from_unit(values))
+    return _rounded(variable.shown_in.from_unit(values))
 
 
-def _listed(values: FloatArray) -> Column:
+def _rounded(values: FloatArray) -> Column:
     return [float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None for value in values.tolist()]

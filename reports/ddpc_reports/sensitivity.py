@@ -11,8 +11,8 @@ from markupsafe import Markup
 from ddpc_reports.charts import heat_chart
 from ddpc_reports.comparison import (
     TRACKING,
-    Competitor,
     Condition,
+    ControllerResults,
     metric_label,
     metric_signal,
     metric_unit,
@@ -21,7 +21,7 @@ from ddpc_reports.comparison import (
 from ddpc_reports.embedding import static_svg
 from ddpc_reports.figures import Figure, View, specification
 from ddpc_reports.numbers import as_given, significant, with_unit
-from ddpc_reports.verdict import Statement, by_signal, shower
+from ddpc_reports.verdict import Statement, by_signal, formatter
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Sweep:
     condition: Condition
     base: str
     settings: tuple[str, ...]
-    variants: tuple[Competitor, ...]
+    variants: tuple[ControllerResults, ...]
 
     @property
     def label(self) -> str:
@@ -54,7 +54,7 @@ class Sweep:
         telling = (key for key in value if len(self._entries(setting, key)) > 1)
         return ", ".join(f"{key} {as_given(value[key])}" for key in telling)
 
-    def place(self, one: Competitor) -> str:
+    def place(self, one: ControllerResults) -> str:
         """Return the settings of a variant in words."""
         return ", ".join(f"{name} = {self.words(one.key, name)}" for name in self.settings)
 
@@ -67,9 +67,9 @@ class Sweep:
         return {repr(value.get(key)) for value in values if isinstance(value, dict)}
 
     @cached_property
-    def cells(self) -> dict[tuple[str, ...], list[Competitor]]:
+    def cells(self) -> dict[tuple[str, ...], list[ControllerResults]]:
         """The variants by the values that are drawn, in the study's order."""
-        table: dict[tuple[str, ...], list[Competitor]] = {}
+        table: dict[tuple[str, ...], list[ControllerResults]] = {}
         for one in self.variants:
             table.setdefault(tuple(self.words(one.key, setting) for setting in self.axes), []).append(one)
         return table
@@ -77,7 +77,7 @@ class Sweep:
 
 def sweeps(condition: Condition) -> list[Sweep]:
     """Return the sweeps of a condition, in the study's order."""
-    groups: dict[tuple[str, tuple[str, ...]], list[Competitor]] = {}
+    groups: dict[tuple[str, tuple[str, ...]], list[ControllerResults]] = {}
     for one in condition.variants:
         section = condition.results.study.controllers[one.key]
         groups.setdefault((section.variant_of, tuple(section.varied)), []).append(one)
@@ -107,12 +107,12 @@ def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
     text = Markup("{} settings of <b>{}</b>").format(len(members), group[0].label)
     if not order:
         return text + ": none of them completed a case."
-    show = shower(key)
+    show = formatter(key)
     (low, best, winner), (high, worst, loser) = order[0], order[-1]
     text += Markup(": best {} with {}, worst {} with {}").format(
         show(low), best.place(winner), show(high), worst.place(loser)
     )
-    own = [one.over_seeds(key).median for one in condition.competitors if one.key == group[0].base]
+    own = [one.over_seeds(key).median for one in condition.controllers if one.key == group[0].base]
     if own and not math.isnan(own[0]):
         text += Markup("; its own settings give {}").format(show(own[0]))
     return text + (f"; {lost} did not complete every case." if lost else ".")
@@ -169,12 +169,12 @@ def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
         }
 
 
-def _lost_words(members: Sequence[Competitor]) -> str:
+def _lost_words(members: Sequence[ControllerResults]) -> str:
     """Say how many cases of a cell did not complete; nothing if all did."""
     cases = sum(len(one.cases) for one in members)
     lost = cases - sum(len(one.completed) for one in members)
     return f"; {lost} of {cases} cases did not complete" if lost else ""
 
 
-def _median(members: Sequence[Competitor], key: str) -> float:
+def _median(members: Sequence[ControllerResults], key: str) -> float:
     return summed_up(value for one in members for value in one.by_seed(key).values()).median

@@ -8,7 +8,7 @@ import numpy as np
 
 from ddpc_cosim import CosimError, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.plugins import load_plugin
-from ddpc_reports.comparison import Competitor, Condition, Spread, indices, labels, spread
+from ddpc_reports.comparison import Condition, ControllerResults, Spread, indices, labels, spread
 from ddpc_reports.numbers import MISSING, as_given, integer, significant, unit_symbol, with_unit
 from ddpc_reports.table import Cell, Heading, Row, Table
 
@@ -16,14 +16,14 @@ from ddpc_reports.table import Cell, Heading, Row, Table
 def family_tables(condition: Condition, prefix: str) -> list[Table]:
     """Return one table for each type of controller: a row per setting, a column per controller."""
     sections = condition.results.study.controllers
-    families: dict[str, list[Competitor]] = {}
-    for one in condition.competitors:
+    families: dict[str, list[ControllerResults]] = {}
+    for one in condition.controllers:
         family = sections[one.key].type if one.key in sections else one.key
         families.setdefault(family, []).append(one)
     return [_family_table(family, members, prefix) for family, members in families.items()]
 
 
-def _family_table(family: str, members: Sequence[Competitor], prefix: str) -> Table:
+def _family_table(family: str, members: Sequence[ControllerResults], prefix: str) -> Table:
     docs = _setting_docs(family)
     settings = [one.cases[0].settings for one in members]
     names = dict.fromkeys(name for own in settings for name in own)
@@ -93,7 +93,7 @@ def bounds_table(condition: Condition, prefix: str) -> Table | None:
     names = [variable.name for variable in _bounded(next(iter(traces.values())))]
     rows = tuple(
         Row(one.label, tuple(map(Cell, _limits(traces[one.key]))), one.key, one.index)
-        for one in condition.competitors
+        for one in condition.controllers
         if one.key in traces
     )
     headings = (Heading("Controller", numeric=False), *(Heading(name, numeric=False) for name in names))
@@ -229,7 +229,7 @@ _TITLES = {
 
 def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
     """Return what the controllers say about their data, first seed and range; None if they say nothing."""
-    talkers = [one for one in condition.competitors if any(case.diagnostics for case in one.cases)]
+    talkers = [one for one in condition.controllers if any(case.diagnostics for case in one.cases)]
     if not talkers:
         return None
     several = len(condition.seeds) > 1
@@ -252,7 +252,7 @@ def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
     )
 
 
-def _rows(one: Competitor, *, several: bool) -> list[Row]:
+def _rows(one: ControllerResults, *, several: bool) -> list[Row]:
     given = dict.fromkeys(name for case in one.cases for name in case.diagnostics)
     ordered = [name for name in _TITLES if name in given] + [name for name in given if name not in _TITLES]
     rows = []

@@ -6,8 +6,9 @@ import math
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
-from ddpc_reports.comparison import Spread
+from ddpc_reports.comparison import ControllerResults, Spread
 from ddpc_reports.numbers import MISSING, column
 
 Raw = float | int | str
@@ -53,7 +54,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """One row: its header, the competitor whose colour it carries, and its cells."""
+    """One row: its header, the controller whose colour it carries, and its cells."""
 
     header: str
     cells: tuple[Cell, ...]
@@ -119,14 +120,41 @@ def _csv_value(cell: Cell) -> str:
     return str(cell.raw) if cell.raw != "" else cell.text
 
 
-def number_cells(values: Sequence[float], *, eligible: Iterable[bool] = (), digits: int = 4) -> list[Cell]:
-    """Return a column of cells with decimal points in line; the smallest eligible value is the best.
+Column = tuple[Heading, list[Cell]]
+"""A heading and a cell for each row."""
 
-    Values that read alike share the mark; where more than half of them do, nobody is best.
+
+def controller_table(
+    identifier: str,
+    caption: str,
+    controllers: Sequence[ControllerResults],
+    columns: Sequence[Column],
+    notes: tuple[str, ...],
+    download: str,
+) -> Table:
+    """Return a table with a row per controller."""
+    rows = tuple(
+        Row(one.label, tuple(cells[i] for _, cells in columns), one.key, one.index)
+        for i, one in enumerate(controllers)
+    )
+    headings = (Heading("Controller", numeric=False), *(heading for heading, _ in columns))
+    return Table(identifier, caption, headings, rows, notes, download=download)
+
+
+def number_cells(
+    values: Sequence[float],
+    *,
+    eligible: Iterable[bool] = (),
+    better: Literal["low", "high", ""] = "low",
+    digits: int = 4,
+) -> list[Cell]:
+    """Return a column of cells with decimal points in line; the lowest or highest eligible value is the best.
+
+    Values that read alike share the mark; where more than half of them do, none is best.
     """
     texts = column(values, digits)
     able = list(eligible) or [False] * len(values)
-    best = _best(values, texts, able)
+    best = _best(values, texts, able, better) if better else set()
     return [
         Cell(text, value, best=ok and text in best)
         for text, value, ok in zip(texts, values, able, strict=True)
@@ -143,12 +171,16 @@ def range_texts(spreads: Sequence[Spread]) -> list[str]:
     ]
 
 
-def _best(values: Sequence[float], texts: Sequence[str], able: Sequence[bool]) -> set[str]:
+def _best(
+    values: Sequence[float], texts: Sequence[str], able: Sequence[bool], better: Literal["low", "high"]
+) -> set[str]:
     known = [
         (value, text)
         for value, text, ok in zip(values, texts, able, strict=True)
         if ok and not math.isnan(value)
     ]
-    holders = sum(text == min(known)[1] for _, text in known)
-    # What most of them reach distinguishes nobody.
-    return {min(known)[1]} if len(known) > 1 and 2 * holders <= len(known) else set()
+    if len(known) < 2:
+        return set()
+    best = (min(known) if better == "low" else max(known))[1]
+    # What most of them reach distinguishes none of them.
+    return {best} if 2 * sum(text == best for _, text in known) <= len(known) else set()

@@ -10,8 +10,8 @@ from markupsafe import Markup
 from ddpc_cosim import CaseResult
 from ddpc_reports.comparison import (
     TRACKING,
-    Competitor,
     Condition,
+    ControllerResults,
     Spread,
     metric_keys,
     metric_label,
@@ -35,7 +35,7 @@ class Statement(NamedTuple):
 def verdict(condition: Condition) -> list[Statement]:
     """Return the findings of one condition, the completeness of the cases first."""
     statements = [Statement("Completed", _completeness(condition))]
-    if not any(one.completed for one in condition.competitors):
+    if not any(one.completed for one in condition.controllers):
         return statements
     statements += tracking(condition)
     statements += least(condition, "settled_error", "Settling", "settles closest to the reference")
@@ -47,7 +47,7 @@ def verdict(condition: Condition) -> list[Statement]:
 
 
 def _completeness(condition: Condition) -> Markup:
-    lost = [one for one in condition.competitors if not one.completed_all]
+    lost = [one for one in condition.controllers if not one.completed_all]
     total = len(condition.cases)
     if not lost:
         own = " of the controllers with their own settings" if condition.variants else ""
@@ -56,8 +56,8 @@ def _completeness(condition: Condition) -> Markup:
             if total > 1
             else Markup("The case{} completed.").format(own.replace("controllers", "controller"))
         )
-    done = sum(len(one.completed) for one in condition.competitors)
-    who = listed([_lost_cases(one) for one in lost])
+    done = sum(len(one.completed) for one in condition.controllers)
+    who = join_words([_lost_cases(one) for one in lost])
     head = f"{done} of {total} cases completed" if done else "No case completed, so nothing is ranked"
     text = Markup("{}; not completed: {}.").format(head, who)
     return (
@@ -67,7 +67,7 @@ def _completeness(condition: Condition) -> Markup:
     )
 
 
-def _lost_cases(one: Competitor) -> Markup:
+def _lost_cases(one: ControllerResults) -> Markup:
     lost = [case for case in one.cases if case not in one.completed]
     outcomes = ", ".join(dict.fromkeys(str(case.outcome) for case in lost))
     return Markup("<b>{}</b> {} of {} ({})").format(one.label, len(lost), len(one.cases), outcomes)
@@ -79,22 +79,21 @@ def _violations(condition: Condition) -> Markup:
         return Markup("The outputs have no limits here.")
     offenders = []
     for key in condition.keys("bound_violation_max"):
-        for one in condition.competitors:
+        for one in condition.controllers:
             worst = one.over_seeds(key).high
             if worst > 0:
                 offenders.append(
                     Markup("<i>{}</i> by up to {} ({})").format(
-                        one.label, shower(key, 3)(worst), metric_signal(key)
+                        one.label, formatter(key, 3)(worst), metric_signal(key)
                     )
                 )
     if not offenders:
         return Markup("No output went beyond its limits in a completed case.")
-    return Markup("Outputs went beyond their limits with {}.").format(listed(offenders))
+    return Markup("Outputs went beyond their limits with {}.").format(join_words(offenders))
 
 
 def _times(condition: Condition) -> Markup:
-    complete = [one for one in condition.competitors if one.completed_all]
-    order = ranked(complete, [one.over_seeds("solve_time_median [s]").median for one in complete])
+    order = condition.ranking("solve_time_median [s]")
     text = Markup("")
     if len(order) > 1:
         (best, winner), (worst, last) = order[0], order[-1]
@@ -106,13 +105,13 @@ def _times(condition: Condition) -> Markup:
 
 def _deadlines(condition: Condition) -> Markup:
     sampling_time = condition.results.study.loop.sampling_time
-    late = [(one.total("deadline_misses [1]"), one.label) for one in condition.competitors]
+    late = [(one.total("deadline_misses [1]"), one.label) for one in condition.controllers]
     missed = [
         Markup("<i>{}</i> ({})").format(label, counted(count, "step")) for count, label in late if count
     ]
     if missed:
         return Markup("Steps longer than the sampling time of {}: {}.").format(
-            given_duration(sampling_time), listed(missed)
+            given_duration(sampling_time), join_words(missed)
         )
     longest = max(_longest_steps(condition.cases), default=math.nan)
     if math.isnan(longest):
@@ -128,7 +127,7 @@ def _longest_steps(cases: Sequence[CaseResult]) -> list[float]:
 
 
 def _fallbacks(condition: Condition) -> Markup:
-    counts = [(one.fallbacks, one) for one in condition.competitors]
+    counts = [(one.total("failures [1]"), one) for one in condition.controllers]
     who = [
         Markup("<i>{}</i> at {}").format(one.label, counted(count, "sample"))
         for count, one in counts
@@ -136,7 +135,7 @@ def _fallbacks(condition: Condition) -> Markup:
     ]
     if not who:
         return Markup("No controller reported a fallback.")
-    return Markup("Controllers fell back on a substitute: {}.").format(listed(who))
+    return Markup("Controllers fell back on a substitute: {}.").format(join_words(who))
 
 
 def tracking(condition: Condition) -> list[Statement]:
@@ -161,10 +160,10 @@ def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> State
 
 
 def _in_short(condition: Condition, key: str) -> Markup:
-    order = _by_median(condition, key)
+    order = condition.ranking(key)
     if not order:
         return Markup("no controller completed every case.")
-    show = shower(key)
+    show = formatter(key)
     winner = order[0][1]
     text = Markup("<b>{}</b> {}").format(winner.label, median_and_range(winner.over_seeds(key), key))
     if len(order) > 1:
@@ -176,7 +175,7 @@ def _in_short(condition: Condition, key: str) -> Markup:
 
 def least(condition: Condition, name: str, topic: str, claim: str) -> list[Statement]:
     """State who has the smallest median of a metric, and by how much, for each signal that has it."""
-    known = [(key, order) for key in condition.keys(name) if len(order := _by_median(condition, key)) > 1]
+    known = [(key, order) for key in condition.keys(name) if len(order := condition.ranking(key)) > 1]
     if len(known) > 1:
         return [_each_signal(condition, [key for key, _ in known], topic)]
     return [Statement(topic, _leader(order, key, claim, len(condition.seeds))) for key, order in known]
@@ -188,29 +187,24 @@ def least_travel(condition: Condition) -> list[Statement]:
     travels, costs = condition.keys("total_variation"), condition.keys(TRACKING)
     if not statements or len(travels) > 1 or len(costs) > 1:
         return statements
-    tracks = _by_median(condition, costs[0])
-    winner = _by_median(condition, travels[0])[0][1]
+    tracks = condition.ranking(costs[0])
+    winner = condition.ranking(travels[0])[0][1]
     own = winner.over_seeds(costs[0]).median
     if not tracks or not own > _POOR * tracks[0][0]:
         return statements
-    show = shower(costs[0], 3)
+    show = formatter(costs[0], 3)
     text = Markup(" Its tracking error is far from the best, though: {} against {}.").format(
         show(own), show(tracks[0][0])
     )
     return [Statement(topic, sentence + text) for topic, sentence in statements]
 
 
-def _by_median(condition: Condition, key: str) -> list[tuple[float, Competitor]]:
-    complete = [one for one in condition.competitors if one.completed_all]
-    return ranked(complete, [one.over_seeds(key).median for one in complete])
-
-
 def _first_seed(condition: Condition, key: str) -> Markup:
-    order = ranked(condition.competitors, [one.at_first(key) for one in condition.competitors])
+    order = ranked(key, condition.controllers, [one.at_first(key) for one in condition.controllers])
     seed = condition.seeds[0]
     if not order:
         return Markup("No controller completed the case of seed {}.").format(seed)
-    show = shower(key)
+    show = formatter(key)
     what = metric_label(key).lower()
     if len(order) == 1:
         return Markup(
@@ -221,7 +215,10 @@ def _first_seed(condition: Condition, key: str) -> Markup:
         return Markup("On seed {} all controllers track alike: {} {}.").format(seed, what, show(best))
     if show(best) == show(second):
         text = Markup("On seed {}, {} track best: {} {}").format(
-            seed, listed(names([one for value, one in order if show(value) == show(best)])), what, show(best)
+            seed,
+            join_words(names([one for value, one in order if show(value) == show(best)])),
+            what,
+            show(best),
         )
     else:
         text = Markup("On seed {}, <b>{}</b> tracks best: {} {}, then <i>{}</i> with {}").format(
@@ -235,7 +232,7 @@ def _first_seed(condition: Condition, key: str) -> Markup:
 
 
 def _over_seeds(condition: Condition, key: str) -> Markup:
-    order = _by_median(condition, key)
+    order = condition.ranking(key)
     if not order:
         return Markup("No controller completed every seed, so medians over the seeds are not compared.")
     winner, rest = order[0][1], [one for _, one in order[1:]]
@@ -244,10 +241,10 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
         return Markup("Only <b>{}</b> completed every seed: median {}; nothing to compare with.").format(
             winner.label, figure
         )
-    alike = [one for value, one in order if shower(key)(value) == shower(key)(order[0][0])]
+    alike = [one for value, one in order if formatter(key)(value) == formatter(key)(order[0][0])]
     if len(alike) > 1:
         return Markup("Over {} seeds, {} share the smallest median: {}.").format(
-            len(condition.seeds), listed(names(alike)), shower(key)(order[0][0])
+            len(condition.seeds), join_words(names(alike)), formatter(key)(order[0][0])
         )
     text = Markup("Over {} seeds, <b>{}</b> has the smallest median: {}.").format(
         len(condition.seeds), winner.label, figure
@@ -255,7 +252,7 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
     return text + _duel(winner, rest[0], key) + _overlap(winner, rest, key) + _constant([winner, *rest], key)
 
 
-def _duel(winner: Competitor, rival: Competitor, key: str) -> Markup:
+def _duel(winner: ControllerResults, rival: ControllerResults, key: str) -> Markup:
     mine, theirs = winner.by_seed(key), rival.by_seed(key)
     shared = mine.keys() & theirs.keys()
     wins = sum(mine[seed] < theirs[seed] for seed in shared)
@@ -264,30 +261,30 @@ def _duel(winner: Competitor, rival: Competitor, key: str) -> Markup:
     )
 
 
-def _overlap(winner: Competitor, others: Sequence[Competitor], key: str) -> Markup:
+def _overlap(winner: ControllerResults, others: Sequence[ControllerResults], key: str) -> Markup:
     reach = winner.over_seeds(key).high
     inside = [one for one in others if one.over_seeds(key).low <= reach]
     if not inside:
         return Markup(" Its range lies below that of every other controller.")
     return Markup(" The ranges of {} overlap with its own, so the seed decides who is ahead there.").format(
-        listed(names(inside)) if len(inside) < 4 else f"{len(inside)} controllers"
+        join_words(names(inside)) if len(inside) < 4 else f"{len(inside)} controllers"
     )
 
 
-def _constant(order: Sequence[Competitor], key: str) -> Markup:
+def _constant(order: Sequence[ControllerResults], key: str) -> Markup:
     same = [one for one in order if not one.over_seeds(key).varies]
     if not same or len(same) == len(order):
         return Markup(" The seed changes nothing here.") if same else Markup("")
-    return Markup(" The seed changes nothing for {}.").format(listed(names(same)))
+    return Markup(" The seed changes nothing for {}.").format(join_words(names(same)))
 
 
-def _leader(order: Sequence[tuple[float, Competitor]], key: str, claim: str, seeds: int) -> Markup:
-    show = shower(key, 3)
+def _leader(order: Sequence[tuple[float, ControllerResults]], key: str, claim: str, seeds: int) -> Markup:
+    show = formatter(key, 3)
     (best, winner), (second, next_one) = order[0], order[1]
     what = metric_label(key).lower() + (" (median of the seeds)" if seeds > 1 else "")
     if show(best) == show(second):
         alike = [one for value, one in order if show(value) == show(best)]
-        return Markup("{} share the smallest {}: {}.").format(listed(names(alike)), what, show(best))
+        return Markup("{} share the smallest {}: {}.").format(join_words(names(alike)), what, show(best))
     return (
         Markup("<b>{}</b> {}: {} {}, against {} of <i>{}</i> and {} of <i>{}</i>.").format(
             winner.label,
@@ -306,15 +303,15 @@ def _leader(order: Sequence[tuple[float, Competitor]], key: str, claim: str, see
     )
 
 
-def listed(parts: Sequence[str | Markup]) -> Markup:
+def join_words(parts: Sequence[str | Markup]) -> Markup:
     """Join parts as in a sentence: ``a, b and c``."""
     *head, last = parts
     return Markup("{} and {}").format(Markup(", ").join(head), last) if head else Markup("{}").format(last)
 
 
-def names(competitors: Sequence[Competitor]) -> list[Markup]:
+def names(controllers: Sequence[ControllerResults]) -> list[Markup]:
     """Set names in italics: a label may itself hold commas."""
-    return [Markup("<i>{}</i>").format(one.label) for one in competitors]
+    return [Markup("<i>{}</i>").format(one.label) for one in controllers]
 
 
 def by_signal(lines: Sequence[tuple[str, Markup]]) -> Markup:
@@ -334,13 +331,13 @@ def counted(count: float, noun: str) -> str:
 
 def median_and_range(figure: Spread, key: str) -> str:
     """Write a median and, where the cases differ, their range in brackets."""
-    show = shower(key)
+    show = formatter(key)
     if not figure.varies:
         return show(figure.median)
     return f"{show(figure.median)} [{significant(figure.low)} … {significant(figure.high)}]"
 
 
-def shower(key: str, digits: int = 4) -> Callable[[float], str]:
+def formatter(key: str, digits: int = 4) -> Callable[[float], str]:
     """Return the function that writes a value of this metric with its unit."""
     return lambda value: with_unit(significant(value, digits), metric_unit(key))
 
@@ -357,15 +354,14 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
     """Say in which scenarios each winner has the smallest median."""
     won: dict[str, list[Markup]] = {}
     for condition in conditions:
-        complete = [one for one in condition.competitors if one.completed_all]
-        order = ranked(complete, [one.over_seeds(key).median for one in complete])
+        order = condition.ranking(key)
         if len(order) > 1:
             won.setdefault(order[0][1].label, []).append(Markup("<i>{}</i>").format(condition.label))
     if not won:
         return Markup("There is no scenario in which two controllers completed every case.")
     claims = [" has the smallest tracking cost", *[""] * (len(won) - 1)]
     parts = [
-        Markup("<b>{}</b>{} in {}").format(label, claim, listed(where))
+        Markup("<b>{}</b>{} in {}").format(label, claim, join_words(where))
         for (label, where), claim in zip(won.items(), claims, strict=True)
     ]
     return Markup("{}.").format(Markup("; ").join(parts))
@@ -392,9 +388,9 @@ def limitations(conditions: tuple[Condition, ...], drawn: int) -> list[str]:
 
 
 def _of_cases(conditions: tuple[Condition, ...]) -> list[str]:
-    lost = {one.label: 0 for condition in conditions for one in condition.competitors}
+    lost = {one.label: 0 for condition in conditions for one in condition.controllers}
     for condition in conditions:
-        for one in condition.competitors:
+        for one in condition.controllers:
             lost[one.label] += len(one.cases) - len(one.completed)
     return [
         f"{label}: {count} {'case' if count == 1 else 'cases'} did not complete; its medians and ranges are "

@@ -43,4 +43,4 @@ def test_the_fault_that_ends_a_case_is_no_fallback(make_results: MakeResults) ->
 
     (condition,) = conditions(make_results(trace_of))
     assert fallbacks_table([condition], "x-") is None
-    assert [one.fallbacks for one in condition.competitors] == [0, 0]
+    assert [one.total("failures [1]") for one in condition.controllers] == [0, 0]

@@ -6,12 +6,17 @@ from statistics import median
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from ddpc_cosim import StudyResults, Trace
+from ddpc_cosim.cli.summary import summary_table
+from ddpc_cosim.metrics import METRICS, Metric, Response
+from ddpc_reports.case_tables import cases_table
 from ddpc_reports.comparison import conditions
-from ddpc_reports.comparison_tables import across_table, reproduction_table
+from ddpc_reports.comparison_tables import across_table, reproduction_table, verdict_table
+from ddpc_reports.numbers import MINUS
 from ddpc_reports.page import render_page
-from ddpc_reports.table import Row
+from ddpc_reports.table import Row, Table
 from ddpc_reports.verdict import across_statements
 
 from .synthetic import MakeResults, make_trace
@@ -75,6 +80,53 @@ def study_with(make_results: MakeResults, published: float, **method: Any) -> St
     reproduction = {"source": "Table 9", "metrics": {COST: "Absolute error"}, "methods": methods}
     controllers = {"printed": {"type": "a"}, "code": {"type": "a"}}
     return make_results(lags, controllers, seeds=SEEDS, report={"reproduction": reproduction})
+
+
+def test_a_new_metric_needs_its_entry_in_the_registry_alone(
+    make_results: MakeResults, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    peak = Metric(
+        Response,
+        "Peak",
+        "highest value - in full",
+        lambda response: float(response.variable.shown_in.from_unit(response.values).max()),
+        "value",
+        better="high",
+        title="peak",
+        short="peak!",
+    )
+    monkeypatch.setitem(METRICS, "peak", peak)
+    results = make_results(seeds=[7, 0], scenarios=SCENARIOS)
+    assert all("peak.angle [deg]" in case.metrics for case in results.cases)
+    seen = conditions(results)
+    table = verdict_table(seen[0], "x-")
+    assert marked(table, "peak (°)") == ["quick"]
+    assert f"Peak: highest value {MINUS} in full." in table.notes[1]
+    assert "step time, peak; the largest of" in table.notes[1]
+    beside = across_table(seen, "x-")
+    assert beside is not None
+    best = {row.header for row in beside.rows if row.group == "peak of angle / °" and row.cells[0].best}
+    assert best == {"quick"}
+    assert "peak, angle (°)" in [heading.words for heading in cases_table(results, seen, "x-").headings]
+    console = Console(width=200)
+    with console.capture() as capture:
+        console.print(summary_table(results, console))
+    assert "peak!" in capture.get()
+
+
+@pytest.mark.parametrize(("better", "names"), [("low", ["quick"]), ("high", ["slow"]), ("", [])])
+def test_the_best_of_a_column_follows_from_the_direction_of_its_metric(
+    make_results: MakeResults, monkeypatch: pytest.MonkeyPatch, better: Any, names: list[str]
+) -> None:
+    monkeypatch.setitem(METRICS, "settled_error", replace(METRICS["settled_error"], better=better))
+    table = verdict_table(conditions(make_results())[0], "x-")
+    assert marked(table, "settled error (°)") == names
+
+
+def marked(table: Table, heading: str) -> list[str]:
+    """Return who is marked in a column."""
+    column = [one.words for one in table.headings[1:]].index(heading)
+    return [row.header for row in table.rows if row.cells[column].best]
 
 
 def only_row(results: StudyResults) -> Row:

@@ -1,4 +1,4 @@
-"""Sweeps in the report: a map of the error for each, and nothing of them among the competitors."""
+"""Sweeps in the report: a map of the error for each, and nothing of them among the controllers."""
 
 import math
 import re
@@ -62,7 +62,7 @@ def rows_of(results: StudyResults, number: int) -> list[dict[str, Any]]:
 
 def test_variants_are_no_competitors(results: StudyResults) -> None:
     (condition,) = conditions(results)
-    assert [one.key for one in condition.competitors] == ["slow"]
+    assert [one.key for one in condition.controllers] == ["slow"]
     assert len(condition.variants) == 6
 
 
@@ -70,7 +70,7 @@ def test_controllers_beside_a_sweep_have_colours_of_their_own(tmp_path: Path) ->
     controllers = sections() | {"other": {"type": "x"}}
     results = make_results_in(tmp_path, lambda key, seed: make_trace(0.5), controllers)
     (condition,) = conditions(results)
-    assert {one.key: one.index for one in condition.competitors} == {"slow": 0, "other": 1}
+    assert {one.key: one.index for one in condition.controllers} == {"slow": 0, "other": 1}
     assert {one.index for one in condition.variants} == {0}
 
 

@@ -10,7 +10,7 @@ from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.comparison_tables import verdict_table
 from ddpc_reports.table import Table
-from ddpc_reports.verdict import listed, verdict
+from ddpc_reports.verdict import join_words, verdict
 
 from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
 
@@ -134,7 +134,7 @@ def test_the_table_marks_the_smallest_of_each_column(make_results: MakeResults) 
     ("parts", "text"), [(["a"], "a"), (["a", "b"], "a and b"), (["a", "b", "<c>"], "a, b and &lt;c&gt;")]
 )
 def test_lists_read_as_sentences(parts: list[str], text: str) -> None:
-    assert str(listed(parts)) == text
+    assert str(join_words(parts)) == text
 
 
 def test_several_outputs_are_told_in_one_statement_each(make_results: MakeResults) -> None:
