@@ -1,5 +1,6 @@
 """Checks of the libraries and sources of an unpacked FMU: whether it can run on this machine."""
 
+import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,6 @@ from xml.etree import ElementTree
 from ddpc_cosim.fmu.build import has_sources
 from ddpc_cosim.fmu.library import library_extension, library_in, listed, platform_folders, platforms
 from ddpc_cosim.inspection.defects import Findings, Kind, Severity
-from ddpc_cosim.inspection.needed_libraries import missing_libraries
 from ddpc_cosim.inspection.raw_description import Declared
 
 Route = Literal["binary", "sources", ""]
@@ -62,6 +62,26 @@ _NEEDED: Mapping[tuple[int, str], tuple[str, ...]] = {
     (3, "CoSimulation"): (*_COMMON[3], "DoStep", "InstantiateCoSimulation"),
     (3, "ModelExchange"): (*_COMMON[3], "InstantiateModelExchange", "SetTime"),
 }
+
+_LONGEST_TRIAL = 30.0
+# Python itself would not run without them; what is looked for takes a process.
+_EVERYWHERE = {
+    "libc.so.6",
+    "libm.so.6",
+    "libpthread.so.0",
+    "libdl.so.2",
+    "librt.so.1",
+    "ld-linux-x86-64.so.2",
+}
+# In a process of its own: libraries may do anything when they are loaded.
+_TRIAL = """
+import ctypes, sys
+for name in sys.argv[1:]:
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        print(name)
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +149,46 @@ def _check_content(
     if missing:
         findings.add(NO_FUNCTIONS, ", ".join(missing))
         return ""
-    absent = missing_libraries(library, resources)
+    absent = _missing_libraries(library, resources)
     if absent:
         findings.add(NO_LIBRARY, ", ".join(absent))
         return ""
     return "binary"
+
+
+def _missing_libraries(library: Path, resources: Path) -> list[str]:
+    """Return the libraries that an FMU's needs and that are neither in the FMU nor in the system (Linux)."""
+    from fmu_plants.export.binaries import needed_libraries
+
+    if not sys.platform.startswith("linux"):
+        return []
+    try:
+        needed, run_path = needed_libraries(library.read_bytes())
+    except ValueError:  # damaged: the loader will tell
+        return []
+    own = {path.name for folder in (library.parent, resources) for path in folder.rglob("*.so*")}
+    origin = str(library.parent)
+    folders = [Path(p.replace("${ORIGIN}", origin).replace("$ORIGIN", origin)) for p in run_path]
+    # A path would have this very file loaded, wherever it leads: looking at an FMU must not do that.
+    foreign = [name for name in needed if name not in own | _EVERYWHERE and "/" not in name]
+    elsewhere = [name for name in foreign if not any((folder / name).is_file() for folder in folders)]
+    return _not_in_system(elsewhere) if elsewhere else []
+
+
+def _not_in_system(names: Sequence[str]) -> list[str]:
+    try:
+        done = subprocess.run(
+            [sys.executable, "-I", "-c", _TRIAL, *names],
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=_LONGEST_TRIAL,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):  # nothing is known then
+        return []
+    return [name for name in names if name in done.stdout.splitlines()]
 
 
 def _missing_functions(content: bytes, major: int, interface: str, prefixes: Sequence[str]) -> list[str]:

@@ -1,11 +1,13 @@
 """Shared libraries as files: ELF, PE and Mach-O, 64 bit, little endian.
 
-A library for another platform cannot be loaded here to see whether it has what it must: which functions it
-exports is read from its file.
+A library for another platform cannot be loaded here to see whether it has what it must, and loading one runs
+its code: which functions it exports and which libraries it needs is read from its file.
 """
 
 import struct
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import NamedTuple
 
 _ELF_MAGIC, _PE_MAGIC, _MACHO_MAGIC = b"\x7fELF\x02\x01", b"MZ", b"\xcf\xfa\xed\xfe"
 
@@ -29,24 +31,78 @@ def exported_symbols(library: bytes) -> frozenset[str]:
     readers = {_ELF_MAGIC: _elf_exports, _PE_MAGIC: _pe_exports, _MACHO_MAGIC: _macho_exports}
     for magic, reader in readers.items():
         if library.startswith(magic):
-            try:
+            with _damage_as_value_error():
                 return frozenset(reader(library))
-            except (struct.error, IndexError, StopIteration) as error:
-                raise ValueError(f"the library is damaged: {error}") from error
     raise ValueError("the library is neither ELF nor PE nor Mach-O of 64 bit")
+
+
+@contextmanager
+def _damage_as_value_error() -> Iterator[None]:
+    try:
+        yield
+    except (struct.error, IndexError) as error:
+        raise ValueError(f"the library is damaged: {error}") from error
 
 
 def _text(content: bytes, offset: int) -> str:
     return content[offset : content.index(b"\0", offset)].decode("utf-8", errors="replace")
 
 
+class Needs(NamedTuple):
+    """What a library asks the loader of Linux for."""
+
+    libraries: list[str]
+    folders: list[str]
+
+
+def needed_libraries(library: bytes) -> Needs:
+    """Return the libraries that an ELF library needs, and the folders where it has them looked for.
+
+    Those of other formats are not read. Source: System V ABI, dynamic section.
+
+    Raises
+    ------
+    ValueError
+        The file is damaged.
+    """
+    loaded_segment, dynamic_segment = 1, 2
+    names_address, needed, run_paths = 5, 1, (15, 29)
+    if not library.startswith(_ELF_MAGIC):
+        return Needs([], [])
+    with _damage_as_value_error():
+        # type, flags, offset, virtual address, physical address, size in the file, size in memory
+        segments = _elf_table(library, 0x20, 0x36, "<2I5Q")
+        entries = [e for s in segments if s[0] == dynamic_segment for e in _dynamic_entries(library, s)]
+        (address,) = [value for tag, value in entries if tag == names_address] or [0]
+        loaded = [s for s in segments if s[0] == loaded_segment and 0 <= address - s[3] < s[5]]
+        if not loaded:
+            return Needs([], [])
+        names = address - loaded[0][3] + loaded[0][2]
+        libraries = [_text(library, names + value) for tag, value in entries if tag == needed]
+        paths = [_text(library, names + value) for tag, value in entries if tag in run_paths]
+    return Needs(libraries, [folder for path in paths for folder in path.split(":")])
+
+
+def _elf_table(content: bytes, place: int, sizes: int, entry: str) -> list[tuple[int, ...]]:
+    """Read segments or sections; the header says at `place` where, at `sizes` how large and how many."""
+    (table,) = struct.unpack_from("<Q", content, place)
+    size, count = struct.unpack_from("<2H", content, sizes)
+    return [struct.unpack_from(entry, content, table + index * size) for index in range(count)]
+
+
+def _dynamic_entries(content: bytes, segment: Sequence[int]) -> Iterator[tuple[int, int]]:
+    end = 0
+    for tag, value in struct.iter_unpack("<qQ", content[segment[2] : segment[2] + segment[5]]):
+        if tag == end:
+            return
+        yield tag, value
+
+
 def _elf_exports(content: bytes) -> Iterator[str]:
     """Read the section of dynamic symbols (System V ABI, ELF-64 object file format)."""
     dynamic_symbols, undefined, local = 11, 0, 0
-    (table,) = struct.unpack_from("<Q", content, 0x28)
-    size, count = struct.unpack_from("<2H", content, 0x3A)
-    # name, type, flags, address, offset, size, link, ...
-    sections = [struct.unpack_from("<2I4QI", content, table + index * size) for index in range(count)]
+    # name, type, flags, address, offset, size, link
+    sections = _elf_table(content, 0x28, 0x3A, "<2I4QI")
     for _, kind, _, _, offset, length, link in sections:
         if kind == dynamic_symbols:
             names = sections[link][4]

@@ -10,7 +10,7 @@ import pytest
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.session import FMUSession
 from ddpc_cosim.inspection import inspect_fmu
-from ddpc_cosim.inspection.needed_libraries import needs
+from fmu_plants.export.binaries import needed_libraries
 from fmu_plants.export.compiler import find_compiler
 
 from .builder import HERE, LAG, describe, platform_folder, write_fmu
@@ -115,15 +115,15 @@ def test_an_inspection_loads_no_file_that_the_fmu_points_at(tmp_path: Path) -> N
     command = [*shared, *own_name, "-o", "main.so", "main.c", *models, trap, "-lm"]
     subprocess.run(command, cwd=tmp_path, check=True)
     library = (tmp_path / "main.so").read_bytes()
-    assert str(trap) in needs(library).libraries
+    assert str(trap) in needed_libraries(library).libraries
     inspect_fmu(lag_fmu(tmp_path / "lag.fmu", library))
     assert not sprung.exists()
 
 
-def test_needs_are_those_that_the_linker_has_written(chain: Chain) -> None:
-    assert FIRST in needs(chain.main).libraries
-    assert needs(chain.main).folders == []
-    assert needs(b"MZ" + chain.main) == needs(b"") == ([], [])
+def test_needed_libraries_are_those_that_the_linker_has_written(chain: Chain) -> None:
+    assert FIRST in needed_libraries(chain.main).libraries
+    assert needed_libraries(chain.main).folders == []
+    assert needed_libraries(b"MZ" + chain.main) == needed_libraries(b"") == ([], [])
 
 
 def test_the_one_with_functions_of_fmi_is_the_fmus(tmp_path: Path, chain: Chain) -> None:
