@@ -4,17 +4,19 @@ import hashlib
 import importlib.resources
 import os
 import re
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import fmpy.model_description
 
 from ddpc_cosim.errors import FMUImportError
+
+if TYPE_CHECKING:
+    from fmu_plants.export.compiler import Compiler
 
 # FMI's headers put a prefix before every function for static linking; a library must not have it.
 _DEFINITIONS = (
@@ -77,7 +79,11 @@ def compile_sources(folder: Path, model_identifier: str, target: Path, label: st
     if not cached.is_file():
         with tempfile.TemporaryDirectory(prefix="ddpc-cosim-") as scratch:
             built = Path(scratch) / target.name
-            _build(compiler.command, compiler.libraries, sources, sets, built, label)
+            try:
+                _build(compiler, sources, sets, built)
+            except ExportError as error:
+                what = f"no binary for this platform, and {compiler.command[0]} cannot compile its C sources"
+                raise FMUImportError(f"{label}: {what}: {str(error)[:_OUTPUT_SHOWN]}") from error
             write_to_cache(cached, built.read_bytes())
     target.write_bytes(cached.read_bytes())
 
@@ -124,14 +130,7 @@ def _definition(definition: Any) -> str:
     return f"-D{definition.name}" + (f"={value}" if value else "")
 
 
-def _build(
-    command: Sequence[str],
-    libraries: Sequence[str],
-    sources: Path,
-    sets: Sequence[_SourceSet],
-    built: Path,
-    label: str,
-) -> None:
+def _build(compiler: "Compiler", sources: Path, sets: Sequence[_SourceSet], built: Path) -> None:
     headers = importlib.resources.files("fmpy") / "c-code"
     position = () if os.name == "nt" else ("-fPIC",)
     objects: list[str] = []
@@ -141,25 +140,14 @@ def _build(
         includes = [f"-I{sources / name}" for name in (".", *source_set.include_folders)]
         flags = ["-c", "-O2", "-w", *position, *_DEFINITIONS, *source_set.definitions]
         files = [str(sources / name) for name in source_set.files]
-        _run([*command, *flags, *includes, f"-I{headers}", *files], folder, label)
+        compiler.run([*flags, *includes, f"-I{headers}", *files], folder)
         objects += map(str, sorted(folder.iterdir()))
     is_cpp = any(name.endswith(_CPP) for source_set in sets for name in source_set.files)
     standard_library = ("-lstdc++",) if is_cpp else ()
     # Without it, a function of the FMU would give way to one of the same name anywhere in this process.
     own_symbols = ("-Wl,-Bsymbolic",) if sys.platform.startswith("linux") else ()
-    link = [*command, "-shared", *own_symbols, "-o", str(built), *objects, *libraries, *standard_library]
-    _run(link, built.parent, label)
-
-
-def _run(command: Sequence[str], folder: Path, label: str) -> None:
-    done = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, encoding="utf-8", errors="replace"
-    )
-    if done.returncode != 0:
-        output = (done.stderr or done.stdout).strip()[:_OUTPUT_SHOWN]
-        raise FMUImportError(
-            f"{label}: no binary for this platform, and {command[0]} cannot compile its C sources:\n{output}"
-        )
+    link = ["-shared", *own_symbols, "-o", str(built), *objects, *compiler.libraries, *standard_library]
+    compiler.run(link, built.parent)
 
 
 def _digest(sources: Path, sets: Sequence[_SourceSet], compiler: str) -> str:

@@ -112,6 +112,29 @@ class Compiler:
         """Return the arguments of each call that it takes to make a library of the sources, in order."""
         return [[*self.flags, *extra_flags, "-I.", "-o", library, *sources, *self.libraries]]
 
+    def run(self, arguments: Sequence[str], folder: str | Path) -> None:
+        """Call it in a folder.
+
+        Raises
+        ------
+        ExportError
+            It fails or cannot be run; the message has what the compiler says, and the call.
+        """
+        command = [*self.command, *arguments]
+        zig_cache = str(cache_dir() / "zig")
+        environment = {"ZIG_GLOBAL_CACHE_DIR": zig_cache, "ZIG_LOCAL_CACHE_DIR": zig_cache} | os.environ
+        try:
+            done = _capture(command, cwd=folder, env=environment)
+        except OSError as error:
+            reason = f"the C compiler {command[0]} cannot be run: {error}; set CC to another one"
+            raise ExportError(reason) from error
+        if done.returncode != 0:
+            output = (done.stderr or done.stdout).strip()
+            call = shlex.join(command)
+            raise ExportError(
+                f"the C compiler failed (exit code {done.returncode}):\n{output}\nThe call: {call}"
+            )
+
 
 @dataclass(frozen=True, slots=True)
 class CrossCompiler(Compiler):
@@ -228,7 +251,7 @@ def compile_library(
         for name, text in {**files, **compiler.own_files(sources)}.items():
             Path(folder, name).write_text(text, encoding="utf-8", newline="\n")
         for arguments in compiler.calls(sources, library, extra_flags):
-            _run([*compiler.command, *arguments], folder)
+            compiler.run(arguments, folder)
         built = Path(folder, library)
         is_for_here = compiler.platform == host_platform()
         missing = _unloadable_exports(built, required) if is_for_here else _unlisted_exports(built, required)
@@ -241,26 +264,12 @@ def compile_library(
 
 
 def _capture(
-    command: Sequence[str], cwd: str | None = None, env: Mapping[str, str] | None = None
+    command: Sequence[str], cwd: str | Path | None = None, env: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
     """Run a command for its output, which may be in any encoding."""
     return subprocess.run(
         command, cwd=cwd, env=env, capture_output=True, text=True, encoding="utf-8", errors="replace"
     )
-
-
-def _run(command: Sequence[str], folder: str) -> None:
-    zig_cache = str(cache_dir() / "zig")
-    environment = {"ZIG_GLOBAL_CACHE_DIR": zig_cache, "ZIG_LOCAL_CACHE_DIR": zig_cache} | os.environ
-    try:
-        done = _capture(command, cwd=folder, env=environment)
-    except OSError as error:
-        reason = f"the C compiler {command[0]} cannot be run: {error}; set CC to another one"
-        raise ExportError(reason) from error
-    if done.returncode != 0:
-        output = (done.stderr or done.stdout).strip()
-        call = shlex.join(command)
-        raise ExportError(f"the C compiler failed (exit code {done.returncode}).\n{call}\n{output}")
 
 
 def _unloadable_exports(library: Path, required: Sequence[str]) -> list[str]:

@@ -1,6 +1,5 @@
 """Libraries that the FMU's library needs, on Linux, whose loader looks for them in the system alone."""
 
-import subprocess
 import zipfile
 from pathlib import Path
 from typing import NamedTuple
@@ -44,8 +43,7 @@ def chain(tmp_path_factory: pytest.TempPathFactory) -> Chain:
         ("main.so", ["main.c", *models, FIRST]),
     ):
         own_name = ["-Wl,-Bsymbolic", "-Wl,-soname," + output, "-Wl,--allow-shlib-undefined"]
-        command = [*find_compiler().command, "-shared", "-fPIC", *own_name, "-o", output, *inputs, "-lm"]
-        subprocess.run(command, cwd=folder, check=True)
+        find_compiler().run(["-shared", "-fPIC", *own_name, "-o", output, *inputs, "-lm"], folder)
     return Chain(*((folder / name).read_bytes() for name in ("main.so", FIRST, SECOND)))
 
 
@@ -108,12 +106,12 @@ def test_an_inspection_loads_no_file_that_the_fmu_points_at(tmp_path: Path) -> N
     (tmp_path / "main.c").write_text(
         "int trap(void); int needs_it(void) { return trap(); }", encoding="utf-8"
     )
-    shared = [*find_compiler().command, "-shared", "-fPIC"]
-    subprocess.run([*shared, f"-Wl,-soname,{trap}", "-o", trap, "trap.c"], cwd=tmp_path, check=True)
+    compiler = find_compiler()
+    compiler.run(["-shared", "-fPIC", f"-Wl,-soname,{trap}", "-o", str(trap), "trap.c"], tmp_path)
     models = [str(HERE / name) for name in ("models.c", "front2.c")]
     own_name = ["-Wl,-Bsymbolic", "-Wl,-soname,main.so"]
-    command = [*shared, *own_name, "-o", "main.so", "main.c", *models, trap, "-lm"]
-    subprocess.run(command, cwd=tmp_path, check=True)
+    inputs = ["main.c", *models, str(trap), "-lm"]
+    compiler.run(["-shared", "-fPIC", *own_name, "-o", "main.so", *inputs], tmp_path)
     library = (tmp_path / "main.so").read_bytes()
     assert str(trap) in needed_libraries(library).libraries
     inspect_fmu(lag_fmu(tmp_path / "lag.fmu", library))
