@@ -9,6 +9,7 @@ from pathlib import Path
 import fmpy
 import pytest
 from click.testing import CliRunner, Result
+from fmus.builder import Fault
 
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.plugins import package_version
@@ -102,20 +103,20 @@ def test_metrics_have_one_row_per_case_with_units_in_the_header(
     with (folder / "out" / "metrics.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(row["study"], row["plant"], row["controller"], row["seed"]) for row in rows] == [
-        ("study", "none.fmu", "mfapc", "3"),
-        ("study", "none.fmu", "mfapc", "4"),
+        ("study", "no_fault.fmu", "mfapc", "3"),
+        ("study", "no_fault.fmu", "mfapc", "4"),
     ]
     assert {row["outcome"] for row in rows} == {"completed"}
     assert all(float(row["sum_abs_error.y [1]"]) > 0 for row in rows)
 
 
 def test_a_case_that_failed_exits_with_1_and_is_explained(folder: Path, write_study: WriteStudy) -> None:
-    write_study("mfapc", fault="error")
+    write_study("mfapc", fault=Fault.RETURN_ERROR)
     result = invoke("run", "study.toml", "--jobs", "1")
     assert result.exit_code == 1
     assert "mfapc_seed0" in result.stderr
     assert (
-        "fmu-error: error.fmu: fmi2DoStep returned error at t = 0.5 s; [error] division by zero"
+        "fmu-error: return_error.fmu: fmi2DoStep returned error at t = 0.5 s; [error] division by zero"
         in result.stderr
     )
     assert (folder / "runs" / "study" / "report.html").is_file()

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmus.builder import Fault
 
 from ddpc_cosim import (
     ConfigError,
@@ -68,32 +69,32 @@ CANNOT_BE_LOADED: dict[str, tuple[Callable[[Path, MakeFMU], Path], str]] = {
     "a folder": (lambda p, _: p, r"no such file"),
     "no archive": (lambda p, _: write(p / "x.fmu", b"text"), r"x\.fmu: not an FMU: File is not a zip file"),
     "empty archive": (lambda p, _: empty_zip(p / "x.fmu"), r"x\.fmu: .*no modelDescription\.xml"),
-    "no description": (lambda _, make: make(description=""), r"none\.fmu: .*no modelDescription\.xml"),
+    "no description": (lambda _, make: make(description=""), r"no_fault\.fmu: .*no modelDescription\.xml"),
     "broken XML": (
         lambda _, make: make(description="<fmiModelDescription"),
-        r"none\.fmu: modelDescription\.xml cannot be read",
+        r"no_fault\.fmu: modelDescription\.xml cannot be read",
     ),
     "another XML": (
         lambda _, make: make(description="<a/>"),
-        r"none\.fmu: modelDescription\.xml cannot be read",
+        r"no_fault\.fmu: modelDescription\.xml cannot be read",
     ),
-    "FMI 1": (lambda _, make: make(version="1.0"), r"none\.fmu: modelDescription"),
+    "FMI 1": (lambda _, make: make(version="1.0"), r"no_fault\.fmu: modelDescription"),
     "FMI 3": (
         lambda _, make: make(version="3.0"),
-        r"none\.fmu: modelDescription",
+        r"no_fault\.fmu: modelDescription",
     ),
     "neither type": (
-        lambda _, make: make(interface=""),
-        r"none\.fmu: modelDescription\.xml offers neither Co-Simulation nor Model Exchange",
+        lambda _, make: make(interfaces=""),
+        r"no_fault\.fmu: modelDescription\.xml offers neither Co-Simulation nor Model Exchange",
     ),
     "another platform": (
         lambda _, make: make(platform="amiga"),
-        r"none\.fmu: no binary for this platform \(binaries/.*\); it has binaries for: amiga\. Export",
+        r"no_fault\.fmu: no binary for this platform \(binaries/.*\); it has binaries for: amiga\. Export",
     ),
-    "no library": (lambda _, make: make(library=b"text"), r"none\.fmu: cannot be instantiated: "),
+    "no library": (lambda _, make: make(library=b"text"), r"no_fault\.fmu: cannot be instantiated: "),
     "no instance": (
-        lambda _, make: make("null"),
-        r"null\.fmu: cannot be instantiated: .*licence 42 has expired",
+        lambda _, make: make(Fault.NO_INSTANCE),
+        r"no_instance\.fmu: cannot be instantiated: .*licence 42 has expired",
     ),
 }
 
@@ -122,27 +123,39 @@ def test_an_fmu_that_cannot_be_loaded(
     ("fault", "outcome", "reason"),
     [
         (
-            "error",
+            Fault.RETURN_ERROR,
             Outcome.FMU_ERROR,
-            "error.fmu: fmi2DoStep returned error at t = 0.5 s; [error] division by zero",
+            "return_error.fmu: fmi2DoStep returned error at t = 0.5 s; [error] division by zero",
         ),
-        ("get-error", Outcome.FMU_ERROR, "get-error.fmu: fmi2GetReal returned error at t = 0.5 s"),
-        ("illegal", Outcome.FMU_ERROR, "illegal.fmu: fmi2DoStep returned illegal status 17 at t = 0.5 s"),
-        ("discard", Outcome.FMU_DISCARDED, "discard.fmu: fmi2DoStep returned discard at t = 0.5 s"),
         (
-            "terminated",
-            Outcome.FMU_DISCARDED,
-            "terminated.fmu: fmi2DoStep returned discard at t = 0.5 s; the FMU asks to terminate",
+            Fault.ERROR_WHEN_READ,
+            Outcome.FMU_ERROR,
+            "error_when_read.fmu: fmi2GetReal returned error at t = 0.5 s",
         ),
-        ("fatal", Outcome.FMU_FATAL, "fatal.fmu: fmi2DoStep returned fatal at t = 0.5 s"),
-        ("nan", Outcome.DIVERGED, "output y is nan at t = 0.6 s"),
+        (
+            Fault.RETURN_ILLEGAL,
+            Outcome.FMU_ERROR,
+            "return_illegal.fmu: fmi2DoStep returned illegal status 17 at t = 0.5 s",
+        ),
+        (
+            Fault.RETURN_DISCARD,
+            Outcome.FMU_DISCARDED,
+            "return_discard.fmu: fmi2DoStep returned discard at t = 0.5 s",
+        ),
+        (
+            Fault.DISCARD_AND_TERMINATE,
+            Outcome.FMU_DISCARDED,
+            "discard_and_terminate.fmu: fmi2DoStep returned discard at t = 0.5 s; the FMU asks to terminate",
+        ),
+        (Fault.RETURN_FATAL, Outcome.FMU_FATAL, "return_fatal.fmu: fmi2DoStep returned fatal at t = 0.5 s"),
+        (Fault.RETURN_NAN, Outcome.DIVERGED, "output y is nan at t = 0.6 s"),
     ],
 )
 def test_a_fault_ends_the_run_and_keeps_its_samples(
-    make_fmu: MakeFMU, fault: str, outcome: Outcome, reason: str
+    make_fmu: MakeFMU, fault: Fault, outcome: Outcome, reason: str
 ) -> None:
     trace = close_loop(make_fmu(fault))
-    rows = 5 if fault == "get-error" else 6
+    rows = 5 if fault is Fault.ERROR_WHEN_READ else 6
     assert (trace.outcome, trace.reason) == (outcome, reason)
     assert not trace.completed
     assert np.allclose(trace.y[:, 0], np.arange(rows) * H)
@@ -150,9 +163,11 @@ def test_a_fault_ends_the_run_and_keeps_its_samples(
     assert trace.metrics()["samples [1]"] == rows
 
 
-@pytest.mark.parametrize("fault", ["none", "warning", "set-warning", "chatty"])
+@pytest.mark.parametrize(
+    "fault", [Fault.NO_FAULT, Fault.RETURN_WARNING, Fault.WARNING_WHEN_SET, Fault.LOG_AT_EVERY_STEP]
+)
 def test_warnings_and_messages_do_not_end_a_run(
-    make_fmu: MakeFMU, fault: str, capfd: pytest.CaptureFixture[str]
+    make_fmu: MakeFMU, fault: Fault, capfd: pytest.CaptureFixture[str]
 ) -> None:
     trace = close_loop(make_fmu(fault))
     assert trace.completed
@@ -163,14 +178,14 @@ def test_warnings_and_messages_do_not_end_a_run(
 @pytest.mark.parametrize(
     ("fault", "last_calls"),
     [
-        ("none", ["step", "terminate", "free"]),
-        ("discard", ["step", "terminate", "free"]),
-        ("error", ["step", "free"]),
-        ("fatal", ["step"]),
+        (Fault.NO_FAULT, ["step", "terminate", "free"]),
+        (Fault.RETURN_DISCARD, ["step", "terminate", "free"]),
+        (Fault.RETURN_ERROR, ["step", "free"]),
+        (Fault.RETURN_FATAL, ["step"]),
     ],
 )
 def test_only_what_the_standard_allows_is_called_after_a_fault(
-    make_fmu: MakeFMU, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, last_calls: list[str]
+    make_fmu: MakeFMU, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault, last_calls: list[str]
 ) -> None:
     """FMI 2.0, section 4.2.4: no fmi2Terminate after an error, nothing at all after fmi2Fatal."""
     calls = tmp_path / "calls"
@@ -186,7 +201,7 @@ def test_an_error_of_the_initialisation_is_the_callers_to_see(
     calls = tmp_path / "calls"
     monkeypatch.setenv("FAULTY_FMU_CALLS", str(calls))
     with (
-        FMUPlant(make_fmu("init-error")) as plant,
+        FMUPlant(make_fmu(Fault.ERROR_IN_INITIALIZATION)) as plant,
         pytest.raises(FMUStepError, match=r"fmi2EnterInitializationMode returned error at t = 0 s"),
     ):
         plant.reset()
@@ -194,7 +209,7 @@ def test_an_error_of_the_initialisation_is_the_callers_to_see(
 
 
 def test_an_fmu_can_be_used_again_after_any_fault(make_fmu: MakeFMU) -> None:
-    with FMUPlant(make_fmu("fatal")) as plant:
+    with FMUPlant(make_fmu(Fault.RETURN_FATAL)) as plant:
         for _ in range(2):
             plant.reset()
             for _ in range(5):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fmus.builder import Fault
 
 from ddpc_cosim import ConfigError, CosimError, load_results
 from ddpc_cosim.study.cases import Case
@@ -122,7 +123,7 @@ def test_the_results_can_be_loaded(write_study: WriteStudy) -> None:
     assert repr(loaded.cases) == repr(results.cases)  # NaN is not equal to itself
     assert loaded.study == results.study
     assert loaded.provenance == results.provenance
-    assert loaded.provenance["fmu guid"] == "none"
+    assert loaded.provenance["fmu guid"] == "integrator:0"
     (case,) = loaded.cases
     assert len(case.trace()) == 11
 
@@ -149,7 +150,7 @@ def test_a_damaged_case_is_run_again(write_study: WriteStudy) -> None:
 
 
 def test_a_faulty_fmu_costs_its_case_a_result_and_the_others_nothing(write_study: WriteStudy) -> None:
-    results, _ = run(write_study("mfapc", seeds="[0, 1]", fault="error"))
+    results, _ = run(write_study("mfapc", seeds="[0, 1]", fault=Fault.RETURN_ERROR))
     for case in results.cases:
         assert case.outcome == "fmu-error"
         assert "error.fmu: fmi2DoStep returned error at t = 0.5 s" in case.reason
@@ -157,7 +158,7 @@ def test_a_faulty_fmu_costs_its_case_a_result_and_the_others_nothing(write_study
 
 
 def test_an_fmu_that_gives_no_instance_fails_before_the_first_sample(write_study: WriteStudy) -> None:
-    results, _ = run(write_study("mfapc", fault="null"))
+    results, _ = run(write_study("mfapc", fault=Fault.NO_INSTANCE))
     (case,) = results.cases
     assert case.outcome == "fmu-error"
     assert case.reason.startswith("before the first sample: null.fmu: cannot be instantiated")

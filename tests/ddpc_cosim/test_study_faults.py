@@ -305,7 +305,7 @@ def test_limits_that_leave_no_room_beside_the_plant_s_own(tmp_path: Path, make_f
     make_fmu()
     text = """
     [plant]
-    fmu = "none.fmu"
+    fmu = "no_fault.fmu"
     outputs = ["y"]
     [loop]
     sampling_time = 0.1

@@ -7,6 +7,8 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+from fmus.builder import Fault
+
 WriteStudy = Callable[..., Path]
 
 
@@ -49,9 +51,9 @@ def test_progress_is_drawn_in_place_and_the_table_stays(
 
 
 def test_a_case_that_failed_stays_in_sight(program: str, write_study: WriteStudy, tmp_path: Path) -> None:
-    write_study("mfapc", fault="error")
+    write_study("mfapc", fault=Fault.RETURN_ERROR)
     exit_code, drawn = run_on_a_terminal(
         [program, "run", "study.toml", "--jobs", "1", "--no-report"], tmp_path
     )
     assert exit_code == 1
-    assert "mfapc_seed0: fmu-error: error.fmu: fmi2DoStep returned error" in drawn
+    assert "mfapc_seed0: fmu-error: return_error.fmu: fmi2DoStep returned error" in drawn

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from fmus.builder import HERE, LAG, describe, platform_folder, write_fmu
 
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.session import FMUSession
@@ -12,7 +13,6 @@ from ddpc_cosim.inspection import inspect_fmu
 from fmu_plants.export.binaries import needed_libraries
 from fmu_plants.export.compiler import find_compiler
 
-from .builder import HERE, LAG, describe, platform_folder, write_fmu
 from .test_leniency import value_after_a_second
 
 FIRST, SECOND = "libfirst_companion.so", "libsecond_companion.so"

@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from fmus.builder import LAG, describe, model_fmu, model_library, write_fmu
 
 from ddpc_cosim import Constant, Controller, CosimWarning, FMUPlant, Loop, Sample, cosimulate
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study.results import load_results
-
-from .builder import LAG, describe, model_fmu, model_library, write_fmu
 
 STUDY = """
 [plant]

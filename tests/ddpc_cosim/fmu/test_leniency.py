@@ -7,13 +7,22 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from fmus.builder import (
+    HERE,
+    IDENTIFIER,
+    LAG,
+    V,
+    describe,
+    model_fmu,
+    model_library,
+    platform_folder,
+    write_fmu,
+)
 
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import unpack
 from ddpc_cosim.fmu.session import FMUSession
 from fmu_plants.export.compiler import compile_library, find_compiler
-
-from .builder import HERE, IDENTIFIER, LAG, V, describe, model_fmu, model_library, platform_folder, write_fmu
 
 SUFFIX = fmpy.sharedLibraryExtension
 CO_SIMULATION = '<CoSimulation modelIdentifier="models" canHandleVariableCommunicationStepSize="true"/>'

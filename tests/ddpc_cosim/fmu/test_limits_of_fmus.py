@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmus.builder import LAG, V, describe, model_fmu, model_library, write_fmu
 
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.session import FMUSession
-
-from .builder import LAG, V, describe, model_fmu, model_library, write_fmu
 
 ONE = np.array([1.0])
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fmus.builder import LAG, V, describe, model_fmu, model_library, write_fmu
 
 from ddpc_cosim import ConfigError, FMUPlant, FMUStepError, LinearModel
 from ddpc_cosim.cli.main import main
@@ -24,8 +25,6 @@ from fmu_plants import (
     quadruple_tank,
 )
 from fmu_plants.linear import linearise
-
-from .builder import LAG, V, describe, model_fmu, model_library, write_fmu
 
 PLANTS = {
     "pendulum": (pendulum.MODEL, [1.5]),

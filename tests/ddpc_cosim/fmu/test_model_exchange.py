@@ -6,13 +6,12 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from fmus.builder import model_fmu
 from scipy.integrate import solve_ivp
 
 from ddpc_cosim.errors import FMUStepError, StepStatus
 from ddpc_cosim.fmu import integrators
 from ddpc_cosim.fmu.session import FMUSession
-
-from .builder import model_fmu
 
 VERSIONS = ("1.0", "2.0", "3.0")
 

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmus.builder import V, describe, model_library, write_fmu
 from hypothesis import given, strategies as st
 
 from ddpc_cosim import ConfigError, FMUPlant, Variable
 from ddpc_cosim.study.checks import converter
 from ddpc_cosim.variables import DisplayUnit, conversions, with_display_units
-
-from .builder import V, describe, model_library, write_fmu
 
 DEFINED = (
     '<UnitDefinitions><Unit name="K"><BaseUnit K="1"/><DisplayUnit name="°C" offset="-273.15"/>'

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
-
-from .builder import build, write_archive
+from fmus.builder import integrator_files, write_archive
 
 # Signals and permissions are matters of POSIX.
 collect_ignore = ["test_posix.py", "test_leftovers.py"] if sys.platform == "win32" else []
@@ -18,7 +17,7 @@ Files = Mapping[str, bytes]
 @pytest.fixture(scope="session")
 def files() -> Files:
     """The files of the misbehaving FMU for FMI 2.0."""
-    return build(2)
+    return integrator_files("2.0")
 
 
 @pytest.fixture(scope="session")
@@ -27,7 +26,7 @@ def faulty_fmus(files: Files, tmp_path_factory: pytest.TempPathFactory) -> dict[
     folder = tmp_path_factory.mktemp("faulty")
     return {
         2: write_archive(folder / "faulty2.fmu", files),
-        3: write_archive(folder / "faulty3.fmu", build(3)),
+        3: write_archive(folder / "faulty3.fmu", integrator_files("3.0")),
     }
 
 

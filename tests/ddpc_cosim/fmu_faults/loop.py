@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from fmus.builder import Fault
 
 from ddpc_cosim import Constant, Controller, FloatArray, FMUPlant, Loop, Sample, Trace, cosimulate
-
-from .builder import Fault
 
 H = 0.1
 FAULT_SAMPLE = 5

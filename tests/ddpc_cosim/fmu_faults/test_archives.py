@@ -8,11 +8,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
+from fmus.builder import IDENTIFIER, write_archive
 
 from ddpc_cosim import FMUImportError, FMUPlant
 from ddpc_cosim.fmu.archive import UnpackLimits, is_file_name, unpack
-
-from .builder import MODEL, write_archive
 
 Files = Mapping[str, bytes]
 DESCRIPTION = {"modelDescription.xml": b"<fmiModelDescription/>"}
@@ -230,7 +229,7 @@ class TestModelIdentifier:
     @pytest.mark.usefixtures("nothing_left")
     def test_a_path_is_refused(self, name: str, files: Files, tmp_path: Path) -> None:
         text = files["modelDescription.xml"].replace(
-            f'modelIdentifier="{MODEL}"'.encode(), f'modelIdentifier="{name}"'.encode()
+            f'modelIdentifier="{IDENTIFIER}"'.encode(), f'modelIdentifier="{name}"'.encode()
         )
         path = write_archive(tmp_path / "path.fmu", {**files, "modelDescription.xml": text})
         with pytest.raises(FMUImportError, match=r"path\.fmu: .*modelIdentifier.* is not a"):

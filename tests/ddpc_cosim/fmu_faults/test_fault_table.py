@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmus.builder import Fault
 
 from ddpc_cosim import FMUPlant, FMUStepError, Outcome
 from ddpc_cosim.errors import StepStatus
 
-from .builder import Fault
 from .loop import FAULT_SAMPLE, SHORT, H, close_loop, open_plant
 
 FMUs = dict[int, Path]

@@ -10,11 +10,10 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from fmus.builder import integrator_description, integrator_files, write_archive
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from ddpc_cosim import CosimError, FMUPlant
-
-from .builder import DESCRIPTION_2, DESCRIPTION_3, build, write_archive
 
 fuzz = settings(
     derandomize=True,
@@ -23,7 +22,7 @@ fuzz = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 
-RICH_2 = DESCRIPTION_2.replace(
+RICH_2 = integrator_description("2.0").replace(
     "<ModelVariables>",
     """<UnitDefinitions>
     <Unit name="rad"><BaseUnit rad="1"/><DisplayUnit name="deg" factor="57.3" offset="0"/></Unit>
@@ -45,7 +44,7 @@ RICH_2 = DESCRIPTION_2.replace(
     <ScalarVariable name="der" valueReference="1" causality="local"><Real derivative="4"/></ScalarVariable>
     <ScalarVariable name="text" valueReference="0" causality="local"><String start="x"/></ScalarVariable>""",
 )
-RICH_3 = DESCRIPTION_3.replace(
+RICH_3 = integrator_description("3.0").replace(
     "<ModelVariables>",
     """<UnitDefinitions>
     <Unit name="rad"><BaseUnit rad="1"/><DisplayUnit name="deg" factor="57.3" inverse="false"/></Unit>
@@ -178,7 +177,7 @@ def use_archive(path: Path) -> None:
 @pytest.fixture(scope="module")
 def binaries() -> dict[int, Files]:
     """The misbehaving FMU's files by FMI version."""
-    return {version: Files(build(version)) for version in DESCRIPTIONS}
+    return {version: Files(integrator_files(f"{version}.0")) for version in DESCRIPTIONS}
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmus.builder import Fault
 
 from ddpc_cosim import ConfigError, FMUImportError, FMUPlant, FMUStepError
 from ddpc_cosim.errors import StepStatus
@@ -16,7 +17,6 @@ from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.isolation_launch import SpawnedChild
 from ddpc_cosim.fmu.session import FMUSession
 
-from .builder import Fault
 from .loop import SHORT, H
 
 U = np.ones(1)

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from fmus.builder import Fault
 
-from .builder import Fault
 from .processes import Watch, descendants
 
 PIPE = "pipe"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmus.builder import library_name
 
 from ddpc_cosim import FMUStepError
 from ddpc_cosim.fmu.archive import unpack
@@ -16,7 +17,6 @@ from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.isolation_fork import ForkServer
 from ddpc_cosim.fmu.scratch import ScratchFolder
 
-from .builder import library_name
 from .loop import H
 from .processes import Watch, descendants
 
@@ -29,14 +29,14 @@ def test_permissions(tmp_path: Path) -> None:
     tool.create_system, tool.external_attr = 3, (stat.S_IFREG | 0o6755) << 16
     path = tmp_path / "x.fmu"
     with zipfile.ZipFile(path, "w") as archive:
-        for name in ("modelDescription.xml", tool, library_name(2), "resources/table.txt"):
+        for name in ("modelDescription.xml", tool, library_name("2.0"), "resources/table.txt"):
             archive.writestr(name, b"<x/>")
     unpack(path, tmp_path)
     found = {
         name: (tmp_path / name).stat().st_mode & 0o7111
-        for name in (tool.filename, library_name(2), "resources/table.txt")
+        for name in (tool.filename, library_name("2.0"), "resources/table.txt")
     }
-    assert found == {tool.filename: 0o111, library_name(2): 0o111, "resources/table.txt": 0}
+    assert found == {tool.filename: 0o111, library_name("2.0"): 0o111, "resources/table.txt": 0}
 
 
 class TestTheServer:

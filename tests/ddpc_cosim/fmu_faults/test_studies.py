@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmus.builder import Fault
 
 from ddpc_cosim import ConfigError, Outcome, Trace
 from ddpc_cosim.study.cases import cases_of, run_case
@@ -12,7 +13,6 @@ from ddpc_cosim.study.plants import PlantSource
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.sections import PlantSection
 
-from .builder import Fault
 from .loop import FAULT_SAMPLE, FAULT_TIME, SHORT
 
 STUDY = """

@@ -1,8 +1,8 @@
-/* FMI 2.0, Model Exchange and Co-Simulation; optional functions are left out on purpose. */
+/* FMI 2.0, Model Exchange and Co-Simulation. What a run does not need is left out on purpose, and is there but
+   refuses with COMPLETE, as for FMUs that nothing else is said about. */
 #include "models.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 typedef struct {
@@ -10,12 +10,23 @@ typedef struct {
     double next;
 } EventInfo;
 
-EXPORT void *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
-                             const void *functions, int visible, int logging)
+typedef struct {
+    void (*logger)(void *environment, const char *name, int status, const char *category, const char *message, ...);
+    void *allocate, *release, *finished, *environment;
+} Functions;
+
+static void pass_on(const Logging *logging, int status, const char *message)
 {
-    return create(guid);
+    const Functions *functions = logging->callback;
+    functions->logger(logging->environment, "models", status, "logAll", message, 42);
 }
-EXPORT void fmi2FreeInstance(void *c) { free(c); }
+
+EXPORT void *fmi2Instantiate(const char *name, int type, const char *guid, const char *resources,
+                             const Functions *functions, int visible, int logging)
+{
+    return create(guid, (Logging){pass_on, functions, functions->environment});
+}
+EXPORT void fmi2FreeInstance(void *c) { destroy(c); }
 EXPORT int fmi2SetupExperiment(void *c, int tolerance_defined, double tolerance, double start, int stop_defined,
                                double stop)
 {
@@ -23,41 +34,29 @@ EXPORT int fmi2SetupExperiment(void *c, int tolerance_defined, double tolerance,
     ((Model *)c)->stop = stop_defined ? stop : INFINITY;
     return 0;
 }
-EXPORT int fmi2EnterInitializationMode(void *c) { return 0; }
+EXPORT int fmi2EnterInitializationMode(void *c) { return set_up(c, ((Model *)c)->time, ((Model *)c)->stop); }
 EXPORT int fmi2ExitInitializationMode(void *c)
 {
     initialise(c);
     return 0;
 }
-EXPORT int fmi2Terminate(void *c) { return 0; }
+EXPORT int fmi2Terminate(void *c) { return terminate(c); }
 
 EXPORT int fmi2SetReal(void *c, const unsigned vr[], size_t n, const double value[])
 {
-    for (size_t i = 0; i < n; i++) {
-        if (!is_writable(vr[i]) || value[i] == -1.0)
-            return 3;
-        /* One parameter is ignored, as too many FMUs do. */
-        if (vr[i] != RESTITUTION || value[i] != 0.123)
-            ((Model *)c)->values[vr[i]] = value[i];
-    }
-    return 0;
+    return set_reals(c, vr, n, value);
 }
-EXPORT int fmi2GetReal(void *c, const unsigned vr[], size_t n, double value[])
-{
-    for (size_t i = 0; i < n; i++)
-        value[i] = ((Model *)c)->values[vr[i]];
-    return 0;
-}
+EXPORT int fmi2GetReal(void *c, const unsigned vr[], size_t n, double value[]) { return get_reals(c, vr, n, value); }
 EXPORT int fmi2SetInteger(void *c, const unsigned vr[], size_t n, const int value[])
 {
     for (size_t i = 0; i < n; i++)
-        ((Model *)c)->values[vr[i]] = value[i];
+        ((Model *)c)->values[whole(vr[i])] = value[i];
     return 0;
 }
 EXPORT int fmi2GetInteger(void *c, const unsigned vr[], size_t n, int value[])
 {
     for (size_t i = 0; i < n; i++)
-        value[i] = (int)((Model *)c)->values[vr[i]];
+        value[i] = (int)((Model *)c)->values[whole(vr[i])];
     return 0;
 }
 EXPORT int fmi2SetBoolean(void *c, const unsigned vr[], size_t n, const int value[])
@@ -76,7 +75,7 @@ EXPORT int fmi2SetString(void *c, const unsigned vr[], size_t n, const char *con
 
 EXPORT int fmi2DoStep(void *c, double time, double h, int no_set_state)
 {
-    return time + h > ((Model *)c)->stop ? 3 : step(c, h);
+    return step(c, time, h);
 }
 EXPORT int fmi2GetBooleanStatus(void *c, int kind, int *value)
 {
@@ -136,3 +135,28 @@ EXPORT int fmi2GetEventIndicators(void *c, double z[], size_t n)
     event_indicators(c, z);
     return 0;
 }
+
+#ifdef COMPLETE
+#define REFUSED(name, ...) \
+    EXPORT int name(void *c, __VA_ARGS__) { return 3; }
+EXPORT const char *fmi2GetTypesPlatform(void) { return "default"; }
+EXPORT const char *fmi2GetVersion(void) { return "2.0"; }
+EXPORT int fmi2Reset(void *c) { return 3; }
+EXPORT int fmi2CancelStep(void *c) { return 3; }
+REFUSED(fmi2SetDebugLogging, int on, size_t n, const char *const categories[])
+REFUSED(fmi2GetString, const unsigned vr[], size_t n, const char *value[])
+REFUSED(fmi2GetFMUstate, void **state)
+REFUSED(fmi2SetFMUstate, void *state)
+REFUSED(fmi2FreeFMUstate, void **state)
+REFUSED(fmi2SerializedFMUstateSize, void *state, size_t *size)
+REFUSED(fmi2SerializeFMUstate, void *state, char bytes[], size_t size)
+REFUSED(fmi2DeSerializeFMUstate, const char bytes[], size_t size, void **state)
+REFUSED(fmi2GetDirectionalDerivative, const unsigned z[], size_t nz, const unsigned v[], size_t nv, const double dv[],
+        double dz[])
+REFUSED(fmi2SetRealInputDerivatives, const unsigned vr[], size_t n, const int order[], const double value[])
+REFUSED(fmi2GetRealOutputDerivatives, const unsigned vr[], size_t n, const int order[], double value[])
+REFUSED(fmi2GetStatus, int kind, int *value)
+REFUSED(fmi2GetRealStatus, int kind, double *value)
+REFUSED(fmi2GetIntegerStatus, int kind, int *value)
+REFUSED(fmi2GetStringStatus, int kind, const char **value)
+#endif

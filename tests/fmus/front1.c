@@ -1,7 +1,7 @@
 /* FMI 1.0, Model Exchange and Co-Simulation in one library, which FMI 1.0 does not forbid. */
 #include "models.h"
 
-#include <stdlib.h>
+#include <math.h>
 #include <string.h>
 
 typedef struct {
@@ -11,7 +11,7 @@ typedef struct {
 
 typedef struct { void *logger, *allocate, *release, *finished; } Callbacks;
 
-static void *begin(const char *guid) { return create(guid); }
+static void *begin(const char *guid) { return create(guid, (Logging){0}); }
 
 EXPORT void *models_fmiInstantiateModel(const char *name, const char *guid, Callbacks functions, char logging)
 {
@@ -23,48 +23,41 @@ EXPORT void *models_fmiInstantiateSlave(const char *name, const char *guid, cons
 {
     return begin(guid);
 }
-EXPORT void models_fmiFreeModelInstance(void *c) { free(c); }
-EXPORT void models_fmiFreeSlaveInstance(void *c) { free(c); }
-EXPORT int models_fmiTerminate(void *c) { return 0; }
-EXPORT int models_fmiTerminateSlave(void *c) { return 0; }
+EXPORT void models_fmiFreeModelInstance(void *c) { destroy(c); }
+EXPORT void models_fmiFreeSlaveInstance(void *c) { destroy(c); }
+EXPORT int models_fmiTerminate(void *c) { return terminate(c); }
+EXPORT int models_fmiTerminateSlave(void *c) { return terminate(c); }
 
 EXPORT int models_fmiSetReal(void *c, const unsigned vr[], size_t n, const double value[])
 {
-    for (size_t i = 0; i < n; i++) {
-        if (!is_writable(vr[i]) || value[i] == -1.0)
-            return 3;
-        ((Model *)c)->values[vr[i]] = value[i];
-    }
-    return 0;
+    return set_reals(c, vr, n, value);
 }
 EXPORT int models_fmiGetReal(void *c, const unsigned vr[], size_t n, double value[])
 {
-    for (size_t i = 0; i < n; i++)
-        value[i] = ((Model *)c)->values[vr[i]];
-    return 0;
+    return get_reals(c, vr, n, value);
 }
 EXPORT int models_fmiSetInteger(void *c, const unsigned vr[], size_t n, const int value[])
 {
     for (size_t i = 0; i < n; i++)
-        ((Model *)c)->values[vr[i]] = value[i];
+        ((Model *)c)->values[whole(vr[i])] = value[i];
     return 0;
 }
 EXPORT int models_fmiGetInteger(void *c, const unsigned vr[], size_t n, int value[])
 {
     for (size_t i = 0; i < n; i++)
-        value[i] = (int)((Model *)c)->values[vr[i]];
+        value[i] = (int)((Model *)c)->values[whole(vr[i])];
     return 0;
 }
 EXPORT int models_fmiSetBoolean(void *c, const unsigned vr[], size_t n, const char value[])
 {
     for (size_t i = 0; i < n; i++)
-        ((Model *)c)->values[vr[i]] = value[i];
+        ((Model *)c)->values[whole(vr[i])] = value[i];
     return 0;
 }
 EXPORT int models_fmiGetBoolean(void *c, const unsigned vr[], size_t n, char value[])
 {
     for (size_t i = 0; i < n; i++)
-        value[i] = (char)((Model *)c)->values[vr[i]];
+        value[i] = (char)((Model *)c)->values[whole(vr[i])];
     return 0;
 }
 EXPORT int models_fmiSetString(void *c, const unsigned vr[], size_t n, const char *const value[])
@@ -75,11 +68,11 @@ EXPORT int models_fmiSetString(void *c, const unsigned vr[], size_t n, const cha
 
 EXPORT int models_fmiInitializeSlave(void *c, double start, char stop_defined, double stop)
 {
-    ((Model *)c)->time = start;
+    int status = set_up(c, start, stop_defined ? stop : INFINITY);
     initialise(c);
-    return 0;
+    return status;
 }
-EXPORT int models_fmiDoStep(void *c, double time, double h, char new_step) { return step(c, h); }
+EXPORT int models_fmiDoStep(void *c, double time, double h, char new_step) { return step(c, time, h); }
 
 static void tell(Model *m, EventInfo *info, int jumped)
 {

@@ -1,8 +1,13 @@
-"""FMUs written by hand and compiled at test time: model descriptions for three FMI versions, and archives."""
+"""The FMUs that tests compile: model descriptions for three FMI versions, models and faults, archives.
+
+There is one family, of C files in this folder: ``models.c`` behind a front end for each FMI version. A GUID
+or token says which model an instance is, and which fault it has.
+"""
 
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from enum import IntEnum, auto
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,6 +18,40 @@ from fmu_plants.export.compiler import compile_library, find_compiler
 
 HERE = Path(__file__).parent
 IDENTIFIER = "models"
+
+
+class Fault(IntEnum):
+    """The faults of models.h, in its order."""
+
+    NO_FAULT = 0
+    RETURN_WARNING = auto()
+    RETURN_ERROR = auto()
+    RETURN_FATAL = auto()
+    RETURN_ILLEGAL = auto()
+    RETURN_DISCARD = auto()
+    DISCARD_AND_TERMINATE = auto()
+    RETURN_NAN = auto()
+    RETURN_INFINITY = auto()
+    SEGMENTATION_FAULT = auto()
+    CALL_ABORT = auto()
+    CALL_EXIT = auto()
+    OVERFLOW_STACK = auto()
+    HANG_IN_STEP = auto()
+    HANG_IN_INITIALIZATION = auto()
+    HANG_IN_TERMINATE = auto()
+    CRASH_IN_INITIALIZATION = auto()
+    CRASH_IN_TERMINATE = auto()
+    ERROR_IN_INITIALIZATION = auto()
+    ERROR_WHEN_READ = auto()
+    WARNING_WHEN_SET = auto()
+    NO_INSTANCE = auto()
+    LOG_AT_EVERY_STEP = auto()
+    FLOOD_LOG = auto()
+    FLOOD_STDOUT = auto()
+    FLOOD_STDERR = auto()
+    FLOOD_DESCRIPTOR = auto()
+    LEAVE_A_FILE = auto()
+    PRINT_AND_ABORT = auto()
 
 
 @dataclass(frozen=True)
@@ -136,16 +175,12 @@ def _describe_3(token: str, variables: list[V], interfaces: str, indicators: int
 
 
 @cache
-def library(*names: str, required: str) -> bytes:
-    """Compile C files of this folder."""
-    sources = {name: (HERE / name).read_text(encoding="utf-8") for name in (*names, "models.h")}
-    return compile_library(find_compiler(), sources, [required])
-
-
-def model_library(version: str) -> bytes:
-    """Return the library of models.c for an FMI version."""
+def model_library(version: str, *, complete: bool = False) -> bytes:
+    """Return the library for an FMI version: with no more functions than runs need, or complete."""
+    names = ("models.h", "models.c", f"front{version[0]}.c")
+    sources = {name: (HERE / name).read_text(encoding="utf-8") for name in names}
     required = {"1": "models_fmiDoStep", "2": "fmi2DoStep", "3": "fmi3DoStep"}[version[0]]
-    return library("models.c", f"front{version[0]}.c", required=required)
+    return compile_library(find_compiler(), sources, [required], ["-DCOMPLETE"] if complete else [])
 
 
 def platform_folder(version: str) -> str:
@@ -157,11 +192,10 @@ def write_fmu(
 ) -> Path:
     """Write an archive; ``place`` is the library's path in it, ``files`` are texts by path."""
     version = "3" if 'fmiVersion="3' in description else "2"
-    default = f"binaries/{platform_folder(version)}/{IDENTIFIER}{fmpy.sharedLibraryExtension}"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description)
         if content is not None:
-            archive.writestr(place or default, content)
+            archive.writestr(place or library_name(version), content)
         for name, text in files.items():
             archive.writestr(name, text)
     return path
@@ -194,13 +228,66 @@ RELAY = (
     V("rate", 6, causality="parameter", variability="fixed", start="1"),
     V("count", 5, causality="output", variability="discrete"),
 )
-MODELS = {"lag": LAG, "ball": BALL, "stair": STAIR, "relay": RELAY}
+FAULTS = (
+    V("fault", 10, "Integer", causality="parameter", variability="fixed", start="0"),
+    V("fault_time", 11, causality="parameter", variability="fixed", start="0"),
+)
+INTEGRATOR = (
+    V("u", 0, causality="input", start="0", more={"min": "-10", "max": "10"}),
+    V("y", 1, causality="output", more={"min": "-100", "max": "100"}),
+    *FAULTS,
+)
+"""y' = u, with a fault and its time as parameters."""
+GAINED = (
+    V("u", 0, causality="input", start="0", more={"min": "-10", "max": "10"}),
+    V("y", 1, causality="output"),
+    V("speed", 12, causality="output"),
+    V("hidden", 1),
+    V("gain", 6, causality="parameter", variability="tunable", start="1", more={"min": "0", "max": "5"}),
+    V("count", 0, "Integer", causality="parameter", variability="fixed", start="2"),
+    V("on", 0, "Boolean", causality="parameter", variability="fixed", start="true"),
+)
+"""y' = gain * u, and speed = gain * u * count * on."""
+MODELS = {"lag": LAG, "ball": BALL, "stair": STAIR, "relay": RELAY, "integrator": INTEGRATOR}
+CO_SIMULATION = (
+    f'<CoSimulation modelIdentifier="{IDENTIFIER}" canHandleVariableCommunicationStepSize="true"/>'
+)
+
+
+def with_time(version: str, variables: Iterable[V]) -> list[V]:
+    """Return variables with the independent one, where an FMI version needs it."""
+    return [*([V("time", 15, causality="independent")] if version[0] == "3" else []), *variables]
 
 
 def model_fmu(folder: Path, version: str, model: str, **settings: Any) -> Path:
     """Write one of the models of models.c as an FMU."""
-    independent = [V("time", 15, causality="independent")] if version[0] == "3" else []
     description = describe(
-        version, model, [*independent, *MODELS[model]], indicators=int(model == "ball"), **settings
+        version, model, with_time(version, MODELS[model]), indicators=int(model == "ball"), **settings
     )
     return write_fmu(folder / f"{model}{version[0]}.fmu", description, model_library(version))
+
+
+def integrator_description(version: str) -> str:
+    """Return the description of the integrator whose parameters say which fault it shows and when."""
+    return describe(version, "integrator", with_time(version, INTEGRATOR), interfaces=CO_SIMULATION)
+
+
+def integrator_files(version: str) -> dict[str, bytes]:
+    """Return the files of the FMU of that integrator."""
+    return {
+        "modelDescription.xml": integrator_description(version).encode(),
+        library_name(version): model_library(version, complete=True),
+    }
+
+
+def library_name(version: str) -> str:
+    """Return the path of the library in an archive."""
+    return f"binaries/{platform_folder(version)}/{IDENTIFIER}{fmpy.sharedLibraryExtension}"
+
+
+def write_archive(path: Path, files: Mapping[str, bytes]) -> Path:
+    """Write files into an archive."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return path
