@@ -10,14 +10,14 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from xml.parsers import expat
+from typing import Any
+
+from lxml import etree  # type: ignore[import-untyped]
 
 from ddpc_cosim.errors import FMUImportError
 
 MODEL_DESCRIPTION = "modelDescription.xml"
 _RESOURCES = "resources"
-# What is read with an XML parser after unpacking.
-_XML_FILES = (MODEL_DESCRIPTION, "sources/buildDescription.xml")
 
 # Whatever zipfile and its decompressors raise for archives that are not what they claim to be.
 _DAMAGED = (
@@ -39,7 +39,8 @@ _EXECUTABLE = 0o111
 _DEVICE_NAME = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 # An identifier names a library file; this is stricter than what a file system takes, laxer than C.
 _FORBIDDEN_IN_NAMES = re.compile(r'[/\\:<>"|?*\x00-\x1f]')
-_DOCTYPES = tuple("<!DOCTYPE".encode(encoding) for encoding in ("utf-8", "utf-16-le", "utf-16-be"))
+# What stands before the root element, up to the letter after the name of a document type.
+_DOCTYPE = re.compile(rb"(?:\s++|<\?.*?\?>|<!--.*?-->)*+<!DOCTYPE\s+[^\s>\[]+\s*(?P<after>.)", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,38 +90,77 @@ def unpack(path: Path, folder: Path, limits: UnpackLimits | None = None) -> None
         raise FMUImportError(f"{path.name}: damaged archive: {_reason(error)}") from error
     except OSError as error:
         raise FMUImportError(f"{path.name}: cannot be unpacked: {_reason(error)}") from error
-    for name in _XML_FILES:
-        if (folder / name).is_file():
-            refuse_document_type(folder / name, f"{path.name}: {name}")
 
 
-def refuse_document_type(path: Path, label: str) -> None:
-    """Refuse an XML file that declares entities or refers to a document type elsewhere.
+def read_xml(path: Path, label: str) -> tuple[Any, tuple[str, ...]]:
+    """Parse an XML file of an FMU that nobody vouches for.
 
-    FMI knows no document types; entities can make a small file huge, or read other files.
+    Nothing is loaded from elsewhere, no entity is expanded, and libxml2's limits of depth and size hold. FMI
+    knows no document types; entities can make a small file huge, or read other files: they are refused.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    label : str
+        What it is called in errors.
+
+    Returns
+    -------
+    root : lxml element
+        The root element, without comments.
+    overlooked : tuple of str
+        What is wrong with the file as XML but was understood.
 
     Raises
     ------
     FMUImportError
-        It does.
+        It is not XML, or declares entities or a document type that is elsewhere.
     """
     content = path.read_bytes()
-    parser = expat.ParserCreate()
-
-    def refuse(_name: str, system_id: str | None, public_id: str | None, internal_subset: int) -> None:
-        if system_id or public_id or internal_subset:
-            raise FMUImportError(
-                f"{label}: declares a document type (DOCTYPE), which may hide entity bombs or external "
-                "entities and has no place in an FMU; remove the declaration"
-            )
-
-    parser.StartDoctypeDeclHandler = refuse
+    overlooked = ["blanks before the XML declaration"] if content[:1].isspace() else []
+    content = content.lstrip()
+    # In two-byte encodings too; in others the parser itself declines to expand.
+    doctype = _DOCTYPE.match(content.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe"))
+    if doctype is not None and doctype["after"] != b">":
+        raise _document_type(label)
     try:
-        parser.Parse(content, True)
-    except (expat.ExpatError, ValueError, LookupError):
-        # Not well-formed, or in an encoding that this parser does not know and the next one might.
-        if any(doctype in content for doctype in _DOCTYPES):
-            refuse("", "unknown", None, 0)
+        root = _parse(content)
+    except etree.XMLSyntaxError as error:
+        # Some tools write the letters of their locale into a file that claims to be UTF-8.
+        try:
+            root = _parse(content, encoding="cp1252")
+        except etree.XMLSyntaxError:
+            raise FMUImportError(f"{label} cannot be read: {error.msg}") from error
+        overlooked.append("it is not in the encoding that it claims to be in; Windows-1252 was assumed")
+    document = root.getroottree().docinfo
+    if document.system_url or document.public_id or _entities(document.internalDTD):
+        raise _document_type(label)
+    return root, tuple(overlooked)
+
+
+def _parse(content: bytes, **settings: Any) -> Any:
+    parser = etree.XMLParser(
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        huge_tree=False,
+        remove_comments=True,
+        remove_pis=True,
+        **settings,
+    )
+    return etree.fromstring(content, parser)
+
+
+def _entities(declared: Any) -> list[Any]:
+    return list(declared.iterentities()) if declared is not None else []
+
+
+def _document_type(label: str) -> FMUImportError:
+    return FMUImportError(
+        f"{label}: declares a document type (DOCTYPE), which may hide entity bombs or external entities and "
+        "has no place in an FMU; remove the declaration"
+    )
 
 
 def is_file_name(name: str) -> bool:

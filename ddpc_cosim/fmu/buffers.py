@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError, did_you_mean
 from ddpc_cosim.fmu.description import (
-    REAL_TYPES,
     FMUDescription,
     FMUVariable,
     Signal,
@@ -20,6 +19,7 @@ from ddpc_cosim.fmu.description import (
 )
 from ddpc_cosim.fmu.instance import Instance, ValueType, reference_array
 from ddpc_cosim.fmu.status import WARNING, CallError, failed_call
+from ddpc_cosim.fmu.variable_types import Values
 from ddpc_cosim.plant import ParameterValue as Value
 from ddpc_cosim.variables import FloatArray
 
@@ -41,8 +41,8 @@ class Block:
         The memory that C sees.
     positions, elements : array of int
         The port's entries ``positions`` are the memory's elements ``elements``.
-    fmi_type : str
-        The variables' type.
+    kind : str
+        What the variables' values are: real, integer or boolean.
     negated : array of bool, optional
         Which of the port's entries are the opposite of what is in memory (FMI 1.0).
     """
@@ -53,7 +53,7 @@ class Block:
     values: NDArray[Any]
     positions: NDArray[np.intp]
     elements: NDArray[np.intp]
-    fmi_type: str
+    kind: Values
     negated: NDArray[np.bool_] | None = None
 
     def write(self) -> None:
@@ -71,9 +71,9 @@ class Block:
     def accept(self, u: FloatArray) -> None:
         """Convert the port's numbers to the block's type: integers are rounded, booleans are u >= 0.5."""
         chosen = self._with_signs(u[self.positions])
-        if self.fmi_type == "Boolean":
+        if self.kind == "boolean":
             self.values[self.elements] = chosen >= 0.5
-        elif self.fmi_type in REAL_TYPES:
+        elif self.kind == "real":
             self.values[self.elements] = chosen
         else:
             self.values[self.elements] = np.rint(chosen)
@@ -85,7 +85,7 @@ class Block:
     def _with_signs(self, numbers: NDArray[Any]) -> NDArray[Any]:
         if self.negated is None:
             return numbers
-        opposite = 1 - numbers if self.fmi_type == "Boolean" else -numbers
+        opposite = 1 - numbers if self.kind == "boolean" else -numbers
         return np.where(self.negated, opposite, numbers)
 
 
@@ -196,7 +196,7 @@ def _block(
         values=np.ctypeslib.as_array(memory),
         positions=np.array(positions, dtype=np.intp),
         elements=np.array(elements, dtype=np.intp),
-        fmi_type=fmi_type,
+        kind=signals[0].source.values,
         negated=negated if (negated := np.array([s.source.negated for s in signals])).any() else None,
     )
 
@@ -302,7 +302,7 @@ class StartValues:
             raise ValueError(fault)
         if name in self._driven:
             raise ValueError(f'"{name}" is an input that is driven; its value cannot be given')
-        if source.type != "String":
+        if source.values != "text":
             _check_range(signal, _number(source, value))
         elif not isinstance(value, str):
             raise ValueError(f"parameter {name} = {value!r} must be a text")
@@ -351,9 +351,9 @@ class StartValues:
         value_type = instance.types[source.type]
         if len(memory) > 1:  # the other elements keep their values
             instance.call(value_type.get, *arguments)
-        if source.type == "String":
+        if source.values == "text":
             memory[place] = str(value).encode("utf-8")
-        elif source.type in REAL_TYPES:
+        elif source.values == "real":
             memory[place] = _signed(source, _number(source, value))
         else:
             memory[place] = int(_signed(source, _number(source, value)))
@@ -361,7 +361,7 @@ class StartValues:
 
     def _read(self, instance: Instance, signal: Signal) -> float | None:
         """Return the value that the FMU has; None for a text, and where it does not tell."""
-        if signal.source.type == "String":
+        if signal.source.values == "text":
             return None
         memory, arguments, place = self._memory(instance, signal)
         try:
@@ -388,7 +388,7 @@ def _number(variable: FMUVariable, value: Value) -> float:
         return float(value)
     if value in variable.items:
         return float(variable.items[value])
-    if variable.type == "Boolean" and value.lower() in ("true", "false"):
+    if variable.values == "boolean" and value.lower() in ("true", "false"):
         return float(value.lower() == "true")
     allowed = f"; allowed: {', '.join(variable.items)}" if variable.items else ""
     raise ValueError(f"parameter {variable.name} = {value!r} must be a number{allowed}")
@@ -398,17 +398,17 @@ def _signed(variable: FMUVariable, number: float) -> float:
     """Return the opposite number for variables that are that of another (FMI 1.0)."""
     if not variable.negated:
         return number
-    return 1.0 - number if variable.type == "Boolean" else -number
+    return 1.0 - number if variable.values == "boolean" else -number
 
 
 def _check_range(signal: Signal, number: float) -> None:
-    variable, fmi_type = signal.variable, signal.source.type
+    variable, values = signal.variable, signal.source.values
     if not variable.min <= number <= variable.max or not math.isfinite(number):
         raise ValueError(
             f"parameter {variable.name} = {number:g} is outside [{variable.min:g}, {variable.max:g}]"
         )
-    if fmi_type not in REAL_TYPES and number != round(number):
-        kind = "a truth value (0 or 1)" if fmi_type == "Boolean" else f"a whole number ({fmi_type})"
+    if values != "real" and number != round(number):
+        kind = "a boolean (0 or 1)" if values == "boolean" else f"an integer ({signal.source.type})"
         raise ValueError(f"parameter {variable.name} = {number:g} must be {kind}")
 
 

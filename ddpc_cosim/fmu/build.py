@@ -9,11 +9,11 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import fmpy.model_description
+from typing import TYPE_CHECKING
 
 from ddpc_cosim.errors import FMUImportError
+from ddpc_cosim.fmu.archive import read_xml
+from ddpc_cosim.fmu.description import FMUDescription
 
 if TYPE_CHECKING:
     from fmu_plants.export.compiler import Compiler
@@ -24,16 +24,30 @@ _DEFINITIONS = (
     "-DFMI2_OVERRIDE_FUNCTION_PREFIX",
     "-DFMI3_OVERRIDE_FUNCTION_PREFIX",
 )
+BUILD_DESCRIPTION = "sources/buildDescription.xml"
 _CPP = (".cpp", ".cc", ".cxx")
 _OUTPUT_SHOWN = 1500
 _INCLUSION = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([\x21-\x7e]+\.c)"', re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
-class _SourceSet:
-    """Sources that are compiled in the same way, relative to the sources folder."""
+class SourceSet:
+    """Sources that are compiled in the same way, relative to the sources folder.
+
+    Parameters
+    ----------
+    files : tuple of str
+        The files to compile.
+    model_identifier : str or None
+        The library that they are for; None for any.
+    definitions : tuple of str
+        Options of the compiler that define macros.
+    include_folders : tuple of str
+        Folders of headers.
+    """
 
     files: tuple[str, ...]
+    model_identifier: str | None = None
     definitions: tuple[str, ...] = ()
     include_folders: tuple[str, ...] = ()
 
@@ -43,7 +57,36 @@ def has_sources(folder: Path) -> bool:
     return any((folder / "sources").glob("**/*.c*"))
 
 
-def compile_sources(folder: Path, model_identifier: str, target: Path, label: str) -> None:
+def described_sources(folder: Path, description: FMUDescription, label: str) -> list[SourceSet]:
+    """Return what is to be compiled according to the model description or, in FMI 3.0, the build description.
+
+    Raises
+    ------
+    FMUImportError
+        The build description is not XML, or may do harm.
+    """
+    path = folder / BUILD_DESCRIPTION
+    if description.major < 3 or not path.is_file():
+        return [SourceSet(files, name) for name, files in description.source_files.items()]
+    root, _ = read_xml(path, f"{label}: {BUILD_DESCRIPTION}")
+    return [
+        SourceSet(
+            files=tuple(file.get("name", "") for file in element.iterfind("SourceFile")),
+            model_identifier=configuration.get("modelIdentifier"),
+            definitions=tuple(
+                "-D" + "=".join(filter(None, (definition.get("name"), definition.get("value"))))
+                for definition in element.iterfind("PreprocessorDefinition")
+            ),
+            include_folders=tuple(d.get("name", "") for d in element.iterfind("IncludeDirectory")),
+        )
+        for configuration in root.iterfind("BuildConfiguration")
+        for element in configuration.iterfind("SourceFileSet")
+    ]
+
+
+def compile_sources(
+    folder: Path, description: FMUDescription, model_identifier: str, target: Path, label: str
+) -> None:
     """Build the library of an unpacked FMU from its sources.
 
     What has been built before from the same sources by the same compiler is taken from the cache.
@@ -52,6 +95,8 @@ def compile_sources(folder: Path, model_identifier: str, target: Path, label: st
     ----------
     folder : Path
         The unpacked FMU.
+    description : FMUDescription
+        What it says about itself.
     model_identifier : str
         Name of the library.
     target : Path
@@ -69,7 +114,10 @@ def compile_sources(folder: Path, model_identifier: str, target: Path, label: st
     from fmu_plants.files import cache_dir, write_to_cache
 
     sources = folder / "sources"
-    sets = _source_sets(folder, model_identifier, label)
+    described = described_sources(folder, description, label)
+    sets = _source_sets(
+        sources, [s for s in described if s.model_identifier in (model_identifier, None)], label
+    )
     try:
         compiler = find_compiler()
     except ExportError as error:
@@ -88,24 +136,10 @@ def compile_sources(folder: Path, model_identifier: str, target: Path, label: st
     target.write_bytes(cached.read_bytes())
 
 
-def _source_sets(folder: Path, model_identifier: str, label: str) -> list[_SourceSet]:
-    """Return what is to be compiled: what the description says, else all C files in the sources folder."""
-    configurations = fmpy.model_description.read_model_description(
-        str(folder), validate=False
-    ).buildConfigurations
-    sets = [
-        _SourceSet(
-            files=tuple(source_set.sourceFiles),
-            definitions=tuple(map(_definition, source_set.preprocessorDefinitions)),
-            include_folders=tuple(source_set.includeDirectories),
-        )
-        for configuration in configurations
-        if configuration.modelIdentifier in (model_identifier, None)
-        for source_set in configuration.sourceFileSets
-    ]
-    sources = folder / "sources"
+def _source_sets(sources: Path, sets: list[SourceSet], label: str) -> list[SourceSet]:
+    """Return what is to be compiled: what is described, else all C files in the sources folder."""
     if not any(source_set.files for source_set in sets):
-        sets = [_SourceSet(_compiled_by_themselves(sources))]
+        sets = [SourceSet(_compiled_by_themselves(sources))]
     for source_set in sets:
         for name in (*source_set.files, *source_set.include_folders):
             if not (sources / name).resolve().is_relative_to(sources.resolve()):
@@ -125,12 +159,7 @@ def _compiled_by_themselves(sources: Path) -> tuple[str, ...]:
     return tuple(path.name for path in files if path.name not in included)
 
 
-def _definition(definition: Any) -> str:
-    value = definition.value
-    return f"-D{definition.name}" + (f"={value}" if value else "")
-
-
-def _build(compiler: "Compiler", sources: Path, sets: Sequence[_SourceSet], built: Path) -> None:
+def _build(compiler: "Compiler", sources: Path, sets: Sequence[SourceSet], built: Path) -> None:
     headers = importlib.resources.files("fmpy") / "c-code"
     position = () if os.name == "nt" else ("-fPIC",)
     objects: list[str] = []
@@ -150,14 +179,14 @@ def _build(compiler: "Compiler", sources: Path, sets: Sequence[_SourceSet], buil
     compiler.run(link, built.parent)
 
 
-def _digest(sources: Path, sets: Sequence[_SourceSet], compiler: str) -> str:
+def _digest(sources: Path, sets: Sequence[SourceSet], compiler: str) -> str:
     digest = hashlib.sha256()
     for part in _parts(sources, sets, compiler):
         digest.update(len(part).to_bytes(8, "big") + part)
     return digest.hexdigest()[:16]
 
 
-def _parts(sources: Path, sets: Sequence[_SourceSet], compiler: str) -> Iterator[bytes]:
+def _parts(sources: Path, sets: Sequence[SourceSet], compiler: str) -> Iterator[bytes]:
     yield compiler.encode()
     yield repr(sets).encode()
     for path in sorted(p for p in sources.rglob("*") if p.is_file()):

@@ -9,25 +9,13 @@ from itertools import product
 from typing import Literal
 
 from ddpc_cosim.errors import ConfigError, did_you_mean
+from ddpc_cosim.fmu.variable_types import Values, values_of
 from ddpc_cosim.variables import DisplayUnit, Variable
 
-Kind = Literal["co-simulation", "model-exchange"]
+InterfaceKind = Literal["co-simulation", "model-exchange"]
 
-REAL_TYPES = frozenset({"Real", "Float32", "Float64"})
-INTEGER_TYPES = frozenset({"Integer", *(f"{sign}Int{n}" for sign in ("", "U") for n in (8, 16, 32, 64))})
-NUMERIC_TYPES = REAL_TYPES | INTEGER_TYPES | {"Boolean", "Enumeration"}
-
-CAUSALITIES = frozenset(
-    {
-        "parameter",
-        "calculatedParameter",
-        "structuralParameter",
-        "input",
-        "output",
-        "local",
-        "independent",
-    }
-)
+INTERFACES: Mapping[InterfaceKind, str] = {"co-simulation": "CoSimulation", "model-exchange": "ModelExchange"}
+"""The kinds of interfaces, the preferred one first, and what model descriptions call them."""
 
 _ELEMENT = re.compile(r"(?P<array>.+)\[(?P<indices>\d+(?:,\d+)*)\]")
 
@@ -56,6 +44,8 @@ class FMUVariable:
         Names of an enumeration's values.
     derivative_of : str
         Name of the state that this is the derivative of; empty for none.
+    alias_of : str
+        The variable that this is another name of (FMI 3.0); empty for none.
     negated : bool
         Whether its value is the opposite of what the FMU has under the value reference (FMI 1.0).
     """
@@ -71,6 +61,7 @@ class FMUVariable:
     start_text: str | None = None
     items: Mapping[str, int] = field(default_factory=dict)
     derivative_of: str = ""
+    alias_of: str = ""
     negated: bool = False
 
     @property
@@ -79,9 +70,14 @@ class FMUVariable:
         return self.variable.name
 
     @property
+    def values(self) -> Values:
+        """What its values are: real, integer, boolean, text, or none that can be exchanged."""
+        return values_of(self.type)
+
+    @property
     def is_numeric(self) -> bool:
         """Whether its values are numbers, so that it can be an input or output of a plant."""
-        return self.type in NUMERIC_TYPES
+        return self.values in ("real", "integer", "boolean")
 
     @property
     def is_structural(self) -> bool:
@@ -96,7 +92,7 @@ class FMUVariable:
     @property
     def is_settable(self) -> bool:
         """Whether a value may be given before the run: parameters, inputs and start values."""
-        if self.type in ("Binary", "Clock") or self.variability == "constant":
+        if self.values == "none" or self.variability == "constant":
             return False
         return self.causality in ("parameter", "structuralParameter", "input") or (
             self.causality in ("output", "local") and self.initial in ("exact", "approx")
@@ -138,7 +134,7 @@ class Interface:
         Step size of which communication steps must be multiples [s] (FMI 3.0).
     """
 
-    kind: Kind
+    kind: InterfaceKind
     model_identifier: str
     needs_execution_tool: bool = False
     only_one_instance: bool = False
@@ -179,6 +175,8 @@ class FMUDescription:
         Names of the continuous states' derivatives, in the order of the states' vector; arrays as a whole.
     direct_feedthrough : mapping of str to tuple of str or None
         The variables that each output depends on directly; None where the FMU does not say.
+    source_files : mapping of str to tuple of str
+        The C files to compile, by model identifier (FMI 2.0).
     warnings : tuple of str
         What is wrong with the description but was understood.
     """
@@ -201,13 +199,18 @@ class FMUDescription:
     default_experiment: DefaultExperiment = field(default_factory=DefaultExperiment)
     display_units: Mapping[str, tuple[DisplayUnit, ...]] = field(default_factory=dict)
     dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
-    source_files: tuple[str, ...] = ()
+    source_files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     @property
     def major(self) -> int:
         """The FMI version: 1, 2 or 3."""
         return int(self.fmi_version[0])
+
+    @property
+    def preferred(self) -> Interface | None:
+        """The interface that is used unless another is asked for; None if there is none."""
+        return next((self.interfaces[kind] for kind in INTERFACES if kind in self.interfaces), None)
 
     def named(self, causality: str, type: str) -> list[str]:
         """Return the names of the variables of a causality and type, in the order of the description."""
@@ -273,15 +276,14 @@ def flat_index(indices: tuple[int, ...], shape: tuple[int, ...]) -> int:
     return position
 
 
-def number(text: object, default: float) -> float:
+def number(text: str | None, default: float) -> float:
     """Return the number that an attribute's text stands for, the default for none or for other text."""
-    boolean = {"true": 1.0, "false": 0.0}.get(str(text).strip().lower())
-    if boolean is not None:
-        return boolean
-    try:
-        value = float(str(text))
-    except ValueError:
+    if text is None:
         return default
+    try:
+        value = float(text)
+    except ValueError:
+        return {"true": 1.0, "false": 0.0}.get(text.strip().lower(), default)
     return default if math.isnan(value) else value
 
 
@@ -291,7 +293,7 @@ _READABLE = ("output", "local", "parameter", "calculatedParameter", "input")
 def default_signals(description: FMUDescription, causality: str) -> list[Signal]:
     """Return the inputs or outputs that take part if none are named: the real numbers, or all if none are."""
     numbers = list(description.signals(causality))
-    return [signal for signal in numbers if signal.source.type in REAL_TYPES] or numbers
+    return [signal for signal in numbers if signal.source.values == "real"] or numbers
 
 
 def choose_signals(

@@ -1,7 +1,6 @@
 """FMI 1.0, Co-Simulation and Model Exchange."""
 
 import ctypes
-from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -15,11 +14,10 @@ from ddpc_cosim.fmu.instance import (
     ModelFunctions,
     Origin,
     Slave,
-    ValueType,
+    value_types,
 )
 from ddpc_cosim.fmu.status import FMI1_CALLBACKS, WARNING, CallError, failed_call
 
-_INTEGER = ValueType("fmi1GetInteger", "fmi1SetInteger", ctypes.c_int)
 # fmiBoolean is a char; numbers are wanted here, and bytes there.
 _BOOLEAN = ctypes.c_int8
 _TRUE, _FALSE = fmpy.fmi1.fmi1True, fmpy.fmi1.fmi1False
@@ -28,13 +26,7 @@ _MOST_ITERATIONS = 1000
 
 class _Fmi1(Instance):
     major = 1
-    types: Mapping[str, ValueType] = {
-        "Real": ValueType("fmi1GetReal", "fmi1SetReal", ctypes.c_double),
-        "Integer": _INTEGER,
-        "Enumeration": _INTEGER,
-        "Boolean": ValueType("fmi1GetBoolean", "fmi1SetBoolean", _BOOLEAN),
-        "String": ValueType("fmi1GetString", "fmi1SetString", ctypes.c_char_p),
-    }
+    types = value_types(1)
 
     def _instantiate(self, *, logging: bool, **options: Any) -> None:
         self._fmu.instantiate(functions=FMI1_CALLBACKS, loggingOn=logging)

@@ -1,7 +1,6 @@
 """FMI 2.0, Co-Simulation and Model Exchange."""
 
 import ctypes
-from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -15,24 +14,17 @@ from ddpc_cosim.fmu.instance import (
     ModelFunctions,
     Origin,
     Slave,
-    ValueType,
+    value_types,
 )
 from ddpc_cosim.fmu.status import DISCARD, WARNING, CallError, failed_call, fmi2_callbacks
 
-_INTEGER = ValueType("fmi2GetInteger", "fmi2SetInteger", ctypes.c_int)
 _TERMINATED = 3
 _MOST_ITERATIONS = 1000
 
 
 class _Fmi2(Instance):
     major = 2
-    types: Mapping[str, ValueType] = {
-        "Real": ValueType("fmi2GetReal", "fmi2SetReal", ctypes.c_double),
-        "Integer": _INTEGER,
-        "Enumeration": _INTEGER,
-        "Boolean": ValueType("fmi2GetBoolean", "fmi2SetBoolean", ctypes.c_int),
-        "String": ValueType("fmi2GetString", "fmi2SetString", ctypes.c_char_p),
-    }
+    types = value_types(2)
 
     def _instantiate(self, *, logging: bool, **options: Any) -> None:
         self._fmu.instantiate(callbacks=fmi2_callbacks(self.log), loggingOn=logging)

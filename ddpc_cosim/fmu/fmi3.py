@@ -1,36 +1,19 @@
 """FMI 3.0, Co-Simulation and Model Exchange. Intermediate updates are not used."""
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
-from ddpc_cosim.fmu.instance import EventInfo, Instance, Model, ModelFunctions, Origin, Slave, ValueType
+from ddpc_cosim.fmu.instance import EventInfo, Instance, Model, ModelFunctions, Origin, Slave, value_types
 from ddpc_cosim.fmu.status import DISCARD, WARNING, CallError, failed_call, fmi3_logger, termination
 from ddpc_cosim.variables import FloatArray
 
 _MOST_ITERATIONS = 1000
-_C_TYPES: Mapping[str, Any] = {
-    "Float32": ctypes.c_float,
-    "Float64": ctypes.c_double,
-    "Int8": ctypes.c_int8,
-    "UInt8": ctypes.c_uint8,
-    "Int16": ctypes.c_int16,
-    "UInt16": ctypes.c_uint16,
-    "Int32": ctypes.c_int32,
-    "UInt32": ctypes.c_uint32,
-    "Int64": ctypes.c_int64,
-    "UInt64": ctypes.c_uint64,
-    "Boolean": ctypes.c_bool,
-    "String": ctypes.c_char_p,
-}
 
 
 class _Fmi3(Instance):
     major = 3
-    types: Mapping[str, ValueType] = {
-        **{name: ValueType(f"fmi3Get{name}", f"fmi3Set{name}", c_type) for name, c_type in _C_TYPES.items()},
-        "Enumeration": ValueType("fmi3GetInt64", "fmi3SetInt64", ctypes.c_int64),
-    }
+    types = value_types(3)
 
     def _instantiate(self, *, logging: bool, **options: Any) -> None:
         self._fmu.instantiate(logMessage=fmi3_logger(self.log), loggingOn=logging, **options)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from ddpc_cosim.fmu.library import CFunction, is_missing, load_library
 from ddpc_cosim.fmu.status import FATAL, WARNING, CallError, Log, failed_call
+from ddpc_cosim.fmu.variable_types import TYPES
 from ddpc_cosim.variables import FloatArray
 
 DoubleArray = Any
@@ -25,6 +26,15 @@ class ValueType(NamedTuple):
     get: str
     set: str
     c_type: Any
+
+
+def value_types(major: int) -> Mapping[str, ValueType]:
+    """Return how the values of each type of variables are read and written in an FMI version."""
+    return {
+        name: ValueType(f"fmi{major}Get{row.function}", f"fmi{major}Set{row.function}", row.c_type)
+        for name, row in TYPES[major].items()
+        if row.function
+    }
 
 
 @dataclass(frozen=True, slots=True)

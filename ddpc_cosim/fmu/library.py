@@ -272,7 +272,7 @@ def find_library(
             place = f"{_BINARIES}/{candidate}/{found.name}"
             return found, () if place == proper else (f"the library is {place} instead of {proper}",)
     if has_sources(folder):
-        compile_sources(folder, name, folder / proper, label)
+        compile_sources(folder, description, name, folder / proper, label)
         return folder / proper, ("no binary for this platform: compiled from the FMU's C sources",)
     raise FMUImportError(
         f"{label}: no binary for this platform ({proper}); it has {listed(folder)}. "

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ddpc_cosim.fmu.buffers import Port, Shapes, layout
-from ddpc_cosim.fmu.description import REAL_TYPES, FMUDescription, Signal, element
+from ddpc_cosim.fmu.description import FMUDescription, Signal, element
 from ddpc_cosim.fmu.instance import Model, reference_array
 from ddpc_cosim.fmu.status import CallError
 from ddpc_cosim.variables import FloatArray
@@ -166,7 +166,7 @@ def linearisation_faults(
     faults = [] if description.continuous_states else ["the FMU has no continuous states"]
     for what, signals in (("input", inputs), ("output", outputs)):
         for signal in signals:
-            if signal.source.type not in REAL_TYPES:
+            if signal.source.values != "real":
                 faults.append(
                     f'the {what} "{signal.variable.name}" is of type {signal.source.type}, no real number'
                 )

@@ -1,285 +1,67 @@
-"""Mending model descriptions that FMPy cannot read but that can be understood.
+"""Reading modelDescription.xml of FMI 1.0, 2.0 and 3.0: once, and tolerantly.
 
-Every repair drops or replaces an attribute or an element that contradicts the standard, and says so.
+What contradicts the standard but can be understood is read as it must be meant. Whatever is ignored, replaced
+or assumed on the way is noted as a defect; FMPy's validator is an extra check of ``inspect --strict``.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from itertools import chain
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import fmpy.model_description
-from lxml import etree  # type: ignore[import-untyped]
+from typing import Any, NamedTuple
 
 from ddpc_cosim.errors import FMUImportError
+from ddpc_cosim.fmu import defects
+from ddpc_cosim.fmu.archive import MODEL_DESCRIPTION, read_xml
+from ddpc_cosim.fmu.defects import Findings, Severity
 from ddpc_cosim.fmu.description import (
-    CAUSALITIES,
-    INTEGER_TYPES,
-    NUMERIC_TYPES,
+    INTERFACES,
     DefaultExperiment,
     FMUDescription,
     FMUVariable,
     Interface,
-    Kind,
+    InterfaceKind,
     number,
 )
+from ddpc_cosim.fmu.variable_types import TYPES
 from ddpc_cosim.variables import DisplayUnit, Variable
 
 Element = Any
 """An element of lxml, which has no type information."""
 
-_TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
-_CAUSALITIES: dict[str, tuple[str, ...]] = {
-    "parameter": ("fixed", "tunable"),
-    "calculatedParameter": ("fixed", "tunable"),
-    "structuralParameter": ("fixed", "tunable"),
-    "input": ("continuous", "discrete"),
-    "output": ("continuous", "discrete", "constant"),
-    "local": ("continuous", "discrete", "constant", "fixed", "tunable"),
-    "independent": ("continuous",),
+# The variabilities that a causality admits, each with the value of initial that is assumed for it; the first
+# one counts where a description says something else (FMI 2.0, section 2.2.7; FMI 3.0, section 2.4.7.4).
+_VARIABILITIES: Mapping[str, Mapping[str, str]] = {
+    "parameter": {"fixed": "exact", "tunable": "exact"},
+    "calculatedParameter": {"fixed": "calculated", "tunable": "calculated"},
+    "structuralParameter": {"fixed": "exact", "tunable": "exact"},
+    "input": {"continuous": "exact", "discrete": "exact"},
+    "output": {"continuous": "calculated", "discrete": "calculated", "constant": "exact"},
+    "local": {
+        "continuous": "calculated",
+        "discrete": "calculated",
+        "constant": "exact",
+        "fixed": "calculated",
+        "tunable": "calculated",
+    },
+    "independent": {"continuous": ""},
 }
-_CAUSALITIES_1 = ("input", "output", "internal", "none")
-_VARIABILITIES_1 = ("constant", "parameter", "discrete", "continuous")
-_TYPE_ATTRIBUTES = {
-    "name",
-    "description",
-    "quantity",
-    "unit",
-    "displayUnit",
-    "relativeQuantity",
-    "min",
-    "max",
-    "nominal",
-    "unbounded",
+_CAUSALITIES = {
+    1: frozenset({"input", "output", "internal", "none"}),
+    2: frozenset(_VARIABILITIES) - {"structuralParameter"},
+    3: frozenset(_VARIABILITIES),
 }
-_ITEM_ATTRIBUTES = {"name", "value", "description"}
-_WHOLE_NUMBERS = (
-    "numberOfEventIndicators",
-    "maxOutputDerivativeOrder",
-    "recommendedIntermediateInputSmoothness",
-)
-_EXPONENTS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+_FMI1_VARIABILITIES = ("continuous", "discrete", "constant", "parameter")
 
-
-def repair(path: Path) -> list[str]:
-    """Mend a modelDescription.xml in place.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    list of str
-        What was done, for the user.
-
-    Raises
-    ------
-    Exception
-        It is no model description at all.
-    """
-    root = parse(path)
-    notes = [note for mend in _REPAIRS for note in mend(root)]
-    path.write_bytes(etree.tostring(root, encoding="UTF-8", xml_declaration=True))
-    return list(dict.fromkeys(notes))
-
-
-def parse(path: Path) -> Element:
-    """Parse an XML file, also one that is not in the encoding that it claims or begins with blanks.
-
-    Raises
-    ------
-    Exception
-        It is no XML.
-    """
-    content = path.read_bytes().lstrip()
-    parser = etree.XMLParser(remove_comments=True, remove_pis=True, resolve_entities=False, no_network=True)
-    try:
-        return etree.fromstring(content, parser)
-    except etree.XMLSyntaxError:
-        # Tools that write the letters of their locale into a file that claims to be UTF-8.
-        parser = etree.XMLParser(
-            remove_comments=True, remove_pis=True, resolve_entities=False, no_network=True, encoding="cp1252"
-        )
-        return etree.fromstring(content, parser)
-
-
-def _namespaces(root: Element) -> Iterator[str]:
-    for element in root.iter():
-        if "}" in element.tag:
-            element.tag = element.tag.rpartition("}")[2]
-            yield "XML namespaces were left out"
-    etree.cleanup_namespaces(root)
-
-
-def _version(root: Element) -> Iterator[str]:
-    version = root.get("fmiVersion") or ""
-    usual = {"1": "1.0", "2": "2.0"}.get(version.strip()[:1])
-    if usual and version != usual:
-        root.set("fmiVersion", usual)
-        yield f'fmiVersion "{version}" was read as {usual}'
-
-
-def _numbers(root: Element) -> Iterator[str]:
-    for element in (root, *root.findall("CoSimulation"), *root.findall("ModelExchange")):
-        for name in _WHOLE_NUMBERS:
-            yield from _drop_unless(element, name, _is_whole)
-    if root.get("fmiVersion") == "1.0" and not _is_whole(root.get("numberOfContinuousStates", "")):
-        root.set("numberOfContinuousStates", "0")
-        yield "numberOfContinuousStates is missing, read as 0"
-    for definition in root.findall("UnitDefinitions/*/*"):
-        for name in ("factor", "offset", "gain"):
-            yield from _drop_unless(definition, name, _is_number)
-        for name in _EXPONENTS:
-            yield from _drop_unless(definition, name, _is_whole)
-
-
-def _types(root: Element) -> Iterator[str]:
-    for definition in root.findall("TypeDefinitions/*"):
-        nested = root.get("fmiVersion", "")[:1] in ("1", "2")
-        if nested and not len(definition):
-            definition.getparent().remove(definition)
-            yield f'the type "{definition.get("name")}" is empty and was left out'
-            continue
-        described = definition[0] if nested else definition
-        for name in set(described.attrib) - _TYPE_ATTRIBUTES:
-            del described.attrib[name]
-            yield f'attribute {name} of the type "{definition.get("name")}" was left out'
-        for item in described.findall("Item"):
-            for name in set(item.attrib) - _ITEM_ATTRIBUTES:
-                del item.attrib[name]
-
-
-def _variables(root: Element) -> Iterator[str]:
-    if root.find("ModelVariables") is None:
-        etree.SubElement(root, "ModelVariables")
-        yield "there are no ModelVariables"
-    defined = {definition.get("name") for definition in root.findall("TypeDefinitions/*")}
-    for variable in list(root.find("ModelVariables")):
-        typed = _typed(root, variable)
-        name = variable.get("name")
-        if name is None or typed is None or not _is_whole(variable.get("valueReference", "")):
-            # Kept in its place, as the model structure of FMI 2.0 counts variables.
-            variable.attrib.pop("name", None)
-            yield f'the variable "{name}" has no usable name, type or value reference and was left out'
-            continue
-        if typed.get("declaredType") is not None and typed.get("declaredType") not in defined:
-            yield f'the type "{typed.attrib.pop("declaredType")}" of {name} is not defined'
-        yield from _causality(root, variable)
-
-
-def _typed(root: Element, variable: Element) -> Element | None:
-    """Return the element that carries a variable's type; None if it has none."""
-    if root.get("fmiVersion", "")[:1] == "3":
-        return variable
-    return next((child for child in variable if child.tag in _TYPES), None)
-
-
-def _causality(root: Element, variable: Element) -> Iterator[str]:
-    """Make causality and variability fit each other: the causality counts."""
-    name = variable.get("name")
-    if root.get("fmiVersion") == "1.0":
-        for attribute, legal in (("causality", _CAUSALITIES_1), ("variability", _VARIABILITIES_1)):
-            yield from _drop_unless(variable, attribute, legal.__contains__)
-        return
-    yield from _drop_unless(variable, "causality", _CAUSALITIES.__contains__)
-    causality, variability = variable.get("causality", "local"), variable.get("variability")
-    allowed = _CAUSALITIES[causality]
-    # FMI 2.0 has one default for all; FMI 3.0's defaults follow the causality.
-    assumed = "continuous" if root.get("fmiVersion", "")[:1] == "2" else allowed[0]
-    if (variability or assumed) not in allowed:
-        variable.set("variability", allowed[0])
-        yield f"{name}: a {causality} cannot be {variability or assumed}; read as {allowed[0]}"
-
-
-def _structure(root: Element) -> Iterator[str]:
-    references = _references(root)
-    key = "valueReference" if root.get("fmiVersion", "")[:1] == "3" else "index"
-    for unknown in root.findall("ModelStructure//*"):
-        if unknown.get(key) is None:
-            continue
-        if unknown.get(key) not in references:
-            unknown.getparent().remove(unknown)
-            yield f"ModelStructure names a variable {unknown.get(key)} that does not exist"
-            continue
-        dependencies = (unknown.get("dependencies") or "").split()
-        if not set(dependencies) <= references:
-            unknown.attrib.pop("dependencies")
-            unknown.attrib.pop("dependenciesKind", None)
-            yield f"the dependencies of the variable {unknown.get(key)} name variables that do not exist"
-        elif "dependencies" in unknown.attrib:
-            unknown.set("dependencies", " ".join(dependencies))
-    for element in root.findall("ModelVariables//*[@derivative]"):
-        yield from _drop_unless(element, "derivative", references.__contains__)
-
-
-def _references(root: Element) -> set[str]:
-    """Return what the model structure may use: value references in FMI 3.0, else places in the list."""
-    variables = root.find("ModelVariables")
-    if root.get("fmiVersion", "")[:1] == "3":
-        return {variable.get("valueReference") for variable in variables if variable.get("name")}
-    # FMPy counts the variables it has read: after one that was left out, places are not to be trusted.
-    usable = [variable.get("name") is not None for variable in variables]
-    count = usable.index(False) if False in usable else len(usable)
-    return {str(i + 1) for i in range(count)}
-
-
-def _clocks_and_dimensions(root: Element) -> Iterator[str]:
-    references = _references(root)
-    if root.get("fmiVersion", "")[:1] != "3":
-        return
-    for variable in root.find("ModelVariables"):
-        if "clocks" in variable.attrib and not set(variable.get("clocks").split()) <= references:
-            variable.attrib.pop("clocks")
-            yield f"the clocks of {variable.get('name')} do not exist"
-        for alias in variable.findall("Alias"):
-            if alias.get("name") is None:
-                variable.remove(alias)
-                yield f"an alias of {variable.get('name')} has no name"
-
-
-def _drop_unless(element: Element, name: str, fits: Callable[[str], bool]) -> Iterator[str]:
-    value = element.get(name)
-    if value is not None and not fits(value):
-        del element.attrib[name]
-        yield f'{name}="{value}" of {element.get("name") or element.tag} makes no sense and was left out'
-
-
-def _is_whole(text: str) -> bool:
-    return text.strip().removeprefix("-").isdecimal()
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-_REPAIRS: tuple[Callable[[Element], Iterator[str]], ...] = (
-    _namespaces,
-    _version,
-    _numbers,
-    _types,
-    _variables,
-    _structure,
-    _clocks_and_dimensions,
-)
-
-
-_PROBLEMS_SHOWN = 3
-_AS_GOOD_AS_INFINITE = 1e30
+_LARGEST_REFERENCE = 2**32 - 1
 _MOST_ELEMENTS = 1_000_000
-_TYPES_3 = {"Real": "Float64", "Integer": "Int32"}
-_OLD_TYPES = frozenset({"Real", "Integer", "Boolean", "String", "Enumeration"})
-_NEW_TYPES = (NUMERIC_TYPES - {"Real", "Integer"}) | {"String", "Binary", "Clock"}
+_MOST_DIGITS = 20
+_AS_GOOD_AS_INFINITE = 1e30
 
 
 def read_description(folder: Path, label: str) -> FMUDescription:
-    """Read the model description of an unpacked FMU.
+    """Read the model description of an unpacked FMU that is to run.
 
     Parameters
     ----------
@@ -291,237 +73,490 @@ def read_description(folder: Path, label: str) -> FMUDescription:
     Raises
     ------
     FMUImportError
-        There is no description that can be understood.
+        It cannot run; all errors of the description at once.
     """
-    if not (folder / "modelDescription.xml").is_file():
-        raise FMUImportError(f"{label}: not an FMU: the archive has no modelDescription.xml")
-    warnings: list[str] = []
-    try:
-        model = _read(folder, warnings)
-        if model.coSimulation is None and model.modelExchange is None and model.scheduledExecution is None:
-            raise FMUImportError(
-                f"{label}: modelDescription.xml offers neither Co-Simulation nor Model Exchange"
-            )
-        _check_types(model, label)
-        _check_sizes(model, label)
-        if str(model.fmiVersion).startswith("3"):
-            _add_directional_derivatives(folder / "modelDescription.xml", model)
-        return _description(model, tuple(warnings), _negated(folder, model))
-    except FMUImportError:
-        raise
-    except Exception as error:  # FMPy raises whatever the XML provokes
-        raise FMUImportError(f"{label}: modelDescription.xml cannot be read: {one_line(error)}") from error
+    findings = Findings()
+    description = read_tolerantly(folder, label, findings)
+    errors = [str(defect) for defect in findings if defect.severity is Severity.ERROR]
+    if description is None or errors:
+        raise FMUImportError(f"{label}: {MODEL_DESCRIPTION}: {'; '.join(errors)}")
+    warnings = [str(defect) for defect in findings if defect.severity is Severity.WARNING]
+    return replace(description, warnings=tuple(f"{MODEL_DESCRIPTION}: {warning}" for warning in warnings))
 
 
-def _read(folder: Path, warnings: list[str]) -> Any:
-    """Read with validation, without it, or after repairs, whichever succeeds first."""
-    read = fmpy.model_description.read_model_description
-    try:
-        # Names and model structure are left out: checking them takes long, and nothing here needs them.
-        return read(str(folder), validate=True, validate_variable_names=False, validate_model_structure=False)
-    except Exception as error:
-        problems = _problems(error).replace(str(folder / "modelDescription.xml"), "modelDescription.xml")
-        warnings.append(f"modelDescription.xml fails validation: {problems}")
-    try:
-        return read(str(folder), validate=False)
-    except Exception:
-        warnings += repair(folder / "modelDescription.xml")
-    return read(str(folder), validate=False)
+def read_tolerantly(folder: Path, label: str, findings: Findings) -> FMUDescription | None:
+    """Read the model description of an unpacked FMU as far as it can be understood.
+
+    Parameters
+    ----------
+    folder : Path
+        The unpacked FMU.
+    label : str
+        The FMU's file name, for errors.
+    findings : Findings
+        Where the defects that are met are noted; with one that is an error, the FMU cannot run.
+
+    Returns
+    -------
+    FMUDescription or None
+        None for an unknown FMI version.
+
+    Raises
+    ------
+    FMUImportError
+        There is no model description, it is not XML, or it may do harm.
+    """
+    if not (folder / MODEL_DESCRIPTION).is_file():
+        raise FMUImportError(f"{label}: not an FMU: the archive has no {MODEL_DESCRIPTION}")
+    root, overlooked = read_xml(folder / MODEL_DESCRIPTION, f"{label}: {MODEL_DESCRIPTION}")
+    for what in overlooked:
+        findings.add(defects.REPAIRED, what)
+    if root.tag.startswith("{"):  # FMI knows no namespaces, some tools do
+        findings.add(defects.REPAIRED, "XML namespaces were left out")
+        for element in root.iter():
+            element.tag = element.tag.rpartition("}")[2]
+    if "fmiVersion" not in root.attrib:
+        raise FMUImportError(f"{label}: {MODEL_DESCRIPTION} cannot be read: <{root.tag}> has no fmiVersion")
+    version = _version(root.get("fmiVersion"), findings)
+    return _Reading(root, version, findings).description() if version else None
 
 
-def _add_directional_derivatives(path: Path, model: Any) -> None:
-    """Add what FMPy leaves out of FMI 3.0's interfaces: it knows the attribute by FMI 2.0's name only."""
-    interfaces = {"ModelExchange": model.modelExchange, "CoSimulation": model.coSimulation}
-    with path.open("rb") as file:
-        for _, element in etree.iterparse(file, events=("start",)):
-            if element.tag == "ModelVariables":  # the interfaces come before
-                return
-            interface = interfaces.get(element.tag)
-            if interface is not None:
-                provided = element.get("providesDirectionalDerivatives") in ("true", "1")
-                interface.providesDirectionalDerivative = provided
+def _version(text: str, findings: Findings) -> str:
+    """Return the FMI version; empty if it is unknown."""
+    if text.startswith("3."):
+        return text
+    version = {"1": "1.0", "2": "2.0", "3": "3.0"}.get(text.strip()[:1], "")
+    if not version:
+        findings.add(defects.UNKNOWN_VERSION, f'fmiVersion = "{text}"')
+    elif version != text:
+        findings.add(defects.REPAIRED, f'fmiVersion "{text}" was read as {version}')
+    return version
 
 
-def _check_types(model: Any, label: str) -> None:
-    """Refuse variables of types that the FMU's version has no functions for."""
-    known = _OLD_TYPES if str(model.fmiVersion) < "3" else _NEW_TYPES
-    foreign = [v for v in model.modelVariables if v.type not in known]
-    if foreign:
-        listed = ", ".join(f"{v.name} ({v.type})" for v in foreign[:_PROBLEMS_SHOWN])
-        raise FMUImportError(f"{label}: FMI {model.fmiVersion} has no such type of variable: {listed}")
+class _Type(NamedTuple):
+    """A type definition: what variables inherit from it."""
+
+    attributes: Mapping[str, str]
+    items: Mapping[str, int]
 
 
-def _check_sizes(model: Any, label: str) -> None:
-    """Refuse arrays whose elements, each a signal of its own, would not fit into memory."""
-    for variable in model.modelVariables:
-        count = math.prod(variable.shape or ())
+_UNDECLARED = _Type({}, {})
+
+
+class _Entry(NamedTuple):
+    """A variable as written."""
+
+    name: str
+    reference: int
+    type: str
+    start: str | None
+    own: Mapping[str, str]
+    inherited: _Type
+    element: Element
+
+    def get(self, attribute: str) -> str | None:
+        """Return an attribute of the variable, or of its declared type."""
+        return self.own.get(attribute, self.inherited.attributes.get(attribute))
+
+
+class _Structure(NamedTuple):
+    """The model structure, by names of variables."""
+
+    dependencies: dict[str, tuple[str, ...] | None]
+    derivatives: list[str]
+    event_indicators: list[str]
+
+
+class _Reading:
+    """The reading of one description, whose parts refer to each other."""
+
+    def __init__(self, root: Element, version: str, findings: Findings) -> None:
+        self.root, self.version, self.note = root, version, findings.add
+        self.major = int(version[0])
+        self.units = dict(self._units())
+        self.types = dict(self._types())
+        entries = self._entries()
+        # What can be referred to: places in the list of variables (FMI 2.0), value references (FMI 3.0).
+        self.targets: dict[int | None, _Entry] = {}
+        if self.major > 1:
+            self.targets = {e.reference if self.major == 3 else i: e for i, e in enumerate(entries, 1) if e}
+        self.variables = self._variables([entry for entry in entries if entry])
+
+    def description(self) -> FMUDescription:
+        """Return what has been read."""
+        root, structure = self.root, self._structure()
+        states = self._size(structure.derivatives) if self.major > 1 else self._fmi1_states()
+        indicators = self._integer("numberOfEventIndicators") + self._size(structure.event_indicators)
+        return FMUDescription(
+            fmi_version=self.version,
+            guid=root.get("instantiationToken" if self.major == 3 else "guid", ""),
+            model_name=root.get("modelName", ""),
+            variables=self.variables,
+            interfaces=self._interfaces(),
+            generation_tool=root.get("generationTool") or "unknown",
+            generated_at=root.get("generationDateAndTime", ""),
+            author=root.get("author", ""),
+            version=root.get("version", ""),
+            copyright=root.get("copyright", ""),
+            license=root.get("license", ""),
+            text=root.get("description", ""),
+            continuous_states=states,
+            event_indicators=indicators,
+            derivatives=tuple(structure.derivatives),
+            default_experiment=self._experiment(),
+            display_units=self.units,
+            dependencies=structure.dependencies,
+            source_files=self._source_files(),
+        )
+
+    def _interfaces(self) -> dict[str, Interface]:
+        if self.major == 1:  # which has one of them, and other words for what it can do
+            is_slave = self.root.find("Implementation") is not None
+            kind: InterfaceKind = "co-simulation" if is_slave else "model-exchange"
+            identifier = self.root.get("modelIdentifier", "")
+            return {kind: Interface(kind, identifier, needs_completed_step=False)}
+        found: dict[str, Interface] = {
+            k: self._interface(k, e) for k, tag in INTERFACES.items() for e in self.root.findall(tag)
+        }
+        if not found:
+            offered = self.root.find("ScheduledExecution")
+            self.note(defects.NO_INTERFACE, "no interface at all" if offered is None else offered.tag)
+        return found
+
+    def _interface(self, kind: InterfaceKind, element: Element) -> Interface:
+        is_fmi3, is_slave = self.major == 3, kind == "co-simulation"
+
+        def can(fmi2: str, fmi3: str = "") -> bool:
+            return _is_true(element.get(fmi3 if fmi3 and is_fmi3 else fmi2))
+
+        fixed_step = element.get("fixedInternalStepSize") if is_slave and is_fmi3 else None
+        tells_steps = can("needsCompletedIntegratorStep")
+        if not is_fmi3:
+            tells_steps = not can("completedIntegratorStepNotNeeded")
+        return Interface(
+            kind=kind,
+            model_identifier=element.get("modelIdentifier", ""),
+            needs_execution_tool=can("needsExecutionTool"),
+            only_one_instance=can("canBeInstantiatedOnlyOncePerProcess"),
+            can_save_state=can("canGetAndSetFMUstate", "canGetAndSetFMUState"),
+            can_serialize_state=can("canSerializeFMUstate", "canSerializeFMUState"),
+            provides_directional_derivatives=can(
+                "providesDirectionalDerivative", "providesDirectionalDerivatives"
+            ),
+            variable_step=not is_slave or can("canHandleVariableCommunicationStepSize"),
+            fixed_step=self._number(kind, "fixedInternalStepSize", fixed_step, 0.0) or None,
+            has_event_mode=is_slave and is_fmi3 and can("hasEventMode"),
+            needs_completed_step=tells_steps and not is_slave,
+        )
+
+    def _source_files(self) -> dict[str, tuple[str, ...]]:
+        """Return the source files by model identifier; FMI 3.0 has a file of its own for them."""
+        found: dict[str, tuple[str, ...]] = {}
+        for tag in ("ModelExchange", "CoSimulation"):
+            for interface in self.root.findall(tag):
+                names = tuple(file.get("name", "") for file in interface.iterfind("SourceFiles/File"))
+                if names:
+                    found.setdefault(interface.get("modelIdentifier", ""), names)
+        return found
+
+    def _fmi1_states(self) -> int:
+        if self.root.get("numberOfContinuousStates") is None:
+            self.note(defects.REPAIRED, "numberOfContinuousStates is missing, read as 0")
+        return self._integer("numberOfContinuousStates")
+
+    def _size(self, names: Iterable[str]) -> int:
+        """Return the number of scalars in some variables."""
+        return sum(math.prod(self.variables[name].shape) for name in names)
+
+    def _experiment(self) -> DefaultExperiment:
+        found = self.root.findall("DefaultExperiment")
+        attributes = found[-1].attrib if found else {}
+
+        def value(name: str) -> float | None:
+            text = attributes.get(name)
+            if text is not None and not _is_number(text):
+                self.note(defects.BAD_EXPERIMENT, f'{name} = "{text}"')
+            given = number(text, math.nan)
+            return given if math.isfinite(given) else None
+
+        return DefaultExperiment(value("startTime"), value("stopTime"), value("tolerance"), value("stepSize"))
+
+    def _units(self) -> Iterator[tuple[str, tuple[DisplayUnit, ...]]]:
+        """Yield the units that are defined, each with its display units."""
+        tag, shown, factor = "DisplayUnit", "name", "factor"
+        if self.major == 1:
+            tag, shown, factor = "DisplayUnitDefinition", "displayUnit", "gain"
+        for unit in self.root.iterfind("UnitDefinitions/*"):
+            display_units = [
+                DisplayUnit(
+                    name := element.get(shown, ""),
+                    self._number(name, factor, element.get(factor), 1.0),
+                    self._number(name, "offset", element.get("offset"), 0.0),
+                )
+                for element in unit.iterfind(tag)
+                if not _is_true(element.get("inverse"))  # of the reciprocal value (FMI 3.0): not known here
+            ]
+            yield unit.get("unit" if self.major == 1 else "name", ""), tuple(display_units)
+
+    def _types(self) -> Iterator[tuple[str, _Type]]:
+        """Yield the type definitions by name."""
+        for definition in self.root.iterfind("TypeDefinitions/*"):
+            # FMI 1.0 and 2.0 have an element inside, whose name is the type's.
+            described = definition if self.major == 3 else next(iter(definition), definition)
+            items = {
+                item.get("name", ""): (_integer(item.get("value")) or 0) if self.major > 1 else place
+                for place, item in enumerate(described.iterfind("Item"), 1)
+            }
+            yield definition.get("name", ""), _Type(described.attrib, items)
+
+    def _entries(self) -> list[_Entry | None]:
+        """Return the variables as written, with None in the place of those that cannot be used."""
+        elements = self.root.find("ModelVariables")
+        if elements is None:
+            self.note(defects.REPAIRED, "there are no ModelVariables")
+            return []
+        entries = [self._entry(element) for element in elements]
+        if entries and not any(entries):
+            self.note(defects.NO_VARIABLES, f"in the terms of FMI {self.version}")
+        nameless = sum(not element.get("name") for element in elements)
+        if nameless:
+            self.note(defects.NO_NAME, f"{nameless} of them")
+        for name, times in Counter(entry.name for entry in entries if entry).items():
+            if times > 1:
+                self.note(defects.DUPLICATE_NAME, f"{name} ({times} times)")
+        return entries
+
+    def _entry(self, element: Element) -> _Entry | None:
+        name, types = element.get("name"), TYPES[self.major]
+        # In FMI 3.0 the element is the type, in FMI 1.0 and 2.0 there is one inside.
+        inner = element if self.major == 3 else next((e for e in element if e.tag in types), None)
+        if not name:
+            return None
+        if inner is None or inner.tag not in types:
+            self.note(defects.NO_TYPE, name)
+            return None
+        written = element.get("valueReference", "")
+        reference = _integer(written)
+        if reference is None or not 0 <= reference <= _LARGEST_REFERENCE:
+            self.note(defects.BAD_REFERENCE, f'{name}: "{written}"')
+            return None
+        own = {**inner.attrib, **element.attrib}
+        declared = own.get("declaredType", "")
+        if "declaredType" in own and declared not in self.types:
+            self.note(defects.UNKNOWN_TYPE, f'{name}: "{declared}"')
+        start = own.get("start")
+        if self.major == 3 and inner.tag in ("String", "Binary"):
+            first = inner.find("Start")
+            start = None if first is None else first.get("value", "")
+        return _Entry(name, reference, inner.tag, start, own, self.types.get(declared, _UNDECLARED), element)
+
+    def _variables(self, entries: Sequence[_Entry]) -> dict[str, FMUVariable]:
+        variables: dict[str, FMUVariable] = {}
+        aliases: dict[str, FMUVariable] = {}
+        for entry in entries:
+            variable = self._variable(entry)
+            if variable is not None:
+                variables[entry.name] = variable
+                aliases.update(self._aliases(variable, entry.element))
+        return variables | aliases
+
+    def _variable(self, entry: _Entry) -> FMUVariable | None:
+        """Return a variable with everything resolved; None for an array that cannot be used."""
+        row = TYPES[self.major][entry.type]
+        dimensions, shape = self._sizes(entry)
+        if shape is None:
+            return None
+        causality, variability, initial = self._kind(entry, is_real=row.values == "real")
+        unit = entry.get("unit") or ""
+        return FMUVariable(
+            variable=Variable(
+                name=entry.name,
+                unit=unit,
+                min=self._bound(entry, "min", row.min),
+                max=self._bound(entry, "max", row.max),
+                nominal=self._number(entry.name, "nominal", entry.get("nominal"), 1.0),
+                start=self._start(entry, causality),
+                description=entry.own.get("description", ""),
+                display_unit=self._display_unit(entry.name, unit, entry.get("displayUnit")),
+            ),
+            reference=entry.reference,
+            type=entry.type,
+            causality=causality,
+            variability=variability,
+            initial=initial,
+            shape=shape,
+            dimensions=dimensions,
+            start_text=entry.start,
+            items=entry.inherited.items,
+            derivative_of=self._state(entry),
+            negated=self.major == 1 and entry.own.get("alias") == "negatedAlias",
+        )
+
+    def _kind(self, entry: _Entry, *, is_real: bool) -> tuple[str, str, str]:
+        """Return causality, variability and initial, made to fit each other: the causality counts."""
+        name, causality, variability = entry.name, entry.own.get("causality"), entry.own.get("variability")
+        if causality is not None and causality not in _CAUSALITIES[self.major]:
+            self.note(defects.UNKNOWN_CAUSALITY, f'{name}: "{causality}"')
+            causality = None
+        if variability is not None and variability not in self._known_variabilities():
+            self.note(defects.UNKNOWN_VARIABILITY, f'{name}: "{variability}"')
+            variability = None
+        has_start = "" if entry.start is None else "exact"
+        if self.major == 1:  # whose parameters have no causality of their own
+            if variability == "parameter":
+                return "parameter", "fixed", has_start
+            kept = causality if causality in ("input", "output") else "local"
+            return kept, variability or "continuous", has_start
+        causality = causality or "local"
+        allowed = _VARIABILITIES[causality]
+        # FMI 2.0 has one default for all, FMI 3.0 has one that fits.
+        assumed = "continuous" if is_real or self.major == 2 else "discrete"
+        wanted = variability or assumed
+        if wanted not in allowed:
+            first = next(iter(allowed))
+            if variability or self.major == 2:
+                self.note(defects.BAD_COMBINATION, f"{name}: {causality}, {wanted}; read as {first}")
+            wanted = first
+        return causality, wanted, entry.own.get("initial") or allowed[wanted] or has_start
+
+    def _known_variabilities(self) -> Iterable[str]:
+        return _FMI1_VARIABILITIES if self.major == 1 else _VARIABILITIES["local"]
+
+    def _sizes(self, entry: _Entry) -> tuple[tuple[int | str, ...], tuple[int, ...] | None]:
+        """Return an array's dimensions, and its shape at the start; None where it cannot be used."""
+        dimensions: list[int | str] = []
+        shape: list[int] = []
+        for dimension in entry.element.iterfind("Dimension") if self.major == 3 else ():
+            fixed = dimension.get("start")
+            parameter = self.targets.get(_integer(dimension.get("valueReference")))
+            size = _integer(fixed if fixed is not None or parameter is None else parameter.start)
+            if size is None or size < 0:
+                self.note(defects.BAD_DIMENSION, entry.name)
+                return (), None
+            dimensions.append(size if fixed is not None or parameter is None else parameter.name)
+            shape.append(size)
+        count = math.prod(shape)
         if count > _MOST_ELEMENTS:
-            raise FMUImportError(
-                f"{label}: the array {variable.name} has {count} elements; allowed: {_MOST_ELEMENTS}"
+            self.note(
+                defects.HUGE_ARRAY, f"the array {entry.name} has {count} elements; allowed: {_MOST_ELEMENTS}"
             )
+            return (), None
+        return tuple(dimensions), tuple(shape)
+
+    def _start(self, entry: _Entry, causality: str) -> float:
+        """Return the start value; for an array that of its first element, for none 0."""
+        row = TYPES[self.major][entry.type]
+        if entry.start is None and row.values != "none":
+            needed = causality in ("input", "parameter", "structuralParameter")
+            initial = entry.own.get("initial")
+            if initial in ("exact", "approx") or (needed and initial != "calculated"):
+                self.note(defects.NO_START, entry.name)
+        values = (entry.start or "").split()
+        if len(values) == 1 and row.is_number:
+            return self._number(entry.name, "start", values[0], 0.0)
+        return number(values[0] if values else None, 0.0)
+
+    def _bound(self, entry: _Entry, which: str, none: float) -> float:
+        """Return a limit; many tools write the largest number that they know where there is none."""
+        if TYPES[self.major][entry.type].values not in ("real", "integer"):
+            return none
+        bound = self._number(entry.name, which, entry.get(which), none)
+        return none if abs(bound) >= _AS_GOOD_AS_INFINITE else bound
+
+    def _display_unit(self, name: str, unit: str, wanted: str | None) -> DisplayUnit | None:
+        known = self.units.get(unit, ())
+        found = next((display_unit for display_unit in known if display_unit.name == wanted), None)
+        if wanted and found is None and wanted != unit and unit in self.units:
+            self.note(defects.UNKNOWN_DISPLAY_UNIT, f"{name}: {wanted} for {unit}")
+        return found
+
+    def _state(self, entry: _Entry) -> str:
+        """Return the name of the state that a variable is the derivative of; empty for none."""
+        written = entry.own.get("derivative")
+        if written is None or self.major == 1:
+            return ""
+        state = self.targets.get(_integer(written))
+        if state is None:
+            self.note(defects.BAD_DERIVATIVE, f'{entry.name}: "{written}"')
+        return state.name if state is not None else ""
+
+    def _aliases(self, variable: FMUVariable, element: Element) -> Iterator[tuple[str, FMUVariable]]:
+        """Yield the other names of a variable (FMI 3.0)."""
+        for alias in element.iterfind("Alias") if self.major == 3 else ():
+            name, own = alias.get("name"), variable.variable
+            if not name:
+                self.note(defects.NO_NAME, f"an alias of {variable.name}")
+                continue
+            shown = self._display_unit(name, own.unit, alias.get("displayUnit")) or own.display_unit
+            text = alias.get("description") or own.description
+            named = replace(own, name=name, description=text, display_unit=shown)
+            yield name, replace(variable, variable=named, alias_of=variable.name)
+
+    def _structure(self) -> _Structure:
+        structure = _Structure({}, [], [])
+        names = {target: e.name for target, e in self.targets.items() if e.name in self.variables}
+        for part in self.root.iterfind("ModelStructure/*"):
+            for unknown in [part] if self.major == 3 else part.iterfind("Unknown"):
+                written = unknown.get("valueReference" if self.major == 3 else "index", "")
+                name = names.get(_integer(written))
+                if name is None:
+                    self.note(defects.BAD_STRUCTURE, f'{part.tag}: "{written}"')
+                    continue
+                dependencies = self._dependencies(f"{part.tag} {written}", unknown, names)
+                if part.tag in ("Outputs", "Output"):
+                    structure.dependencies[name] = dependencies
+                elif part.tag in ("Derivatives", "ContinuousStateDerivative"):
+                    structure.derivatives.append(name)
+                elif part.tag == "EventIndicator":
+                    structure.event_indicators.append(name)
+        return structure
+
+    def _dependencies(
+        self, where: str, unknown: Element, names: Mapping[int | None, str]
+    ) -> tuple[str, ...] | None:
+        """Return the variables that one depends on; None where that is not known."""
+        written = unknown.get("dependencies")
+        if written is None:
+            return None
+        found = {text: names.get(_integer(text)) for text in written.split()}
+        wrong = [text for text, name in found.items() if name is None]
+        if wrong:
+            self.note(defects.BAD_DEPENDENCY, f"{where}: {', '.join(wrong)}")
+            return None
+        return tuple(name for name in found.values() if name is not None)
+
+    def _integer(self, attribute: str) -> int:
+        """Return a number of the root element, 0 for none."""
+        written = self.root.get(attribute)
+        found = _integer(written)
+        if written is not None and found is None:
+            self.note(defects.NOT_A_NUMBER, f'{attribute} = "{written}"')
+        return max(found or 0, 0)
+
+    def _number(self, where: str, attribute: str, written: str | None, default: float) -> float:
+        if written is not None and not _is_number(written):
+            self.note(defects.NOT_A_NUMBER, f'{where}: {attribute} = "{written}"')
+        return number(written, default)
 
 
-def _problems(error: Exception) -> str:
-    """Return the first problems that a validation found."""
-    problems = [" ".join(str(problem).split()) for problem in getattr(error, "problems", [one_line(error)])]
-    more = f"; and {len(problems) - _PROBLEMS_SHOWN} more" if len(problems) > _PROBLEMS_SHOWN else ""
-    return "; ".join(problems[:_PROBLEMS_SHOWN])[:500] + more
+def _integer(text: str | None) -> int | None:
+    """Return the integer that a text stands for; None if it does not stand for one."""
+    digits = (text or "").strip().removeprefix("-")
+    return int(text or "") if digits.isdecimal() and len(digits) <= _MOST_DIGITS else None
+
+
+def _is_true(text: str | None) -> bool:
+    return text in ("true", "1")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return text.strip() in ("true", "false")
+    return True
 
 
 def one_line(error: BaseException) -> str:
     """Return an error's text on one line."""
     return " ".join(str(error).split())[:300] or type(error).__name__
-
-
-def _negated(folder: Path, model: Any) -> frozenset[str]:
-    """Return the variables whose values have the opposite sign (FMI 1.0), of which FMPy knows nothing."""
-    if not str(model.fmiVersion).startswith("1"):
-        return frozenset()
-    variables = parse(folder / "modelDescription.xml").iterfind("ModelVariables/ScalarVariable")
-    return frozenset(v.get("name") for v in variables if v.get("alias") == "negatedAlias")
-
-
-def _description(model: Any, warnings: tuple[str, ...], negated: frozenset[str]) -> FMUDescription:
-    definitions = {
-        str(unit.name): tuple(
-            DisplayUnit(str(d.name), float(d.factor), float(d.offset)) for d in unit.displayUnits
-        )
-        for unit in model.unitDefinitions
-    }
-    return FMUDescription(
-        fmi_version=str(model.fmiVersion),
-        guid=str(model.guid or ""),
-        model_name=str(model.modelName or ""),
-        variables={
-            str(v.name): _variable(v, definitions, int(str(model.fmiVersion)[0]), str(v.name) in negated)
-            for v in model.modelVariables
-        },
-        interfaces=dict(_interfaces(model)),
-        generation_tool=str(model.generationTool or "unknown"),
-        generated_at=str(model.generationDateAndTime or ""),
-        author=str(model.author or ""),
-        version=str(model.version or ""),
-        copyright=str(model.copyright or ""),
-        license=str(model.license or ""),
-        text=str(model.description or ""),
-        continuous_states=int(model.numberOfContinuousStates or 0),
-        event_indicators=int(model.numberOfEventIndicators or 0),
-        derivatives=tuple(str(u.variable.name) for u in model.derivatives),
-        default_experiment=_default_experiment(model.defaultExperiment),
-        display_units=definitions,
-        dependencies={str(u.variable.name): _dependencies(u) for u in model.outputs},
-        warnings=warnings,
-    )
-
-
-def _interfaces(model: Any) -> Iterator[tuple[Kind, Interface]]:
-    kinds: tuple[tuple[Kind, Any], ...] = (
-        ("co-simulation", model.coSimulation),
-        ("model-exchange", model.modelExchange),
-    )
-    for kind, interface in kinds:
-        if interface is not None:
-            yield kind, _interface(kind, interface, str(model.fmiVersion))
-
-
-def _interface(kind: Kind, interface: Any, fmi_version: str) -> Interface:
-    fixed_step = getattr(interface, "fixedInternalStepSize", None)
-    is_fmi1 = fmi_version.startswith("1")
-    return Interface(
-        kind=kind,
-        model_identifier=str(interface.modelIdentifier or ""),
-        needs_execution_tool=bool(interface.needsExecutionTool),
-        only_one_instance=bool(interface.canBeInstantiatedOnlyOncePerProcess),
-        can_save_state=bool(interface.canGetAndSetFMUstate),
-        can_serialize_state=bool(interface.canSerializeFMUstate),
-        provides_directional_derivatives=bool(interface.providesDirectionalDerivative),
-        variable_step=is_fmi1 or bool(getattr(interface, "canHandleVariableCommunicationStepSize", True)),
-        fixed_step=number(fixed_step, 0.0) or None,
-        has_event_mode=bool(getattr(interface, "hasEventMode", False)),
-        needs_completed_step=bool(getattr(interface, "needsCompletedIntegratorStep", False)),
-    )
-
-
-def _default_experiment(experiment: Any) -> DefaultExperiment:
-    def value(name: str) -> float | None:
-        found = number(getattr(experiment, name, None), math.nan)
-        return found if math.isfinite(found) else None
-
-    return DefaultExperiment(value("startTime"), value("stopTime"), value("tolerance"), value("stepSize"))
-
-
-def _dependencies(unknown: Any) -> tuple[str, ...] | None:
-    return None if unknown.dependencies is None else tuple(str(v.name) for v in unknown.dependencies)
-
-
-def _variable(
-    variable: Any, definitions: Mapping[str, tuple[DisplayUnit, ...]], major: int, negated: bool
-) -> FMUVariable:
-    declared = variable.declaredType
-
-    def attribute(name: str) -> Any:
-        """Return an attribute of the variable, or of its declared type where it has none."""
-        own = getattr(variable, name)
-        return own if own is not None else getattr(declared, name, None)
-
-    unit = str(attribute("unit") or "")
-    # FMPy lets FMI 2.0's names of types pass in a description for FMI 3.0.
-    fmi_type = _TYPES_3.get(str(variable.type), str(variable.type)) if major == 3 else str(variable.type)
-    low, high = _range(fmi_type)
-    return FMUVariable(
-        variable=Variable(
-            name=str(variable.name),
-            unit=unit,
-            min=_bound(attribute("min"), low),
-            max=_bound(attribute("max"), high),
-            nominal=number(attribute("nominal"), 1.0),
-            start=_start(variable.start),
-            description=str(variable.description or ""),
-            display_unit=find_display_unit(definitions.get(unit, ()), str(attribute("displayUnit") or "")),
-        ),
-        reference=int(variable.valueReference),
-        type=fmi_type,
-        causality=variable.causality if variable.causality in CAUSALITIES else "local",
-        variability=str(variable.variability or "continuous"),
-        # FMI 1.0 has no such attribute: what has a start value can be given another one.
-        initial=str(variable.initial or ("" if variable.start is None else "exact")),
-        shape=tuple(variable.shape or ()),
-        dimensions=tuple(
-            d.start if d.variable is None else str(d.variable.name) for d in variable.dimensions
-        ),
-        start_text=variable.start,
-        items={str(i.name): int(number(i.value, 0.0)) for i in getattr(declared, "items", ())},
-        derivative_of=str(variable.derivative.name) if variable.derivative is not None else "",
-        negated=negated,
-    )
-
-
-def find_display_unit(candidates: tuple[DisplayUnit, ...], name: str) -> DisplayUnit | None:
-    """Return the display unit of a name."""
-    return next((unit for unit in candidates if unit.name == name), None)
-
-
-def _bound(text: object, none: float) -> float:
-    """Return a limit; many tools write the largest number that they know where there is none."""
-    bound = number(text, none)
-    return none if abs(bound) >= _AS_GOOD_AS_INFINITE else bound
-
-
-def _range(fmi_type: str) -> tuple[float, float]:
-    """Return the smallest and largest value that the type can hold."""
-    if fmi_type == "Boolean":
-        return 0.0, 1.0
-    if fmi_type in INTEGER_TYPES and fmi_type != "Integer":
-        bits = int(fmi_type.lstrip("UInt"))
-        return (
-            (0.0, 2.0**bits - 1)
-            if fmi_type.startswith("U")
-            else (-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1)
-        )
-    return -math.inf, math.inf
-
-
-def _start(text: Any) -> float:
-    """Return a start value; for an array that of its first element."""
-    first = next(chain(str(text or "").split(), [""]))
-    return number(first, 0.0)

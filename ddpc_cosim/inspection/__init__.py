@@ -9,18 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.errors import FMUImportError
-from ddpc_cosim.fmu.archive import MODEL_DESCRIPTION, UnpackLimits, unpack
-from ddpc_cosim.fmu.description import FMUDescription, FMUVariable, Interface
-from ddpc_cosim.fmu.reader import read_description
+from ddpc_cosim.fmu.archive import UnpackLimits, unpack
+from ddpc_cosim.fmu.defects import Defect, Findings, Kind, Severity
+from ddpc_cosim.fmu.description import INTERFACES, FMUDescription, FMUVariable, Interface
+from ddpc_cosim.fmu.reader import read_tolerantly
 from ddpc_cosim.inspection.binaries import Binaries, check_binaries
-from ddpc_cosim.inspection.checks import check_model, check_structure, check_variables
-from ddpc_cosim.inspection.defects import Defect, Findings, Kind, Severity
-from ddpc_cosim.inspection.raw_description import Declared, read_declared
+from ddpc_cosim.inspection.checks import check_description
 from ddpc_cosim.variables import Variable
 
 REFUSED = Kind("refused", Severity.ERROR, "the file cannot be opened as an FMU")
 UNREADABLE = Kind("unreadable", Severity.ERROR, "the model description cannot be understood")
-REPAIRED = Kind("repaired", Severity.WARNING, "the description departs from the standard but was understood")
 INVALID = Kind("invalid", Severity.WARNING, "found by the full validation")
 
 _NO_BINARIES = Binaries((), False, "")
@@ -86,7 +84,7 @@ class Inspection:
     def interfaces(self) -> tuple[Interface, ...]:
         """In which ways it can be run, the preferred one first."""
         found = self.description.interfaces if self.description else {}
-        return tuple(found[kind] for kind in sorted(found))  # co-simulation before model-exchange
+        return tuple(found[kind] for kind in INTERFACES if kind in found)
 
     @property
     def feedthrough(self) -> dict[str, tuple[str, ...] | None]:
@@ -151,32 +149,14 @@ def _look_inside(
     except FMUImportError as error:
         findings.add(REFUSED, str(error))
         return None, _NO_BINARIES
-    # First as it is written: reading it for use may mend the file.
-    declared, fault = _try_declared(folder)
-    description: FMUDescription | None = None
     try:
-        description = read_description(folder, path.name)
+        description = read_tolerantly(folder, path.name, findings)
     except FMUImportError as error:
         findings.add(UNREADABLE, str(error))
-    else:
-        for warning in description.warnings:
-            findings.add(REPAIRED, warning)
-    if declared is None:
-        declared, _ = _try_declared(folder)
-    if declared is None:
-        findings.add(UNREADABLE, fault)
-        return description, _NO_BINARIES
-    check_model(declared, findings)
-    check_variables(declared, findings)
-    check_structure(declared, findings)
-    return description, check_binaries(folder, declared, findings)
-
-
-def _try_declared(folder: Path) -> tuple[Declared | None, str]:
-    try:
-        return read_declared(folder / MODEL_DESCRIPTION), ""
-    except ValueError as error:
-        return None, str(error)
+        return None, _NO_BINARIES
+    if description is not None:
+        check_description(description, findings)
+    return description, check_binaries(folder, description, path.name, findings)
 
 
 def _validate(path: Path, findings: Findings) -> None:

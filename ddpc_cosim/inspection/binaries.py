@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
-from xml.etree import ElementTree
 
-from ddpc_cosim.fmu.build import has_sources
+from ddpc_cosim.errors import FMUImportError
+from ddpc_cosim.fmu.build import described_sources, has_sources
+from ddpc_cosim.fmu.defects import Findings, Kind, Severity
+from ddpc_cosim.fmu.description import FMUDescription, Interface, InterfaceKind
 from ddpc_cosim.fmu.library import library_extension, library_in, listed, platform_folders, platforms
-from ddpc_cosim.inspection.defects import Findings, Kind, Severity
-from ddpc_cosim.inspection.raw_description import Declared
 
 Route = Literal["binary", "sources", ""]
 """How an FMU can run here: its library, its sources compiled here, or not at all."""
@@ -46,6 +46,9 @@ NO_LIBRARY = Kind(
     "the FMU's library needs others that are neither in the FMU nor on this machine",
     "install them, or add their folder to LD_LIBRARY_PATH",
 )
+BAD_SOURCES = Kind(
+    "bad-sources", _WARNING, "the description of the C sources cannot be used", "they are not compiled"
+)
 NO_SOURCE_FILE = Kind("no-source-file", _WARNING, "source files that are listed and not there")
 
 _MAGIC = {"linux": b"\x7fELF", "win32": b"MZ", "darwin": b"\xcf\xfa\xed\xfe"}
@@ -54,16 +57,16 @@ _COMMON = {
     2: ("EnterInitializationMode", "ExitInitializationMode", "Instantiate"),
     3: ("EnterInitializationMode", "ExitInitializationMode"),
 }
-_NEEDED: Mapping[tuple[int, str], tuple[str, ...]] = {
-    (1, "CoSimulation"): ("InstantiateSlave", "InitializeSlave", "DoStep"),
-    (1, "ModelExchange"): ("InstantiateModel", "Initialize", "SetTime"),
-    (2, "CoSimulation"): (*_COMMON[2], "DoStep"),
-    (2, "ModelExchange"): (*_COMMON[2], "GetDerivatives", "SetContinuousStates", "SetTime"),
-    (3, "CoSimulation"): (*_COMMON[3], "DoStep", "InstantiateCoSimulation"),
-    (3, "ModelExchange"): (*_COMMON[3], "InstantiateModelExchange", "SetTime"),
+_NEEDED: Mapping[tuple[int, InterfaceKind], tuple[str, ...]] = {
+    (1, "co-simulation"): ("InstantiateSlave", "InitializeSlave", "DoStep"),
+    (1, "model-exchange"): ("InstantiateModel", "Initialize", "SetTime"),
+    (2, "co-simulation"): (*_COMMON[2], "DoStep"),
+    (2, "model-exchange"): (*_COMMON[2], "GetDerivatives", "SetContinuousStates", "SetTime"),
+    (3, "co-simulation"): (*_COMMON[3], "DoStep", "InstantiateCoSimulation"),
+    (3, "model-exchange"): (*_COMMON[3], "InstantiateModelExchange", "SetTime"),
 }
 
-_LONGEST_TRIAL = 30.0
+_LONGEST_LOADING = 30.0
 # Python itself would not run without them; what is looked for takes a process.
 _EVERYWHERE = {
     "libc.so.6",
@@ -74,7 +77,7 @@ _EVERYWHERE = {
     "ld-linux-x86-64.so.2",
 }
 # In a process of its own: libraries may do anything when they are loaded.
-_TRIAL = """
+_LOADING = """
 import ctypes, sys
 for name in sys.argv[1:]:
     try:
@@ -103,30 +106,31 @@ class Binaries:
     route: Route
 
 
-def check_binaries(folder: Path, declared: Declared, findings: Findings) -> Binaries:
-    """Check the library for this platform and the sources; Co-Simulation is preferred, as when it runs."""
-    sources = _check_sources(folder, declared, findings)
+def check_binaries(
+    folder: Path, description: FMUDescription | None, label: str, findings: Findings
+) -> Binaries:
+    """Check the library for this platform and the sources, for the interface that is preferred."""
+    sources = description is not None and _check_sources(folder, description, label, findings)
     route: Route = ""
-    if declared.preferred:
-        route = _check_library(folder, declared, declared.preferred, sources, findings)
-    return Binaries(tuple(platforms(folder)), sources, route)
+    if description is not None and description.preferred is not None:
+        route = _check_library(folder, description, description.preferred, sources, findings)
+    return Binaries(tuple(platforms(folder)), has_sources(folder), route)
 
 
 def _check_library(
-    folder: Path, declared: Declared, interface: str, sources: bool, findings: Findings
+    folder: Path, description: FMUDescription, interface: Interface, sources: bool, findings: Findings
 ) -> Route:
-    attributes = declared.interfaces[interface]
-    identifier = attributes.get("modelIdentifier", "")
+    major, identifier = description.major, interface.model_identifier
     wanted = f"{identifier}{library_extension()}"
-    folders = platform_folders(declared.major)
+    folders = platform_folders(major)
     for place in folders:
-        library = library_in(folder / "binaries" / place, identifier, declared.major)
+        library = library_in(folder / "binaries" / place, identifier, major)
         if library is not None:
             if library.name != wanted:
                 findings.add(UNNAMED_LIBRARY, f"{place}/{library.name} instead of {wanted}")
             if place != folders[0]:
                 findings.add(MISPLACED_LIBRARY, f"{place} instead of {folders[0]}")
-            return _check_content(library, declared, interface, folder / "resources", findings)
+            return _check_content(library, major, interface, folder / "resources", findings)
     if not sources:
         findings.add(NO_BINARY, f"binaries/{folders[0]}/{wanted}; there are {listed(folder)}")
         return ""
@@ -138,14 +142,14 @@ def _check_library(
 
 
 def _check_content(
-    library: Path, declared: Declared, interface: str, resources: Path, findings: Findings
+    library: Path, major: int, interface: Interface, resources: Path, findings: Findings
 ) -> Route:
     content = library.read_bytes()
     if not content.startswith((_MAGIC.get(sys.platform, b""), _UNIVERSAL_MAGIC)):
         findings.add(FOREIGN_LIBRARY, f"{library.parent.name}/{library.name}")
         return ""
-    prefixes = [f"{name}_" for name in (declared.interfaces[interface].get("modelIdentifier"), library.stem)]
-    missing = _missing_functions(content, declared.major, interface, prefixes)
+    prefixes = [f"{name}_" for name in (interface.model_identifier, library.stem)]
+    missing = _missing_functions(content, major, interface.kind, prefixes)
     if missing:
         findings.add(NO_FUNCTIONS, ", ".join(missing))
         return ""
@@ -178,12 +182,12 @@ def _missing_libraries(library: Path, resources: Path) -> list[str]:
 def _not_in_system(names: Sequence[str]) -> list[str]:
     try:
         done = subprocess.run(
-            [sys.executable, "-I", "-c", _TRIAL, *names],
+            [sys.executable, "-I", "-c", _LOADING, *names],
             capture_output=True,
             text=True,
             encoding="utf-8",
             errors="replace",
-            timeout=_LONGEST_TRIAL,
+            timeout=_LONGEST_LOADING,
             check=True,
         )
     except (OSError, subprocess.SubprocessError):  # nothing is known then
@@ -191,7 +195,7 @@ def _not_in_system(names: Sequence[str]) -> list[str]:
     return [name for name in names if name in done.stdout.splitlines()]
 
 
-def _missing_functions(content: bytes, major: int, interface: str, prefixes: Sequence[str]) -> list[str]:
+def _missing_functions(content: bytes, major: int, kind: InterfaceKind, prefixes: Sequence[str]) -> list[str]:
     """Return the functions that are missing; FMI 1.0 has a prefix, others have it from static linking."""
     from fmu_plants.export.binaries import exported_symbols
 
@@ -205,29 +209,22 @@ def _missing_functions(content: bytes, major: int, interface: str, prefixes: Seq
     shown = prefixes[0] + plain if major == 1 else plain
     return [
         shown + name
-        for name in _NEEDED.get((major, interface), ())
+        for name in _NEEDED[major, kind]
         if not any(prefix + plain + name in exported for prefix in (*prefixes, ""))
     ]
 
 
-def _check_sources(folder: Path, declared: Declared, findings: Findings) -> bool:
-    """Note source files that are missing, and return whether there are sources to compile."""
-    sources = folder / "sources"
-    for name in dict.fromkeys((*declared.source_files, *_build_description_files(sources))):
-        if not (sources / name).is_file():
+def _check_sources(folder: Path, description: FMUDescription, label: str, findings: Findings) -> bool:
+    """Note what is wrong with the sources, and return whether there are any to compile."""
+    try:
+        described = described_sources(folder, description, label)
+    except FMUImportError as error:
+        findings.add(BAD_SOURCES, str(error))
+        return False
+    for name in dict.fromkeys(name for source_set in described for name in source_set.files):
+        if not (folder / "sources" / name).is_file():
             findings.add(NO_SOURCE_FILE, f"sources/{name}")
     return has_sources(folder)
-
-
-def _build_description_files(sources: Path) -> list[str]:
-    path = sources / "buildDescription.xml"
-    if not path.is_file():
-        return []
-    try:
-        root = ElementTree.parse(path).getroot()
-    except (ElementTree.ParseError, LookupError, UnicodeError):
-        return []
-    return [file.get("name", "") for file in root.iter("SourceFile")]
 
 
 def _has_compiler() -> bool:

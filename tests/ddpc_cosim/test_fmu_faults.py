@@ -85,7 +85,7 @@ CANNOT_BE_LOADED: dict[str, tuple[Callable[[Path, MakeFMU], Path], str]] = {
     ),
     "neither type": (
         lambda _, make: make(interfaces=""),
-        r"no_fault\.fmu: modelDescription\.xml offers neither Co-Simulation nor Model Exchange",
+        r"no_fault\.fmu: modelDescription\.xml: neither Co-Simulation nor Model Exchange",
     ),
     "another platform": (
         lambda _, make: make(platform="amiga"),

@@ -2,11 +2,15 @@
 
 import cProfile
 import json
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
 
+from ddpc_cosim import CosimWarning, FMUPlant
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.inspection import as_data, inspect_fmu
@@ -103,6 +107,49 @@ def test_the_work_is_linear_in_the_number_of_variables(pendulum_fmu, mutate) -> 
 
     small, middle, large = (calls(count) for count in (0, 500, 1000))
     assert large - small <= 2.1 * (middle - small)
+
+
+PARSERS = (
+    "lxml.etree.fromstring",
+    "lxml.etree.parse",
+    "lxml.etree.iterparse",
+    "xml.etree.ElementTree.fromstring",
+    "xml.etree.ElementTree.parse",
+    "xml.etree.ElementTree.iterparse",
+    "xml.parsers.expat.ParserCreate",
+)
+
+
+@pytest.fixture
+def parsed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The parsers that were asked, one after the other."""
+    calls: list[str] = []
+
+    def count(name: str, parse: Callable[..., Any]) -> Callable[..., Any]:
+        def counting(*arguments: Any, **settings: Any) -> Any:
+            calls.append(name)
+            return parse(*arguments, **settings)
+
+        return counting
+
+    for name in PARSERS:
+        module, _, function = name.rpartition(".")
+        monkeypatch.setattr(name, count(name, getattr(import_module(module), function)))
+    return calls
+
+
+@pytest.mark.parametrize("form", [[], ["--json"]])
+def test_a_description_is_parsed_once(pendulum_fmu: Path, parsed: list[str], form: list[str]) -> None:
+    assert run_inspect(pendulum_fmu, *form).exit_code == 0
+    assert parsed == ["lxml.etree.fromstring"]
+
+
+def test_a_description_that_departs_from_the_standard_is_parsed_once_too(
+    pendulum_fmu: Path, mutate: Callable[..., Path], parsed: list[str]
+) -> None:
+    fmu = mutate(pendulum_fmu, ('fmiVersion="2.0"', 'fmiVersion="2.0.1"'), ('causality="input"', ""))
+    with pytest.warns(CosimWarning), FMUPlant(fmu):
+        assert parsed == ["lxml.etree.fromstring"]
 
 
 def test_exit_codes(pendulum_fmu: Path, tmp_path: Path) -> None:

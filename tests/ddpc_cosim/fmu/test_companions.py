@@ -13,7 +13,7 @@ from ddpc_cosim.inspection import inspect_fmu
 from fmu_plants.export.binaries import needed_libraries
 from fmu_plants.export.compiler import find_compiler
 
-from .test_leniency import value_after_a_second
+from .test_tolerant_reading import value_after_a_second
 
 FIRST, SECOND = "libfirst_companion.so", "libsecond_companion.so"
 

@@ -8,10 +8,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
-from fmus.builder import IDENTIFIER, write_archive
+from fmus.builder import IDENTIFIER, integrator_description, write_archive
 
 from ddpc_cosim import FMUImportError, FMUPlant
 from ddpc_cosim.fmu.archive import UnpackLimits, is_file_name, unpack
+from ddpc_cosim.inspection import inspect_fmu
 
 Files = Mapping[str, bytes]
 DESCRIPTION = {"modelDescription.xml": b"<fmiModelDescription/>"}
@@ -210,10 +211,39 @@ class TestDocumentTypes:
         FMUPlant(write_archive(tmp_path / "x.fmu", {**files, "modelDescription.xml": text})).close()
 
     def test_the_build_description_as_well(self, files: Files, tmp_path: Path) -> None:
+        """It is read where there is no library for this platform."""
         text = b"<!DOCTYPE x [" + BOMB + b"]><fmiBuildDescription/>"
-        path = write_archive(tmp_path / "x.fmu", {**files, "sources/buildDescription.xml": text})
+        content = {name: data for name, data in files.items() if not name.startswith("binaries/")}
+        content["modelDescription.xml"] = integrator_description("3.0").encode()
+        content |= {"sources/buildDescription.xml": text, "sources/all.c": b""}
+        path = write_archive(tmp_path / "x.fmu", content)
         with pytest.raises(FMUImportError, match=r"sources/buildDescription\.xml: declares a document type"):
             FMUPlant(path)
+        assert not inspect_fmu(path).can_run
+
+    @pytest.mark.parametrize("encoding", ["utf-7", "cp037"])
+    def test_encodings_in_which_it_cannot_be_seen_beforehand(
+        self, encoding: str, files: Files, tmp_path: Path
+    ) -> None:
+        """The parser expands nothing then; whether it knows the encoding is another matter."""
+        declaration = f'<?xml version="1.0" encoding="{encoding}"?>'
+        text = declaration + DOCUMENT_TYPES["entity bomb"].decode() + '<fmiModelDescription modelName="&i;"/>'
+        content = text.encode(encoding)
+        if encoding == "utf-7":
+            content = declaration.encode() + text.removeprefix(declaration).encode(encoding)
+        with pytest.raises(FMUImportError, match=r"xml\.fmu: modelDescription\.xml"):
+            FMUPlant(write_archive(tmp_path / "xml.fmu", {**files, "modelDescription.xml": content}))
+
+    def test_a_document_type_in_a_comment_is_none(self, files: Files, tmp_path: Path) -> None:
+        text = files["modelDescription.xml"].replace(b"?>", b'?><!-- <!DOCTYPE x SYSTEM "y"> -->')
+        FMUPlant(write_archive(tmp_path / "x.fmu", {**files, "modelDescription.xml": text})).close()
+
+    def test_depth_is_limited(self, files: Files, tmp_path: Path) -> None:
+        text = files["modelDescription.xml"].replace(
+            b"<ModelVariables>", b"<x>" * 10_000 + b"</x>" * 10_000 + b"<ModelVariables>"
+        )
+        with pytest.raises(FMUImportError, match=r"xml\.fmu: modelDescription\.xml cannot be read: .*depth"):
+            FMUPlant(write_archive(tmp_path / "xml.fmu", {**files, "modelDescription.xml": text}))
 
 
 class TestModelIdentifier:

@@ -22,6 +22,7 @@ from fmus.builder import (
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import unpack
 from ddpc_cosim.fmu.session import FMUSession
+from ddpc_cosim.inspection import inspect_fmu
 from fmu_plants.export.compiler import compile_library, find_compiler
 
 SUFFIX = fmpy.sharedLibraryExtension
@@ -59,33 +60,26 @@ def lag_description(
         (
             '<Real start="0"/>',
             '<Real start="0" declaredType="Torque"/>',
-            'the type "Torque" of u is not defined',
+            'declared types that are not defined: u: "Torque"',
         ),
-        (' variability="tunable"', "", "rate: a parameter cannot be continuous; read as fixed"),
-        ('causality="output"', 'causality="out"', "attribute 'causality'"),
-        ('<Unknown index="2"/>', '<Unknown index="99"/>', "names a variable 99 that does not exist"),
+        (' variability="tunable"', "", "rate: parameter, continuous; read as fixed"),
+        ('causality="output"', 'causality="out"', 'causalities that the standard does not know: x: "out"'),
+        ('<Unknown index="2"/>', '<Unknown index="99"/>', 'variables that do not exist: Outputs: "99"'),
         (
             '<Unknown index="2"/>',
             '<Unknown index="2" dependencies="1  77"/>',
-            "dependencies of the variable 2",
+            "variables that do not exist: Outputs 2: 77",
         ),
-        (' derivative="2"', ' derivative="44"', 'derivative="44"'),
+        (' derivative="2"', ' derivative="44"', 'der(x): "44"'),
         ("<ModelVariables>", "<!-- by hand --><ModelVariables><!-- all of them -->", ""),
-        ('valueReference="9"', 'valueReference="nine"', 'the variable "name_length" has no usable'),
-        ('numberOfEventIndicators="0"', 'numberOfEventIndicators="many"', 'numberOfEventIndicators="many"'),
         (
-            "<ModelVariables>",
-            '<TypeDefinitions><SimpleType name="Angle"><Real unit="rad" colour="red"/></SimpleType>'
-            '<SimpleType name="Empty"/></TypeDefinitions><ModelVariables>',
-            'attribute colour of the type "Angle" was left out',
+            'valueReference="9"',
+            'valueReference="nine"',
+            'not integers: name_length: "nine"',
         ),
-        (
-            "<ModelVariables>",
-            '<UnitDefinitions><Unit name="K"><BaseUnit K="one"/></Unit></UnitDefinitions><ModelVariables>',
-            'K="one"',
-        ),
+        ('numberOfEventIndicators="0"', 'numberOfEventIndicators="many"', 'numberOfEventIndicators = "many"'),
         ("<fmiModelDescription ", '<fmiModelDescription xmlns="http://example.org/fmi" ', "namespaces"),
-        ('<Real start="1" min="-10" max="10"/>', '<Real min="-10" max="10"/>', '"rate"'),
+        ('<Real start="1" min="-10" max="10"/>', '<Real min="-10" max="10"/>', "without a start value: rate"),
     ],
 )
 def test_descriptions_that_can_be_understood(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -93,6 +87,21 @@ def test_descriptions_that_can_be_understood(tmp_path: Path, old: str, new: str,
     path = write_fmu(tmp_path / "lag.fmu", text, model_library("2.0"))
     assert words in warnings_of(path)
     assert value_after_a_second(path) == pytest.approx(1 - np.exp(-1.0))
+
+
+def test_what_nothing_here_reads_may_be_wrong(tmp_path: Path) -> None:
+    """FMPy's validator finds it, which ``inspect --strict`` asks."""
+    definitions = (
+        '<UnitDefinitions><Unit name="K"><BaseUnit K="one"/></Unit></UnitDefinitions><TypeDefinitions>'
+        '<SimpleType name="Angle"><Real unit="rad" colour="red"/></SimpleType><SimpleType name="Empty"/>'
+        "</TypeDefinitions><ModelVariables>"
+    )
+    text = lag_description("<ModelVariables>", definitions)
+    path = write_fmu(tmp_path / "lag.fmu", text, model_library("2.0"))
+    assert warnings_of(path) == ""
+    assert value_after_a_second(path) == pytest.approx(1 - np.exp(-1.0))
+    assert "invalid" not in [defect.kind.name for defect in inspect_fmu(path).defects]
+    assert "invalid" in [defect.kind.name for defect in inspect_fmu(path, strict=True).defects]
 
 
 def test_letters_of_another_encoding_than_the_file_claims(tmp_path: Path) -> None:
@@ -115,8 +124,14 @@ def test_letters_of_another_encoding_than_the_file_claims(tmp_path: Path) -> Non
     [
         ("<fmiModelDescription", "modelDescription.xml cannot be read"),
         ("<html><body/></html>", "modelDescription.xml cannot be read"),
-        ('<fmiModelDescription fmiVersion="4.0"/>', "Unsupported FMI version: 4.0"),
-        (describe("2.0", "lag", LAG, interfaces=""), "offers neither Co-Simulation nor Model Exchange"),
+        (
+            '<fmiModelDescription fmiVersion="4.0"/>',
+            'can run here: fmiVersion = "4.0"',
+        ),
+        (
+            describe("2.0", "lag", LAG, interfaces=""),
+            "neither Co-Simulation nor Model Exchange",
+        ),
     ],
 )
 def test_descriptions_that_cannot_be_understood(tmp_path: Path, text: str, words: str) -> None:
@@ -178,6 +193,7 @@ def test_which_of_two_libraries_is_not_guessed(tmp_path: Path) -> None:
 
 def test_a_description_that_begins_with_blanks(tmp_path: Path) -> None:
     path = write_fmu(tmp_path / "lag.fmu", "\n  " + lag_description(), model_library("2.0"))
+    assert "blanks before the XML declaration" in warnings_of(path)
     assert value_after_a_second(path) == pytest.approx(1 - np.exp(-1.0))
 
 
