@@ -3,13 +3,12 @@
 from collections.abc import Iterable, Sequence
 from itertools import accumulate
 from math import isfinite
-from typing import Any
 
 import numpy as np
-import piqp
+from numpy.typing import NDArray
 
 from ddpc_controllers.checks import per_signal
-from ddpc_controllers.optimisation.backends import PIQP_TOLERANCE
+from ddpc_controllers.optimisation.backends import PIQPBackend
 from ddpc_cosim import Bounds, FloatArray, Weight
 
 _CORRECTIONS = 5
@@ -115,7 +114,7 @@ class ChangeLimits:
     steps : int
         Control horizon Nu.
     optimise : bool
-        Find the best changes that keep all limits over the control horizon, by PIQP. Otherwise only the first
+        Find the best changes that keep all limits over the control horizon, by a QP. Otherwise only the first
         change is clipped, which the plan after it does not know.
     """
 
@@ -129,7 +128,7 @@ class ChangeLimits:
         self._limited = np.vstack([np.kron(np.tri(steps), np.eye(len(rates))), np.eye(steps * len(rates))])
         self._largest = np.tile(rates / self._spans, steps)
         self._channels = list(zip(bounds.u_min.tolist(), bounds.u_max.tolist(), rates.tolist(), strict=True))
-        self._piqp: Any = None
+        self._backend = PIQPBackend()
 
     def apply(
         self, u: Sequence[float], changes: FloatArray, hessian: FloatArray, slope: FloatArray
@@ -174,34 +173,49 @@ class ChangeLimits:
     def _constrained(
         self, u: Sequence[float], plan: list[float], hessian: FloatArray, slope: FloatArray
     ) -> tuple[list[float], str]:
-        # The solver's tolerances are absolute: changes in parts of their span, and a cost of size one.
+        # Solvers have absolute tolerances: changes in parts of their span, and a cost of size one.
         scales = self._scales
         hessian, slope = hessian * np.outer(scales, scales), slope * scales
         unit = float(np.abs(hessian).max())
-        hessian, slope = np.asfortranarray(hessian / unit), slope / unit
-        room_below = np.tile((self._u_min - u) / self._spans, self._steps)
-        room_above = np.tile((self._u_max - u) / self._spans, self._steps)
-        if self._piqp is None:
-            self._piqp = self._set_up(hessian, slope, room_below, room_above)
-        else:
-            self._piqp.update(P=hessian, c=-slope, h_l=room_below, h_u=room_above)
-        status = self._piqp.solve()
-        if status != piqp.PIQP_SOLVED:
-            return plan, limits_not_kept(status.name)
-        optimum: list[float] = (self._exact(hessian, slope, room_below, room_above) * scales).tolist()
-        return optimum, ""
+        hessian, slope = hessian / unit, slope / unit
+        low = np.append(np.tile((self._u_min - u) / self._spans, self._steps), -self._largest)
+        high = np.append(np.tile((self._u_max - u) / self._spans, self._steps), self._largest)
+        free = plan / scales
+        levels = self._limited @ free
+        optimum = self._exact(hessian, slope, low, high, levels < low, levels > high)
+        if optimum is None:
+            # hessian = root root' but for rounding, and t = root' (dU - free).
+            root = np.linalg.cholesky(hessian + _ROUNDING * np.eye(len(slope)))
+            sides = np.append(low > -np.inf, high < np.inf)
+            gain = np.linalg.solve(root, np.vstack([-self._limited, self._limited])[sides].T).T
+            self._backend.load(gain)
+            t, found, failure = self._backend.solve(np.append(low - levels, levels - high)[sides])
+            active = np.zeros(len(sides), dtype=bool)
+            active[np.flatnonzero(sides)[list(found)]] = True
+            # Whatever the solver says of itself: what satisfies the optimality conditions is the optimum.
+            optimum = self._exact(hessian, slope, low, high, *np.split(active, 2))
+            if optimum is None and failure:
+                return plan, limits_not_kept(failure)
+            if optimum is None:
+                optimum = free + np.linalg.solve(root.T, t)
+        changes: list[float] = (optimum * scales).tolist()
+        return changes, ""
 
     def _exact(
-        self, hessian: FloatArray, slope: FloatArray, below: FloatArray, above: FloatArray
-    ) -> FloatArray:
-        """Return the optimum on the limits that PIQP found active, or its own if that is not the optimum.
+        self,
+        hessian: FloatArray,
+        slope: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
+        at_low: NDArray[np.bool_],
+        at_high: NDArray[np.bool_],
+    ) -> FloatArray | None:
+        """Return the optimum by an active-set method from a guess; None if a few corrections do not find it.
 
-        A limit that is only just active costs an interior-point method half of its digits.
+        Its digits do not depend on a solver: a limit that is only just active costs an interior-point method
+        half of them.
         """
-        result, n = self._piqp.result, len(slope)
-        at_low = np.append(result.z_l > result.s_l, result.z_bl > result.s_bl)
-        at_high = np.append(result.z_u > result.s_u, result.z_bu > result.s_bu)
-        low, high = np.append(below, -self._largest), np.append(above, self._largest)
+        n = len(slope)
         for _ in range(_CORRECTIONS):
             active = at_low | at_high
             rows, values = self._limited[active], np.where(at_high, high, low)[active]
@@ -209,7 +223,7 @@ class ChangeLimits:
             try:
                 solution = np.linalg.solve(system, np.append(slope, values))
             except np.linalg.LinAlgError:  # limits that coincide
-                break
+                return None
             reached, force = self._limited @ solution[:n], np.zeros(len(low))
             force[active] = solution[n:]
             beyond_low, beyond_high = reached < low - _ROUNDING, reached > high + _ROUNDING
@@ -218,19 +232,7 @@ class ChangeLimits:
             if not (beyond_low | beyond_high | released).any():
                 return np.asarray(solution[:n])
             at_low, at_high = (at_low & ~released) | beyond_low, (at_high & ~released) | beyond_high
-        return np.asarray(result.x)
-
-    def _set_up(self, hessian: FloatArray, slope: FloatArray, below: FloatArray, above: FloatArray) -> Any:
-        solver = piqp.DenseSolver()
-        for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
-            setattr(solver.settings, name, PIQP_TOLERANCE)
-        sums = np.asfortranarray(self._limited[: len(slope)])
-        solver.setup(hessian, -slope, G=sums, h_l=below, h_u=above, x_l=-self._largest, x_u=self._largest)
-        return solver
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave PIQP's workspace behind: it is set up again when it is needed."""
-        return {**self.__dict__, "_piqp": None}
+        return None
 
 
 def _spans(ranges: FloatArray, rates: FloatArray) -> FloatArray:
