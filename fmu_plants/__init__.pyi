@@ -2,7 +2,6 @@
 
 from .export import build_fmu as build_fmu, export_fmu as export_fmu
 from .model import (
-    DisplayUnit as DisplayUnit,
     Equations as Equations,
     ExportError as ExportError,
     ModelError as ModelError,
@@ -11,3 +10,4 @@ from .model import (
     Symbols as Symbols,
     Variable as Variable,
 )
+from .units import DisplayUnit as DisplayUnit

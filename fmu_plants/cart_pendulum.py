@@ -12,7 +12,7 @@ Pendulum: System Modeling", with the angle counted from the upright instead of f
 
 from math import degrees
 
-from fmu_plants.model import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
 
 POSITION = Variable("position", "m", nominal=0.1, description="Position p of the cart")
 VELOCITY = Variable("velocity", "m/s", description="Velocity of the cart")

@@ -19,7 +19,7 @@ of about 305 K on the reactor ignites.
 
 from math import exp
 
-from fmu_plants.model import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
 
 MINUTE = 60.0  # s
 VOLUME = 100.0  # L

@@ -11,7 +11,7 @@ from itertools import chain
 from math import inf, isfinite, isnan
 from typing import Any, Literal, Protocol
 
-from fmu_plants.units import parse_unit
+from fmu_plants.units import DisplayUnit, parse_unit
 
 TIME = "time"
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -57,23 +57,6 @@ class Equations:
 
     derivatives: Mapping[str, Any]
     outputs: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class DisplayUnit:
-    """How a value is shown to people: ``shown = factor * value + offset`` (FMI 2.0, section 2.2.2).
-
-    Parameters
-    ----------
-    name : str
-        Name of the display unit, for example ``"deg"``.
-    factor, offset : float
-        Conversion from the unit of the variable.
-    """
-
-    name: str
-    factor: float = 1.0
-    offset: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

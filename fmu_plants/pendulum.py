@@ -14,7 +14,7 @@ direction of control.
 
 from math import degrees
 
-from fmu_plants.model import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
 
 ANGLE = Variable(
     "angle",

@@ -13,7 +13,7 @@ P+ set gamma_1 = 0.43, gamma_2 = 0.34, k_1 = 3.14, k_2 = 3.29. The levels begin 
 at 3 V.
 """
 
-from fmu_plants.model import Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable
 
 GRAVITY = 981.0  # cm/s2
 AREAS = (28.0, 32.0, 28.0, 32.0)  # cm2, of the tanks

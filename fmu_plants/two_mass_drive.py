@@ -15,7 +15,7 @@ plant: they are chosen for a lightly damped resonance at 9 Hz.
 
 from math import pi
 
-from fmu_plants.model import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
 
 _RPM = DisplayUnit("rpm", 30.0 / pi)
 

@@ -1,4 +1,4 @@
-"""Unit names to exponents of the SI base units, as FMI wants them declared.
+"""Units: names to exponents of the SI base units, as FMI wants them declared, and units for display.
 
 A unit is a product of unit symbols with integer exponents: ``N.m``, ``kg.m2/s3``, ``J/(kg.K)``, ``1/s``.
 A slash divides by the one factor behind it; parentheses group. SI prefixes are understood (``mm``, ``kW``).
@@ -6,8 +6,14 @@ A slash divides by the one factor behind it; parentheses group. SI prefixes are 
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from math import pi
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 _TOKEN = re.compile(r"\s*(?:(?P<symbol>[A-Za-z%°µ]+)(?P<power>[-+]?\d+)?|(?P<one>1)|(?P<mark>[./*()]))")
 
@@ -70,6 +76,7 @@ _PREFIXED = {
     "L": SIUnit({"m": 3}, 1e-3),
     "t": SIUnit({"kg": 1}, 1e3),
     "eV": SIUnit({"kg": 1, "m": 2, "s": -2}, 1.602176634e-19),
+    "Wh": SIUnit({"kg": 1, "m": 2, "s": -2}, 3600.0),
 }
 
 _PLAIN = {
@@ -80,9 +87,74 @@ _PLAIN = {
     "h": SIUnit({"s": 1}, 3600.0),
     "d": SIUnit({"s": 1}, 86400.0),
     "degC": SIUnit({"K": 1}, 1.0, 273.15),
-    "degF": SIUnit({"K": 1}, 5 / 9, 459.67 * 5 / 9),
+    "degF": SIUnit({"K": 1}, 5 / 9, 45967 / 180),
     "%": SIUnit({}, 1e-2),
 }
+
+# In what people like to see values of a unit.
+_USUALLY_SHOWN_IN = {
+    "rad": ("deg", "rev"),
+    "rad/s": ("deg/s", "rpm"),
+    "K": ("degC", "degF"),
+    "Pa": ("bar", "mbar", "kPa", "MPa"),
+    "m": ("mm", "cm", "km"),
+    "m/s": ("km/h", "mm/s"),
+    "m2": ("cm2", "mm2"),
+    "m3": ("l",),
+    "m3/s": ("l/s", "l/min", "m3/h"),
+    "kg": ("g", "t"),
+    "kg/s": ("g/s", "kg/h"),
+    "s": ("ms", "min", "h", "d"),
+    "N": ("kN",),
+    "J": ("kJ", "MJ", "kWh"),
+    "W": ("kW", "MW", "mW"),
+    "V": ("mV", "kV"),
+    "A": ("mA", "kA"),
+    "1": ("%",),
+}
+_SPELLINGS = {"": "1", "°C": "degC", "°": "deg", "1/min": "rpm", "rev/min": "rpm", "m^2": "m2", "m^3": "m3"}
+
+
+@dataclass(frozen=True, slots=True)
+class DisplayUnit:
+    """How a value is shown to people: ``shown = factor * value + offset`` (FMI 2.0, section 2.2.2).
+
+    Parameters
+    ----------
+    name : str
+        Name of the display unit, for example ``"deg"``.
+    factor, offset : float
+        Conversion from the unit of the variable.
+    """
+
+    name: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def from_unit(self, value: "NDArray[np.float64]") -> "NDArray[np.float64]":
+        """Convert values in the variable's own unit to this unit (any shape)."""
+        return self.factor * value + self.offset
+
+
+def usual_display_units(unit: str) -> dict[str, DisplayUnit]:
+    """Return the display units that values in a unit usually have, by name."""
+    own = _SPELLINGS.get(unit, unit)
+    shown = {name: _conversion(own, name) for name in _USUALLY_SHOWN_IN.get(own, ())}
+    spelt = {other: replace(shown[name], name=other) for other, name in _SPELLINGS.items() if name in shown}
+    return spelt | shown
+
+
+def _conversion(unit: str, shown_in: str) -> DisplayUnit:
+    own, shown = parse_unit(unit), parse_unit(shown_in)
+    scale = _as_written(shown.factor)
+    offset = (_as_written(own.offset) - _as_written(shown.offset)) / scale
+    return DisplayUnit(shown_in, float(_as_written(own.factor) / scale), float(offset))
+
+
+def _as_written(number: float) -> Fraction:
+    """Return 1/3.6 for the float that is next to it, so that its inverse is 3.6 to the last digit."""
+    simple = Fraction(number).limit_denominator(10**7)
+    return simple if float(simple) == number else Fraction(number)
 
 
 def known_symbols() -> tuple[str, ...]:

@@ -9,7 +9,7 @@ as in textbooks (H. K. Khalil, "Nonlinear Systems", 3rd ed., 2002, section 1.2.4
 is an unstable equilibrium and every other motion ends on one limit cycle, of amplitude 2 nearly.
 """
 
-from fmu_plants.model import Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable
 
 POSITION = Variable("position", nominal=2.0, description="Position")
 VELOCITY = Variable("velocity", "1/s", nominal=2.0, description="Velocity")

@@ -5,7 +5,7 @@ import math
 import pytest
 from hypothesis import given, strategies as st
 
-from fmu_plants.units import known_symbols, parse_unit
+from fmu_plants.units import known_symbols, parse_unit, usual_display_units
 
 
 @pytest.mark.parametrize(
@@ -84,3 +84,27 @@ def test_powers_are_repeated_products(symbol, power):
     assert dict(once.exponents) == dict(product.exponents)
     assert once.factor == pytest.approx(product.factor)
     assert dict(parse_unit(f"{symbol}/{symbol}").exponents) == {}
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown", "factor", "offset"),
+    [
+        ("rad", "deg", 180 / math.pi, 0.0),
+        ("rad", "°", 180 / math.pi, 0.0),
+        ("rad/s", "rpm", 30 / math.pi, 0.0),
+        ("K", "degC", 1.0, -273.15),
+        ("K", "degF", 1.8, -459.67),
+        ("m/s", "km/h", 3.6, 0.0),
+        ("m^3", "l", 1e3, 0.0),
+        ("m3/s", "l/min", 6e4, 0.0),
+        ("J", "kWh", 1 / 3.6e6, 0.0),
+        ("", "%", 100.0, 0.0),
+    ],
+)
+def test_display_units_have_the_factors_that_people_write(unit, shown, factor, offset):
+    display = usual_display_units(unit)[shown]
+    assert (display.name, display.factor, display.offset) == (shown, factor, offset)
+
+
+def test_a_unit_that_is_not_usual_has_no_display_units():
+    assert usual_display_units("furlong") == {}

@@ -56,24 +56,6 @@ def test_unknown_units_and_signals_are_refused(exported: Callable[[str], Path]) 
         FMUPlant(exported("2.0"), display_units={"angel": "deg"})
 
 
-@pytest.mark.parametrize(
-    ("unit", "shown", "value", "expected"),
-    [
-        ("rad", "deg", np.pi, 180.0),
-        ("rad/s", "rpm", 2 * np.pi, 60.0),
-        ("K", "degC", 273.15, 0.0),
-        ("K", "degF", 273.15, 32.0),
-        ("Pa", "bar", 1e5, 1.0),
-        ("m/s", "km/h", 10.0, 36.0),
-        ("m3/s", "l/min", 1e-3, 60.0),
-        ("J", "kWh", 3.6e6, 1.0),
-        ("", "%", 0.25, 25.0),
-    ],
-)
-def test_usual_conversions(unit: str, shown: str, value: float, expected: float) -> None:
-    assert conversions(unit)[shown].from_unit(np.array([value])) == pytest.approx([expected])
-
-
 @given(
     st.sampled_from([(u, s) for u in ("rad", "K", "Pa", "m", "s", "1") for s in conversions(u)]),
     st.floats(-1e6, 1e6),
