@@ -24,9 +24,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Leave the user's cache folder alone."""
+    """Leave the user's cache folder alone; all workers of a run share one, so that each FMU is built once."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("DDPC_COSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("DDPC_COSIM_CACHE", str(folder / "cache"))
         yield
 
 
