@@ -1,16 +1,16 @@
 """The data model (14) in its three forms, learned sample by sample.
 
-    compact (CFDL)   dy_k+1 = Phi_k du_k
-    partial (PFDL)   dy_k+1 = Phi_k (du_k, ..., du_k-Lu+1)
-    full    (FFDL)   dy_k+1 = Phi_k (dy_k, ..., dy_k-Ly+1, du_k, ..., du_k-Lu+1)
-
 Every form reads ``dy_k+1 = Phi_k H_k``, where
 
     H_k = (dy_k, ..., dy_k-Ly+1, du_k, ..., du_k-Lu+1)
 
 holds the latest changes of the p outputs and m inputs: the compact form (CFDL) has Ly = 0 and Lu = 1, the
-partial form (PFDL) Ly = 0, the full form (FFDL) Ly >= 1. Z. Hou and S. Jin, Model Free Adaptive Control:
-Theory and Applications, CRC Press, 2013, chapters 3 and 4.
+partial form (PFDL) Ly = 0, the full form (FFDL) Ly >= 1. With H = H_k-1 it is estimated by
+
+    Phi_k = Phi_k-1 + eta (dy_k - Phi_k-1 H) H' / (mu + |H|^2)                                     (16)
+    Phi_k = Phi_1 where |H| <= epsilon, |Phi_k| < epsilon or sign(Phi_k) != sign(Phi_1)            (17)
+
+Z. Hou and S. Jin, Model Free Adaptive Control: Theory and Applications, CRC Press, 2013, chapters 3 and 4.
 """
 
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ class Estimation:
     eta, mu : float
         Step factor and damping of the projection (16).
     epsilon : float
-        Shortest change H and shortest gradient that are believed (17).
+        Shortest change H and shortest gradient that are trusted (17).
     assume_sign : bool
         The direction of control is known and does not change (Remark 1).
     """
@@ -109,12 +109,12 @@ class PseudoGradient:
         """Learn from the change of the output and from H one sample before it (16)-(17)."""
         phi, squared = self.value, dot(h, h)
         if sqrt(squared) > self._epsilon:
-            step = self._eta / (self._mu + squared) * (dy - dot(phi, h))
-            self.value = self.believable([old + step * change for old, change in zip(phi, h, strict=True)])
+            step = self._eta / (self._mu + squared) * (dy - dot(phi, h))  # (16)
+            self.value = self.plausible([old + step * change for old, change in zip(phi, h, strict=True)])
         elif self._assume_sign:
             self.value = self._initial.copy()  # without the assumption it may point the wrong way by now
 
-    def believable(self, phi: list[float]) -> list[float]:
+    def plausible(self, phi: list[float]) -> list[float]:
         """Reset what is too short or has changed its sign (17); ``phi`` may be changed.
 
         Each input is judged by the length of its coefficients and the sign of the first. It is reset without
@@ -131,7 +131,7 @@ class PseudoGradient:
             phi[: self._output_terms] = self._initial[: self._output_terms]
         return phi
 
-    def believes(self, paths: Sequence[Sequence[float]]) -> bool:
+    def all_plausible(self, paths: Sequence[Sequence[float]]) -> bool:
         """Whether nothing is to be reset, judged by the latest changes of the inputs alone.
 
         Parameters

@@ -8,7 +8,12 @@ decided ones (dU) and those to come (dY):
 W_coming is strictly lower triangular, so that forward substitution runs the recursion; the sums of dY over
 time are Y - E y_k. For the compact form nothing but A remains, as printed before (19).
 
-The pseudo-gradients of the coming samples are forecast by (18).
+The pseudo-gradients of the coming samples are forecast from their own past, coefficient by coefficient,
+
+    phi_k+j = theta_1 phi_k+j-1 + ... + theta_nm phi_k+j-nm,   reset as in (17)
+    theta <- theta + past (phi_k - past' theta) / (delta + |past|^2),  past = (phi_k-1, ..., phi_k-nm)    (18)
+
+where theta is reset to its initial value when its length reaches M.
 """
 
 from collections.abc import Sequence
@@ -207,7 +212,7 @@ class GradientForecast:
                 path.insert(0, sum(map(mul, theta, path)))
         # Newest first, one coefficient after another: back to the order of time.
         ahead = [path[steps - 1 :: -1] for path in paths]
-        if not self._gradient.believes(ahead):
+        if not self._gradient.all_plausible(ahead):
             return self._ahead_with_resets(steps)
         return ahead[0] if len(ahead) == 1 else list(chain.from_iterable(zip(*ahead, strict=True)))
 
@@ -217,7 +222,7 @@ class GradientForecast:
         phis = self._gradient.value.copy()
         for _ in range(steps - 1):
             predicted = [dot(theta, path) for theta, path in zip(self._theta, paths, strict=True)]
-            phi = self._gradient.believable(predicted)
+            phi = self._gradient.plausible(predicted)
             for path, value in zip(paths, phi, strict=True):
                 path.insert(0, value)
             phis += phi

@@ -1,5 +1,15 @@
 """Model-free adaptive control, one step ahead (MFAC) and predictive (MFAPC, equations (14)-(21)).
 
+With the data model (14) at the samples k ... k+N-1 the outputs to come are ``Y = E y_k + f + A dU``, where f
+is what past changes still do, and A and f are made of the (forecast) pseudo-gradients. The control law is
+
+    min |Y* - Y|^2 + lambda |dU|^2                            (19)
+    dU = (A'A + lambda I)^-1 A' (Y* - E y_k - f)              (20)
+    u_k = u_k-1 + (the first change of dU)                    (21)
+
+within the limits of the inputs and of their rates. MFAC looks at the next sample only, N = 1, and applies rho
+times the change.
+
 Both on the three forms of the data model. MFAC: Z. Hou and S. Jin, Model Free Adaptive Control: Theory and
 Applications, CRC Press, 2013, chapter 4; Z. Hou and S. Jin, IEEE Transactions on Neural Networks 22(12),
 2011, doi:10.1109/TNN.2011.2176141 (several inputs and outputs). MFAPC: the paper prints the compact form
@@ -28,8 +38,8 @@ class ModelFreeAdaptive(ScaledSignals):
     """Base of the controllers on a data model (14); not a controller by itself.
 
     Needs no recording: it estimates how the outputs follow the inputs while it controls. A measurement that
-    is not finite is a counted failure: the inputs are held, nothing is learned, and the signals before it
-    are forgotten, but not the estimates.
+    is not finite is a fallback: the inputs are held, nothing is learned, and the signals before it are
+    forgotten, but not the estimates.
     """
 
     accepts_missing: ClassVar[bool] = True
@@ -47,7 +57,7 @@ class ModelFreeAdaptive(ScaledSignals):
     lambda_u: float = setting(0.37, above=0.0, doc="weight of the input changes, lambda in (19)")
     eta: float = setting(1.0, above=0.0, high=2.0, doc="step factor of the estimation (16)")
     mu: float = setting(1.0, above=0.0, doc="damping of the estimation (16)")
-    epsilon: float = setting(1e-5, above=0.0, doc="smallest change and gradient that are believed (17)")
+    epsilon: float = setting(1e-5, above=0.0, doc="smallest change and gradient that are trusted (17)")
     assume_sign: bool = setting(
         True,
         doc="hold the direction of control against the estimates (17), Remark 1; otherwise they may change "
@@ -62,27 +72,38 @@ class ModelFreeAdaptive(ScaledSignals):
         (), above=0.0, doc="largest change of each input per sample, in its unit; empty: none"
     )
 
-    def _start(self, loop: Loop) -> None:
-        """Forget what was learned."""
+    def _begin(self, loop: Loop, steps: int, optimise: bool) -> None:
+        """Forget what was learned; ``steps`` is the control horizon, over which a QP may keep the limits."""
+        p, m = len(loop.outputs), len(loop.inputs)
         ly = self.output_length if self.form == "ffdl" else 0
         lu = self.input_length if self.form != "cfdl" else 1
-        form = Form(len(loop.outputs), len(loop.inputs), ly, lu, self.structure == "diagonal")
+        form = Form(p, m, ly, lu, self.structure == "diagonal")
         constants = Estimation(eta=self.eta, mu=self.mu, epsilon=self.epsilon, assume_sign=self.assume_sign)
         self._model = DataModel(form, form.initial_gradients(self.initial_gradient), constants)
+        self._prediction = LinearisedPrediction(form.regressors(), m, self.horizon, steps)
+        self._ridge = self.lambda_u * np.eye(steps * m)
+        rates = rate_limits(self.rate_bounds, m) / self._scales.u
+        self._limits = ChangeLimits(loop.bounds, rates, steps, optimise)
         self._u: list[float] = resting_input(loop).tolist()
         if loop.continues_recording and loop.recording is not None:
             self._u = loop.recording.u[-1].tolist()
             self._model.resume(loop.recording)
-        self._prepare(loop, form)
 
     def _step(self, sample: Sample) -> FloatArray | Action:
-        """Return the last inputs plus the change that the method finds."""
+        """Return the last inputs plus the change that the control law finds."""
         y: list[float] = sample.y.tolist()
         if not isfinite(sum(y)):
             self._model.pause()
             return Action(np.array(self._u), HELD)
         self._model.observe(y)
-        u, fault = self._decide(sample)
+        a, f = self._prediction(self._gradients(), self._model.known)
+        error = (sample.reference - sample.y).reshape(-1)  # Y* - E y_k - f
+        error -= f
+        # Products in place and by np.dot: on matrices this small the calls are what costs.
+        hessian, slope = np.dot(a.T, a), np.dot(a.T, error)
+        hessian += self._ridge
+        changes = self._unlimited(a, error, hessian, slope)
+        u, fault = self._limits.apply(self._u, changes, hessian, slope)  # (21)
         self._model.apply(list(map(sub, u, self._u)))
         self._u = u
         return Action(np.array(u), fault) if fault else np.array(u)
@@ -90,13 +111,13 @@ class ModelFreeAdaptive(ScaledSignals):
     def _unlimited(
         self, a: FloatArray, error: FloatArray, hessian: FloatArray, slope: FloatArray
     ) -> FloatArray:
-        """Return the changes that minimise ``|error - a dU|^2 + lambda_u |dU|^2``, limits aside.
+        """Return the changes that minimise (19), limits aside.
 
-        Their normal equations ``hessian dU = slope`` are the fast way. Where lambda_u is lost in the rounding
-        of a'a the factorisation fails, and the least squares that they come from are solved instead.
+        Their normal equations ``hessian dU = slope`` (20) are the fast way. Where lambda_u is lost in the
+        rounding of A'A the factorisation fails, and the least squares that they come from are solved instead.
         """
-        _, changes, fault = dposv(hessian, slope)
-        if fault and isfinite(hessian.sum() + slope.sum()):
+        _, changes, failed = dposv(hessian, slope)
+        if failed and isfinite(hessian.sum() + slope.sum()):
             n = len(slope)
             stacked = np.vstack([a, sqrt(self.lambda_u) * np.eye(n)])
             changes = np.linalg.lstsq(stacked, np.append(error, np.zeros(n)))[0]
@@ -104,12 +125,8 @@ class ModelFreeAdaptive(ScaledSignals):
         return answer
 
     @abstractmethod
-    def _prepare(self, loop: Loop, form: Form) -> None:
-        """Set up what the method needs besides the data model."""
-
-    @abstractmethod
-    def _decide(self, sample: Sample) -> tuple[list[float], str]:
-        """Return the next inputs, within their limits, and why they are a fallback; empty if they are not."""
+    def _gradients(self) -> list[float]:
+        """Return Phi_k, ..., Phi_k+N-1 of every output, one after another."""
 
 
 @dataclass(kw_only=True)
@@ -123,21 +140,16 @@ class MFAC(ModelFreeAdaptive):
 
     step_factor: float = setting(0.5, above=0.0, high=1.0, doc="step factor rho of the control law")
 
-    def _prepare(self, loop: Loop, form: Form) -> None:
-        self._prediction = LinearisedPrediction(form.regressors(), form.inputs, 1, 1)
-        self._ridge = self.lambda_u * np.eye(form.inputs)
-        rates = rate_limits(self.rate_bounds, form.inputs) / self._scales.u
-        self._limits = ChangeLimits(loop.bounds, rates, 1, optimise=False)
+    def _start(self, loop: Loop) -> None:
+        self._begin(loop, steps=1, optimise=False)
 
-    def _decide(self, sample: Sample) -> tuple[list[float], str]:
-        gradients = [phi for gradient in self._model.gradients for phi in gradient.value]
-        # y_k+1 = y_k + f + A du_k
-        a, f = self._prediction(gradients, self._model.known)
-        error = sample.reference[0] - sample.y - f
-        hessian, slope = a.T @ a + self._ridge, a.T @ error
-        # The cost |y*_k+1 - y_k+1|^2 + lambda |du_k|^2 has its minimum where hessian @ du = slope.
-        changes = self.step_factor * self._unlimited(a, error, hessian, slope)
-        return self._limits.apply(self._u, changes, hessian, slope)
+    def _gradients(self) -> list[float]:
+        return [phi for gradient in self._model.gradients for phi in gradient.value]
+
+    def _unlimited(
+        self, a: FloatArray, error: FloatArray, hessian: FloatArray, slope: FloatArray
+    ) -> FloatArray:
+        return self.step_factor * super()._unlimited(a, error, hessian, slope)
 
 
 @dataclass(kw_only=True)
@@ -168,12 +180,8 @@ class MFAPC(ModelFreeAdaptive):
                 f"MFAPC: control_horizon = {self.control_horizon} is longer than horizon = {self.horizon}"
             )
 
-    def _prepare(self, loop: Loop, form: Form) -> None:
-        steps = self.control_horizon or self.horizon
-        self._prediction = LinearisedPrediction(form.regressors(), form.inputs, self.horizon, steps)
-        self._ridge = self.lambda_u * np.eye(steps * form.inputs)
-        rates = rate_limits(self.rate_bounds, form.inputs) / self._scales.u
-        self._limits = ChangeLimits(loop.bounds, rates, steps, self.limits == "qp")
+    def _start(self, loop: Loop) -> None:
+        self._begin(loop, steps=self.control_horizon or self.horizon, optimise=self.limits == "qp")
         constants = Forecast(
             delta=self.delta,
             theta_0=self.initial_forecast,
@@ -182,16 +190,9 @@ class MFAPC(ModelFreeAdaptive):
         )
         self._forecasts = [GradientForecast(gradient, constants) for gradient in self._model.gradients]
 
-    def _decide(self, sample: Sample) -> tuple[list[float], str]:
+    def _gradients(self) -> list[float]:
         gradients: list[float] = []
         for forecast in self._forecasts:
             forecast.update()
             gradients += forecast.ahead(self.horizon)
-        a, f = self._prediction(gradients, self._model.known)
-        error = (sample.reference - sample.y).reshape(-1)  # Y* - E y_k - f
-        error -= f
-        # Products in place and by np.dot: on matrices this small the calls are what costs.
-        hessian, slope = np.dot(a.T, a), np.dot(a.T, error)
-        hessian += self._ridge
-        changes = self._unlimited(a, error, hessian, slope)  # (20)
-        return self._limits.apply(self._u, changes, hessian, slope)  # (21)
+        return gradients

@@ -104,8 +104,8 @@ def test_without_the_assumption_a_quiet_loop_keeps_what_it_knows() -> None:
 
 def test_without_the_assumption_a_vanishing_gradient_is_reset_with_its_own_sign() -> None:
     gradient = unassuming(0.1)
-    assert gradient.believable([-1e-7]) == [-0.1]
-    assert gradient.believable([1e-7]) == [0.1]
+    assert gradient.plausible([-1e-7]) == [-0.1]
+    assert gradient.plausible([1e-7]) == [0.1]
 
 
 def test_an_input_of_unknown_direction_may_take_any_sign() -> None:
@@ -117,7 +117,7 @@ def test_an_input_of_unknown_direction_may_take_any_sign() -> None:
 def test_one_input_is_reset_without_the_other() -> None:
     gradient = PseudoGradient([0.5, 0.0, 0.4, 0.1], Regressor((0, 1), (0, 1), 1, 1), TABLE_2)
     # Coefficients: two outputs, two inputs; the second input has turned round.
-    assert gradient.believable([0.7, 0.2, 0.6, -0.2]) == [0.5, 0.0, 0.6, 0.1]
+    assert gradient.plausible([0.7, 0.2, 0.6, -0.2]) == [0.5, 0.0, 0.6, 0.1]
 
 
 @pytest.mark.parametrize(

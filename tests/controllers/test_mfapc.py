@@ -9,7 +9,6 @@ from hypothesis import given, settings, strategies as st
 from scipy.optimize import nnls
 
 from benchmarks.mfapc_transcription import FullFormTranscription, Transcription
-from ddpc_controllers.data_model import Form
 from ddpc_controllers.mfac import MFAPC
 from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample
 
@@ -84,8 +83,8 @@ def test_active_limits_are_solved_for_as_the_full_qp_is(form: str) -> None:
     class Watched(MFAPC):
         """MFAPC that keeps every problem."""
 
-        def _prepare(self, loop: Loop, data_model: Form) -> None:
-            super()._prepare(loop, data_model)
+        def _start(self, loop: Loop) -> None:
+            super()._start(loop)
             self.problems: list[tuple[Any, ...]] = []
             apply = self._limits.apply
 
