@@ -15,8 +15,8 @@ import numpy as np
 from ddpc_controllers.checks import weight_matrices
 from ddpc_controllers.models.control_api import regulator_gain
 from ddpc_controllers.models.kalman import ModelBased
-from ddpc_controllers.optimisation.limits import PREDICTED, SUM_HELD
-from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, Weight, setting
+from ddpc_controllers.optimisation.limits import SUM_HELD
+from ddpc_cosim import ConfigError, FloatArray, Loop, Sample, Weight, setting
 
 
 @dataclass(kw_only=True)
@@ -53,16 +53,9 @@ class LQR(ModelBased):
         self._observe(loop, "none", 0.0)
         self._sum: FloatArray | None = None
 
-    def _step(self, sample: Sample) -> FloatArray | Action:
+    def _decide(self, sample: Sample) -> tuple[FloatArray, str]:
         """Return the inputs that the gain asks for, within their limits."""
         observer = self._observer
-        lost = not np.isfinite(sample.y).all()
-        if self._resting:
-            if lost:
-                return Action(self._u.copy(), PREDICTED)
-            observer.rest(self._u, sample.y)
-            self._resting = False
-        observer.correct(sample.y)
         y = np.where(np.isfinite(sample.y), sample.y, observer.c @ observer.state)
         feedback = self._u_0 - self._state_gain @ observer.state[:-1]
         if self._sum is None:  # the loop closes without a bump
@@ -73,9 +66,7 @@ class LQR(ModelBased):
         wanted = feedback - self._sum_gain @ total
         u: FloatArray = np.clip(wanted, self._bounds.u_min, self._bounds.u_max)
         self._sum = total - self._sums_of_inputs @ (u - wanted)
-        observer.predict(u)
-        fault = PREDICTED if lost else "" if known.all() else SUM_HELD
-        return Action(u, fault) if fault else u
+        return u, "" if known.all() else SUM_HELD
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, and its fit."""

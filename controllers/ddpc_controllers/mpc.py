@@ -19,7 +19,7 @@ from ddpc_controllers.checks import weight_matrices
 from ddpc_controllers.data.windows import ParameterVector, resting_input
 from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
-from ddpc_controllers.optimisation.limits import HELD, PREDICTED, rate_limits
+from ddpc_controllers.optimisation.limits import HELD, rate_limits
 from ddpc_controllers.optimisation.problem import (
     Problem,
     bound_signals,
@@ -29,7 +29,7 @@ from ddpc_controllers.optimisation.problem import (
     prefer_rest,
 )
 from ddpc_controllers.optimisation.qp import NOT_FINITE, Move, ParametricQP
-from ddpc_cosim import Action, Bounds, FloatArray, Loop, Sample, Weight, setting
+from ddpc_cosim import Bounds, FloatArray, Loop, Sample, Weight, setting
 
 Setpoint = Literal["input", "input-output", "none"]
 SETPOINTS = ("input", "input-output", "none")
@@ -219,26 +219,15 @@ class MPC(TrackingSettings, ModelBased):
             model.a, model.b, model.c, self, loop.bounds, self._scales.u, resting_input(loop)
         )
 
-    def _step(self, sample: Sample) -> FloatArray | Action:
+    def _decide(self, sample: Sample) -> tuple[FloatArray, str]:
         """Return the first optimal inputs of the horizon."""
-        observer = self._observer
-        lost = "" if np.isfinite(sample.y).all() else PREDICTED
-        if self._resting:
-            if lost:
-                return Action(self._u.copy(), lost)
-            observer.rest(self._u, sample.y)
-            self._resting = False
-        observer.correct(sample.y)
-        u, fault = self._predictor.solve(observer.state, self._u, sample.reference)
-        observer.predict(u)
-        self._u = u.copy()
-        return Action(u, fault or lost) if fault or lost else u
+        return self._predictor.solve(self._observer.state, self._u, sample.reference)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model with its disturbances, its slowest or most unstable pole, its fit."""
         a = self._observer.a[:-1, :-1]
-        figures = {"model_order": float(len(a)), "spectral_radius": float(np.abs(np.linalg.eigvals(a)).max())}
-        return figures | self._model.fit
+        poles = {"model_order": float(len(a)), "spectral_radius": float(np.abs(np.linalg.eigvals(a)).max())}
+        return poles | self._model.fit
 
     def _faults_between_settings(self) -> list[str]:
         return super()._faults_between_settings() + self.tracking_faults()

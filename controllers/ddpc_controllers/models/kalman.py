@@ -1,10 +1,15 @@
-"""A Kalman filter for a linear model with a constant disturbance.
+"""A Kalman filter for a linear model with a constant disturbance, and the controllers that rest on it.
+
+    x^ <- x^ + K (y - C x^),   x^ <- A x^ + B u,   K = P C' (C P C' + R)^-1
+
+with P the covariance of the steady prediction error.
 
 The disturbance d is a state of its own, ``d+ = d``, that the outputs or the inputs carry; a regulator that
 rejects its estimate has no offset (G. Pannocchia, J. B. Rawlings, Disturbance models for offset-free
 model-predictive control, AIChE J. 49(2), 2003, doi:10.1002/aic.690490213).
 """
 
+from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
@@ -16,33 +21,15 @@ from ddpc_controllers.data.windows import resting_input
 from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.models.linear import ModelSource, SampledModel
+from ddpc_controllers.optimisation.limits import PREDICTED
 from ddpc_controllers.scaling import ScaledSignals, Scales
-from ddpc_cosim import ConfigError, FloatArray, Loop, setting
+from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, setting
 
 Disturbance = Literal["auto", "output", "input", "none"]
 DISTURBANCES: tuple[str, ...] = get_args(Disturbance)
 
 _DETECTABLE = 1e-9
 _EVERY_STATE = 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """What a filter takes the loop's noise to be, standard deviations.
-
-    Parameters
-    ----------
-    process : float
-        Of what is added to the inputs.
-    disturbance : float
-        Of the change of the disturbance per sample.
-    measurement : float
-        Of the measured outputs.
-    """
-
-    process: float
-    disturbance: float
-    measurement: float
 
 
 class Observer:
@@ -56,8 +43,9 @@ class Observer:
         What carries the disturbance; ``"auto"``: the outputs if they tell it from the states, else the
         inputs. Of a model with a pole that may be an integrator's the inputs come first: a disturbance at its
         outputs would hardly show, and leave an offset for as long.
-    noise : Noise
-        The noise.
+    process_noise, disturbance_noise, measurement_noise : float
+        Standard deviations of what is added to the inputs, of the change of the disturbance per sample, and
+        of the measured outputs.
 
     Attributes
     ----------
@@ -72,20 +60,27 @@ class Observer:
         The outputs do not tell the disturbance from the states.
     """
 
-    def __init__(self, model: SampledModel, disturbance: Disturbance, noise: Noise) -> None:
+    def __init__(
+        self,
+        model: SampledModel,
+        disturbance: Disturbance,
+        process_noise: float,
+        disturbance_noise: float,
+        measurement_noise: float,
+    ) -> None:
         n, m, p = len(model.a), model.b.shape[1], len(model.c)
         a, c = _with_disturbance(model, disturbance)
         size = len(a) - n
         b = np.vstack([model.b, np.zeros((size, m))])
 
         drive = np.zeros((n + size, n + size))
-        drive[:n, :n] = noise.process**2 * (model.b @ model.b.T)
+        drive[:n, :n] = process_noise**2 * (model.b @ model.b.T)
         # A state that no input drives would make the Riccati equation singular.
         drive[:n, :n] += (
             _EVERY_STATE * max(float(np.trace(drive[:n, :n])) / n, np.finfo(float).tiny) * np.eye(n)
         )
-        drive[n:, n:] = noise.disturbance**2 * np.eye(size)
-        r = noise.measurement**2 * np.eye(p)
+        drive[n:, n:] = disturbance_noise**2 * np.eye(size)
+        r = measurement_noise**2 * np.eye(p)
         covariance = estimator_covariance(a, c, drive, r)
         self._gain = np.linalg.solve(c @ covariance @ c.T + r, c @ covariance).T  # P C' (C P C' + R)^-1
 
@@ -218,13 +213,32 @@ class ModelBased(ScaledSignals):
 
     def _observe(self, loop: Loop, disturbance: Disturbance, disturbance_noise: float) -> None:
         """Set up the filter, and have it at the recording's end if the loop goes on there."""
-        noise = Noise(self.process_noise, disturbance_noise, self.measurement_noise)
-        self._observer = Observer(self._model, disturbance, noise)
+        self._observer = Observer(
+            self._model, disturbance, self.process_noise, disturbance_noise, self.measurement_noise
+        )
         self._u: FloatArray = resting_input(loop)
         self._resting = True
         if loop.continues_recording and loop.recording is not None:
             self._observer.follow(loop.recording.u, loop.recording.y)
             self._u, self._resting = loop.recording.u[-1], False
+
+    def _step(self, sample: Sample) -> FloatArray | Action:
+        """Correct the estimate, decide on the inputs, and predict what they do."""
+        missing = "" if np.isfinite(sample.y).all() else PREDICTED
+        if self._resting:
+            if missing:
+                return Action(self._u.copy(), missing)
+            self._observer.rest(self._u, sample.y)
+            self._resting = False
+        self._observer.correct(sample.y)
+        u, fallback = self._decide(sample)
+        self._observer.predict(u)
+        self._u = u.copy()
+        return Action(u, fallback or missing) if fallback or missing else u
+
+    @abstractmethod
+    def _decide(self, sample: Sample) -> tuple[FloatArray, str]:
+        """Return the inputs for the present estimate, and why they are a fallback; empty if they are not."""
 
     def _faults_between_settings(self) -> list[str]:
         if isinstance(self.model, ModelSource):
