@@ -25,8 +25,8 @@ from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError, did_you_me
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.plugins import load_plugin, load_target, plugin_names
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
-from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerTrial
-from ddpc_cosim.testing.plants import PLANT_CHECKS, Trial
+from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
+from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
 
 
 class Subject(Protocol):
@@ -53,7 +53,7 @@ class FMUSubject:
         """Run one check, at a step size in s."""
         from ddpc_cosim.fmu.plant import FMUPlant
 
-        PLANT_CHECKS[name](Trial(lambda: FMUPlant(self.path), sampling_time))
+        PLANT_CHECKS[name](PlantUnderTest(lambda: FMUPlant(self.path), sampling_time))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class PlantSubject:
     def check(self, name: str, sampling_time: float) -> None:
         """Run one check, at a step size in s."""
         make_plant: Callable[[], Plant] = load_plugin("plants", self.plugin)
-        PLANT_CHECKS[name](Trial(make_plant, sampling_time))
+        PLANT_CHECKS[name](PlantUnderTest(make_plant, sampling_time))
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class ControllerSubject:
 
     def check(self, name: str, sampling_time: float) -> None:
         """Run one check, at a step size in s."""
-        CONTROLLER_CHECKS[name](ControllerTrial(self.make, sampling_time))
+        CONTROLLER_CHECKS[name](ControllerUnderTest(self.make, sampling_time))
 
     def make(self) -> Controller:
         """Return a new controller."""
@@ -101,7 +101,7 @@ def find_subject(name: str, settings: Sequence[str]) -> Subject:
     Raises
     ------
     ConfigError
-        There is no such thing, it cannot be made, or a setting is no TOML.
+        There is no such thing, it cannot be made, or a setting is not TOML.
     """
     if name.lower().endswith(".fmu"):
         if not Path(name).is_file():

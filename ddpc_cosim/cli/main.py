@@ -123,9 +123,9 @@ _FMU = click.argument("fmu", type=click.Path(path_type=Path, exists=True, dir_ok
 
 @main.command()
 @_FMU
-@click.option("--json", "as_json", is_flag=True, help="Everything, for programs.")
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output (JSON).")
 @click.option("--strict", is_flag=True, help="FMPy's full validation too; slow with thousands of variables.")
-@click.option("--all", "every", is_flag=True, help="Long lists in full.")
+@click.option("--all", "every", is_flag=True, help="Show every row of long lists.")
 def inspect(fmu: Path, as_json: bool, strict: bool, every: bool) -> None:
     """Show what an FMU is, what it can do, and what is wrong with it; exit with 1 if it cannot run here."""
     from ddpc_cosim.cli.inspect import inspect_command
@@ -144,7 +144,7 @@ def inspect(fmu: Path, as_json: bool, strict: bool, every: bool) -> None:
 )
 @click.option("--input", "inputs", multiple=True, metavar="NAME", help="Drive this input; may be repeated.")
 @click.option("--output", "outputs", multiple=True, metavar="NAME", help="Control this; may be repeated.")
-@click.option("--force", is_flag=True, help="Replace a file that is there.")
+@click.option("--force", is_flag=True, help="Replace an existing file.")
 @click.option(
     "--step-timeout",
     type=click.FloatRange(min=0, min_open=True),
@@ -160,7 +160,7 @@ def init(
     from ddpc_cosim.suggestion import suggest_study, write_study
 
     if out.exists() and not force:  # before the step test, which may take a while
-        raise ConfigError(f"{out}: is there already; choose another --out, or --force to replace it")
+        raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
     click.echo(f"step test of {fmu.name} ...", err=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CosimWarning)  # they stand in the study

@@ -13,10 +13,16 @@ from ddpc_cosim.fmu.description import FMUDescription, default_signals
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
 from ddpc_cosim.suggestion import design
-from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice, choose, runs_away
-from ddpc_cosim.suggestion.design import Bounds, Proposal, ScaledGains, competitors, recording_length
-from ddpc_cosim.suggestion.step_test import Nature, Resting, StepTest, Timing, step_test
-from ddpc_cosim.suggestion.writing import Circumstances, remarks, study_text
+from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice, choose
+from ddpc_cosim.suggestion.design import (
+    Bounds,
+    Proposal,
+    ScaledGains,
+    recording_length,
+    suggested_controllers,
+)
+from ddpc_cosim.suggestion.step_test import ResponseType, Resting, StepTest, Timing, step_test
+from ddpc_cosim.suggestion.writing import Circumstances, comments, study_text
 from ddpc_cosim.variables import FloatArray, Variable, names
 
 _MOST_INPUT_CANDIDATES, _MOST_OUTPUT_CANDIDATES = 12, 50
@@ -99,18 +105,18 @@ def write_study(proposal: Proposal, fmu: str | Path, out: str | Path, *, replace
     out : str or Path
         The file.
     replace : bool
-        Whether a file that is there may be replaced.
+        Whether an existing file may be replaced.
 
     Raises
     ------
     ConfigError
-        The file is there already.
+        The file already exists.
     """
     from ddpc_cosim.study.reading import read_study
 
     out = Path(out)
     if out.exists() and not replace:
-        raise ConfigError(f"{out}: is there already; choose another --out, or --force to replace it")
+        raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
     out.parent.mkdir(parents=True, exist_ok=True)
     text = study_text(proposal, _relative(Path(fmu), out.parent))
     with out.open("w", encoding="utf-8", newline="\n") as file:
@@ -174,7 +180,7 @@ def _propose(
     measurements = outputs + _also_measured(candidates.outputs, outputs, tested)
     working = design.working_range(candidates.inputs, bounds).of(choice.inputs)
     sample = design.sampling_time(tested, choice, timing.step if timing.fixed else None)
-    unstable = any(runs_away(response) for row in tested.responses for response in row)
+    unstable = any(response.is_unstable for row in tested.responses for response in row)
     references, duration = design.setpoints(tested, choice, candidates.outputs, working, sample)
     if unstable:  # there is nothing else to ask for before it is stabilised
         references = design.at_rest(tested, choice, candidates.outputs)
@@ -185,7 +191,7 @@ def _propose(
         first=design.first_gains(tested, choice, sample) * u_size / y_size,
         lasting=choice.gains * u_size / y_size,
     )
-    chosen = competitors(gains, may_record=not unstable)
+    chosen = suggested_controllers(gains, may_record=not unstable)
     needed = max(recording_length(c, len(inputs), len(outputs), len(measurements)) for c in chosen.values())
     circumstances = Circumstances(candidates.inputs, candidates.outputs, tested, choice, sample, unstable)
     return Proposal(
@@ -200,8 +206,8 @@ def _propose(
         duration=duration,
         excitation={} if unstable else design.excitation(inputs, working),
         samples=max(_SAMPLES, 2 * needed),
-        competitors=chosen,
-        remarks=remarks(circumstances, candidates.left_out, candidates.warnings),
+        controllers=chosen,
+        comments=comments(circumstances, candidates.left_out, candidates.warnings),
     )
 
 
@@ -212,7 +218,7 @@ def _also_measured(
     responding = (
         variable
         for variable, row in zip(candidates, tested.responses, strict=True)
-        if variable not in outputs and any(r.nature is not Nature.INSENSITIVE for r in row)
+        if variable not in outputs and any(r.type is not ResponseType.INSENSITIVE for r in row)
     )
     return tuple(responding)[:MOST_OUTPUTS]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddpc_cosim.suggestion.step_test import Nature, Response, StepTest
+from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
 from ddpc_cosim.variables import FloatArray
 
 MOST_INPUTS, MOST_OUTPUTS = 6, 4
@@ -79,13 +79,13 @@ def lasting_gains(tested: StepTest, time_scale: float) -> FloatArray:
     gains = np.zeros((len(tested.responses), len(tested.steps)))
     for j, row in enumerate(tested.responses):
         for i, response in enumerate(row):
-            if response.nature is Nature.ACCELERATING and not runs_away(response):
+            if response.type is ResponseType.ACCELERATING and not response.is_unstable:
                 # Several integrators, most probably two: a parabola.
                 share = time_scale / float(tested.time[-1])
                 gains[j, i] = response.effect * share**2 / tested.steps[i]
-            elif response.nature is Nature.INTEGRATING:
+            elif response.type is ResponseType.INTEGRATING:
                 gains[j, i] = response.slope * time_scale / tested.steps[i]
-            elif response.nature is not Nature.INSENSITIVE and not response.is_transient:
+            elif response.type is not ResponseType.INSENSITIVE and not response.is_transient:
                 gains[j, i] = response.effect / tested.steps[i]
     if not gains.any():
         peaks = np.array([[response.peak for response in row] for row in tested.responses])
@@ -95,27 +95,22 @@ def lasting_gains(tested: StepTest, time_scale: float) -> FloatArray:
 
 def _urgent(gains: FloatArray, responses: Sequence[Sequence[Response]]) -> FloatArray:
     """Return the gains without those of stable outputs if there are unstable ones: they come first."""
-    unstable = np.array([any(map(runs_away, row)) for row in responses])
+    unstable = np.array([any(response.is_unstable for response in row) for row in responses])
     return np.where(unstable[:, np.newaxis], gains, 0.0) if unstable.any() else gains
-
-
-def runs_away(response: Response) -> bool:
-    """Return whether an output leaves its equilibrium exponentially."""
-    return response.nature is Nature.ACCELERATING and bool(np.isfinite(response.rise_time))
 
 
 def _time_scale(responses: Sequence[Sequence[Response]]) -> float:
     """Return the longest settling time; where nothing settles, what else tells how fast the plant is."""
     every = [response for row in responses for response in row]
-    doubling = [_DOUBLINGS * r.rise_time for r in every if runs_away(r)]
+    doubling = [_DOUBLINGS * r.rise_time for r in every if r.is_unstable]
     if doubling:
         return min(doubling)
-    settling = [r.settling_time for r in every if r.nature is Nature.SETTLED and not r.is_transient]
+    settling = [r.settling_time for r in every if r.type is ResponseType.SETTLED and not r.is_transient]
     if settling:
         return max(settling)
-    oscillating = [_RISES * r.rise_time for r in every if r.nature is Nature.OSCILLATING]
-    lagging = [_LAGS * r.rise_time for r in every if r.nature is Nature.INTEGRATING and r.rise_time > 0.0]
-    transient = [r.settling_time for r in every if r.nature is Nature.SETTLED]
+    oscillating = [_RISES * r.rise_time for r in every if r.type is ResponseType.OSCILLATING]
+    lagging = [_LAGS * r.rise_time for r in every if r.type is ResponseType.INTEGRATING and r.rise_time > 0.0]
+    transient = [r.settling_time for r in every if r.type is ResponseType.SETTLED]
     for times in (oscillating, transient, lagging):
         if np.isfinite(times).any():
             return float(max(time for time in times if np.isfinite(time)))

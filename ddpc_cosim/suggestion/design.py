@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ddpc_cosim.plugins import plugin_names
 from ddpc_cosim.suggestion.choice import Choice
-from ddpc_cosim.suggestion.step_test import BLOCK, Nature, StepTest
+from ddpc_cosim.suggestion.step_test import BLOCK, ResponseType, StepTest
 from ddpc_cosim.variables import FloatArray, Variable
 
 
@@ -32,13 +32,13 @@ class Setpoints:
 
 
 @dataclass(frozen=True, slots=True)
-class Competitor:
+class SuggestedController:
     """A controller of the study: its type, its settings, and why these."""
 
     type: str
     label: str
     settings: Mapping[str, Any]
-    remark: str
+    comment: str
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ class Proposal:
         Range of the recording's random inputs; empty for no recording.
     samples : int
         Length of the recording.
-    competitors : mapping of str to Competitor
+    controllers : mapping of str to SuggestedController
         The controllers by key.
-    remarks : mapping of str to tuple of str
+    comments : mapping of str to tuple of str
         What to know, by section of the study: findings, guesses and warnings.
     """
 
@@ -80,8 +80,8 @@ class Proposal:
     duration: float
     excitation: Mapping[str, tuple[float, float]]
     samples: int
-    competitors: Mapping[str, Competitor]
-    remarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    controllers: Mapping[str, SuggestedController]
+    comments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 _EXCITED = 0.3  # share of an input's range that experiment and setpoints use, to either side of its rest
@@ -163,7 +163,7 @@ def sampling_time(tested: StepTest, choice: Choice, fixed_step: float | None) ->
         response.rise_time
         for j in choice.outputs
         for response in (tested.responses[j][i] for i in choice.inputs)
-        if response.nature in (Nature.SETTLED, Nature.OSCILLATING) and not response.is_transient
+        if response.type in (ResponseType.SETTLED, ResponseType.OSCILLATING) and not response.is_transient
     ]
     moving = drifting(tested)
     rises += [_swing_time(tested.time, tested.rest[:, j]) for j in choice.outputs if moving[j]]
@@ -282,7 +282,7 @@ def first_gains(tested: StepTest, choice: Choice, sample: float) -> FloatArray:
             response = tested.responses[j][i]
             lag = response.rise_time
             covered = 1.0 - math.exp(-sample / lag) if lag > 0.0 else 1.0
-            if response.nature is Nature.INTEGRATING:
+            if response.type is ResponseType.INTEGRATING:
                 change = response.slope * (sample - lag * covered)
             else:
                 change = (response.effect if not response.is_transient else response.peak) * covered
@@ -311,7 +311,7 @@ class ScaledGains:
     lasting: FloatArray
 
 
-def competitors(gains: ScaledGains, *, may_record: bool) -> dict[str, Competitor]:
+def suggested_controllers(gains: ScaledGains, *, may_record: bool) -> dict[str, SuggestedController]:
     """Return the installed controllers that settings are known for, by key.
 
     Parameters
@@ -325,10 +325,10 @@ def competitors(gains: ScaledGains, *, may_record: bool) -> dict[str, Competitor
     suggested = [_mfapc(gains)]
     if may_record:
         suggested += [_deepc(), _mpc(), *_pid(gains)]
-    return {competitor.type: competitor for competitor in suggested if competitor.type in installed}
+    return {controller.type: controller for controller in suggested if controller.type in installed}
 
 
-def _deepc() -> Competitor:
+def _deepc() -> SuggestedController:
     settings = {
         "initial_length": _INITIAL_LENGTH,
         "horizon": _HORIZON,
@@ -339,7 +339,7 @@ def _deepc() -> Competitor:
         "lambda_sigma": 1e5,
         "affine_sum": "all",
     }
-    return Competitor(
+    return SuggestedController(
         "deepc",
         "DeePC",
         settings,
@@ -348,7 +348,7 @@ def _deepc() -> Competitor:
     )
 
 
-def _mfapc(gains: ScaledGains) -> Competitor:
+def _mfapc(gains: ScaledGains) -> SuggestedController:
     gradient = gains.first
     strength = float(np.mean(np.sum(gradient**2, axis=0)))
     settings = {
@@ -358,7 +358,7 @@ def _mfapc(gains: ScaledGains) -> Competitor:
         "epsilon": _significant(1e-5 * min(1.0, _smallest(gradient))),
         "initial_gradient": [[_significant(float(entry)) for entry in row] for row in gradient],
     }
-    return Competitor(
+    return SuggestedController(
         "mfapc",
         "MFAPC-CFDL",
         settings,
@@ -367,9 +367,9 @@ def _mfapc(gains: ScaledGains) -> Competitor:
     )
 
 
-def _mpc() -> Competitor:
+def _mpc() -> SuggestedController:
     settings = {"horizon": _HORIZON, "output_weight": _OUTPUT_WEIGHT, "input_weight": _INPUT_WEIGHT}
-    return Competitor(
+    return SuggestedController(
         "mpc",
         "MPC, model identified",
         settings,
@@ -377,7 +377,7 @@ def _mpc() -> Competitor:
     )
 
 
-def _pid(gains: ScaledGains) -> list[Competitor]:
+def _pid(gains: ScaledGains) -> list[SuggestedController]:
     """Return PID loops, each output with the input that moves it most; none if inputs are too few."""
     outputs, inputs = gains.lasting.shape
     if outputs > inputs:
@@ -387,7 +387,7 @@ def _pid(gains: ScaledGains) -> list[Competitor]:
     _, pairing = linear_sum_assignment(np.abs(gains.lasting), maximize=True)
     settings = {"tuning": "step-test", "pairing": pairing.tolist()}
     return [
-        Competitor(
+        SuggestedController(
             "pid",
             "PID, step test",
             settings,
@@ -405,10 +405,10 @@ def _significant(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def recording_length(competitor: Competitor, inputs: int, outputs: int, measurements: int) -> int:
-    """Return the fewest samples of a recording that a competitor can learn from."""
+def recording_length(controller: SuggestedController, inputs: int, outputs: int, measurements: int) -> int:
+    """Return the fewest samples of a recording that a controller can learn from."""
     from ddpc_cosim.study.controllers import make_controller
     from ddpc_cosim.study.sections import ControllerSection
 
-    section = ControllerSection(type=competitor.type, settings=dict(competitor.settings))
+    section = ControllerSection(type=controller.type, settings=dict(controller.settings))
     return make_controller(section).recording_length(inputs, outputs, measurements)

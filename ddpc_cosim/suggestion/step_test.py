@@ -1,7 +1,7 @@
-"""What kind of response an output has to a step of an input, from samples at growing intervals.
+"""Which type of response an output has to a step of an input, from samples at growing intervals.
 
 The samples lie in blocks, each twice as long as the one before: the last block is the last half of the time.
-Within a block the intervals vary, lest an oscillation be sampled in step with its period.
+Within a block the intervals vary, so that an oscillation is not sampled in step with its period.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ _FLOOR = 1e-5  # of the output's level: below it a response is an integrator's r
 _RISEN = 1.0 - np.exp(-1.0)  # where a first-order lag is after its time constant
 
 
-class Nature(StrEnum):
+class ResponseType(StrEnum):
     """How an output goes on after a step."""
 
     INSENSITIVE = "insensitive"
@@ -46,7 +46,7 @@ class Response:
 
     Parameters
     ----------
-    nature : Nature
+    type : ResponseType
         How it goes on.
     effect : float
         Where it ends, in the output's unit: the final value of one that settles, the mean of one that
@@ -63,7 +63,7 @@ class Response:
         Its largest magnitude.
     """
 
-    nature: Nature
+    type: ResponseType
     effect: float = 0.0
     slope: float = 0.0
     rise_time: float = np.inf
@@ -73,7 +73,12 @@ class Response:
     @property
     def is_transient(self) -> bool:
         """Whether it returns to where it was: nothing that a constant input could hold."""
-        return self.nature is Nature.SETTLED and abs(self.effect) <= _BAND * self.peak
+        return self.type is ResponseType.SETTLED and abs(self.effect) <= _BAND * self.peak
+
+    @property
+    def is_unstable(self) -> bool:
+        """Whether the output leaves its equilibrium exponentially."""
+        return self.type is ResponseType.ACCELERATING and bool(np.isfinite(self.rise_time))
 
 
 def sample_counts(blocks: int) -> NDArray[np.int64]:
@@ -97,24 +102,24 @@ def classify(time: FloatArray, deviation: FloatArray, level: float) -> Response:
     """
     peak = float(np.max(np.abs(deviation), initial=0.0))
     if not peak > _FLOOR * level:
-        return Response(Nature.INSENSITIVE)
+        return Response(ResponseType.INSENSITIVE)
     last = deviation[-BLOCK:]
     final = float(np.mean(last))
     if np.all(np.abs(last - final) <= _BAND * peak):
         moving = np.flatnonzero(np.abs(deviation - final) > _BAND * peak)
         settled = float(time[moving[-1] + 1]) if moving.size else float(time[0])
         rise = _first_reached(time, deviation, final if abs(final) > _BAND * peak else peak)
-        return Response(Nature.SETTLED, final, 0.0, rise, settled, peak)
+        return Response(ResponseType.SETTLED, final, 0.0, rise, settled, peak)
     slope = _common_slope(time, deviation)
     if slope:
         lag = max(float(time[-1] - deviation[-1] / slope), 0.0)
-        return Response(Nature.INTEGRATING, float(deviation[-1]), slope, lag, np.inf, peak)
+        return Response(ResponseType.INTEGRATING, float(deviation[-1]), slope, lag, np.inf, peak)
     before = float(np.max(np.abs(deviation[-2 * BLOCK : -BLOCK]), initial=0.0))
     if len(deviation) > BLOCK and peak > _ACCELERATING * before and np.argmax(np.abs(last)) == BLOCK - 1:
         doubling = _doubling_time(time, deviation)
         early = float(deviation[np.argmax(time >= min(_DOUBLINGS * doubling, time[-1]))])
-        return Response(Nature.ACCELERATING, early, 0.0, doubling, np.inf, peak)
-    return Response(Nature.OSCILLATING, final, 0.0, _first_reached(time, deviation, peak), np.inf, peak)
+        return Response(ResponseType.ACCELERATING, early, 0.0, doubling, np.inf, peak)
+    return Response(ResponseType.OSCILLATING, final, 0.0, _first_reached(time, deviation, peak), np.inf, peak)
 
 
 def escaping(time: FloatArray, deviation: FloatArray, peak: float) -> Response:
@@ -131,7 +136,7 @@ def escaping(time: FloatArray, deviation: FloatArray, peak: float) -> Response:
     begin, end = (float(time[np.argmax(size >= share)]) for share in _ESCAPE)
     doubling = max(end - begin, float(time[0])) / np.log2(_ESCAPE[1] / _ESCAPE[0])
     early = float(deviation[np.argmax(time >= _DOUBLINGS * doubling)])
-    return Response(Nature.ACCELERATING, early, 0.0, float(doubling), np.inf, peak)
+    return Response(ResponseType.ACCELERATING, early, 0.0, float(doubling), np.inf, peak)
 
 
 def _first_reached(time: FloatArray, deviation: FloatArray, way: float) -> float:
@@ -162,7 +167,7 @@ def _doubling_time(time: FloatArray, deviation: FloatArray) -> float:
 
 _BLOCKS_MORE, _BLOCKS_MOST = 4, 40
 # A response that is still on a line or a parabola may be the beginning of a slower one.
-_UNCLEAR = {Nature.OSCILLATING, Nature.INTEGRATING, Nature.ACCELERATING}
+_UNCLEAR = {ResponseType.OSCILLATING, ResponseType.INTEGRATING, ResponseType.ACCELERATING}
 _FASTER, _TIMES_FASTER = 2**10, 3
 _MOST_STEPS = 100_000
 _SHARE, _LARGER_SHARE, _SMALLER_SHARE = 0.1, 0.5, 0.001
@@ -231,7 +236,7 @@ class StepTest:
     fault : str
         Why a run ended early; empty if none did.
     stopped : bool
-        Whether computing time ran out before every response had shown its nature.
+        Whether computing time ran out before every response had shown its type.
     static : bool
         Whether the outputs follow the inputs at once, however closely one looks.
     unstable : frozenset of int
@@ -273,7 +278,7 @@ def step_test(plant: Plant, resting: Resting, timing: Timing) -> StepTest:
 
 
 def _responds(tested: StepTest, i: int) -> bool:
-    return any(row[i].nature is not Nature.INSENSITIVE for row in tested.responses)
+    return any(row[i].type is not ResponseType.INSENSITIVE for row in tested.responses)
 
 
 def _at_time_scale(plant: Plant, resting: Resting, share: float, timing: Timing, deadline: float) -> StepTest:
@@ -281,7 +286,7 @@ def _at_time_scale(plant: Plant, resting: Resting, share: float, timing: Timing,
     step = timing.step
     for _ in range(_TIMES_FASTER):
         tested = _until_clear(plant, resting, share * resting.room, step, timing, deadline)
-        rises = [r.rise_time for row in tested.responses for r in row if r.nature is Nature.SETTLED]
+        rises = [r.rise_time for row in tested.responses for r in row if r.type is ResponseType.SETTLED]
         if timing.fixed or not rises or max(rises) > _IMMEDIATE * step or monotonic() > deadline:
             return tested
         step /= _FASTER
@@ -291,14 +296,14 @@ def _at_time_scale(plant: Plant, resting: Resting, share: float, timing: Timing,
 def _until_clear(
     plant: Plant, resting: Resting, steps: FloatArray, step: float, timing: Timing, deadline: float
 ) -> StepTest:
-    """Make runs longer until every response has shown its nature, or time is up."""
+    """Make runs longer until every response has shown its type, or time is up."""
     blocks = timing.blocks
     while True:
         started = monotonic()
         grid = _Grid(step, blocks, timing.fixed)
         tested, _ = _run_all(plant, resting.u, steps, grid)
-        natures = {r.nature for row in tested.responses for r in row}
-        if tested.fault or not (natures & _UNCLEAR or natures == {Nature.INSENSITIVE}):
+        types = {r.type for row in tested.responses for r in row}
+        if tested.fault or not (types & _UNCLEAR or types == {ResponseType.INSENSITIVE}):
             return tested
         if grid.end >= timing.longest or blocks >= _BLOCKS_MOST:
             return tested

@@ -6,9 +6,9 @@ from typing import Any
 
 import tomli_w
 
-from ddpc_cosim.suggestion.choice import Choice, runs_away
-from ddpc_cosim.suggestion.design import Competitor, Proposal, drifting
-from ddpc_cosim.suggestion.step_test import Nature, Response, StepTest
+from ddpc_cosim.suggestion.choice import Choice
+from ddpc_cosim.suggestion.design import Proposal, SuggestedController, drifting
+from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
 from ddpc_cosim.variables import Variable
 
 _WIDTH = 110
@@ -45,7 +45,7 @@ def _head(proposal: Proposal) -> list[str]:
 
 def _plant(proposal: Proposal, fmu: str) -> list[str]:
     return [
-        *_remarks(proposal, "plant"),
+        *_comments(proposal, "plant"),
         "[plant]",
         f"fmu = {_value(fmu)}",
         *_names("inputs", proposal.inputs),
@@ -69,7 +69,7 @@ def _about(variable: Variable) -> str:
 
 def _loop(proposal: Proposal) -> list[str]:
     return [
-        *_remarks(proposal, "loop"),
+        *_comments(proposal, "loop"),
         "[loop]",
         f"sampling_time = {_value(proposal.sampling_time)}  # s",
         f"duration = {_value(proposal.duration)}  # s",
@@ -77,7 +77,7 @@ def _loop(proposal: Proposal) -> list[str]:
 
 
 def _references(proposal: Proposal) -> list[str]:
-    lines = _remarks(proposal, "reference")
+    lines = _comments(proposal, "reference")
     for name, setpoints in proposal.setpoints.items():
         lines += [
             f"[reference.{_key(name)}]",
@@ -90,7 +90,7 @@ def _references(proposal: Proposal) -> list[str]:
 
 def _bounds(proposal: Proposal) -> list[str]:
     return [
-        *_remarks(proposal, "bounds"),
+        *_comments(proposal, "bounds"),
         "[bounds]",
         *(
             f"{_key(name)} = {{ min = {_value(b.low)}, max = {_value(b.high)} }}  # {b.origin}"
@@ -100,11 +100,11 @@ def _bounds(proposal: Proposal) -> list[str]:
 
 
 def _recording(proposal: Proposal) -> list[str]:
-    remarks = _remarks(proposal, "recording")
+    lines = _comments(proposal, "recording")
     if not proposal.excitation:
-        return remarks
+        return lines
     return [
-        *remarks,
+        *lines,
         "[recording]",
         f"samples = {proposal.samples}",
         *(
@@ -115,24 +115,24 @@ def _recording(proposal: Proposal) -> list[str]:
 
 
 def _controllers(proposal: Proposal) -> list[str]:
-    lines = _remarks(proposal, "controllers")
-    for key, competitor in proposal.competitors.items():
-        lines += [*([""] if lines else []), *_controller(key, competitor)]
+    lines = _comments(proposal, "controllers")
+    for key, controller in proposal.controllers.items():
+        lines += [*([""] if lines else []), *_controller(key, controller)]
     return lines
 
 
-def _controller(key: str, competitor: Competitor) -> Iterator[str]:
-    yield from _comment(competitor.remark)
+def _controller(key: str, controller: SuggestedController) -> Iterator[str]:
+    yield from _comment(controller.comment)
     yield f"[controllers.{_key(key)}]"
-    yield f"type = {_value(competitor.type)}"
-    yield f"label = {_value(competitor.label)}"
+    yield f"type = {_value(controller.type)}"
+    yield f"label = {_value(controller.label)}"
     yield f"[controllers.{_key(key)}.settings]"
-    for name, value in competitor.settings.items():
+    for name, value in controller.settings.items():
         yield f"{_key(name)} = {_value(value)}"
 
 
-def _remarks(proposal: Proposal, section: str) -> list[str]:
-    return [line for remark in proposal.remarks.get(section, ()) for line in _comment(remark)]
+def _comments(proposal: Proposal, section: str) -> list[str]:
+    return [line for comment in proposal.comments.get(section, ()) for line in _comment(comment)]
 
 
 def _comment(text: str) -> Iterator[str]:
@@ -168,7 +168,7 @@ _LISTED = 8
 
 @dataclass(frozen=True, slots=True)
 class Circumstances:
-    """What the remarks are about.
+    """What the comments are about.
 
     Parameters
     ----------
@@ -192,10 +192,10 @@ class Circumstances:
     unstable: bool
 
 
-def remarks(
+def comments(
     about: Circumstances, left_out: Sequence[str], warnings: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the remarks by section of the study file.
+    """Return the comments by section of the study file.
 
     Parameters
     ----------
@@ -229,37 +229,37 @@ def _on_responses(about: Circumstances) -> Iterator[str]:
 
 
 def _in_words(response: Response) -> str:
-    match response.nature:
-        case Nature.INSENSITIVE:
+    match response.type:
+        case ResponseType.INSENSITIVE:
             return "does not respond"
-        case Nature.SETTLED if response.is_transient:
+        case ResponseType.SETTLED if response.is_transient:
             return f"moves by up to {response.peak:.3g} and returns"
-        case Nature.SETTLED:
+        case ResponseType.SETTLED:
             return f"changes by {response.effect:+.3g} within {response.settling_time:.3g} s"
-        case Nature.INTEGRATING:
+        case ResponseType.INTEGRATING:
             return f"goes on changing by {response.slope:+.3g} per second (it integrates)"
-        case Nature.ACCELERATING if runs_away(response):
+        case ResponseType.ACCELERATING if response.is_unstable:
             return f"runs away, doubling every {response.rise_time:.3g} s (unstable)"
-        case Nature.ACCELERATING:
+        case ResponseType.ACCELERATING:
             return "goes on changing faster and faster (several integrators)"
-        case Nature.OSCILLATING:
+        case ResponseType.OSCILLATING:
             return f"oscillates by up to {response.peak:.3g} and does not settle"
 
 
 def _on_what_is_left_out(about: Circumstances, left_out: Sequence[str]) -> Iterator[str]:
     idle = [v.name for i, v in enumerate(about.inputs) if i not in about.choice.inputs]
     if idle:
-        yield f"Inputs left out, as they rest or do little: {_listed(idle)}."
+        yield f"Inputs left out, as they rest or do little: {_join_words(idle)}."
     others = [v.name for j, v in enumerate(about.outputs) if j not in about.choice.outputs]
     if others:
-        yield f"Outputs not controlled: {_listed(others)}."
+        yield f"Outputs not controlled: {_join_words(others)}."
     if left_out:
-        yield f"Not tried, there being so many: {_listed(left_out)}."
+        yield f"Not tried, there being so many: {_join_words(left_out)}."
     if about.tested.fault:
         yield f"A run of the step test ended early: {about.tested.fault}"
 
 
-def _listed(of: Sequence[str]) -> str:
+def _join_words(of: Sequence[str]) -> str:
     more = len(of) - _LISTED
     return ", ".join(of[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
@@ -285,16 +285,16 @@ def _on_setpoints(about: Circumstances) -> Iterator[str]:
     yield "Changes that the inputs can hold with about a third of their ranges, from where the plant rests."
     moving = [about.outputs[j].name for j in about.choice.outputs if drifting(about.tested)[j]]
     if moving:
-        yield f"{_listed(moving)}: drifts even while the inputs rest; the setpoints are around its start."
+        yield f"{_join_words(moving)}: drifts even while the inputs rest; the setpoints are around its start."
 
 
 def _on_recording(about: Circumstances) -> Iterator[str]:
     if about.unstable:
         rows = zip(about.outputs, about.tested.responses, strict=True)
-        unsettled = [output.name for output, row in rows if any(map(runs_away, row))]
+        unsettled = [output.name for output, row in rows if any(response.is_unstable for response in row)]
         yield (
             "No recording and no controller that learns from one: the plant leaves its equilibrium by "
-            f"itself ({_listed(unsettled)}), so an open-loop experiment is of no use. It has to be "
+            f"itself ({_join_words(unsettled)}), so an open-loop experiment is of no use. It has to be "
             "stabilised first, and the settings below may not do that."
         )
         return
@@ -305,7 +305,7 @@ def _on_recording(about: Circumstances) -> Iterator[str]:
 
 def _integrates(about: Circumstances) -> bool:
     return any(
-        about.tested.responses[j][i].nature is Nature.INTEGRATING
+        about.tested.responses[j][i].type is ResponseType.INTEGRATING
         for j in about.choice.outputs
         for i in about.choice.inputs
     )

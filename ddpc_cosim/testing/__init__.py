@@ -11,14 +11,14 @@
 []
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
-from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerTrial
-from ddpc_cosim.testing.plants import PLANT_CHECKS, Trial
+from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
+from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
 
 __all__ = [
     "CONTROLLER_CHECKS",
@@ -57,8 +57,8 @@ def check_plant(
     results : list of CheckResult
         One for each check.
     """
-    trial = Trial(make_plant, sampling_time, steps, tolerance)
-    return [run_check(name, partial(check, trial)) for name, check in PLANT_CHECKS.items()]
+    subject = PlantUnderTest(make_plant, sampling_time, steps, tolerance)
+    return [run_check(name, partial(check, subject)) for name, check in PLANT_CHECKS.items()]
 
 
 def check_controller(
@@ -83,8 +83,21 @@ def check_controller(
     results : list of CheckResult
         One for each check.
     """
-    trial = ControllerTrial(make_controller, sampling_time, steps)
-    return [run_check(name, partial(check, trial)) for name, check in CONTROLLER_CHECKS.items()]
+    subject = ControllerUnderTest(make_controller, sampling_time, steps)
+    return [run_check(name, partial(check, subject)) for name, check in CONTROLLER_CHECKS.items()]
+
+
+def _as_tests(kind: type, checks: Iterable[str], test: Callable[[str], Callable[..., None]]) -> None:
+    """Give a class a test for each check, named after it."""
+    for name in checks:
+        method = test(name)
+        method.__name__ = f"test_{name.replace(' ', '_')}"
+        method.__doc__ = f"Require that the subject {name}."
+        setattr(kind, method.__name__, method)
+
+
+def _require(result: CheckResult) -> None:
+    assert result.status is not CheckStatus.FAILED, f"{result.name}: {result.reason}"
 
 
 class PlantConformance:
@@ -105,51 +118,6 @@ class PlantConformance:
     steps: int = 20
     tolerance: float = 1e-3
 
-    def test_declares_its_signals(self, make_plant: MakePlant) -> None:
-        """Run the check of this name."""
-        self._require("declares its signals", make_plant)
-
-    def test_returns_arrays_of_the_right_shape(self, make_plant: MakePlant) -> None:
-        """Run the check of this name."""
-        self._require("returns arrays of the right shape", make_plant)
-
-    def test_returns_finite_numbers(self, make_plant: MakePlant) -> None:
-        """Run the check of this name."""
-        self._require("returns finite numbers", make_plant)
-
-    def test_resets_to_the_same_trajectory(self, make_plant: MakePlant) -> None:
-        """Run the check of this name."""
-        self._require("resets to the same trajectory", make_plant)
-
-    def test_holds_its_inputs(self, make_plant: MakePlant) -> None:
-        """Run the check of this name."""
-        self._require("holds its inputs", make_plant)
-
-    def test_does_not_depend_on_the_step_size(self, make_plant: MakePlant) -> None:
-        """Run the check of this name."""
-        self._require("does not depend on the step size", make_plant)
-
-    def test_two_instances_are_independent(self, make_plant: MakePlant) -> None:
-        """Run the check of this name."""
-        self._require("two instances are independent", make_plant)
-
-    def test_restores_a_saved_state(self, make_plant: MakePlant) -> None:
-        """Run the check of this name."""
-        self._require("restores a saved state", make_plant)
-
-    def test_refuses_unknown_parameters(self, make_plant: MakePlant) -> None:
-        """Run the check of this name."""
-        self._require("refuses unknown parameters", make_plant)
-
-    def test_can_be_closed_twice(self, make_plant: MakePlant) -> None:
-        """Run the check of this name."""
-        self._require("can be closed twice", make_plant)
-
-    def _require(self, name: str, make_plant: MakePlant) -> None:
-        trial = Trial(make_plant, self.sampling_time, self.steps, self.tolerance)
-        result = run_check(name, partial(PLANT_CHECKS[name], trial))
-        assert result.status is not CheckStatus.FAILED, f"{name}: {result.reason}"
-
 
 class ControllerConformance:
     """The checks of :func:`check_controller` as tests: subclass it, define the fixture ``make_controller``.
@@ -168,67 +136,22 @@ class ControllerConformance:
     sampling_time: float = 0.1
     steps: int = 60
 
-    def test_stores_its_settings(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("stores its settings", make_controller)
 
-    def test_refuses_unknown_settings(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("refuses unknown settings", make_controller)
+def _plant_test(name: str) -> Callable[..., None]:
+    def test(self: PlantConformance, make_plant: MakePlant) -> None:
+        subject = PlantUnderTest(make_plant, self.sampling_time, self.steps, self.tolerance)
+        _require(run_check(name, partial(PLANT_CHECKS[name], subject)))
 
-    def test_refuses_impossible_settings(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("refuses impossible settings", make_controller)
+    return test
 
-    def test_returns_one_input_for_one_output(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("returns one input for one output", make_controller)
 
-    def test_returns_two_inputs_for_two_outputs(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("returns two inputs for two outputs", make_controller)
+def _controller_test(name: str) -> Callable[..., None]:
+    def test(self: ControllerConformance, make_controller: MakeController) -> None:
+        subject = ControllerUnderTest(make_controller, self.sampling_time, self.steps)
+        _require(run_check(name, partial(CONTROLLER_CHECKS[name], subject)))
 
-    def test_starts_with_the_recording_it_asks_for(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("starts with the recording it asks for", make_controller)
+    return test
 
-    def test_is_deterministic_under_its_seed(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("is deterministic under its seed", make_controller)
 
-    def test_forgets_a_run_when_started_again(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("forgets a run when started again", make_controller)
-
-    def test_can_be_pickled(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("can be pickled", make_controller)
-
-    def test_two_instances_are_independent(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("two instances are independent", make_controller)
-
-    def test_keeps_no_array_that_it_is_given(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("keeps no array that it is given", make_controller)
-
-    def test_respects_the_input_limits(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("respects the input limits", make_controller)
-
-    def test_reports_a_failure_as_a_status(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("reports a failure as a status", make_controller)
-
-    def test_handles_a_missing_measurement_as_declared(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("handles a missing measurement as declared", make_controller)
-
-    def test_stabilises_a_benign_plant(self, make_controller: MakeController) -> None:
-        """Run the check of this name."""
-        self._require("stabilises a benign plant", make_controller)
-
-    def _require(self, name: str, make_controller: MakeController) -> None:
-        trial = ControllerTrial(make_controller, self.sampling_time, self.steps)
-        result = run_check(name, partial(CONTROLLER_CHECKS[name], trial))
-        assert result.status is not CheckStatus.FAILED, f"{name}: {result.reason}"
+_as_tests(PlantConformance, PLANT_CHECKS, _plant_test)
+_as_tests(ControllerConformance, CONTROLLER_CHECKS, _controller_test)

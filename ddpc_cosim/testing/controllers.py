@@ -12,7 +12,7 @@ from ddpc_cosim.controller import OK, Controller
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.settings import SettingInfo, declared_settings, from_plain
 from ddpc_cosim.testing.check_results import CheckFailedError, NotApplicableError
-from ddpc_cosim.testing.reference_plant import BenignLoop, ClosedLoop, Walk
+from ddpc_cosim.testing.reference_plant import LoopResult, ReferencePlant, TestLoop
 from ddpc_cosim.variables import FloatArray
 
 _UNKNOWN = "no_such_setting"
@@ -36,7 +36,7 @@ def stores_its_settings(controller: Controller) -> None:
 
 
 def refuses_unknown_settings(controller: Controller) -> None:
-    """Require an error for an argument that is no setting."""
+    """Require an error for an argument that is not a setting."""
     try:
         type(controller)(**_given(controller), **{_UNKNOWN: 1.0})
     except (TypeError, ConfigError):
@@ -89,8 +89,8 @@ _OUT_OF_REACH = 20.0
 
 
 @dataclass(frozen=True, slots=True)
-class ControllerTrial:
-    """A controller to try, and how.
+class ControllerUnderTest:
+    """A controller that is checked, and how.
 
     Parameters
     ----------
@@ -106,8 +106,8 @@ class ControllerTrial:
     sampling_time: float = 0.1
     steps: int = 60
 
-    def plant(self, input_limit: float = 1.0) -> BenignLoop:
-        """Return the smallest loop whose size suits the controller.
+    def plant(self, input_limit: float = 1.0) -> ReferencePlant:
+        """Return the smallest reference plant whose size suits the controller.
 
         Raises
         ------
@@ -116,7 +116,7 @@ class ControllerTrial:
         """
         refusals = []
         for size in (1, 2):
-            plant, controller = BenignLoop(size, self.sampling_time, input_limit), self.make_controller()
+            plant, controller = ReferencePlant(size, self.sampling_time, input_limit), self.make_controller()
             try:
                 controller.start(plant.loop_for(controller, 0))
             except ConfigError as error:
@@ -125,32 +125,32 @@ class ControllerTrial:
                 return plant
         raise CheckFailedError("it starts in no loop; " + "; ".join(refusals))
 
-    def started(self, plant: BenignLoop, seed: int = 0) -> Controller:
+    def started(self, plant: ReferencePlant, seed: int = 0) -> Controller:
         """Return a new controller, started."""
         controller = self.make_controller()
         controller.start(plant.loop_for(controller, seed))
         return controller
 
-    def run(self, plant: BenignLoop, controller: Controller, scale: float = 1.0) -> ClosedLoop:
-        """Walk a started controller through the loop."""
-        walk = Walk(plant, controller, scale=scale)
+    def run(self, plant: ReferencePlant, controller: Controller, scale: float = 1.0) -> LoopResult:
+        """Run a started controller in the loop."""
+        test_loop = TestLoop(plant, controller, scale=scale)
         for _ in range(self.steps):
-            walk.step()
-        return walk.walked()
+            test_loop.step()
+        return test_loop.result()
 
 
-def returns_one_input_for_one_output(trial: ControllerTrial) -> None:
+def returns_one_input_for_one_output(subject: ControllerUnderTest) -> None:
     """Require new float64 arrays of shape (1,) and a status."""
-    _require_shapes(trial, 1)
+    _require_shapes(subject, 1)
 
 
-def returns_two_inputs_for_two_outputs(trial: ControllerTrial) -> None:
+def returns_two_inputs_for_two_outputs(subject: ControllerUnderTest) -> None:
     """Require new float64 arrays of shape (2,) and a status."""
-    _require_shapes(trial, 2)
+    _require_shapes(subject, 2)
 
 
-def _require_shapes(trial: ControllerTrial, size: int) -> None:
-    plant, controller = BenignLoop(size, trial.sampling_time), trial.make_controller()
+def _require_shapes(subject: ControllerUnderTest, size: int) -> None:
+    plant, controller = ReferencePlant(size, subject.sampling_time), subject.make_controller()
     if not isinstance(controller, Controller):
         raise CheckFailedError(f"{type(controller).__name__} is not derived from ddpc_cosim.Controller")
     try:
@@ -158,118 +158,118 @@ def _require_shapes(trial: ControllerTrial, size: int) -> None:
     except ConfigError as error:
         reason = "; ".join(error.faults)
         raise NotApplicableError(f"it does not start in a loop of {size} x {size}: {reason}") from error
-    trial.run(plant, controller)
+    subject.run(plant, controller)
 
 
-def starts_with_the_recording_it_asks_for(trial: ControllerTrial) -> None:
+def starts_with_the_recording_it_asks_for(subject: ControllerUnderTest) -> None:
     """Require that a recording as short as ``recording_length`` says will do."""
-    plant, controller = trial.plant(), trial.make_controller()
+    plant, controller = subject.plant(), subject.make_controller()
     if not controller.uses_recording:
         raise NotApplicableError("it does not use a recording")
     needed = controller.recording_length(plant.size, plant.size, plant.size)
     controller.start(plant.loop(max(needed, 1), 0))
 
 
-def is_deterministic_under_its_seed(trial: ControllerTrial) -> None:
+def is_deterministic_under_its_seed(subject: ControllerUnderTest) -> None:
     """Require that two controllers of the same seed do the same."""
-    plant = trial.plant()
-    first, second = (trial.run(plant, trial.started(plant)) for _ in range(2))
+    plant = subject.plant()
+    first, second = (subject.run(plant, subject.started(plant)) for _ in range(2))
     _require_equal(first.u, second.u, "between two controllers of the same seed; use loop.rng only")
 
 
-def forgets_a_run_when_started_again(trial: ControllerTrial) -> None:
+def forgets_a_run_when_started_again(subject: ControllerUnderTest) -> None:
     """Require that a second ``start`` repeats the first run to the last bit, with the same Loop too."""
-    plant, controller = trial.plant(), trial.make_controller()
+    plant, controller = subject.plant(), subject.make_controller()
     loop = plant.loop_for(controller, 0)
     controller.start(loop)
-    first = trial.run(plant, controller)
+    first = subject.run(plant, controller)
     controller.start(plant.loop_for(controller, _OTHER_SEED))
-    trial.run(plant, controller, scale=-1.0)
+    subject.run(plant, controller, scale=-1.0)
     controller.start(loop)
-    _require_equal(first.u, trial.run(plant, controller).u, "after a second start; copy loop.rng to use it")
+    _require_equal(first.u, subject.run(plant, controller).u, "after a second start; copy loop.rng to use it")
 
 
-def can_be_pickled(trial: ControllerTrial) -> None:
+def can_be_pickled(subject: ControllerUnderTest) -> None:
     """Require that a pickled controller starts, and goes on where it was."""
-    plant = trial.plant()
-    fresh = pickle.loads(pickle.dumps(trial.make_controller()))
+    plant = subject.plant()
+    fresh = pickle.loads(pickle.dumps(subject.make_controller()))
     fresh.start(plant.loop_for(fresh, 0))
-    expected = trial.run(plant, trial.started(plant)).u
-    _require_equal(expected, trial.run(plant, fresh).u, "when pickled before its start")
-    walk = Walk(plant, trial.started(plant))
-    for k in range(trial.steps):
-        walk.step()
-        if k == trial.steps // 2:
-            walk.controller = pickle.loads(pickle.dumps(walk.controller))
-    _require_equal(expected, walk.walked().u, "when pickled during a run")
+    expected = subject.run(plant, subject.started(plant)).u
+    _require_equal(expected, subject.run(plant, fresh).u, "when pickled before its start")
+    test_loop = TestLoop(plant, subject.started(plant))
+    for k in range(subject.steps):
+        test_loop.step()
+        if k == subject.steps // 2:
+            test_loop.controller = pickle.loads(pickle.dumps(test_loop.controller))
+    _require_equal(expected, test_loop.result().u, "when pickled during a run")
 
 
-def two_instances_are_independent(trial: ControllerTrial) -> None:
+def two_instances_are_independent(subject: ControllerUnderTest) -> None:
     """Require that what one instance does changes nothing for another."""
-    plant = trial.plant()
-    alone = trial.run(plant, trial.started(plant)).u
-    walk = Walk(plant, trial.started(plant))
-    other = Walk(plant, trial.started(plant, _OTHER_SEED), scale=-2.0)
-    for _ in range(trial.steps):
-        walk.step()
+    plant = subject.plant()
+    alone = subject.run(plant, subject.started(plant)).u
+    test_loop = TestLoop(plant, subject.started(plant))
+    other = TestLoop(plant, subject.started(plant, _OTHER_SEED), scale=-2.0)
+    for _ in range(subject.steps):
+        test_loop.step()
         other.step()
-    _require_equal(alone, walk.walked().u, "beside another instance")
+    _require_equal(alone, test_loop.result().u, "beside another instance")
 
 
-def keeps_no_array_that_it_is_given(trial: ControllerTrial) -> None:
+def keeps_no_array_that_it_is_given(subject: ControllerUnderTest) -> None:
     """Require that the arrays of a sample may be overwritten when ``step`` has returned."""
-    plant = trial.plant()
-    walk = Walk(plant, trial.started(plant), reuse=True)
-    for _ in range(trial.steps):
-        walk.step()
-    expected = trial.run(plant, trial.started(plant)).u
+    plant = subject.plant()
+    test_loop = TestLoop(plant, subject.started(plant), reuse=True)
+    for _ in range(subject.steps):
+        test_loop.step()
+    expected = subject.run(plant, subject.started(plant)).u
     _require_equal(
-        expected, walk.walked().u, "when the arrays of a sample are used again; copy what you keep"
+        expected, test_loop.result().u, "when the arrays of a sample are used again; copy what you keep"
     )
 
 
-def respects_the_input_limits(trial: ControllerTrial) -> None:
+def respects_the_input_limits(subject: ControllerUnderTest) -> None:
     """Require inputs within their limits, exactly, where the reference is out of reach."""
-    plant = trial.plant(_TIGHT_LIMIT)
-    _require_within(plant, trial.run(plant, trial.started(plant), scale=_OUT_OF_REACH))
+    plant = subject.plant(_TIGHT_LIMIT)
+    _require_within(plant, subject.run(plant, subject.started(plant), scale=_OUT_OF_REACH))
 
 
-def reports_a_failure_as_a_status(trial: ControllerTrial) -> None:
+def reports_a_failure_as_a_status(subject: ControllerUnderTest) -> None:
     """Require finite inputs within their limits where no plan keeps the outputs in theirs."""
-    plant = trial.plant()
-    walk = Walk(plant, trial.started(plant), start=_OUT_OF_REACH)
-    for _ in range(trial.steps):
-        _attempt(walk, None, "with outputs far outside their limits")
-    _require_within(plant, walk.walked())
+    plant = subject.plant()
+    test_loop = TestLoop(plant, subject.started(plant), start=_OUT_OF_REACH)
+    for _ in range(subject.steps):
+        _attempt(test_loop, None, "with outputs far outside their limits")
+    _require_within(plant, test_loop.result())
 
 
-def handles_a_missing_measurement_as_declared(trial: ControllerTrial) -> None:
+def handles_a_missing_measurement_as_declared(subject: ControllerUnderTest) -> None:
     """Require that a NaN is answered as ``accepts_missing`` says, and that a new start forgets it."""
-    plant, controller = trial.plant(), trial.make_controller()
+    plant, controller = subject.plant(), subject.make_controller()
     loop = plant.loop_for(controller, 0)
     controller.start(loop)
-    expected = trial.run(plant, controller).u
+    expected = subject.run(plant, controller).u
     controller.start(loop)
-    walk, missing = Walk(plant, controller), np.full(plant.size, np.nan)
+    test_loop, missing = TestLoop(plant, controller), np.full(plant.size, np.nan)
     if controller.accepts_missing:
-        for k in range(trial.steps):
-            lost = missing if k == trial.steps // 2 else None
-            _attempt(walk, lost, "although it declares accepts_missing")
-        _require_within(plant, walk.walked())
-        _require_told(walk.walked(), trial.steps // 2)
+        for k in range(subject.steps):
+            lost = missing if k == subject.steps // 2 else None
+            _attempt(test_loop, lost, "although it declares accepts_missing")
+        _require_within(plant, test_loop.result())
+        _require_told(test_loop.result(), subject.steps // 2)
     else:
-        _require_not_silent(walk, missing, trial.steps // 2)
+        _require_not_silent(test_loop, missing, subject.steps // 2)
     controller.start(loop)
-    _require_equal(expected, trial.run(plant, controller).u, "in the run after one with NaN in it")
+    _require_equal(expected, subject.run(plant, controller).u, "in the run after one with NaN in it")
 
 
-def stabilises_a_benign_plant(trial: ControllerTrial) -> None:
+def stabilises_the_reference_plant(subject: ControllerUnderTest) -> None:
     """Require that the outputs end nearer to a reference within reach than they began."""
-    plant = trial.plant()
-    controller = trial.started(plant)
-    run = trial.run(plant, controller)
+    plant = subject.plant()
+    controller = subject.started(plant)
+    run = subject.run(plant, controller)
     target = plant.target(controller)[0]
-    final = np.abs(run.y[-trial.steps // 4 :] - target).max(axis=0)
+    final = np.abs(run.y[-subject.steps // 4 :] - target).max(axis=0)
     if not (final < np.abs(target)).all():
         raise CheckFailedError(
             f"the outputs of x' = u - x begin {np.abs(target).tolist()} off their references and end "
@@ -277,9 +277,9 @@ def stabilises_a_benign_plant(trial: ControllerTrial) -> None:
         )
 
 
-def _attempt(walk: Walk, seen: FloatArray | None, when: str) -> None:
+def _attempt(test_loop: TestLoop, seen: FloatArray | None, when: str) -> None:
     try:
-        walk.step(seen)
+        test_loop.step(seen)
     except CheckFailedError:
         raise
     except Exception as error:  # a third party's controller can fail in any way
@@ -288,28 +288,28 @@ def _attempt(walk: Walk, seen: FloatArray | None, when: str) -> None:
         ) from error
 
 
-def _require_not_silent(walk: Walk, missing: FloatArray, steps: int) -> None:
+def _require_not_silent(test_loop: TestLoop, missing: FloatArray, steps: int) -> None:
     """Require an error, inputs that are not finite, or a status, soon after NaN."""
     for _ in range(steps):
-        walk.step()
+        test_loop.step()
     try:
         for seen in (missing, *[None] * (steps - 1)):
-            walk.step(seen)
+            test_loop.step(seen)
     except CheckFailedError:
         raise
     except Exception:  # an error is one of the ways to say so
         return
-    run = walk.walked()
+    run = test_loop.result()
     if np.isfinite(run.u).all():
         _require_told(run, steps)
 
 
-def _require_told(run: ClosedLoop, since: int) -> None:
+def _require_told(run: LoopResult, since: int) -> None:
     if all(status == OK for status in run.status[since:]):
         raise CheckFailedError("a measurement of NaN passes without a status other than 'ok'")
 
 
-def _require_within(plant: BenignLoop, run: ClosedLoop) -> None:
+def _require_within(plant: ReferencePlant, run: LoopResult) -> None:
     if not np.isfinite(run.u).all():
         k = int(np.argwhere(~np.isfinite(run.u))[0, 0])
         raise CheckFailedError(f"the inputs at sample {k} are {run.u[k].tolist()}")
@@ -327,15 +327,15 @@ def _require_equal(first: FloatArray, second: FloatArray, when: str) -> None:
         )
 
 
-def _settings_check(check: Callable[[Controller], None]) -> Callable[[ControllerTrial], None]:
-    def run(trial: ControllerTrial) -> None:
-        check(trial.make_controller())
+def _settings_check(check: Callable[[Controller], None]) -> Callable[[ControllerUnderTest], None]:
+    def run(subject: ControllerUnderTest) -> None:
+        check(subject.make_controller())
 
     run.__name__ = check.__name__
     return run
 
 
-CONTROLLER_CHECKS: Mapping[str, Callable[[ControllerTrial], None]] = {
+CONTROLLER_CHECKS: Mapping[str, Callable[[ControllerUnderTest], None]] = {
     check.__name__.replace("_", " "): check
     for check in (
         _settings_check(stores_its_settings),
@@ -352,6 +352,6 @@ CONTROLLER_CHECKS: Mapping[str, Callable[[ControllerTrial], None]] = {
         respects_the_input_limits,
         reports_a_failure_as_a_status,
         handles_a_missing_measurement_as_declared,
-        stabilises_a_benign_plant,
+        stabilises_the_reference_plant,
     )
 }

@@ -16,8 +16,8 @@ _UNKNOWN = "no such parameter"
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
-    """A plant to try, and how.
+class PlantUnderTest:
+    """A plant that is checked, and how.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ class Trial:
         return plant.reset()
 
 
-def declares_its_signals(trial: Trial) -> None:
+def declares_its_signals(subject: PlantUnderTest) -> None:
     """Require tuples of variables with names of their own."""
-    with trial.plant() as plant:
+    with subject.plant() as plant:
         for what, variables in (("inputs", plant.inputs), ("outputs", plant.outputs)):
             if not isinstance(variables, tuple) or not all(isinstance(v, Variable) for v in variables):
                 raise CheckFailedError(f"{what} is {variables!r}; needed: a tuple of Variable")
@@ -77,15 +77,15 @@ def declares_its_signals(trial: Trial) -> None:
             raise CheckFailedError("outputs is empty: there is nothing to control or to measure")
 
 
-def returns_arrays_of_the_right_shape(trial: Trial) -> None:
+def returns_arrays_of_the_right_shape(subject: PlantUnderTest) -> None:
     """Require new float64 arrays of shape (p,) from ``reset`` and ``step``."""
-    with trial.plant() as plant:
-        earlier = [trial.reset(plant)]
+    with subject.plant() as plant:
+        earlier = [subject.reset(plant)]
         copies: list[FloatArray] = []
-        for what, u in zip(("step 1", "step 2"), trial.inputs(plant), strict=False):
+        for what, u in zip(("step 1", "step 2"), subject.inputs(plant), strict=False):
             _require_shape("reset" if not copies else what, earlier[-1], len(plant.outputs))
             copies.append(earlier[-1].copy())
-            earlier.append(plant.step(u, trial.sampling_time))
+            earlier.append(plant.step(u, subject.sampling_time))
         for kept, copy in zip(earlier, copies, strict=False):
             if not np.array_equal(kept, copy, equal_nan=True):
                 raise CheckFailedError("step changed an array that it had returned before; return a new one")
@@ -99,24 +99,24 @@ def _require_shape(what: str, y: object, outputs: int) -> None:
         raise CheckFailedError(f"{what} returned {found}; needed: an array of float64, shape ({outputs},)")
 
 
-def returns_finite_numbers(trial: Trial) -> None:
+def returns_finite_numbers(subject: PlantUnderTest) -> None:
     """Require finite outputs while the inputs stay in their ranges."""
-    with trial.plant() as plant:
-        y = trial.run(plant, trial.inputs(plant))
+    with subject.plant() as plant:
+        y = subject.run(plant, subject.inputs(plant))
         if not np.isfinite(y).all():
             k, j = (int(index) for index in np.argwhere(~np.isfinite(y))[0])
             raise CheckFailedError(
-                f"{plant.outputs[j].name} is {y[k, j]} at t = {k * trial.sampling_time:g} s"
+                f"{plant.outputs[j].name} is {y[k, j]} at t = {k * subject.sampling_time:g} s"
             )
 
 
-def resets_to_the_same_trajectory(trial: Trial) -> None:
+def resets_to_the_same_trajectory(subject: PlantUnderTest) -> None:
     """Require that a run after a reset repeats the first one to the last bit."""
-    with trial.plant() as plant:
-        inputs = trial.inputs(plant)
-        first = trial.run(plant, inputs)
-        trial.run(plant, trial.inputs(plant, seed=1))
-        _require_equal(plant, first, trial.run(plant, inputs), "after a reset")
+    with subject.plant() as plant:
+        inputs = subject.inputs(plant)
+        first = subject.run(plant, inputs)
+        subject.run(plant, subject.inputs(plant, seed=1))
+        _require_equal(plant, first, subject.run(plant, inputs), "after a reset")
 
 
 def _require_equal(plant: Plant, first: FloatArray, second: FloatArray, when: str) -> None:
@@ -128,34 +128,34 @@ def _require_equal(plant: Plant, first: FloatArray, second: FloatArray, when: st
         )
 
 
-def holds_its_inputs(trial: Trial) -> None:
+def holds_its_inputs(subject: PlantUnderTest) -> None:
     """Require that ``step`` neither changes the inputs that it is given nor looks at them later."""
-    with trial.plant() as plant:
-        inputs = trial.inputs(plant)
-        expected = trial.run(plant, inputs)
-        rows = [trial.reset(plant)]
+    with subject.plant() as plant:
+        inputs = subject.inputs(plant)
+        expected = subject.run(plant, inputs)
+        rows = [subject.reset(plant)]
         for u in inputs:
             given = u.copy()
-            rows.append(plant.step(given, trial.sampling_time))
+            rows.append(plant.step(given, subject.sampling_time))
             if not np.array_equal(given, u):
                 raise CheckFailedError("step changed the array of inputs that it was given")
             given[:] = np.nan
         _require_equal(plant, expected, np.array(rows), "when the caller reuses its array of inputs")
 
 
-def does_not_depend_on_the_step_size(trial: Trial) -> None:
+def does_not_depend_on_the_step_size(subject: PlantUnderTest) -> None:
     """Require that one step and two half steps with the same inputs end at the same outputs."""
-    with trial.plant() as plant:
-        inputs = trial.inputs(plant)
-        whole = trial.run(plant, inputs)
+    with subject.plant() as plant:
+        inputs = subject.inputs(plant)
+        whole = subject.run(plant, inputs)
         try:
-            rows = [trial.reset(plant, share=0.5)]
+            rows = [subject.reset(plant, share=0.5)]
             for u in inputs:
-                plant.step(u, trial.sampling_time / 2)
-                rows.append(plant.step(u, trial.sampling_time / 2))
+                plant.step(u, subject.sampling_time / 2)
+                rows.append(plant.step(u, subject.sampling_time / 2))
         except ConfigError as error:
             raise NotApplicableError(str(error)) from error
-        _require_close(plant, whole, np.array(rows), trial.tolerance, "with half the step size")
+        _require_close(plant, whole, np.array(rows), subject.tolerance, "with half the step size")
 
 
 def _require_close(plant: Plant, first: FloatArray, second: FloatArray, tolerance: float, when: str) -> None:
@@ -169,19 +169,19 @@ def _require_close(plant: Plant, first: FloatArray, second: FloatArray, toleranc
         )
 
 
-def two_instances_are_independent(trial: Trial) -> None:
+def two_instances_are_independent(subject: PlantUnderTest) -> None:
     """Require that what one instance does changes nothing for another."""
-    with trial.plant() as plant:
+    with subject.plant() as plant:
         if _only_one_instance(plant):
             raise NotApplicableError("the FMU allows one instance per process only")
-        inputs, others = trial.inputs(plant), trial.inputs(plant, seed=1)
-        alone = trial.run(plant, inputs)
-        with trial.plant() as other:
-            trial.reset(other)
-            rows = [trial.reset(plant)]
+        inputs, others = subject.inputs(plant), subject.inputs(plant, seed=1)
+        alone = subject.run(plant, inputs)
+        with subject.plant() as other:
+            subject.reset(other)
+            rows = [subject.reset(plant)]
             for u, u_other in zip(inputs, others, strict=True):
-                rows.append(plant.step(u, trial.sampling_time))
-                other.step(u_other, trial.sampling_time)
+                rows.append(plant.step(u, subject.sampling_time))
+                other.step(u_other, subject.sampling_time)
         _require_equal(plant, alone, np.array(rows), "beside another instance")
 
 
@@ -190,25 +190,25 @@ def _only_one_instance(plant: Plant) -> bool:
     return description is not None and any(i.only_one_instance for i in description.interfaces.values())
 
 
-def restores_a_saved_state(trial: Trial) -> None:
+def restores_a_saved_state(subject: PlantUnderTest) -> None:
     """Require that a run which goes on from a saved state repeats itself."""
-    with trial.plant() as plant:
+    with subject.plant() as plant:
         if not plant.can_save_state:
             raise NotApplicableError("the plant does not say that its state can be saved")
-        before, after = np.array_split(trial.inputs(plant), 2)
-        trial.run(plant, before)
+        before, after = np.array_split(subject.inputs(plant), 2)
+        subject.run(plant, before)
         state = plant.save_state()
-        first = np.array([plant.step(u, trial.sampling_time) for u in after])
+        first = np.array([plant.step(u, subject.sampling_time) for u in after])
         plant.restore_state(state)
-        second = np.array([plant.step(u, trial.sampling_time) for u in after])
-        _require_close(plant, first, second, trial.tolerance, "after its state was restored")
+        second = np.array([plant.step(u, subject.sampling_time) for u in after])
+        _require_close(plant, first, second, subject.tolerance, "after its state was restored")
 
 
-def refuses_unknown_parameters(trial: Trial) -> None:
+def refuses_unknown_parameters(subject: PlantUnderTest) -> None:
     """Require a ConfigError for an unknown parameter, before and during a run."""
-    with trial.plant() as plant:
+    with subject.plant() as plant:
         _require_refusal("reset", lambda: plant.reset({_UNKNOWN: 1.0}))
-        trial.reset(plant)
+        subject.reset(plant)
         _require_refusal("set_parameters", lambda: plant.set_parameters({_UNKNOWN: 1.0}))
 
 
@@ -220,15 +220,15 @@ def _require_refusal(what: str, call: Callable[[], object]) -> None:
     raise CheckFailedError(f'{what} accepts the parameter "{_UNKNOWN}"; it has to raise ConfigError')
 
 
-def can_be_closed_twice(trial: Trial) -> None:
+def can_be_closed_twice(subject: PlantUnderTest) -> None:
     """Require that ``close`` may be called again, and on a plant that was never reset."""
-    with trial.plant() as plant:
-        trial.reset(plant)
+    with subject.plant() as plant:
+        subject.reset(plant)
         plant.close()
-    trial.make_plant().close()
+    subject.make_plant().close()
 
 
-PLANT_CHECKS: Mapping[str, Callable[[Trial], None]] = {
+PLANT_CHECKS: Mapping[str, Callable[[PlantUnderTest], None]] = {
     check.__name__.replace("_", " "): check
     for check in (
         declares_its_signals,

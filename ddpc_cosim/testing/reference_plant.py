@@ -1,4 +1,4 @@
-"""A loop that every controller ought to master: stable, well scaled, of unit gain, nearly decoupled."""
+"""A plant that every controller ought to master: stable, well scaled, of unit gain, nearly decoupled."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _RECORDED = 200
 
 
 @dataclass(frozen=True, slots=True)
-class BenignLoop:
+class ReferencePlant:
     """x' = G u - x with one or two inputs ``u1``, ``u2`` and as many outputs ``y1``, ``y2``, at rest at zero.
 
     Parameters
@@ -74,7 +74,7 @@ class BenignLoop:
 
 
 @dataclass(frozen=True, slots=True)
-class ClosedLoop:
+class LoopResult:
     """What a run leaves behind: inputs and outputs, shape (steps, size), and a status per sample."""
 
     u: FloatArray
@@ -82,13 +82,13 @@ class ClosedLoop:
     status: Sequence[str]
 
 
-class Walk:
-    """A started controller on its way through a loop, sample by sample.
+class TestLoop:
+    """A loop of the reference plant and a started controller, sample by sample.
 
     Parameters
     ----------
-    plant : BenignLoop
-        The loop.
+    plant : ReferencePlant
+        The plant.
     controller : Controller
         Started already.
     scale : float
@@ -99,9 +99,11 @@ class Walk:
         Overwrite the arrays of a sample after it, as a master may.
     """
 
+    __test__ = False  # not a class of tests
+
     def __init__(
         self,
-        plant: BenignLoop,
+        plant: ReferencePlant,
         controller: Controller,
         *,
         scale: float = 1.0,
@@ -127,10 +129,10 @@ class Walk:
         self._x = self.plant.advance(self._x, np.where(np.isfinite(held), held, 0.0))
         return self.rows[-1][0]
 
-    def walked(self) -> ClosedLoop:
+    def result(self) -> LoopResult:
         """Return the run so far."""
         u, y, status = zip(*self.rows, strict=True)
-        return ClosedLoop(np.array(u), np.array(y), status)
+        return LoopResult(np.array(u), np.array(y), status)
 
 
 def answer(controller: Controller, sample: Sample, inputs: int) -> Action:

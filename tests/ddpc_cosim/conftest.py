@@ -7,6 +7,9 @@ from pathlib import Path
 import fmpy
 import pytest
 from fmus.builder import CO_SIMULATION, GAINED, IDENTIFIER, Fault, describe, model_library, write_archive
+from fmus.plants import model_fmu, mutate, pendulum_fmi3
+
+__all__ = ["model_fmu", "mutate", "pendulum_fmi3"]  # fixtures
 
 # Signals to process groups and terminals in software are matters of POSIX.
 collect_ignore = ["test_interrupt.py", "test_terminal.py"] if sys.platform == "win32" else []

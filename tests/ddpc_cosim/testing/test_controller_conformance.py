@@ -186,7 +186,7 @@ class WrongWay(Proportional):
         (Gives, "reports a failure as a status", "raised ArithmeticError .* an Action with a status"),
         (PassesOverNaN, "handles a missing measurement as declared", "without a status"),
         (ClaimsToSurviveNaN, "handles a missing measurement as declared", "are .nan"),
-        (WrongWay, "stabilises a benign plant", r"begin \[0\.5\] off"),
+        (WrongWay, "stabilises the reference plant", r"begin \[0\.5\] off"),
     ],
 )
 def test_each_breach_is_caught_and_named(controller: Any, check: str, reason: str) -> None:
@@ -214,7 +214,7 @@ def test_one_that_starts_nowhere_fails_with_both_reasons() -> None:
             raise ConfigError("Never: it is too late")
 
     results = {result.name: result for result in check_controller(Never)}
-    reason = results["stabilises a benign plant"].reason
+    reason = results["stabilises the reference plant"].reason
     assert reason.count("it is too late") == 2
 
 

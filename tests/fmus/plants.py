@@ -1,4 +1,4 @@
-"""Plants of very different time scales, gains and natures as FMUs, and FMUs with defects."""
+"""Fixtures: plants of very different time scales, gains and responses as FMUs, and FMUs with defects."""
 
 import zipfile
 from collections.abc import Callable
