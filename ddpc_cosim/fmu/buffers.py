@@ -56,6 +56,12 @@ class Block:
     kind: Values
     negated: NDArray[np.bool_] | None = None
 
+    @property
+    def is_vector(self) -> bool:
+        """Whether the memory is the port's vector, if the port has no other block."""
+        in_order = np.array_equal(self.elements, np.arange(len(self.values)))
+        return in_order and self.negated is None and self.values.dtype == np.float64
+
     def write(self) -> None:
         """Pass the memory to the FMU."""
         status = self.set()
@@ -111,19 +117,16 @@ class Port:
             _block(instance, name, [signals[i] for i in positions], positions, shapes)
             for name, positions in by_type.items()
         ]
-        self.plain = self._plain()
-        """The only call that moves the vector, if its memory is the vector: nothing has to be sorted."""
-
-    def _plain(self) -> Block | None:
-        if len(self._blocks) != 1:
-            return None
-        block = self._blocks[0]
-        in_order = np.array_equal(block.elements, np.arange(len(block.values)))
-        is_plain = in_order and block.negated is None and block.values.dtype == np.float64
-        return block if is_plain else None
+        only = self._blocks[0] if len(self._blocks) == 1 else None
+        # The usual FMU has real inputs and outputs: memory and vector are the same, nothing has to be sorted.
+        self._whole = only if only is not None and only.is_vector else None
 
     def write(self, u: FloatArray) -> None:
         """Write the numbers u, shape (n,)."""
+        if self._whole is not None:
+            self._whole.values[:] = u
+            self._whole.write()
+            return
         vector = np.asarray(u, dtype=np.float64)
         for block in self._blocks:
             block.accept(vector)
@@ -131,6 +134,9 @@ class Port:
 
     def read(self) -> FloatArray:
         """Read the numbers into a new array, shape (n,)."""
+        if self._whole is not None:
+            self._whole.read()
+            return self._whole.values.copy()
         y = np.empty(self._length)
         for block in self._blocks:
             block.read()

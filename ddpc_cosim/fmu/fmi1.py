@@ -7,7 +7,6 @@ from typing import Any
 import fmpy.fmi1
 
 from ddpc_cosim.fmu.instance import (
-    BareStep,
     EventInfo,
     Instance,
     Model,
@@ -42,8 +41,7 @@ class Fmi1Slave(_Fmi1, Slave):
 
     def __init__(self, origin: Origin) -> None:
         super().__init__(origin)
-        call = partial(self.function("fmi1DoStep"), self.component)
-        self.bare_step = BareStep(call, _TRUE, self._check_step)
+        self._do_step = partial(self.function("fmi1DoStep"), self.component)
 
     def initialize(self, t0: float, stop_time: float | None, tolerance: float | None) -> None:
         """Initialise; FMI 1.0 takes no tolerance."""
@@ -59,9 +57,7 @@ class Fmi1Slave(_Fmi1, Slave):
 
     def do_step(self, time: float, h: float) -> None:
         """Advance from ``time`` by ``h`` [s]."""
-        self._check_step(self.function("fmi1DoStep")(self.component, time, h, _TRUE))
-
-    def _check_step(self, status: int) -> None:
+        status = self._do_step(time, h, _TRUE)
         if status > WARNING:
             raise failed_call("fmiDoStep", status)
 

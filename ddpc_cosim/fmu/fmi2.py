@@ -7,7 +7,6 @@ from typing import Any
 import fmpy.fmi2
 
 from ddpc_cosim.fmu.instance import (
-    BareStep,
     EventInfo,
     Instance,
     Model,
@@ -66,14 +65,11 @@ class Fmi2Slave(_Fmi2, Slave):
 
     def __init__(self, origin: Origin) -> None:
         super().__init__(origin)
-        call = partial(self.function("fmi2DoStep"), self.component)
-        self.bare_step = BareStep(call, 1, self._check_step)
+        self._do_step = partial(self.function("fmi2DoStep"), self.component)
 
     def do_step(self, time: float, h: float) -> None:
         """Advance from ``time`` by ``h`` [s]."""
-        self._check_step(self.function("fmi2DoStep")(self.component, time, h, 1))
-
-    def _check_step(self, status: int) -> None:
+        status = self._do_step(time, h, 1)
         if status > WARNING:
             asks = status == DISCARD and self._asks_to_terminate()
             raise failed_call("fmi2DoStep", status, asks_to_terminate=asks)

@@ -201,29 +201,8 @@ class Instance(ABC):
         raise CallError("FMI 1.0 knows no states of FMUs")
 
 
-class BareStep(NamedTuple):
-    """A step as C's function does it.
-
-    Parameters
-    ----------
-    call : callable
-        Takes time, step size [s] and ``last``; returns an FMI status.
-    last : Any
-        The last argument.
-    check : callable
-        Raises CallError for a status that is neither ok nor warning.
-    """
-
-    call: Callable[[float, float, Any], int]
-    last: Any
-    check: Callable[[int], None]
-
-
 class Slave(Instance):
     """An instance for Co-Simulation."""
-
-    bare_step: BareStep | None = None
-    """The call behind ``do_step``, where its status alone says how it went."""
 
     uses_event_mode = False
     """Whether inputs are written through ``in_event_mode``."""

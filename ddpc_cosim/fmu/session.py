@@ -14,7 +14,7 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues
-from ddpc_cosim.fmu.co_simulation import BareRun, CoSimulationRun, StepSizes
+from ddpc_cosim.fmu.co_simulation import CoSimulationRun, StepSizes
 from ddpc_cosim.fmu.description import FMUDescription, Interface, Signal, choose_signals
 from ddpc_cosim.fmu.fmi1 import Fmi1Model, Fmi1Slave
 from ddpc_cosim.fmu.fmi2 import Fmi2Model, Fmi2Slave
@@ -119,19 +119,7 @@ def start_run(
         )
     if isinstance(instance, Slave):
         steps = StepSizes(description, interface, label)
-        bare = (inputs.plain, outputs.plain, instance.bare_step)
-        if bare[0] is None or bare[1] is None or bare[2] is None:
-            return CoSimulationRun(instance, inputs, outputs, t0, steps.change)
-        return BareRun(
-            instance,
-            inputs,
-            outputs,
-            t0,
-            steps.change,
-            set_inputs=bare[0],
-            get_outputs=bare[1],
-            step=bare[2],
-        )
+        return CoSimulationRun(instance, inputs, outputs, t0, steps.change)
     raise TypeError(f"{type(instance).__name__} is neither a slave nor a model")
 
 
