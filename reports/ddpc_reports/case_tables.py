@@ -146,8 +146,8 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
 
 def provenance_table(results: StudyResults, prefix: str) -> Table:
     """Return where the results come from, as the run recorded it."""
-    facts = {_spelled(name): value for name, value in results.provenance.items()}
-    facts["seeds"] = compact_seeds(results.study.seeds)
+    facts = [(_spelled(name), value) for name, value in results.provenance.items()]
+    facts.append(("seeds", compact_seeds(results.study.seeds)))
     return facts_table(f"{prefix}provenance", "Provenance of the results", facts, "provenance.csv")
 
 

@@ -86,7 +86,7 @@ def as_given(value: float) -> str:
 
 def given_digits(value: float) -> int:
     """Return the count of significant digits that a number was given with."""
-    mantissa = f"{value:.15g}".partition("e")[0]
+    mantissa = repr(float(value)).partition("e")[0]
     return max(len(mantissa.replace(".", "").replace("-", "").strip("0")), 1)
 
 
@@ -124,7 +124,8 @@ def time_scale(seconds: Iterable[float]) -> Scale:
 def given_duration(seconds: float) -> str:
     """Write a time that was given, such as a sampling time, with its own digits: ``20 ms``, ``5 s``."""
     scale = time_scale([seconds])
-    return with_unit(as_given(seconds * scale.factor), scale.unit)
+    # Fifteen digits hide the rounding of the product.
+    return with_unit(as_given(float(f"{seconds * scale.factor:.15g}")), scale.unit)
 
 
 def duration(seconds: float, digits: int = 3) -> str:

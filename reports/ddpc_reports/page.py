@@ -31,12 +31,10 @@ from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.samples import Column
 from ddpc_reports.sensitivity import sensitivity_figures, sweep_statements
 from ddpc_reports.settings_tables import (
-    bounds_table,
     compact_seeds,
-    controllers_table,
     diagnostics_table,
     family_tables,
-    loop_table,
+    settings_tables,
 )
 from ddpc_reports.table import Table
 from ddpc_reports.verdict import Statement, across_statements, limitations, verdict
@@ -147,11 +145,6 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
     reproduction = study.report.reproduction
     families = family_tables(seen[0], prefix) if seen else []
     first = seen[0] if seen else None
-    settings = [
-        loop_table(results, first, prefix),
-        controllers_table(results, prefix),
-        bounds_table(first, prefix) if first else None,
-    ]
     return StudyPart(
         id=prefix,
         number=number,
@@ -164,7 +157,7 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
         fallbacks=fallbacks_table(seen, prefix),
         reproduction=reproduction_table(seen[0], reproduction, prefix) if reproduction and seen else None,
         families=families,
-        settings=[table for table in settings if table],
+        settings=settings_tables(results, first, prefix),
         limitations=limitations(seen, _MOST_DRAWN),
         failures=failures_table(results, prefix),
         cases=cases_table(results, seen, prefix),

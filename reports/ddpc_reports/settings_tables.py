@@ -1,16 +1,46 @@
 """What was run: settings of every controller, limits, the loop, and diagnostics of the data."""
 
+import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+import re
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from pydantic import BaseModel
 
 from ddpc_cosim import CosimError, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.plugins import load_plugin
 from ddpc_reports.comparison import Condition, ControllerResults, Spread, indices, labels, spread
 from ddpc_reports.numbers import MISSING, as_given, integer, significant, unit_symbol, with_unit
 from ddpc_reports.table import Cell, Heading, Row, Table
+
+if TYPE_CHECKING:
+    from ddpc_cosim.study.sections import (
+        ControllerSection,
+        DriftSection,
+        LoopSection,
+        PlantSection,
+        RecordingSection,
+        ScenarioSection,
+    )
+
+
+def settings_tables(results: StudyResults, condition: Condition | None, prefix: str) -> list[Table]:
+    """Return the loop, the controllers, the variants of sweeps, and the limits at the first seed.
+
+    With the tables of :func:`family_tables`, studies that differ in anything that they set read differently.
+    """
+    traces = condition.first_traces.values() if condition else ()
+    # The units that hold where the study names none.
+    units = {variable.name: variable.unit for trace in traces for variable in _bounded(trace)}
+    tables = [
+        _loop_table(results, units, prefix),
+        _controllers_table(results, units, prefix),
+        _variants_table(results, prefix),
+        _bounds_table(condition, prefix) if condition else None,
+    ]
+    return [table for table in tables if table]
 
 
 def family_tables(condition: Condition, prefix: str) -> list[Table]:
@@ -20,13 +50,21 @@ def family_tables(condition: Condition, prefix: str) -> list[Table]:
     for one in condition.controllers:
         family = sections[one.key].type if one.key in sections else one.key
         families.setdefault(family, []).append(one)
-    return [_family_table(family, members, prefix) for family, members in families.items()]
+    return [_family_table(family, members, sections, prefix) for family, members in families.items()]
 
 
-def _family_table(family: str, members: Sequence[ControllerResults], prefix: str) -> Table:
+def _family_table(
+    family: str,
+    members: Sequence[ControllerResults],
+    sections: Mapping[str, "ControllerSection"],
+    prefix: str,
+) -> Table:
     docs = _setting_docs(family)
-    settings = [one.cases[0].settings for one in members]
-    names = dict.fromkeys(name for own in settings for name in own)
+    settings = [
+        sections[one.key].settings if one.key in sections else one.cases[0].settings for one in members
+    ]
+    given = dict.fromkeys(name for own in settings for name in own)
+    names = [name for name in docs if name in given] + [name for name in given if name not in docs]
     several = len(members) > 1
     rows = tuple(Row(name, (*_values(name, settings), Cell(docs.get(name, MISSING)))) for name in names)
     return Table(
@@ -45,7 +83,7 @@ def _family_table(family: str, members: Sequence[ControllerResults], prefix: str
 
 
 def _values(name: str, settings: Sequence[Mapping[str, Any]]) -> list[Cell]:
-    texts = [_setting_text(own[name]) if name in own else MISSING for own in settings]
+    texts = [value_text(own[name]) if name in own else MISSING for own in settings]
     return [Cell(text, text, differs=text != texts[0]) for text in texts]
 
 
@@ -67,25 +105,82 @@ def _setting_docs(family: str) -> dict[str, str]:
     }
 
 
-def controllers_table(results: StudyResults, prefix: str) -> Table:
-    """Return what each controller is: its type, and the study's word about it."""
-    sections, numbers = results.study.controllers, indices(results)
-    rows = tuple(
-        Row(label, (Cell(sections[key].type), Cell(sections[key].note or MISSING)), key, numbers[key])
+def _controllers_table(results: StudyResults, units: Mapping[str, str], prefix: str) -> Table:
+    """Return what each controller is: its type, the study's note about it, and what it has of its own."""
+    numbers = indices(results)
+    own = {
+        key: (label, section)
         for key, label in labels(results).items()
-        if key in sections and not sections[key].variant_of
+        if (section := results.study.controllers.get(key)) and not section.variant_of
+    }
+    columns = {
+        "type": [section.type for _, section in own.values()],
+        "name": [key if key != label else "" for key, (label, _) in own.items()],
+        "differs from the study": [_own_words(section, units) for _, section in own.values()],
+        "note": [section.note for _, section in own.values()],
+    }
+    shown = {title: texts for title, texts in columns.items() if title in ("type", "note") or any(texts)}
+    rows = tuple(
+        Row(label, tuple(Cell(texts[i] or MISSING) for texts in shown.values()), key, numbers[key])
+        for i, (key, (label, _)) in enumerate(own.items())
     )
-    headings = (
-        Heading("Controller", numeric=False),
-        Heading("type", numeric=False),
-        Heading("note", numeric=False),
-    )
+    headings = tuple(Heading(title, numeric=False) for title in ("Controller", *shown))
     return Table(
         f"{prefix}controllers", "Controllers", headings, rows, download="controllers.csv", kind="facts"
     )
 
 
-def bounds_table(condition: Condition, prefix: str) -> Table | None:
+def _own_words(section: "ControllerSection", units: Mapping[str, str]) -> str:
+    """Return the limits that replace the study's, and whatever else the study says of a controller."""
+    limits = [
+        f"limits of {name}: {_signal(one, units.get(name, ''))}" for name, one in section.bounds.items()
+    ]
+    said = {"type", "label", "note", "settings", "bounds", "variant_of", "varied"}
+    return "; ".join([*limits, *(f"{name}: {text}" for name, text in _others(section, said))])
+
+
+def _variants_table(results: StudyResults, prefix: str) -> Table | None:
+    """Return in what each variant of a sweep differs from its controller; None without sweeps."""
+    sections, numbers = results.study.controllers, indices(results)
+    variants = {
+        key: (label, section.variant_of)
+        for key, label in labels(results).items()
+        if (section := sections.get(key)) and section.variant_of
+    }
+    if not variants:
+        return None
+    rows = tuple(
+        Row(
+            label,
+            (Cell(key), Cell(_difference(sections[key], sections.get(base)))),
+            key,
+            numbers[key],
+            group=base,
+        )
+        for key, (label, base) in variants.items()
+    )
+    headings = tuple(Heading(title, numeric=False) for title in ("Variant", "name", "settings that differ"))
+    caption = f"Variants in sweeps ({len(rows)})"
+    return Table(f"{prefix}variants", caption, headings, rows, kind="grouped", download="variants.csv")
+
+
+def _difference(variant: "ControllerSection", base: "ControllerSection | None") -> str:
+    """Return the settings that were varied, and whatever else differs from the controller."""
+    own, theirs = variant.settings, base.settings if base else {}
+    varied = {name: own.get(name) for name in variant.varied}
+    names = dict.fromkeys(name for name in (*own, *theirs) if name not in varied)
+    others = {name: own.get(name) for name in names if own.get(name) != theirs.get(name)}
+    said = {"label", "settings", "variant_of", "varied"}
+    keys, their_keys = (one.model_dump(exclude=said) for one in (variant, base or variant))
+    parts = [
+        mapping_text(varied),
+        f"also {mapping_text(others)}" if others else "",
+        *(f"{name}: {value_text(value)}" for name, value in keys.items() if value != their_keys[name]),
+    ]
+    return "; ".join(filter(None, parts))
+
+
+def _bounds_table(condition: Condition, prefix: str) -> Table | None:
     """Return the limits that each controller ran with at the first seed, or None if nothing ran."""
     traces = condition.first_traces
     if not traces:
@@ -121,43 +216,72 @@ def _interval(variable: Variable, low: float, high: float) -> str:
     return with_unit(" … ".join(as_given(end) for end in ends), unit_symbol(variable.shown_in.name))
 
 
-def loop_table(results: StudyResults, condition: Condition | None, prefix: str) -> Table:
-    """Return plant, timing, references, recording and scenarios as the study sets them."""
+def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) -> Table:
+    """Return plant, timing, references, limits, recording and scenarios: everything that the study sets."""
     study = results.study
-    units = _own_units(condition)
-    plant, loop = study.plant, study.loop
-    facts = {
-        "plant": plant.name or plant.fmu,
-        "inputs": ", ".join(plant.inputs) or "all of the plant",
-        "controlled outputs": ", ".join(plant.outputs) or "all of the plant",
-        "measurements": ", ".join(plant.measurements) or "the controlled outputs",
-        "plant parameters changed": _mapping(plant.parameters),
-        "sampling time": with_unit(as_given(loop.sampling_time), "s"),
-        "duration": f"{with_unit(as_given(loop.duration), 's')}, {loop.steps} samples",
-        "start": {"rest": "from rest", "recording-end": "where the recording ended"}[loop.start],
-    }
-    facts |= {
-        f"reference of {name}": _signal(section, units.get(name, ""))
-        for name, section in study.reference.items()
-    }
-    if study.recording:
-        facts["recording"] = f"{study.recording.samples} samples"
-        if study.recording.controller:
-            facts["recorded under"] = f"{study.recording.controller.type}, excitation added to its inputs"
-        facts |= {
-            f"excitation of {name}": _signal(one, units.get(name, ""))
-            for name, one in study.recording.excitation.items()
-        }
-    facts |= {
-        f"scenario {section.label or name}": _scenario(section) for name, section in study.scenarios.items()
-    }
-    facts["seeds"] = compact_seeds(study.seeds)
+    facts = [("study", study.name), *_plant_facts(study.plant), *_timing_facts(study.loop)]
+    facts += [
+        (f"{what} of {name}", _signal(section, units.get(name, "")))
+        for what, sections in (("reference", study.reference), ("limits", study.bounds))
+        for name, section in cast("Mapping[str, Any]", sections).items()
+    ]
+    facts += _recording_facts(study.recording, units) if study.recording else []
+    facts += [
+        (f"scenario {_labelled(name, section.label)}", _scenario_text(section))
+        for name, section in study.scenarios.items()
+    ]
+    facts.append(("seeds", compact_seeds(study.seeds)))
     return facts_table(f"{prefix}loop", "The loop, the same for all controllers", facts, "loop.csv")
 
 
-def facts_table(identifier: str, caption: str, facts: Mapping[str, str], download: str) -> Table:
+def _plant_facts(plant: "PlantSection") -> list[tuple[str, str]]:
+    said = {"name", "fmu", "inputs", "outputs", "measurements", "parameters"}
+    return [
+        ("plant", plant.name) if plant.name else ("FMU", plant.fmu),
+        ("inputs", _names(plant.inputs) or "all of the plant"),
+        ("controlled outputs", _names(plant.outputs) or "all of the plant"),
+        ("measurements", _names(plant.measurements) or "the controlled outputs"),
+        ("plant parameters changed", mapping_text(plant.parameters)),
+        *((f"plant: {name}", text) for name, text in _others(plant, said)),
+    ]
+
+
+def _timing_facts(loop: "LoopSection") -> list[tuple[str, str]]:
+    starts = {"rest": "from rest", "recording-end": "where the recording ended"}
+    said = {"sampling_time", "duration", "start"}
+    return [
+        ("sampling time", with_unit(as_given(loop.sampling_time), "s")),
+        ("duration", f"{with_unit(as_given(loop.duration), 's')}, {loop.steps} samples"),
+        ("start", starts.get(loop.start, loop.start)),
+        *((f"loop: {name}", text) for name, text in _others(loop, said)),
+    ]
+
+
+def _recording_facts(recording: "RecordingSection", units: Mapping[str, str]) -> list[tuple[str, str]]:
+    facts = [("recording", f"{recording.samples} samples")]
+    if recording.controller:
+        section = recording.controller
+        settings = f" ({mapping_text(section.settings)})" if section.settings else ""
+        facts.append(("recorded under", f"{section.type}{settings}, excitation added to its inputs"))
+    facts += [
+        (f"excitation of {name}", _signal(one, units.get(name, "")))
+        for name, one in recording.excitation.items()
+    ]
+    others = _others(recording, {"samples", "controller", "excitation"})
+    return facts + [(f"recording: {name}", text) for name, text in others]
+
+
+def _others(section: BaseModel, said: Container[str]) -> Iterator[tuple[str, str]]:
+    """Yield names and values of the keys that are not said elsewhere and differ from their defaults."""
+    values = section.model_dump()
+    for name, field in type(section).model_fields.items():
+        if name not in said and values[name] != field.get_default(call_default_factory=True):
+            yield name.replace("_", " "), value_text(values[name])
+
+
+def facts_table(identifier: str, caption: str, facts: Iterable[tuple[str, str]], download: str) -> Table:
     """Return a table of two columns, names and values."""
-    rows = tuple(Row(name, (Cell(value or MISSING),)) for name, value in facts.items())
+    rows = tuple(Row(name, (Cell(value or MISSING),)) for name, value in facts)
     headings = (Heading("What", numeric=False), Heading("Value", numeric=False))
     return Table(identifier, caption, headings, rows, kind="facts", download=download)
 
@@ -173,44 +297,76 @@ def compact_seeds(seeds: Sequence[int]) -> str:
     return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}\N{EN DASH}{run[-1]}" for run in runs)
 
 
-def _own_units(condition: Condition | None) -> dict[str, str]:
-    """Return the units that hold where the study file names none: the variables' own."""
-    traces = condition.first_traces.values() if condition else ()
-    return {variable.name: variable.unit for trace in traces for variable in _bounded(trace)}
-
-
 def _signal(section: Any, own_unit: str) -> str:
-    """Write a signal's section as its kind and its values, with their unit last."""
-    values = section.model_dump(exclude={"kind", "unit"})
-    words = ", ".join(f"{key.replace('_', ' ')} {_setting_text(value)}" for key, value in values.items())
-    unit = unit_symbol(section.unit or own_unit)
-    return f"{section.kind}: {words}" + (f" (values in {unit})" if unit else "")
+    """Write a section about a signal: its kind, its values, and their unit last."""
+    values = section.model_dump(exclude={"kind", "unit"}, exclude_none=True)
+    words = ", ".join(f"{key.replace('_', ' ')} {value_text(value)}" for key, value in values.items())
+    kind = f"{section.kind}: " if hasattr(section, "kind") else ""
+    unit = unit_symbol(section.unit) or section.unit
+    own = f"{unit_symbol(own_unit)}, its own unit".removeprefix(", ")
+    return f"{kind}{words or 'none'} (values in {unit or own})"
 
 
-def _scenario(section: Any) -> str:
+def _scenario_text(section: "ScenarioSection") -> str:
     parts = [
-        f"parameters {_mapping(section.parameters)}" if section.parameters else "",
-        f"noise, standard deviation {_mapping(section.noise)}" if section.noise else "",
-        *(f"at {as_given(event.time)} s: {_mapping(event.parameters)}" for event in section.events),
+        f"parameters {mapping_text(section.parameters)}" if section.parameters else "",
+        f"noise, standard deviation {mapping_text(section.noise)}" if section.noise else "",
+        *(f"at {as_given(one.time)} s: {mapping_text(one.parameters)}" for one in section.events),
+        *(_drift_text(one) for one in section.drifts),
+        *(
+            f"{name}: {text}"
+            for name, text in _others(section, {"label", "parameters", "noise", "events", "drifts"})
+        ),
     ]
     return "; ".join(filter(None, parts)) or "nothing changed"
 
 
-def _mapping(values: Mapping[str, float | str]) -> str:
-    texts = (value if isinstance(value, str) else as_given(value) for value in values.values())
-    return ", ".join(f"{name} = {text}" for name, text in zip(values, texts, strict=True)) or "none"
+def _drift_text(drift: "DriftSection") -> str:
+    first, last = as_given(drift.from_time), as_given(drift.to_time)
+    values = f"from {as_given(drift.from_value)} to {as_given(drift.to_value)}"
+    return f"{_plain(drift.parameter)} {values} between {first} s and {last} s"
 
 
-def _setting_text(value: Any) -> str:
+def _labelled(name: str, label: str) -> str:
+    return f"{label} ({name})" if label and label != name else name
+
+
+def mapping_text(values: Mapping[str, Any]) -> str:
+    """Write names and values: ``a = 1, b = 2``; of none, ``none``."""
+    return value_text(values) if values else "none"
+
+
+def value_text(value: Any, *, nested: bool = False) -> str:
+    """Write a value of a setting in full, so that different values read differently."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int | float):
-        return as_given(float(value))
+        return as_given(value) if float(value) == value else str(value)
+    if value is None:
+        return "not set"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_setting_text(entry) for entry in value) + "]"
+        return "[" + ", ".join(value_text(entry, nested=True) for entry in value) + "]"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} = {_setting_text(entry)}" for key, entry in value.items())
-    return str(value)
+        pairs = ", ".join(f"{_plain(name)} = {value_text(one, nested=True)}" for name, one in value.items())
+        return pairs if pairs and not nested else f"{{{pairs}}}"
+    return _plain(str(value))
+
+
+def _names(names: Sequence[str]) -> str:
+    return ", ".join(map(_plain, names))
+
+
+_AMBIGUOUS = re.compile(
+    r"|yes|no|not set|\{\}"  # what other values read like
+    r'|[\d\s\-"\[\u2212\u2013\u221e].*'  # begins like a number, a list or a dash
+    r'|.*(?:[,;="\n]|\s$).*',  # has what separates values
+    re.DOTALL,
+)
+"""Texts that could be read as another value, or as several."""
+
+
+def _plain(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False) if _AMBIGUOUS.fullmatch(text) else text
 
 
 def _slug(text: str) -> str:

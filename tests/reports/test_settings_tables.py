@@ -1,0 +1,365 @@
+"""The settings in the report: whatever a study sets, two studies that differ in it read differently."""
+
+import math
+from collections.abc import Iterator
+from copy import deepcopy
+from dataclasses import replace
+from typing import Any, get_args
+
+import pytest
+from hypothesis import given, strategies as st
+from markupsafe import Markup
+from pydantic import BaseModel, ValidationError
+
+from ddpc_cosim import StudyResults
+from ddpc_cosim.study.sections import ReportSection, Study
+from ddpc_reports import figures
+from ddpc_reports.comparison import conditions
+from ddpc_reports.page import render_page
+from ddpc_reports.settings_tables import family_tables, settings_tables, value_text
+from ddpc_reports.table import Table
+
+from .synthetic import MakeResults, make_study
+
+COST = "sum_abs_error.angle [deg]"
+OBJECT = {"type": "module:Kernel", "count": 10, "widths": [0.5, 2.0], "centres": {"low": 0.0, "names": ["a"]}}
+CONTENT: dict[str, Any] = {
+    "name": "everything",
+    "title": "Everything",
+    "summary": "All that a study can set.",
+    "source": "A book",
+    "seeds": [7, 8],
+    "plant": {
+        "name": "pendulum",
+        "inputs": ["torque"],
+        "outputs": ["angle"],
+        "measurements": ["angle", "speed"],
+        "parameters": {"mass": 2.0, "mode": "soft", "stiff": True},
+        "display_units": {"angle": "deg"},
+        "nominal": {"angle": 0.5},
+        "fmi_type": "co-simulation",
+        "isolated": True,
+        "step_timeout": 5.0,
+    },
+    "loop": {"sampling_time": 0.1, "duration": 6.0, "start_time": 2.0, "start": "recording-end"},
+    "reference": {
+        "angle": {"kind": "steps", "times": [0.0, 3.0], "values": [10.0, 20.0], "unit": "deg"},
+        "constant": {"kind": "constant", "value": 1.0, "unit": "m"},
+        "ramp": {
+            "kind": "ramp",
+            "from_value": 0.0,
+            "to_value": 1.0,
+            "from_time": 1.0,
+            "to_time": 2.0,
+            "unit": "m",
+        },
+        "sine": {
+            "kind": "sine",
+            "amplitude": 1.0,
+            "frequency": 2.0,
+            "offset": 0.5,
+            "phase": 0.25,
+            "unit": "m",
+        },
+    },
+    "bounds": {"torque": {"min": -3.0, "max": 3.5, "unit": "N.m"}, "angle": {"max": 70.0, "unit": "deg"}},
+    "recording": {
+        "samples": 200,
+        "excitation": {"torque": {"kind": "uniform", "low": -3.0, "high": 3.0, "unit": "N.m"}},
+        "controller": {"type": "pid", "settings": {"gains": [1.0, 2.0]}},
+    },
+    "controllers": {
+        "quick": {
+            "type": "a",
+            "label": "Quick",
+            "note": "the first",
+            "settings": {"horizon": 5, "kernel": OBJECT, "slack": True, "kind": "ridge"},
+            "bounds": {"angle": {"min": -70.0, "max": 71.0, "unit": "deg"}},
+            "sweep": [{"horizon": [5, 6]}],
+        },
+        "quick-horizon-9": {
+            "type": "a",
+            "label": "Quick, horizon = 9",
+            "settings": {"horizon": 9, "kernel": deepcopy(OBJECT), "slack": True, "kind": "ridge"},
+            "variant_of": "quick",
+            "varied": ["horizon"],
+        },
+        "slow": {"type": "b", "label": "Slow"},
+    },
+    "scenarios": {
+        "calm": {
+            "label": "Calm",
+            "parameters": {"mass": 1.0},
+            "noise": {"angle": 0.01},
+            "events": [{"time": 1.0, "parameters": {"damping": 0.3}}],
+            "drifts": [
+                {
+                    "parameter": "mass",
+                    "from_value": 1.0,
+                    "to_value": 0.5,
+                    "from_time": 1.0,
+                    "to_time": 5.0,
+                }
+            ],
+        },
+        "plain": {},
+    },
+    "report": {
+        "panels": [{"title": "Both", "controllers": ["quick", "slow"]}],
+        "limitations": ["One plant only."],
+        "reproduction": {
+            "source": "Table 9",
+            "metrics": {COST: "Absolute error"},
+            "methods": [
+                {"label": "Method", "printed": "quick", "published_code": "slow", "values": {COST: 150.0}}
+            ],
+            "notes": ["As printed."],
+            "parameters": "As run",
+        },
+    },
+}
+TEXTS = {"title", "summary", "source", "report"}
+"""What the study says of itself stands in other parts of the page."""
+Path = tuple[str | int, ...]
+
+
+@pytest.fixture
+def results(make_results: MakeResults) -> StudyResults:
+    return make_results(**{key: value for key, value in CONTENT.items() if key != "name"} | {"name": "every"})
+
+
+def alternatives(value: Any) -> list[Any]:
+    """Return other values of the same kind, some of which the study may refuse."""
+    if isinstance(value, bool):
+        return [not value]
+    if isinstance(value, float):
+        return [value + 0.25, math.nextafter(value, math.inf), 2 * value, value / 4]
+    if isinstance(value, int):
+        return [value + 1]
+    if isinstance(value, list):
+        return [value[:-1], [*value, *alternatives(value[-1])[:1]]] if value else []
+    if isinstance(value, str):
+        return ["model-exchange", "rest", f"{value}x"]
+    return []
+
+
+def changes(content: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
+    """Yield paths into the content and what may stand there instead."""
+    items = content.items() if isinstance(content, dict) else enumerate(content)
+    for key, value in items:
+        for other in alternatives(value):
+            if other != value:
+                yield (*path, key), other
+        if isinstance(value, dict | list):
+            yield from changes(value, (*path, key))
+
+
+def changed(content: dict[str, Any], path: Path, value: Any) -> dict[str, Any]:
+    copy = deepcopy(content)
+    place: Any = copy
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    return copy
+
+
+def renamed(content: dict[str, Any], path: Path, name: str) -> dict[str, Any]:
+    """Return the content with another name for the key at the end of the path, in its place."""
+    place: Any = content
+    for key in path[:-1]:
+        place = place[key]
+    value = {name if key == path[-1] else key: one for key, one in place.items()}
+    return changed(content, path[:-1], value) if len(path) > 1 else value
+
+
+def with_study(results: StudyResults, content: dict[str, Any]) -> StudyResults:
+    """Return the results as if they were those of another study with as many controllers and scenarios."""
+    study = Study.model_validate(content)
+    keys = dict(zip(results.study.controllers, study.controllers, strict=True))
+    scenarios = dict(zip(results.study.scenarios, study.scenarios, strict=True))
+    cases = tuple(
+        replace(
+            case,
+            controller=keys[case.controller],
+            scenario=scenarios[case.scenario],
+            label=study.controllers[keys[case.controller]].label or keys[case.controller],
+        )
+        for case in results.cases
+    )
+    return replace(results, study=study, cases=cases)
+
+
+def text(results: StudyResults) -> str:
+    """Return all tables of settings in one text."""
+    first = conditions(results)[0]
+    return "\n".join(map(table_text, [*settings_tables(results, first, ""), *family_tables(first, "")]))
+
+
+def table_text(table: Table) -> str:
+    rows = [(row.group, row.header, *(cell.text for cell in row.cells)) for row in table.rows]
+    return "\n".join(map(repr, [(table.caption, *(one.words for one in table.headings)), *rows]))
+
+
+def sections_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the classes of sections in an annotation, and in their own."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+        for field in annotation.model_fields.values():
+            yield from sections_in(field.annotation)
+    for one in get_args(annotation):
+        yield from sections_in(one)
+
+
+def set_fields(section: BaseModel) -> Iterator[tuple[str, str]]:
+    """Yield class and field of everything that a section and those in it set."""
+    for name in section.model_fields_set:
+        yield type(section).__name__, name
+        yield from set_in(getattr(section, name))
+
+
+def set_in(value: Any) -> Iterator[tuple[str, str]]:
+    if isinstance(value, BaseModel):
+        yield from set_fields(value)
+    for one in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from set_in(one)
+
+
+def test_the_study_of_these_tests_sets_every_field_there_is() -> None:
+    """A field that is added to the study files has to be added to these tests."""
+    known = {(one.__name__, name) for one in sections_in(Study) for name in one.model_fields}
+    assert known - set(set_fields(Study.model_validate(CONTENT))) == {("PlantSection", "fmu")}
+
+
+def test_studies_that_differ_in_one_value_read_differently(results: StudyResults) -> None:
+    content = CONTENT | {"name": "every"}
+    seen = {text(with_study(results, content)): "the study itself"}
+    tried = set()
+    settings = {key: value for key, value in content.items() if key not in TEXTS}
+    for path, value in changes(settings):
+        try:
+            other = with_study(results, changed(content, path, value))
+        except ValidationError:
+            continue
+        told = f"{path} = {value!r}"
+        assert seen.setdefault(text(other), told) == told
+        tried.add(path)
+    fixed = {path for path, _ in changes(settings) if path[-1] == "kind" and path[0] != "controllers"}
+    assert {path for path, _ in changes(settings)} - tried == fixed
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        ("plant", "parameters", "mass"),
+        ("plant", "nominal", "angle"),
+        ("plant", "display_units", "angle"),
+        ("reference", "constant"),
+        ("bounds", "angle"),
+        ("recording", "excitation", "torque"),
+        ("controllers", "slow"),
+        ("controllers", "quick-horizon-9"),
+        ("controllers", "quick", "settings", "horizon"),
+        ("controllers", "quick", "settings", "kernel", "count"),
+        ("controllers", "quick", "bounds", "angle"),
+        ("controllers", "quick", "sweep", 0, "horizon"),
+        ("scenarios", "calm"),
+        ("scenarios", "calm", "noise", "angle"),
+        ("scenarios", "calm", "events", 0, "parameters", "damping"),
+    ],
+    ids=lambda path: ".".join(map(str, path)),
+)
+def test_studies_that_differ_in_a_name_read_differently(results: StudyResults, path: Path) -> None:
+    content = CONTENT | {"name": "every"}
+    assert text(with_study(results, renamed(content, path, "another"))) != text(with_study(results, content))
+
+
+def test_a_plant_and_an_fmu_of_the_same_name_read_differently(results: StudyResults) -> None:
+    plant = CONTENT["plant"] | {"name": "", "fmu": "pendulum"}
+    assert text(with_study(results, CONTENT | {"plant": plant})) != text(with_study(results, CONTENT))
+
+
+def test_every_kind_of_reference_is_named(results: StudyResults) -> None:
+    told = text(results)
+    assert all(f"'{kind}: " in told for kind in ("constant", "steps", "ramp", "sine", "uniform"))
+
+
+def test_what_the_study_says_of_itself_is_in_the_page(
+    make_results: MakeResults, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(figures, "static_svg", lambda *drawing: Markup(""))
+    content = {key: CONTENT[key] for key in sorted(TEXTS)}
+    results = make_results(**content)
+    content = results.study.model_dump()
+    # A controller that is not there is not drawn: taking one from a panel is change enough.
+    told = {
+        path: value
+        for path, value in reversed([*changes(content)])
+        if path[0] in TEXTS and path[-2:-1] != ("controllers",)
+    }
+    assert {path[1] for path in told if path[0] == "report"} == set(ReportSection.model_fields)
+    pages = {render_page([results]): "the study itself"}
+    for path, value in told.items():
+        page = render_page([with_study(results, changed(content, path, value))])
+        assert pages.setdefault(page, f"{path} = {value!r}") == f"{path} = {value!r}"
+
+
+def test_a_scenario_that_only_drifts_says_so(make_results: MakeResults) -> None:
+    drift = {"parameter": "mass", "from_value": 1.0, "to_value": 0.5, "from_time": 5.0, "to_time": 65.0}
+    results = make_results(scenarios={"constant": {}, "slow": {"label": "Slow drift", "drifts": [drift]}})
+    told = loop_rows(results)
+    assert told["scenario constant"] == "nothing changed"
+    assert told["scenario Slow drift (slow)"] == "mass from 1 to 0.5 between 5 s and 65 s"
+
+
+def test_scenarios_of_the_same_label_both_have_their_row(make_results: MakeResults) -> None:
+    results = make_results(scenarios={"a": {"label": "Same"}, "b": {"label": "Same"}})
+    assert {"scenario Same (a)", "scenario Same (b)"} <= loop_rows(results).keys()
+
+
+def test_what_is_left_at_its_default_takes_no_room(make_results: MakeResults) -> None:
+    told = loop_rows(make_results())
+    assert not any(name.startswith(("plant: ", "loop: ")) for name in told)
+    study = make_study({"quick": {"type": "a"}, "slow": {"type": "b"}}, bounds=CONTENT["bounds"])
+    told = loop_rows(replace(make_results(), study=study))
+    assert told["limits of angle"] == "max 70 (values in °)"
+
+
+def loop_rows(results: StudyResults) -> dict[str, str]:
+    table = settings_tables(results, conditions(results)[0], "")[0]
+    return {row.header: row.cells[0].text for row in table.rows}
+
+
+LEAVES = st.one_of(st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=4))
+NAMES = st.text(max_size=3)
+VALUES = st.recursive(
+    LEAVES, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=3)
+)
+
+
+@given(VALUES, VALUES)
+def test_different_values_read_differently(one: Any, other: Any) -> None:
+    if one != other:
+        assert value_text(one) != value_text(other)
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        (True, "yes"),
+        ("yes", '"yes"'),
+        (1e7, "10⁷"),
+        (0.1 + 0.2, "0.30000000000000004"),
+        ("5", '"5"'),
+        ("none", "none"),
+        ("module:Class", "module:Class"),
+        ("{plant}", "{plant}"),
+        ("./a.fmu", "./a.fmu"),
+        ("a, b", '"a, b"'),
+        (["a", "b"], "[a, b]"),
+        ([], "[]"),
+        ({}, "{}"),
+        ({"a": 1, "b": {"c": 2}}, "a = 1, b = {c = 2}"),
+    ],
+)
+def test_values_are_written_plainly_where_that_is_clear(value: Any, told: str) -> None:
+    assert value_text(value) == told
