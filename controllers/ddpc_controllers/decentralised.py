@@ -1,4 +1,4 @@
-"""Decentralised control: one controller for every group of inputs and outputs, none knowing of the others."""
+"""Decentralised control: one controller for every group of inputs and outputs, on its part of the loop."""
 
 from collections.abc import Sequence
 from copy import deepcopy

@@ -99,7 +99,7 @@ class IPID(Controller):
     The reference counts as constant, so that its derivatives are not followed. What enters the estimation are
     the inputs within their limits, so that a limit does not wind it up; the integral of an output stands
     still while an input that it moves is at a limit. A measurement that is not finite is replaced by what the
-    model expects, and counted.
+    model expects, which is a status.
     """
 
     accepts_missing: ClassVar[bool] = True

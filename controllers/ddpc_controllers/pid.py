@@ -7,7 +7,7 @@
 
 after K. J. Astrom, T. Hagglund, Advanced PID Control, ISA 2006, sections 3.4, 3.5 and 13.2. The integral is
 the backward difference too, so that v of a sample contains its error; without integral action, K_i = 0, it
-is a constant. The time t since y_before is h, and longer after samples that were lost. As r the loop takes
+is a constant. The time t since y_before is h, and longer after missing measurements. As r the loop takes
 the reference of the next sample: the first that this input can reach.
 
 Gains from a step test, or any other experiment, by the SIMC rules: a second-order model with delay, ``k
@@ -84,7 +84,7 @@ class SecondOrder:
     delay: float
 
 
-def least_test_samples(inputs: int) -> int:
+def fewest_test_samples(inputs: int) -> int:
     """Return the fewest samples that a model can be fitted to, for so many inputs."""
     return _LAGS * (2 + inputs) + _LAGS + 1
 
@@ -97,7 +97,7 @@ def tune_from_recording(recording: Recording, pairs: Sequence[int], closed_loop_
     DataError
         The recording is too short, or shows a loop that the rules do not cover.
     """
-    needed = least_test_samples(recording.u.shape[1])
+    needed = fewest_test_samples(recording.u.shape[1])
     if len(recording) < needed:
         raise DataError(
             f"PID: the recording has {len(recording)} samples; a step test takes at least {needed}"
@@ -119,7 +119,7 @@ def fit_second_order(recording: Recording, output: int, chosen: int) -> SecondOr
     """
     h, samples = recording.sampling_time, len(recording)
     y = recording.y[:, [output]]
-    longest = min(_LARGEST_DELAY, samples - least_test_samples(recording.u.shape[1]))
+    longest = min(_LARGEST_DELAY, samples - fewest_test_samples(recording.u.shape[1]))
     models = [fit_arx(Recording(_delayed(recording.u, d), y, y, h), _LAGS) for d in range(longest + 1)]
     delay = int(np.argmin([model.fit["one_step_error"] for model in models]))
     u, y = recording.u[: samples - delay], y[delay:]
@@ -286,7 +286,7 @@ class PID(Controller):
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that a step test can be read from; 0 with manual tuning."""
-        return least_test_samples(inputs) if self.tuning == "step-test" else 0
+        return fewest_test_samples(inputs) if self.tuning == "step-test" else 0
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the gains in use."""

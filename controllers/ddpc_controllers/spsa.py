@@ -35,8 +35,8 @@ class SPSA(Controller):
     are perturbed in parts of their initial values; a gain that starts at 0 stays there. The first gains
     need not stabilise the plant, but keep it long enough for a few windows.
 
-    A measurement or reference that is not finite is a counted failure: the inputs are held, and the windows
-    of this perturbation begin anew.
+    A measurement or reference that is not finite is a fallback: the inputs are held, and the windows of this
+    perturbation begin anew.
     """
 
     accepts_missing: ClassVar[bool] = True

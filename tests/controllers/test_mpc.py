@@ -293,7 +293,7 @@ def test_impossible_settings_are_refused(changes: dict[str, Any], message: str) 
 def test_an_integrating_plant_cannot_carry_an_output_disturbance() -> None:
     integrator = StateSpace(a=[[1.0]], b=[[0.1]], c=[[1.0]], sampling_time=0.1)
     loop = make_loop(None, np.ones(1), np.ones(1))
-    with pytest.raises(ConfigError, match=r'"output" cannot be told .* 1 constant mode'):
+    with pytest.raises(ConfigError, match=r'"output" cannot be distinguished .* 1 constant mode'):
         MPC(model=integrator, disturbance="output").start(loop)
     on_inputs, chosen = MPC(model=integrator, disturbance="input"), MPC(model=integrator)
     sample = Sample(0, 0.0, np.full(1, 0.2), np.zeros(1), np.ones((5, 1)))

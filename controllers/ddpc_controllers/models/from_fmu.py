@@ -1,15 +1,14 @@
 """Linear models from an FMU: by the derivatives of its equations, or by pulses at its inputs.
 
-An FMU for Model Exchange tells how the derivatives of its states and its outputs depend on states and inputs,
-or lets itself be asked beside the operating point. From any other, or where its inputs act through discrete
-states, pulses make a sampled model.
+An FMU for Model Exchange has directional derivatives of its states' derivatives and its outputs, or can be
+evaluated near the operating point. From any other, or where its inputs act through discrete states, pulses
+make a sampled model.
 
-For those, any :class:`~ddpc_cosim.Plant` will do: an FMU, or one written in Python. Nothing but ``reset`` and
-``step`` is asked of it (and where it can, ``restore_state`` to return to the operating point), and no state
-is seen: a pulse of one sample at each input, up and down, gives the impulse response at an operating point by
-central differences; its balanced realisation is the model (J.-N. Juang, R. S. Pappa, J. Guidance 8(5), 1985,
-doi:10.2514/3.20031). A controller gets it through :class:`FMUModel` or
-:class:`~ddpc_controllers.models.linear.ModelFunction`.
+They serve any :class:`~ddpc_cosim.Plant`, an FMU or one written in Python, of which only ``reset`` and
+``step`` are used (and ``restore_state``, where it can return to the operating point). A pulse of one sample
+at each input, up and down, gives the impulse response at an operating point by central differences. Its
+balanced realisation is the model (J.-N. Juang, R. S. Pappa, J. Guidance 8(5), 1985, doi:10.2514/3.20031). A
+controller gets it through :class:`FMUModel` or :class:`~ddpc_controllers.models.linear.ModelFunction`.
 """
 
 import math
@@ -148,7 +147,7 @@ class FMUModel(ModelSource):
     derivatives: Derivatives = setting(
         "auto",
         choices=_CHOICES,
-        doc="the FMU's directional ones, differences beside the point, or pulses; auto: the first it can",
+        doc="the FMU's directional ones, differences near the point, or pulses; auto: the first it can",
     )
     operating_input: Sequence[float] = setting((), doc="inputs there; empty: the FMU's start values")
     settling_time: float = setting(0.0, low=0.0, unit="s", doc="time for which they are held to get there")
@@ -169,7 +168,7 @@ class FMUModel(ModelSource):
         FMUImportError
             The FMU cannot be loaded.
         FMUStepError
-            It fails at the operating point or beside it.
+            It fails at the operating point or near it.
         ConfigError
             It has no such inputs or outputs, or cannot be linearised as it is asked for.
         """

@@ -147,11 +147,11 @@ def _with_disturbance(model: SampledModel, disturbance: Disturbance) -> tuple[Fl
         hidden[kind] = n + size - numerical_rank(constant, _DETECTABLE)
         if disturbance == "none" or not hidden[kind]:
             return a, c
-    told = "; ".join(
+    modes = "; ".join(
         f'"{kind}": {count} constant mode(s) hidden' for kind, count in sorted(hidden.items(), reverse=True)
     )
     raise ConfigError(
-        f'disturbance = "{disturbance}" cannot be told from the states by the outputs ({told}): '
+        f'disturbance = "{disturbance}" cannot be distinguished from the states at the outputs ({modes}): '
         'control more outputs, or choose another, "input" for a plant that integrates, or "none"'
     )
 
