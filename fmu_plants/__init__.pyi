@@ -9,5 +9,6 @@ from .model import (
     PlantModel as PlantModel,
     Symbols as Symbols,
     Variable as Variable,
+    tunable as tunable,
 )
 from .units import DisplayUnit as DisplayUnit

@@ -12,7 +12,7 @@ Pendulum: System Modeling", with the angle counted from the upright instead of f
 
 from math import degrees
 
-from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable, tunable
 
 POSITION = Variable("position", "m", nominal=0.1, description="Position p of the cart")
 VELOCITY = Variable("velocity", "m/s", description="Velocity of the cart")
@@ -61,24 +61,13 @@ MODEL = PlantModel(
     inputs=(FORCE,),
     outputs=(POSITION, ANGLE, VELOCITY, ANGULAR_VELOCITY),
     parameters=(
-        Parameter(
-            "cart_mass", "kg", 1e-3, start=0.5, description="Mass M of the cart", variability="tunable"
-        ),
-        Parameter(
-            "pendulum_mass",
-            "kg",
-            1e-3,
-            start=0.2,
-            description="Mass m of the pendulum",
-            variability="tunable",
-        ),
+        tunable("cart_mass", "kg", 1e-3, start=0.5, description="Mass M of the cart"),
+        tunable("pendulum_mass", "kg", 1e-3, start=0.2, description="Mass m of the pendulum"),
         Parameter("length", "m", 1e-3, start=0.3, description="Length l to the centre of mass"),
         Parameter(
             "inertia", "kg.m2", 0.0, start=0.006, nominal=0.01, description="Inertia I of the pendulum"
         ),
-        Parameter(
-            "friction", "N.s/m", 0.0, start=0.1, description="Friction b of the cart", variability="tunable"
-        ),
+        tunable("friction", "N.s/m", 0.0, start=0.1, description="Friction b of the cart"),
         Parameter("gravity", "m/s2", 0.0, start=9.81, nominal=10.0, description="Acceleration of gravity g"),
     ),
     equations=equations,

@@ -19,7 +19,7 @@ of about 305 K on the reactor ignites.
 
 from math import exp
 
-from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable, tunable
 
 MINUTE = 60.0  # s
 VOLUME = 100.0  # L
@@ -98,24 +98,22 @@ MODEL = PlantModel(
     outputs=(TEMPERATURE, CONCENTRATION),
     parameters=(
         Parameter("volume", "L", 1e-3, start=VOLUME, nominal=100.0, description="Volume V"),
-        Parameter(
+        tunable(
             "flow",
             "L/s",
             0.0,
             start=FLOW,
             description="Flow q through the reactor",
             display_unit=DisplayUnit("L/min", MINUTE),
-            variability="tunable",
         ),
-        Parameter(
+        tunable(
             "feed_concentration",
             "mol/L",
             0.0,
             start=FEED_CONCENTRATION,
             description="Concentration c_f of the feed",
-            variability="tunable",
         ),
-        Parameter(
+        tunable(
             "feed_temperature",
             "K",
             250.0,
@@ -124,7 +122,6 @@ MODEL = PlantModel(
             start=FEED_TEMPERATURE,
             description="Temperature T_f of the feed",
             display_unit=CELSIUS,
-            variability="tunable",
         ),
         Parameter("rate", "1/s", 0.0, start=RATE, nominal=1e9, description="Rate constant k_0"),
         Parameter(
@@ -141,14 +138,13 @@ MODEL = PlantModel(
             nominal=100.0,
             description="Density times specific heat capacity",
         ),
-        Parameter(
+        tunable(
             "heat_transfer",
             "W/K",
             0.0,
             start=HEAT_TRANSFER,
             nominal=1e3,
             description="Heat transfer coefficient times area UA",
-            variability="tunable",
         ),
     ),
     equations=equations,

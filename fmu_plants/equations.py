@@ -1,13 +1,13 @@
 """The equations of a plant as SymPy expressions: checked against its variables, and their derivatives."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
 import sympy
 
-from fmu_plants.model import TIME, Equations, ModelError, PlantModel, Variable, derivative_name
+from fmu_plants.model import TIME, Equations, ModelError, PlantModel, derivative_name
 
 
 class UnknownNameError(ModelError, AttributeError):
@@ -42,87 +42,6 @@ class _SymbolTable:
 
 
 @dataclass(frozen=True, slots=True)
-class SymbolicModel:
-    """A plant's right-hand side, in the order of its states and of its computed outputs."""
-
-    derivatives: tuple[sympy.Expr, ...]
-    outputs: tuple[sympy.Expr, ...]
-
-
-def dependencies(model: PlantModel, symbolic: SymbolicModel) -> dict[str, frozenset[str]]:
-    """Return the names of the variables that each derivative and each computed output is a function of."""
-    unknowns = [
-        *(derivative_name(state.name) for state in model.states),
-        *(v.name for v in model.computed_outputs),
-    ]
-    expressions = [*symbolic.derivatives, *symbolic.outputs]
-    return {
-        unknown: frozenset(symbol.name for symbol in expression.free_symbols)
-        for unknown, expression in zip(unknowns, expressions, strict=True)
-    }
-
-
-def resolve(model: PlantModel) -> SymbolicModel:
-    """Evaluate the equations of the model with symbols.
-
-    Raises
-    ------
-    ModelError
-        The equations do not give every derivative and computed output, or give something that is no real
-        expression in the model's own symbols; all faults at once.
-    """
-    symbols = _SymbolTable(model)
-    equations = model.equations(symbols)
-    if not isinstance(equations, Equations):
-        raise ModelError(f"model {model.name!r}: its equations must return Equations, not {equations!r}")
-    derivatives = _Block("derivative of state", model.states, equations.derivatives)
-    outputs = _Block("output", model.computed_outputs, equations.outputs)
-    faults = [*derivatives.faults(symbols.values()), *outputs.faults(symbols.values())]
-    if faults:
-        raise ModelError.from_faults(model.name, faults)
-    return SymbolicModel(derivatives.expressions(), outputs.expressions())
-
-
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """What was given for a group of variables."""
-
-    what: str
-    variables: Sequence[Variable]
-    given: Mapping[str, Any]
-
-    def expressions(self) -> tuple[sympy.Expr, ...]:
-        return tuple(sympy.sympify(self.given[variable.name]) for variable in self.variables)
-
-    def faults(self, symbols: set[sympy.Symbol]) -> Iterator[str]:
-        names = [variable.name for variable in self.variables]
-        for name in self.given:
-            if name not in names:
-                expected = ", ".join(names) or "none"
-                yield f"equations give a {self.what} {name!r}; expected: {expected}"
-        for name in names:
-            if name not in self.given:
-                yield f"equations do not give the {self.what} {name!r}"
-            else:
-                yield from _expression_faults(f"{self.what} {name!r}", self.given[name], symbols)
-
-
-def _expression_faults(where: str, given: Any, symbols: set[sympy.Symbol]) -> Iterator[str]:
-    try:
-        expression = sympy.sympify(given, strict=True)
-    except sympy.SympifyError:
-        yield f"{where} is no SymPy expression: {given!r}"
-        return
-    if not isinstance(expression, sympy.Expr):
-        yield f"{where} is no scalar expression: {given!r}"
-        return
-    if foreign := expression.free_symbols - symbols:
-        yield f"{where} uses symbols that the model does not declare: {', '.join(sorted(map(str, foreign)))}"
-    if expression.has(sympy.I, sympy.nan, sympy.zoo, sympy.oo, -sympy.oo):
-        yield f"{where} is not a finite real expression: {expression}"
-
-
-@dataclass(frozen=True, slots=True)
 class Partial:
     """An element of the Jacobian that is not zero everywhere: d unknown / d known."""
 
@@ -131,22 +50,95 @@ class Partial:
     expression: sympy.Expr
 
 
-def partials(model: PlantModel, symbolic: SymbolicModel) -> tuple[Partial, ...]:
-    """Return the derivatives of state derivatives and computed outputs, by whatever they are functions of.
+@dataclass(frozen=True, slots=True)
+class SymbolicModel:
+    """A plant's right-hand side.
 
-    Functions with jumps count as constant between their jumps; at a corner of a minimum, maximum or
-    absolute value, the mean of both sides is taken.
+    Parameters
+    ----------
+    derivatives : mapping of str to expression
+        By the name of the derivative, ``der(x)``, in the order of the states.
+    outputs : mapping of str to expression
+        The computed outputs by name, in their order.
     """
-    unknowns = [derivative_name(state.name) for state in model.states]
-    unknowns += [output.name for output in model.computed_outputs]
-    elements = []
-    for unknown, expression in zip(unknowns, (*symbolic.derivatives, *symbolic.outputs), strict=True):
-        held, jumps = _hold_jumps(expression)
-        for symbol in sorted(expression.free_symbols, key=str):
-            derivative = _spell_out_steps(held.diff(symbol)).xreplace(jumps)
-            if derivative != 0:
-                elements.append(Partial(unknown, symbol.name, derivative))
-    return tuple(elements)
+
+    derivatives: Mapping[str, sympy.Expr]
+    outputs: Mapping[str, sympy.Expr]
+
+    def dependencies(self) -> dict[str, frozenset[str]]:
+        """Return the names of the variables that each derivative and computed output is a function of."""
+        return {
+            name: frozenset(symbol.name for symbol in expression.free_symbols)
+            for name, expression in {**self.derivatives, **self.outputs}.items()
+        }
+
+    def partials(self) -> list[Partial]:
+        """Return the derivatives of everything that is computed, by whatever it is a function of.
+
+        Functions with jumps count as constant between their jumps; at a corner of a minimum, maximum or
+        absolute value, the mean of both sides is taken.
+        """
+        elements = []
+        for name, expression in {**self.derivatives, **self.outputs}.items():
+            held, jumps = _hold_jumps(expression)
+            for symbol in sorted(expression.free_symbols, key=str):
+                derivative = _spell_out_steps(held.diff(symbol)).xreplace(jumps)
+                if derivative != 0:
+                    elements.append(Partial(name, symbol.name, derivative))
+        return elements
+
+
+def resolve(model: PlantModel) -> SymbolicModel:
+    """Evaluate the equations of the model with symbols.
+
+    Raises
+    ------
+    ModelError
+        The equations do not give every derivative and computed output, or give something other than a real
+        expression in the model's own symbols; all errors at once.
+    """
+    symbols = _SymbolTable(model)
+    given = model.equations(symbols)
+    if not isinstance(given, Equations):
+        raise ModelError(f"model {model.name!r}: its equations must return Equations, not {given!r}")
+    states = [state.name for state in model.states]
+    outputs = [output.name for output in model.computed_outputs]
+    errors = [
+        *_errors("derivative of state", states, given.derivatives, symbols),
+        *_errors("output", outputs, given.outputs, symbols),
+    ]
+    if errors:
+        raise ModelError.listing(model.name, errors)
+    return SymbolicModel(
+        {derivative_name(state): sympy.sympify(given.derivatives[state]) for state in states},
+        {output: sympy.sympify(given.outputs[output]) for output in outputs},
+    )
+
+
+def _errors(what: str, names: list[str], given: Mapping[str, Any], symbols: _SymbolTable) -> Iterator[str]:
+    for name in given:
+        if name not in names:
+            yield f"equations give an unknown {what} {name!r}; expected: {', '.join(names) or 'none'}"
+    for name in names:
+        if name not in given:
+            yield f"equations do not give the {what} {name!r}"
+        else:
+            yield from _expression_errors(f"{what} {name!r}", given[name], symbols.values())
+
+
+def _expression_errors(where: str, given: Any, symbols: set[sympy.Symbol]) -> Iterator[str]:
+    try:
+        expression = sympy.sympify(given, strict=True)
+    except sympy.SympifyError:
+        yield f"{where} is not a SymPy expression: {given!r}"
+        return
+    if not isinstance(expression, sympy.Expr):
+        yield f"{where} is not a scalar expression: {given!r}"
+        return
+    if foreign := expression.free_symbols - symbols:
+        yield f"{where} uses symbols that the model does not declare: {', '.join(sorted(map(str, foreign)))}"
+    if expression.has(sympy.I, sympy.nan, sympy.zoo, sympy.oo, -sympy.oo):
+        yield f"{where} is not a finite real expression: {expression}"
 
 
 def _hold_jumps(expression: sympy.Expr) -> tuple[sympy.Expr, dict[Any, Any]]:

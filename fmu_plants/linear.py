@@ -9,7 +9,7 @@ import numpy as np
 import sympy
 from numpy.typing import ArrayLike, NDArray
 
-from fmu_plants.equations import partials, resolve
+from fmu_plants.equations import resolve
 from fmu_plants.model import TIME, Equations, ModelError, PlantModel, Symbols, Variable, derivative_name
 
 _MATRICES = ("A", "B", "C", "D")
@@ -68,13 +68,13 @@ def state_space_model(
     u = _variables(system, "input", "u", dimensions["inputs"], inputs)
     y = _variables(system, "output", "y", dimensions["outputs"], outputs)
     given = {"states": x, "inputs": u, "outputs": y}
-    faults = [
+    errors = [
         f"{len(given[what])} {what} are given, the matrices have {number}"
         for what, number in dimensions.items()
         if len(given[what]) != number
     ]
-    if faults:
-        raise ModelError.from_faults(name, faults)
+    if errors:
+        raise ModelError.listing(name, errors)
     if states is None:
         x = _apart_from(x, {variable.name for variable in (*u, *y)})
 
@@ -110,18 +110,18 @@ def _matrices(system: Any, name: str) -> list[NDArray[np.float64]]:
     a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, matrix), dtype=float)) for matrix in _MATRICES)
     n, (p, m) = a.shape[0] if a.size else 0, d.shape
     expected = {"A": (n, n), "B": (n, m), "C": (p, n)}
-    faults = [
+    errors = [
         f"{matrix} has the shape {values.shape}, expected {expected[matrix]}"
         for matrix, values in zip(expected, (a, b, c), strict=False)
         if values.size != np.prod(expected[matrix]) or (n and values.shape != expected[matrix])
     ]
-    faults += [
+    errors += [
         f"{matrix} has elements that are not finite"
         for matrix, values in zip(_MATRICES, (a, b, c, d), strict=True)
         if not np.isfinite(values).all()
     ]
-    if faults:
-        raise ModelError.from_faults(name, faults)
+    if errors:
+        raise ModelError.listing(name, errors)
     return [a.reshape(n, n), b.reshape(n, m), c.reshape(p, n), d]
 
 
@@ -215,7 +215,7 @@ def _jacobian(model: PlantModel) -> tuple[Callable[..., list[Any]], list[tuple[i
     columns = {variable.name: index for index, variable in enumerate((*model.states, *model.inputs))}
     rows = {derivative_name(state.name): index for index, state in enumerate(model.states)}
     rows |= {output.name: index for index, output in enumerate(model.outputs, n)}
-    elements = [element for element in partials(model, resolve(model)) if element.known in columns]
+    elements = [element for element in resolve(model).partials() if element.known in columns]
     names = [TIME, *(v.name for v in (*model.states, *model.inputs, *model.parameters))]
     symbols = [sympy.Symbol(name, real=True) for name in names]
     # Dummies: a variable may have the name of a Python keyword or of a function.

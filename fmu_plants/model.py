@@ -7,7 +7,7 @@ equations are a function that is called with symbols when the plant is exported.
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
+from functools import partial
 from math import inf, isfinite, isnan
 from typing import Any, Literal, Protocol
 
@@ -18,12 +18,12 @@ _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 class ModelError(ValueError):
-    """A plant model contradicts itself; the message lists every fault that was found."""
+    """A plant model contradicts itself; the message lists all errors that were found."""
 
     @classmethod
-    def from_faults(cls, model: str, faults: Sequence[str]) -> "ModelError":
-        """Put all faults of one model into one error."""
-        return cls("\n  - ".join([f"model {model!r} has {len(faults)} fault(s):", *faults]))
+    def listing(cls, model: str, errors: Sequence[str]) -> "ModelError":
+        """Put all errors of one model into one."""
+        return cls("\n  - ".join([f"model {model!r} has {len(errors)} error(s):", *errors]))
 
 
 class ExportError(RuntimeError):
@@ -104,6 +104,10 @@ class Parameter(Variable):
     variability: Literal["fixed", "tunable"] = "fixed"
 
 
+tunable = partial(Parameter, variability="tunable")
+"""Return a parameter that can be set between any two communication steps; arguments as of `Parameter`."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PlantModel:
     """A plant: its variables, its equations, and where they come from.
@@ -129,7 +133,7 @@ class PlantModel:
     Raises
     ------
     ModelError
-        Names are doubled or no identifiers, units are unknown, values out of range: all faults at once.
+        Names are doubled or not identifiers, units are unknown, values out of range: all errors at once.
     """
 
     name: str
@@ -145,7 +149,9 @@ class PlantModel:
 
     def __post_init__(self) -> None:
         """Refuse a model that contradicts itself."""
-        check_model(self)
+        errors = [*_structure_errors(self), *_name_errors(self), *_variable_errors(self)]
+        if errors:
+            raise ModelError.listing(self.name, errors)
 
     @property
     def computed_outputs(self) -> tuple[Variable, ...]:
@@ -159,35 +165,27 @@ def derivative_name(state: str) -> str:
     return f"der({state})"
 
 
-def check_model(model: PlantModel) -> None:
-    """Raise a `ModelError` with every fault of the model."""
-    faults = list(chain(_structure_faults(model), _name_faults(model), _variable_faults(model)))
-    if faults:
-        raise ModelError.from_faults(model.name, faults)
-
-
-def _structure_faults(model: PlantModel) -> Iterator[str]:
+def _structure_errors(model: PlantModel) -> Iterator[str]:
     if not _IDENTIFIER.fullmatch(model.name):
         yield f"its name {model.name!r} is not an identifier (letters, digits and _, no digit first)"
     if not model.outputs:
         yield "it has no outputs"
     if not callable(model.equations):
         yield "equations must be a function of the symbols"
-    if not (isfinite(model.step_size) and model.step_size > 0):
-        yield f"step_size must be positive and finite, not {model.step_size}"
-    if not (isfinite(model.stop_time) and model.stop_time > 0):
-        yield f"stop_time must be positive and finite, not {model.stop_time}"
+    for name, value in {"step_size": model.step_size, "stop_time": model.stop_time}.items():
+        if not _is_positive(value):
+            yield f"{name} must be positive and finite, not {value}"
 
 
-def _name_faults(model: PlantModel) -> Iterator[str]:
-    seen: dict[str, str] = {}
+def _name_errors(model: PlantModel) -> Iterator[str]:
+    states = {state.name: state for state in model.states}
     groups = {
         "state": model.states,
         "input": model.inputs,
         "output": model.outputs,
         "parameter": model.parameters,
     }
-    states = {state.name: state for state in model.states}
+    seen: dict[str, str] = {}
     for group, variables in groups.items():
         for variable in variables:
             name = variable.name
@@ -201,10 +199,10 @@ def _name_faults(model: PlantModel) -> Iterator[str]:
                 seen[name] = group
 
 
-def _variable_faults(model: PlantModel) -> Iterator[str]:
+def _variable_errors(model: PlantModel) -> Iterator[str]:
     computed = set(model.computed_outputs)
     variables = dict.fromkeys((*model.states, *model.inputs, *model.outputs, *model.parameters))
-    display_units: dict[tuple[str, str], tuple[float, float]] = {}
+    display_units: dict[tuple[str, str], DisplayUnit] = {}
     for variable in variables:
         where = f"variable {variable.name!r}"
         if not _IDENTIFIER.fullmatch(variable.name):
@@ -215,30 +213,31 @@ def _variable_faults(model: PlantModel) -> Iterator[str]:
             parse_unit(variable.unit)
         except ValueError as error:
             yield f"{where}: {error}"
-        for fault in _value_faults(variable, has_start=variable not in computed):
-            yield f"{where}: {fault}"
-        variability = getattr(variable, "variability", "fixed")
-        if variability not in ("fixed", "tunable"):
-            yield f"{where}: variability must be 'fixed' or 'tunable', not {variability!r}"
-        if (display := variable.display_unit) is not None:
-            conversion = (display.factor, display.offset)
-            if display_units.setdefault((variable.unit, display.name), conversion) != conversion:
-                yield f"{where}: display unit {display.name!r} is converted differently elsewhere"
+        for message in _value_errors(variable, has_start=variable not in computed):
+            yield f"{where}: {message}"
+        if (display := variable.display_unit) is None:
+            continue
+        if display_units.setdefault((variable.unit, display.name), display) != display:
+            yield f"{where}: display unit {display.name!r} is converted differently elsewhere"
 
 
-def _value_faults(variable: Variable, *, has_start: bool) -> Iterator[str]:
+def _value_errors(variable: Variable, *, has_start: bool) -> Iterator[str]:
     if isnan(variable.min) or isnan(variable.max) or variable.min > variable.max:
-        yield f"min {variable.min} and max {variable.max} are no range"
+        yield f"min {variable.min} and max {variable.max} are not a range"
     elif has_start and not variable.min <= variable.start <= variable.max:
         yield f"start {variable.start} is outside the range {variable.min} .. {variable.max}"
     if has_start and not isfinite(variable.start):
         yield f"start must be finite, not {variable.start}"
-    if not (isfinite(variable.nominal) and variable.nominal > 0):
+    if not _is_positive(variable.nominal):
         yield f"nominal must be positive and finite, not {variable.nominal}"
-    display = variable.display_unit
-    if display is not None and not (
-        isfinite(display.factor) and display.factor != 0 and isfinite(display.offset)
-    ):
-        yield f"display unit {display.name!r} has no usable conversion"
-    if display is not None and (not display.name or not variable.unit):
-        yield "a display unit needs a name, and a unit that it is converted from"
+    if isinstance(variable, Parameter) and variable.variability not in ("fixed", "tunable"):
+        yield f"variability must be 'fixed' or 'tunable', not {variable.variability!r}"
+    if (display := variable.display_unit) is not None:
+        if not (isfinite(display.factor) and display.factor != 0 and isfinite(display.offset)):
+            yield f"display unit {display.name!r} has no usable conversion"
+        if not display.name or not variable.unit:
+            yield "a display unit needs a name, and a unit that it is converted from"
+
+
+def _is_positive(value: float) -> bool:
+    return isfinite(value) and value > 0

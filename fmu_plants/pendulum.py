@@ -14,7 +14,7 @@ direction of control.
 
 from math import degrees
 
-from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable, tunable
 
 ANGLE = Variable(
     "angle",
@@ -57,10 +57,10 @@ MODEL = PlantModel(
     inputs=(TORQUE,),
     outputs=(ANGLE, ANGULAR_VELOCITY),
     parameters=(
-        Parameter("mass", "kg", min=1e-3, start=1.0, description="Mass m", variability="tunable"),
-        Parameter("radius", "m", min=1e-3, start=0.2, description="Length r", variability="tunable"),
-        Parameter("damping", "N.m.s/rad", min=0.0, start=0.4, description="Damping k", variability="tunable"),
-        Parameter("torque_gain", start=1.0, description="Factor on the torque", variability="tunable"),
+        tunable("mass", "kg", min=1e-3, start=1.0, description="Mass m"),
+        tunable("radius", "m", min=1e-3, start=0.2, description="Length r"),
+        tunable("damping", "N.m.s/rad", min=0.0, start=0.4, description="Damping k"),
+        tunable("torque_gain", start=1.0, description="Factor on the torque"),
         Parameter(
             "gravity", "m/s2", min=0.0, nominal=10.0, start=9.81, description="Acceleration of gravity g"
         ),

@@ -13,7 +13,7 @@ P+ set gamma_1 = 0.43, gamma_2 = 0.34, k_1 = 3.14, k_2 = 3.29. The levels begin 
 at 3 V.
 """
 
-from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable, tunable
 
 GRAVITY = 981.0  # cm/s2
 AREAS = (28.0, 32.0, 28.0, 32.0)  # cm2, of the tanks
@@ -67,37 +67,30 @@ def _parameters() -> tuple[Parameter, ...]:
         for i, value in enumerate(AREAS, 1)
     ]
     outlets = [
-        Parameter(
+        tunable(
             f"outlet_{i}",
             "cm2",
             0.0,
             start=value,
             nominal=0.1,
             description=f"Area a{i} of the outlet of tank {i}",
-            variability="tunable",
         )
         for i, value in enumerate(OUTLETS, 1)
     ]
     pumps = [
-        Parameter(
-            f"pump_gain_{i}",
-            "cm3/(V.s)",
-            0.0,
-            start=value,
-            description=f"Flow per voltage k{i} of pump {i}",
-            variability="tunable",
+        tunable(
+            f"pump_gain_{i}", "cm3/(V.s)", 0.0, start=value, description=f"Flow per voltage k{i} of pump {i}"
         )
         for i, value in enumerate(PUMP_GAINS, 1)
     ]
     splits = [
-        Parameter(
+        tunable(
             f"split_{i}",
             "",
             0.0,
             1.0,
             start=value,
             description=f"Part gamma_{i} of the flow of pump {i} that goes to tank {i}",
-            variability="tunable",
         )
         for i, value in enumerate(SPLITS, 1)
     ]

@@ -15,7 +15,7 @@ plant: they are chosen for a lightly damped resonance at 9 Hz.
 
 from math import pi
 
-from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import DisplayUnit, Equations, Parameter, PlantModel, Symbols, Variable, tunable
 
 _RPM = DisplayUnit("rpm", 30.0 / pi)
 
@@ -53,51 +53,15 @@ MODEL = PlantModel(
     outputs=(LOAD_SPEED, MOTOR_SPEED),
     parameters=(
         Parameter("motor_inertia", "kg.m2", 1e-6, start=0.02, nominal=0.01, description="Inertia J_1"),
-        Parameter(
-            "load_inertia",
-            "kg.m2",
-            1e-6,
-            start=0.03,
-            nominal=0.01,
-            description="Inertia J_2",
-            variability="tunable",
+        tunable("load_inertia", "kg.m2", 1e-6, start=0.03, nominal=0.01, description="Inertia J_2"),
+        tunable(
+            "stiffness", "N.m/rad", 0.0, start=40.0, nominal=10.0, description="Stiffness c of the shaft"
         ),
-        Parameter(
-            "stiffness",
-            "N.m/rad",
-            0.0,
-            start=40.0,
-            nominal=10.0,
-            description="Stiffness c of the shaft",
-            variability="tunable",
+        tunable(
+            "shaft_damping", "N.m.s/rad", 0.0, start=0.05, nominal=0.01, description="Damping d of the shaft"
         ),
-        Parameter(
-            "shaft_damping",
-            "N.m.s/rad",
-            0.0,
-            start=0.05,
-            nominal=0.01,
-            description="Damping d of the shaft",
-            variability="tunable",
-        ),
-        Parameter(
-            "motor_friction",
-            "N.m.s/rad",
-            0.0,
-            start=0.01,
-            nominal=0.01,
-            description="Friction b_1",
-            variability="tunable",
-        ),
-        Parameter(
-            "load_friction",
-            "N.m.s/rad",
-            0.0,
-            start=0.02,
-            nominal=0.01,
-            description="Friction b_2",
-            variability="tunable",
-        ),
+        tunable("motor_friction", "N.m.s/rad", 0.0, start=0.01, nominal=0.01, description="Friction b_1"),
+        tunable("load_friction", "N.m.s/rad", 0.0, start=0.02, nominal=0.01, description="Friction b_2"),
     ),
     equations=equations,
     step_size=0.01,

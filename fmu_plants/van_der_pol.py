@@ -9,7 +9,7 @@ as in textbooks (H. K. Khalil, "Nonlinear Systems", 3rd ed., 2002, section 1.2.4
 is an unstable equilibrium and every other motion ends on one limit cycle, of amplitude 2 nearly.
 """
 
-from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable
+from fmu_plants import Equations, PlantModel, Symbols, Variable, tunable
 
 POSITION = Variable("position", nominal=2.0, description="Position")
 VELOCITY = Variable("velocity", "1/s", nominal=2.0, description="Velocity")
@@ -30,22 +30,8 @@ MODEL = PlantModel(
     inputs=(FORCE,),
     outputs=(POSITION, VELOCITY),
     parameters=(
-        Parameter(
-            "damping",
-            "1/s",
-            min=0.0,
-            start=1.0,
-            description="Negative damping mu at the origin",
-            variability="tunable",
-        ),
-        Parameter(
-            "stiffness",
-            "1/s2",
-            min=0.0,
-            start=1.0,
-            description="Stiffness per mass, omega_0 squared",
-            variability="tunable",
-        ),
+        tunable("damping", "1/s", min=0.0, start=1.0, description="Negative damping mu at the origin"),
+        tunable("stiffness", "1/s2", min=0.0, start=1.0, description="Stiffness per mass, omega_0 squared"),
     ),
     equations=equations,
     step_size=0.1,

@@ -108,7 +108,7 @@ def export_fmu(
     Raises
     ------
     ModelError
-        The equations do not fit the model's variables, or the model is no plant.
+        The equations do not fit the model's variables, or the model is not a plant.
     ExportError
         There is no compiler, it fails, a platform is unknown, or the file cannot be written.
 
@@ -169,28 +169,27 @@ def fmu_source(
 ) -> FMUSource:
     """Generate everything that an FMU consists of, except its binaries."""
     # Here and not above: a plant's variables can be read without the cost of SymPy's import.
-    from fmu_plants.equations import dependencies, resolve
+    from fmu_plants.equations import resolve
     from fmu_plants.export.ccode import model_source
 
     if fmi_version not in _FRONT_ENDS:
         available = ", ".join(FMI_VERSIONS)
         raise ExportError(f"FMI version {fmi_version!r} cannot be exported; available: {available}")
-    tolerances = {"relative_tolerance": relative_tolerance, "absolute_tolerance": absolute_tolerance}
-    for name, value in tolerances.items():
+    tolerances = (relative_tolerance, absolute_tolerance)
+    for name, value in zip(("relative_tolerance", "absolute_tolerance"), tolerances, strict=True):
         if not (isfinite(value) and value > 0):
             raise ExportError(f"{name} must be positive and finite, not {value}")
     symbolic = resolve(model)
-    uses = dependencies(model, symbolic)
     runtime = package_files("fmu_plants") / "runtime"
     names = (*_RUNTIME, _FRONT_ENDS[fmi_version])
     sources = {name: (runtime / name).read_text(encoding="utf-8") for name in names}
     # The code of the model is the same but for the GUID in it, which its own text decides on.
-    code = model_source(model, symbolic, guid="", **tolerances)
+    code = model_source(model, symbolic, *tolerances)
 
     def described(guid: str) -> FMUSource:
         all_sources = {_MODEL_SOURCE: code.replace('.guid = ""', f'.guid = "{guid}"'), **sources}
         listed = [name for name in all_sources if name.endswith(".c") and with_sources]
-        description = Description(model, uses, guid, relative_tolerance, listed)
+        description = Description(model, symbolic.dependencies(), guid, relative_tolerance, listed)
         files = description.files(fmi_version)
         return FMUSource(model.name, guid, fmi_version, files, all_sources, with_sources)
 

@@ -26,7 +26,7 @@ def exported_symbols(library: bytes) -> frozenset[str]:
     Raises
     ------
     ValueError
-        The file is no shared library of a known format, or is damaged.
+        The file is not a shared library of a known format, or is damaged.
     """
     readers = {_ELF_MAGIC: _elf_exports, _PE_MAGIC: _pe_exports, _MACHO_MAGIC: _macho_exports}
     for magic, reader in readers.items():

@@ -12,9 +12,9 @@ from sympy.codegen.rewriting import create_expand_pow_optimization
 from sympy.printing.c import C99CodePrinter
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
-from fmu_plants.equations import Partial, SymbolicModel, partials
+from fmu_plants.equations import Partial, SymbolicModel
 from fmu_plants.export.description import Scalar, scalars
-from fmu_plants.model import TIME, ModelError, PlantModel, Variable
+from fmu_plants.model import TIME, ModelError, PlantModel
 
 LARGEST_WRITTEN_OUT_POWER = 4  # x*x*x*x is faster than pow(x, 4) and just as exact
 _INLINE_FUNCTIONS = frozenset({"ceil", "fabs", "floor", "fma", "fmax", "fmin"})  # few instructions, no import
@@ -82,14 +82,9 @@ class _CPrinter(C99CodePrinter):  # type: ignore[misc]  # SymPy has no types
 
 
 def model_source(
-    model: PlantModel,
-    symbolic: SymbolicModel,
-    *,
-    guid: str,
-    relative_tolerance: float,
-    absolute_tolerance: float,
+    model: PlantModel, symbolic: SymbolicModel, relative_tolerance: float, absolute_tolerance: float
 ) -> str:
-    """Return the text of `model.c`.
+    """Return the text of `model.c`, with an empty GUID.
 
     Raises
     ------
@@ -97,7 +92,7 @@ def model_source(
         An expression uses a function that FMUs do not have on every platform.
     """
     layout = scalars(model)
-    elements = partials(model, symbolic)
+    elements = symbolic.partials()
     return "\n".join(
         [
             f"/* {model.name}: generated from its equations. */",
@@ -109,17 +104,15 @@ def model_source(
             "",
             *_partial_table(elements, layout),
             *_legend(model),
-            _function(
-                model, "derivatives", _results("the derivative of", model.states, symbolic.derivatives)
-            ),
+            _function(model, "derivatives", symbolic.derivatives),
             "",
-            _function(model, "outputs", _results("the output", model.computed_outputs, symbolic.outputs)),
+            _function(model, "outputs", symbolic.outputs),
             "",
-            _function(model, "jacobian", [(_quotient(e), e.expression) for e in elements]),
+            _function(model, "jacobian", {f"d {e.unknown} / d {e.known}": e.expression for e in elements}),
             "",
             "const Model model = {",
             f'    .identifier = "{model.name}",',
-            f'    .guid = "{guid}",',
+            '    .guid = "",',
             f"    .n_variables = {len(layout)},",
             f"    .n_states = {len(model.states)},",
             f"    .n_inputs = {len(model.inputs)},",
@@ -162,17 +155,6 @@ def _partial_table(elements: Sequence[Partial], layout: Sequence[Scalar]) -> lis
     return ["static const Partial partials[] = {", *rows, "};", ""]
 
 
-def _quotient(element: Partial) -> str:
-    return f"the derivative of {element.unknown!r} by {element.known!r}"
-
-
-def _results(
-    what: str, variables: Sequence[Variable], expressions: Sequence[sympy.Expr]
-) -> list[tuple[str, sympy.Expr]]:
-    """Return the expressions with what they are called in messages."""
-    return [(f"{what} {v.name!r}", expression) for v, expression in zip(variables, expressions, strict=True)]
-
-
 def _legend(model: PlantModel) -> list[str]:
     """Say which variable is which array element, for readers of the C code."""
     groups = {
@@ -199,21 +181,20 @@ def _element_names(model: PlantModel) -> dict[sympy.Symbol, str]:
     return elements | {sympy.Symbol(TIME, real=True): TIME}
 
 
-def _function(model: PlantModel, name: str, results: Sequence[tuple[str, sympy.Expr]]) -> str:
-    """Return a function that evaluates the expressions, which have names, common subexpressions once."""
+def _function(model: PlantModel, name: str, results: Mapping[str, sympy.Expr]) -> str:
+    """Return a function that evaluates the expressions, by what they are, common subexpressions once."""
     printer = _CPrinter(_element_names(model))
-    for where, expression in results:
+    for what, expression in results.items():
         try:
             printer.c_text(expression)
         except _UnavailableError as error:
             raise ModelError(
-                f"model {model.name!r}: {where} uses the function {error}, which FMUs do not have on every "
+                f"model {model.name!r}: {what} uses the function {error}, which FMUs do not have on every "
                 f"platform: {expression}\n"
                 f"Write it in terms of these C functions: {', '.join(sorted(callable_functions()))}"
             ) from error
     # A variable may be called t0, too: variables are printed as elements of arrays, never by name.
-    expressions = [expression for _, expression in results]
-    common, reduced = sympy.cse(expressions, symbols=sympy.numbered_symbols("t"), list=True)
+    common, reduced = sympy.cse(list(results.values()), symbols=sympy.numbered_symbols("t"), list=True)
     lines = [f"    const double {symbol} = {printer.c_text(part)};" for symbol, part in common]
     lines += [f"    result[{index}] = {printer.c_text(part)};" for index, part in enumerate(reduced)]
     body = "\n".join(lines)

@@ -104,7 +104,7 @@ def test_any_text_becomes_an_identifier(text, name):
         ({"B": np.zeros((2, 2))}, ["B has the shape (2, 2), expected (3, 2)"]),
         (
             {"A": np.zeros((3, 2)), "C": np.full((2, 3), np.nan)},
-            ["2 fault(s)", "A has the shape (3, 2), expected (3, 3)", "C has elements that are not finite"],
+            ["2 error(s)", "A has the shape (3, 2), expected (3, 3)", "C has elements that are not finite"],
         ),
     ],
 )

@@ -13,8 +13,8 @@ def no_equations(v):
     return Equations({})
 
 
-def faults(**changes):
-    """Name every fault of a small model with these changes."""
+def errors(**changes):
+    """Name every error of a small model with these changes."""
     sound = {
         "name": "plant",
         "equations": no_equations,
@@ -45,8 +45,8 @@ def faults(**changes):
         ({"outputs": (Variable("x", "m"),)}, "output 'x' differs from the state of that name"),
         ({"inputs": (Variable("u", "parsec"),)}, "variable 'u': unknown unit symbol 'parsec'; known: "),
         ({"inputs": (Variable("u", min=1.0, max=2.0),)}, "start 0.0 is outside the range 1.0 .. 2.0"),
-        ({"inputs": (Variable("u", min=2.0, max=1.0),)}, "min 2.0 and max 1.0 are no range"),
-        ({"inputs": (Variable("u", min=math.nan),)}, "are no range"),
+        ({"inputs": (Variable("u", min=2.0, max=1.0),)}, "min 2.0 and max 1.0 are not a range"),
+        ({"inputs": (Variable("u", min=math.nan),)}, "are not a range"),
         ({"inputs": (Variable("u", start=math.inf),)}, "start must be finite"),
         ({"inputs": (Variable("u", nominal=0.0),)}, "nominal must be positive"),
         ({"parameters": (Parameter("a", variability="free"),)}, "must be 'fixed' or 'tunable', not 'free'"),
@@ -62,12 +62,12 @@ def faults(**changes):
     ],
 )
 def test_a_model_that_contradicts_itself_is_refused(changes, message):
-    assert message in faults(**changes)
+    assert message in errors(**changes)
 
 
-def test_all_faults_are_named_at_once():
-    text = faults(name="1", outputs=(), inputs=(Variable("u", "parsec", nominal=-1.0),), step_size=-1.0)
-    assert "5 fault(s)" in text
+def test_all_errors_are_named_at_once():
+    text = errors(name="1", outputs=(), inputs=(Variable("u", "parsec", nominal=-1.0),), step_size=-1.0)
+    assert "5 error(s)" in text
     for word in ("not an identifier", "no outputs", "parsec", "nominal", "step_size"):
         assert word in text
 
@@ -104,9 +104,9 @@ def sympy_infinity():
         (
             lambda v: Equations({"angel": 0}, {"power": 1}),
             [
-                "give a derivative of state 'angel'; expected: angle, angular_velocity",
+                "give an unknown derivative of state 'angel'; expected: angle, angular_velocity",
                 "do not give the derivative of state 'angle'",
-                "give a output 'power'; expected: none",
+                "give an unknown output 'power'; expected: none",
             ],
         ),
         (lambda v: Equations({"angle": v.angel}), ["use 'angel' (did you mean 'angle'?)", "gravity, mass"]),
@@ -117,7 +117,7 @@ def sympy_infinity():
         ),
         (
             lambda v: Equations({"angle": "mass", "angular_velocity": v.angle > 0}),
-            ["state 'angle' is no SymPy expression: 'mass'", "no scalar expression: angle > 0"],
+            ["state 'angle' is not a SymPy expression: 'mass'", "not a scalar expression: angle > 0"],
         ),
         (lambda v: {"angle": 0}, ["must return Equations"]),
     ],
