@@ -1,4 +1,4 @@
-"""Unpacking FMUs that nobody vouches for: within limits, inside one folder, or not at all."""
+"""Unpacking FMUs of unknown origin: within limits, inside one folder, or not at all."""
 
 import lzma
 import re
@@ -93,7 +93,7 @@ def unpack(path: Path, folder: Path, limits: UnpackLimits | None = None) -> None
 
 
 def read_xml(path: Path, label: str) -> tuple[Any, tuple[str, ...]]:
-    """Parse an XML file of an FMU that nobody vouches for.
+    """Parse an XML file of an FMU of unknown origin.
 
     Nothing is loaded from elsewhere, no entity is expanded, and libxml2's limits of depth and size hold. FMI
     knows no document types; entities can make a small file huge, or read other files: they are refused.

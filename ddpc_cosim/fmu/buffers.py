@@ -1,4 +1,10 @@
-"""Preallocated buffers through which the numbers of an FMU are written and read, seen by C and by NumPy."""
+"""Values of an FMU's variables: moved every step through preallocated buffers, and set at the start of a run.
+
+The memory of a port is seen by C and by NumPy. Start values are checked, and set in the state that the
+standard wants: structural parameters in configuration mode, everything else after the instantiation and
+before the initialisation (FMI 2.0 section 4.2.4, FMI 3.0 section 2.3.2), tunable parameters and inputs also
+during a run. A value that the FMU refuses, or does not take, is an error.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence

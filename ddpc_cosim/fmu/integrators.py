@@ -1,19 +1,27 @@
-"""Integrators for Model Exchange: one internal step at a time, with the detection of state events."""
+"""Integrators for Model Exchange: one internal step at a time, with the detection of state events.
+
+CVode is that of the SUNDIALS libraries that FMPy ships. FMPy's own solver class integrates past the sample
+and interpolates, swallows errors of the FMU (exceptions do not cross C) and frees only part of its memory.
+The one here stops at the sample, keeps the FMU's error, and lets a discarded evaluation be tried again with a
+smaller step. SciPy's BDF serves platforms for which FMPy ships no CVode.
+"""
 
 import ctypes
 import weakref
 from ctypes import POINTER, byref, c_double, c_int, c_void_p
-from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
-from fmpy import sundials
-from fmpy.sundials.libraries import sundials_core, sundials_cvode
-from scipy import integrate
 
 from ddpc_cosim.fmu.instance import Model
 from ddpc_cosim.fmu.status import DISCARD, CallError
 from ddpc_cosim.variables import FloatArray
+
+try:
+    from fmpy import sundials
+    from fmpy.sundials.libraries import sundials_core, sundials_cvode
+except (OSError, AttributeError, ImportError):  # not for every platform
+    sundials = None
 
 
 class Integrator(Protocol):
@@ -51,14 +59,9 @@ def make_integrator(model: Model, states: int, event_indicators: int, tolerance:
     return ScipyIntegrator(model, states, event_indicators, tolerance)
 
 
-@cache
 def has_cvode() -> bool:
     """Whether FMPy ships CVode for this platform."""
-    try:
-        import fmpy.sundials  # noqa: F401
-    except (OSError, AttributeError, ImportError):
-        return False
-    return True
+    return sundials is not None
 
 
 class NoIntegrator:
@@ -101,13 +104,14 @@ def _prototype(library: Any, name: str, result: Any, *arguments: Any) -> Any:
     return function
 
 
-_set_stop_time = _prototype(sundials_cvode, "CVodeSetStopTime", c_int, c_void_p, c_double)
-_clear_error_handlers = _prototype(sundials_core, "SUNContext_ClearErrHandlers", c_int, c_void_p)
-_free_context = _prototype(sundials_core, "SUNContext_Free", c_int, POINTER(c_void_p))
-_free_vector = _prototype(sundials_core, "N_VDestroy", None, sundials.N_Vector)
-_free_matrix = _prototype(sundials_core, "SUNMatDestroy", None, sundials.SUNMatrix)
-_free_solver = _prototype(sundials_core, "SUNLinSolFree", c_int, sundials.SUNLinearSolver)
-_data = _prototype(sundials_core, "N_VGetArrayPointer", POINTER(c_double), sundials.N_Vector)
+if sundials is not None:
+    _set_stop_time = _prototype(sundials_cvode, "CVodeSetStopTime", c_int, c_void_p, c_double)
+    _clear_error_handlers = _prototype(sundials_core, "SUNContext_ClearErrHandlers", c_int, c_void_p)
+    _free_context = _prototype(sundials_core, "SUNContext_Free", c_int, POINTER(c_void_p))
+    _free_vector = _prototype(sundials_core, "N_VDestroy", None, sundials.N_Vector)
+    _free_matrix = _prototype(sundials_core, "SUNMatDestroy", None, sundials.SUNMatrix)
+    _free_solver = _prototype(sundials_core, "SUNLinSolFree", c_int, sundials.SUNLinearSolver)
+    _data = _prototype(sundials_core, "N_VGetArrayPointer", POINTER(c_double), sundials.N_Vector)
 
 
 class CVodeIntegrator:
@@ -246,7 +250,6 @@ def _check(status: int) -> None:
         raise CallError(f"CVode cannot be set up (code {status})")
 
 
-_BDF: Any = integrate.BDF  # its type information knows no absolute tolerance of each state
 _BISECTIONS = 60
 
 
@@ -265,6 +268,9 @@ class ScipyIntegrator:
 
     def __init__(self, model: Model, states: int, event_indicators: int, tolerance: float) -> None:
         self._model, self._nx, self._nz, self._tolerance = model, states, event_indicators, tolerance
+        from scipy.integrate import BDF  # takes long to import, and is seldom needed
+
+        self._bdf: Any = BDF  # its type information knows no absolute tolerance of each state
         self._x, self._dx = (c_double * states)(), (c_double * states)()
         self._z = (c_double * event_indicators)()
         self._absolute = self._absolute_tolerances()
@@ -302,7 +308,7 @@ class ScipyIntegrator:
         """Return the solver, which goes on as long as its bound does not come nearer."""
         if self._solver is None or self._solver.t_bound != target or self._solver.status != "running":
             x = np.array(self._x) if self._nx else np.ones(1)
-            self._solver = _BDF(
+            self._solver = self._bdf(
                 self._derivatives, self._t, x, target, rtol=self._tolerance, atol=self._absolute
             )
         return self._solver

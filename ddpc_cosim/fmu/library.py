@@ -62,7 +62,7 @@ def is_missing(function: CFunction) -> bool:
     return isinstance(function, _MissingFunction)
 
 
-class _LenientLoading:
+class _TolerantLoading:
     """Replaces how FMPy's classes find and load their library."""
 
     def __init__(self, **settings: Any) -> None:
@@ -120,9 +120,9 @@ def _result_type(name: str, annotation: Any) -> Any:
 
 
 @cache
-def _lenient_class(major: int, kind: str) -> Any:
+def _tolerant_class(major: int, kind: str) -> Any:
     base = _FMPY_CLASSES[major, kind]
-    return type(base.__name__, (_LenientLoading, base), {})
+    return type(base.__name__, (_TolerantLoading, base), {})
 
 
 def load_library(
@@ -146,10 +146,10 @@ def load_library(
     Exception
         Whatever the loader says.
     """
-    lenient = _lenient_class(major, kind)
-    fmu = lenient.__new__(lenient)
+    tolerant = _tolerant_class(major, kind)
+    fmu = tolerant.__new__(tolerant)
     fmu.library_stem = library.stem
-    with _kept_working_directory(), Companions(library.parent, folder / "resources") as companions:
+    with _kept_working_directory(), BundledLibraries(library.parent, folder / "resources") as bundled:
         while True:
             try:
                 fmu.__init__(
@@ -161,7 +161,7 @@ def load_library(
                 )
                 return fmu
             except Exception as error:  # FMPy's own, for whatever the loader says
-                if not companions.supply(error):
+                if not bundled.supply(error):
                     raise
 
 
@@ -183,8 +183,11 @@ class MissingLibraryError(RuntimeError):
     """A library that the FMU needs is neither in the FMU nor in the system."""
 
 
-class Companions:
+class BundledLibraries:
     """Loads libraries of an FMU that its main library needs; the main library keeps them loaded from then on.
+
+    The loader of Linux looks for them in the system's folders only, unless the FMU's library says otherwise,
+    which not all tools see to. Those that are found in the FMU are loaded first: then it has them by name.
 
     Parameters
     ----------

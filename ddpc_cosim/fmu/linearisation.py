@@ -1,4 +1,11 @@
-"""Linear models of an FMU for Model Exchange about the point at which it is."""
+"""Linear models of an FMU for Model Exchange about its operating point.
+
+    dx' = A dx + B du,   dy = C dx + D du
+
+The derivatives are the FMU's own where it has them (``fmi2GetDirectionalDerivative``, FMI 2.0 section 2.1.9;
+``fmi3GetDirectionalDerivative``, FMI 3.0 section 2.2.11), else central differences of what it computes beside
+the point. What discrete states do at later events is in neither.
+"""
 
 from collections.abc import Iterable, Sequence
 from ctypes import c_double
@@ -85,7 +92,7 @@ def directional_derivatives(
 _STEP = float(np.finfo(float).eps) ** (1.0 / 3.0)
 
 
-class Surroundings:
+class OperatingPoint:
     """The point at which a model is, and what it computes beside it.
 
     Parameters
@@ -136,7 +143,7 @@ class Surroundings:
         return np.array(self._memory)
 
 
-def central_differences(around: Surroundings) -> FloatArray:
+def central_differences(around: OperatingPoint) -> FloatArray:
     """Return the derivatives of rates and outputs by states and inputs, shape (n + p, n + m).
 
     The steps follow the nominal values. An input at its limit is changed to one side only.
@@ -168,14 +175,14 @@ def linearisation_faults(
         for signal in signals:
             if signal.source.values != "real":
                 faults.append(
-                    f'the {what} "{signal.variable.name}" is of type {signal.source.type}, no real number'
+                    f'the {what} "{signal.variable.name}" is of type {signal.source.type}, not a real number'
                 )
             elif what == "input" and signal.source.variability != "continuous":
                 faults.append(f'the input "{signal.variable.name}" is {signal.source.variability}')
     return faults
 
 
-def has_directions(model: Model, description: FMUDescription, shapes: Shapes) -> bool:
+def has_directional_derivatives(model: Model, description: FMUDescription, shapes: Shapes) -> bool:
     """Whether an FMU has directional derivatives: it says so, its library has them, its states have names."""
     return (
         description.interfaces["model-exchange"].provides_directional_derivatives
@@ -213,7 +220,7 @@ def linearise(
     CallError
         The FMU fails beside the point, or a derivative is not finite.
     """
-    around = Surroundings(model, inputs, outputs, shapes)
+    around = OperatingPoint(model, inputs, outputs, shapes)
     n = len(around.x_0)
     states = scalars(description, description.state_order, shapes)
     names = tuple(state.variable.name for state in states) if len(states) == n else ()

@@ -25,7 +25,7 @@ from ddpc_cosim.fmu.linearisation import (
     DERIVATIVES,
     Derivatives,
     LinearModel,
-    has_directions,
+    has_directional_derivatives,
     linearisation_faults,
     linearise,
 )
@@ -320,7 +320,7 @@ class FMUSession:
             faults.append(f"u has shape {np.shape(u)}; needed: {len(self._inputs)} numbers")
         if faults or not isinstance(run, ModelExchangeRun):
             raise ConfigError([f"{self._label}: {fault}" for fault in faults])
-        told = has_directions(run.model, self.description, self._shapes)
+        told = has_directional_derivatives(run.model, self.description, self._shapes)
         if derivatives == "directional" and not told:
             raise ConfigError(
                 f"{self._label}: the FMU has no directional derivatives; differences do without"

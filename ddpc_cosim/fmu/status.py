@@ -1,4 +1,9 @@
-"""What FMI functions return, and the error for what does not succeed."""
+"""What FMI functions return and what FMUs say: statuses, the error for a failed call, the log of an instance.
+
+Of each instance the last lines are kept; nothing is printed. FMPy's C proxy, which formats messages in the
+manner of printf, remembers a single callback for the whole process. So there is a single one here that is
+never released; it finds the instance by its environment pointer (FMI 2.0) or by its name (FMI 1.0).
+"""
 
 import ctypes
 from collections import deque

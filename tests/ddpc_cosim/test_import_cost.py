@@ -55,6 +55,12 @@ def test_the_help_page(tmp_path: Path) -> None:
     assert not loaded & (HEAVY | {"numpy", "scipy", "pydantic", "fmpy", "rich"})
 
 
+def test_what_runs_an_fmu(tmp_path: Path) -> None:
+    """Every process that loads an FMU pays for it."""
+    loaded = modules_after("import ddpc_cosim.fmu.session", tmp_path)
+    assert not loaded & (HEAVY | {"scipy", "pydantic"})
+
+
 def test_a_study_with_faults(tmp_path: Path, paper_text: str) -> None:
     faulty = paper_text.replace("horizon = 5", "horizon = 0").replace('"torque"', '"torqe"')
     (tmp_path / "faulty.toml").write_text(faulty, encoding="utf-8")

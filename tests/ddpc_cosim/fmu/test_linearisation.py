@@ -215,7 +215,7 @@ def test_everything_that_cannot_be_differentiated_is_named(tmp_path: Path) -> No
     assert [fault.partition(": ")[2] for fault in caught.value.faults] == [
         "the FMU has no continuous states",
         'the input "u" is discrete',
-        'the output "count" is of type Integer, no real number',
+        'the output "count" is of type Integer, not a real number',
         'derivatives = "magic" is not possible; allowed: auto, directional, differences',
     ]
     assert linearisation_faults(plant.description, [], []) == ["the FMU has no continuous states"]

@@ -1,5 +1,7 @@
 """Model Exchange behind the plant contract: states, and events of every kind, in three FMI versions."""
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -175,3 +177,14 @@ def test_a_state_brings_back_time_inputs_and_events(pendulum_fmu: Path) -> None:
     again = [plant.step(np.array([u]), 0.1) for u in (2.0, -1.0)]
     plant.close()
     assert np.array(again) == pytest.approx(np.array(onwards), abs=1e-9)
+
+
+def test_platforms_without_cvode_are_told_by_what_fmpy_ships() -> None:
+    code = """
+import sys
+sys.modules["fmpy.sundials"] = None
+from ddpc_cosim.fmu.integrators import has_cvode
+print(has_cvode())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
