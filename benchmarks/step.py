@@ -13,8 +13,8 @@ import numpy as np
 from benchmarks.pendulum import STEPS, Pendulum, experiment, loop
 from ddpc_controllers import DeePC
 from ddpc_controllers.optimisation.backends import BackendName
-from ddpc_controllers.optimisation.uncondensed import FullDeePC
 from ddpc_cosim import Action, Controller, FloatArray, Recording, Sample
+from tests.controllers.full_problem import FullDeePC
 
 Stepper = Callable[[Sample], FloatArray]
 

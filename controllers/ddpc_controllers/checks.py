@@ -61,15 +61,6 @@ def per_signal(name: str, value: Weight, size: int) -> FloatArray:
     return np.full(size, array)
 
 
-def all_positive(value: object) -> bool:
-    """Whether a value is a number, or numbers, finite and above zero."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # lists of different lengths
-        return False
-    return array.dtype.kind in "iuf" and bool(np.all(np.isfinite(array) & (array > 0.0)))
-
-
 def all_finite(values: FloatArray) -> bool:
     """Return whether all of a few values are finite."""
     return isfinite(sum(values.tolist()))

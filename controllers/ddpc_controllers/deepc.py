@@ -7,41 +7,25 @@ relaxations*, IEEE TAC 68(2), 2023, doi:10.1109/TAC.2022.3148374 (arXiv:2101.012
 
 import copy
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ddpc_controllers.checks import all_finite, all_positive, check_settings_and, per_signal, stand_in
+from ddpc_controllers.checks import all_finite, check_settings_and, stand_in
 from ddpc_controllers.data.hankel import diagnose, least_samples, require_excitation, require_length
-from ddpc_controllers.data.online import Learner, OnlineLearning
-from ddpc_controllers.data.windows import (
-    ONE,
-    Block,
-    ParameterVector,
-    WindowLayout,
-    matching_recording,
-    padded_with_zeros,
-    resting_input,
-)
+from ddpc_controllers.data.online import Learner, OnlineSettings
+from ddpc_controllers.data.windows import ONE, WindowLayout, matching_recording, resting_input
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
-from ddpc_controllers.optimisation.condensing import Condenser, Regularisation
-from ddpc_controllers.optimisation.limits import HELD, PREDICTED
-from ddpc_controllers.optimisation.problem import SUM_G, Problem, write_tracking_problem
-from ddpc_controllers.optimisation.qp import NOT_FINITE, AdaptiveQP, Move, ParametricQP
+from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
+from ddpc_controllers.optimisation.problem import ParameterVector, Problem
+from ddpc_controllers.optimisation.qp import Law, make_law
+from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
+from ddpc_controllers.optimisation.uncondensed import UncondensedLaw
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, Weight, setting
-
-AffineSum = Literal["none", "all", "first-horizon"]
-RateBounds = float | Sequence[float]
-
-
-class Solver(Protocol):
-    """What answers a parameter vector with a move."""
-
-    def solve(self, parameters: FloatArray) -> Move:
-        """Return the optimal move, or the documented fallback with its reason."""
 
 
 @dataclass(kw_only=True)
@@ -74,14 +58,13 @@ class BehavioralTracking(ScaledSignals):
     soft_output_bounds: float = setting(
         0.0, low=0.0, doc="weight of |excess|^2 beyond the output bounds; 0: they are hard"
     )
-    rate_bounds: RateBounds = setting(
-        default_factory=tuple, doc="largest change of each input per sample, in its unit; empty: none"
+    rate_bounds: Weight = setting(
+        (), above=0.0, doc="largest change of each input per sample, in its unit; empty: none"
     )
     apply_steps: int = setting(1, low=1, doc="inputs of each plan that are applied before the next is made")
     use_current_output: bool = setting(
         False, doc="the output measured now ends the past window; otherwise the sample before does"
     )
-    zero_padding: bool = setting(False, doc="append initial_length samples of zero to the recording")
     assumed_order: int = setting(0, low=0, doc="bound on the plant's order; 0: initial_length x outputs")
     backend: BackendName = setting("piqp", choices=BACKENDS, doc="QP solver for active sets not seen before")
 
@@ -91,23 +74,23 @@ class BehavioralTracking(ScaledSignals):
     def _start(self, loop: Loop) -> None:
         """Condense the problem on the loop's recording."""
         recording = matching_recording(loop, type(self).__name__)
-        m, p = len(loop.inputs), len(loop.outputs)
-        self._loop_bounds, self._inputs, self._outputs = loop.bounds, m, p
-        # Where the inputs of a plan and its predicted outputs end in the solver's answer.
-        self._planned = self.apply_steps * m, self.apply_steps * (m + p)
+        m, p, steps = len(loop.inputs), len(loop.outputs), self.apply_steps
+        self._inputs, self._outputs = m, p
+        # Where the inputs of a plan and its predicted outputs end in the law's answer.
+        self._planned = steps * m, steps * (m + p)
         self._forecast = recording.y[-1]
-        self._rates: FloatArray | None = None
-        if self._has_rates:
-            self._rates = per_signal("rate_bounds", self.rate_bounds, m) / self._scales.u
+        self._rates = rate_limits(self.rate_bounds, m) / self._scales.u
+        self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max, self._rates, steps)
         self._resting: bool = not loop.continues_recording
         self._pending: list[FloatArray] = []
         data = self._stack(recording)
         self._parameters = self._make_parameters(m, p, len(data))
-        self._learner: Learner | None = None
-        condenser = self._write_down(loop).prepare("u", self.apply_steps * m, self.apply_steps * p)
-        self._solver = self._make_solver(loop, recording, condenser, data)
-        changes_answer = self._has_rates or self._remembers_plan or self._learner is not None
-        self._applies_answer: bool = self.apply_steps == 1 and not changes_answer
+        problem = self._write_down(loop)
+        problem.ask(u=steps * m, y=steps * p)
+        self._learner = self._make_learner(problem, data, loop, recording)
+        self._law = self._make_law(problem, data)
+        changes_answer = np.isfinite(self._rates).any() or self._remembers_plan or self._learner is not None
+        self._applies_answer: bool = steps == 1 and not changes_answer
         self._fill_past(loop, recording)
 
     def _step(self, sample: Sample) -> FloatArray | Action:
@@ -142,25 +125,26 @@ class BehavioralTracking(ScaledSignals):
     def _write_down(self, loop: Loop) -> Problem:
         """Return the tracking problem."""
 
-    def _make_solver(
-        self, loop: Loop, recording: Recording, condenser: Condenser, data: FloatArray
-    ) -> Solver:
-        """Return what solves the problem online; the condensed problem on the recording as it is."""
-        return ParametricQP(condenser.condense(data), *self._planned_limits(), make_backend(self.backend))
+    def _make_learner(
+        self, problem: Problem, data: FloatArray, loop: Loop, recording: Recording
+    ) -> Learner | None:
+        """Return what lets the data follow the plant, if anything does."""
+        return None
+
+    def _make_law(self, problem: Problem, data: FloatArray) -> Law:
+        """Return what solves the problem online."""
+        online = self._learner.data if self._learner else None
+        return make_law(problem, data, self._limits, make_backend(self.backend), online)
 
     @property
-    def _affine_sum(self) -> AffineSum:
-        """Which entries of g sum to 1."""
-        return "none"
+    def _sums_g(self) -> bool:
+        """Whether entries of g sum to 1."""
+        return False
 
     @property
     def _remembers_plan(self) -> bool:
         """Whether the data rows of the last plan are a parameter of the next."""
         return False
-
-    @property
-    def _has_rates(self) -> bool:
-        return np.size(self.rate_bounds) > 0
 
     @property
     def _past_outputs(self) -> int:
@@ -170,10 +154,10 @@ class BehavioralTracking(ScaledSignals):
     def _layout(self) -> WindowLayout:
         """Return how windows are stacked: what the outputs are predicted from first."""
         past, known, horizon = self.initial_length, self._past_outputs, self.horizon
-        blocks = [Block("u", 0, past), Block("y", 0, known)]
-        if self._affine_sum != "none":
-            blocks.append(Block(ONE, 0, 1))
-        return WindowLayout([*blocks, Block("u", past, horizon), Block("y", known, horizon)])
+        sum_of_g = [(ONE, 0, 1)] if self._sums_g else []
+        return WindowLayout(
+            ("u", 0, past), ("y", 0, known), *sum_of_g, ("u", past, horizon), ("y", known, horizon)
+        )
 
     def _faults_between_settings(self) -> list[str]:
         name, faults = type(self).__name__, []
@@ -195,8 +179,6 @@ class BehavioralTracking(ScaledSignals):
             )
         if self.apply_steps > self.horizon:
             faults.append(f"{name}: apply_steps = {self.apply_steps} is more than horizon = {self.horizon}")
-        if self._has_rates and not all_positive(self.rate_bounds):
-            faults.append(f"{name}: rate_bounds = {self.rate_bounds!r} is not possible; allowed: above 0")
         return faults
 
     def _order_needed(self, outputs: int) -> int:
@@ -205,20 +187,17 @@ class BehavioralTracking(ScaledSignals):
 
     def _stack(self, recording: Recording) -> FloatArray:
         """Return M: the past and future Hankel blocks, and the row that sums g where one is asked for."""
-        u, y = recording.u, recording.y
-        if self.zero_padding:
-            u, y = padded_with_zeros(u, self.initial_length), padded_with_zeros(y, self.initial_length)
-        m, p, depth = u.shape[1], y.shape[1], self.initial_length + self.horizon
-        order, who = self._order_needed(p), type(self).__name__
-        require_length(len(u), order, m, who)
+        u, y, who = recording.u, recording.y, type(self).__name__
+        depth, order = self.initial_length + self.horizon, self._order_needed(y.shape[1])
+        require_length(len(u), order, u.shape[1], who)
         data = self._layout.stack({"u": u, "y": y})
-        sum_row = self.initial_length * m + self._past_outputs * p
-        windows = data if self._affine_sum == "none" else np.delete(data, sum_row, axis=0)
-        self._diagnostics = diagnose(windows, u, order)
+        self._diagnostics = diagnose(np.delete(data, self._sum_rows(recording), axis=0), u, order)
         require_excitation(self._diagnostics, f"depth {depth} + assumed order {order - depth}", who)
-        if self._affine_sum == "first-horizon":
-            data[sum_row, self.horizon :] = 0.0
         return data
+
+    def _sum_rows(self, recording: Recording) -> NDArray[np.intp]:
+        """Return the number of the row that sums g, if there is one."""
+        return self._layout.rows_of(ONE, {"u": recording.u.shape[1], "y": recording.y.shape[1]})
 
     def _make_parameters(self, m: int, p: int, rows: int) -> ParameterVector:
         windows = {
@@ -228,25 +207,38 @@ class BehavioralTracking(ScaledSignals):
         }
         return ParameterVector(windows | ({"h_previous": (1, rows)} if self._remembers_plan else {}))
 
-    def _planned_limits(self) -> tuple[FloatArray, FloatArray]:
-        """Return the limits of all inputs that a plan applies."""
-        bounds, steps = self._loop_bounds, self.apply_steps
-        return np.tile(bounds.u_min, steps), np.tile(bounds.u_max, steps)
-
-    def _tracking_problem(self, loop: Loop) -> Problem:
-        """Write down the cost, the terminal condition and the bounds; the past is the subclass's."""
-        rows = {"u_ini": self._parameters.sizes["u_ini"], "y_ini": self._parameters.sizes["y_ini"]}
-        if self._affine_sum != "none":
-            rows[SUM_G] = 1
-        return write_tracking_problem(self, loop, rows, self._parameters.sizes, self._rates)
+    def _tracking_problem(self, loop: Loop, prefer_rest: bool = False) -> Problem:
+        """Write down the cost, the terminal condition and the bounds; the past outputs are the subclass's."""
+        settings = TrackingSettings(
+            horizon=self.horizon,
+            setpoint="input-output" if self.artificial_setpoint else "none",
+            output_weight=self.output_weight,
+            input_weight=self.input_weight,
+            setpoint_weight=self.setpoint_weight,
+            setpoint_margin=self.setpoint_margin,
+            terminal_length=self.initial_length if self.terminal_equality else 0,
+            soft_output_bounds=self.soft_output_bounds,
+        )
+        sizes = self._parameters.sizes
+        past = {"u_ini": sizes["u_ini"], "y_ini": sizes["y_ini"]} | ({"sum_g": 1} if self._sums_g else {})
+        return tracking_problem(
+            settings,
+            loop.bounds,
+            resting_input(loop),
+            self._rates,
+            past,
+            sizes,
+            known={"u_ini": "u_ini"} | ({"sum_g": "one"} if self._sums_g else {}),
+            prefer_rest=prefer_rest,
+        )
 
     def _plan(self, reference: FloatArray) -> tuple[FloatArray, str]:
         """Solve; return the input to apply now, keep those to apply next."""
         parameters = self._parameters
         parameters.fill("r", reference)
-        answer, fault = self._solver.solve(parameters.array)
-        if fault == NOT_FINITE:
-            return parameters.window("u_ini")[-1].copy(), HELD
+        answer, fault = self._law.solve(parameters.array)
+        if answer is None:
+            return parameters.window("u_ini")[-1].copy(), fault
         planned, forecast = self._planned
         self._forecast = answer[planned:forecast]
         if self._applies_answer:
@@ -256,7 +248,7 @@ class BehavioralTracking(ScaledSignals):
         plan = answer[:planned].reshape(-1, self._inputs)
         if self._learner:
             self._learner.add_dither(plan)
-        self._hold_limits(plan)
+        self._limits.hold_changes(plan, parameters.window("u_ini")[-1])
         if not fault:
             self._pending = list(plan[1:])
         return plan[0].copy(), fault
@@ -270,15 +262,6 @@ class BehavioralTracking(ScaledSignals):
         """Return outputs, shape (p,), with what the plan predicted in the place of those that are lost."""
         return stand_in(y, self._forecast[: self._outputs])
 
-    def _hold_limits(self, plan: FloatArray) -> None:
-        """Hold input and rate bounds exactly, in place, along the inputs that will be applied."""
-        bounds, last = self._loop_bounds, self._parameters.window("u_ini")[-1]
-        for u in plan:
-            if self._rates is not None:
-                np.clip(u, last - self._rates, last + self._rates, out=u)
-            np.clip(u, bounds.u_min, bounds.u_max, out=u)
-            last = u
-
     def _fill_past(self, loop: Loop, recording: Recording) -> None:
         """Fill the past: with the recording's tail, or with rest as far as it is known yet."""
         past = slice(-self.initial_length, None)
@@ -290,12 +273,11 @@ Regulariser = Literal["ridge", "shifted-ridge", "projection", "l1"]
 
 
 @dataclass(kw_only=True)
-class DeePC(OnlineLearning, BehavioralTracking):
+class DeePC(OnlineSettings, BehavioralTracking):
     """Data-enabled predictive control, equation (8).
 
     The defaults are those of Table 1 and the problem is the printed one. ``artificial_setpoint`` and
-    ``terminal_equality`` off give the regulation form of [8]. ``affine_sum = "first-horizon"`` and
-    ``zero_padding`` do what the paper's published program does and equation (8) does not.
+    ``terminal_equality`` off give the regulation form of [8].
 
     ``regulariser`` is what ``lambda_g`` weighs: ``"ridge"`` |g|^2; ``"shifted-ridge"`` |g - g'|^2, g' being
     the last plan's combination, which leaves no bias at rest; ``"projection"`` |(I - Pi) g|^2, only what goes
@@ -304,7 +286,7 @@ class DeePC(OnlineLearning, BehavioralTracking):
     where that fails the last input is held.
 
     ``online_data`` lets the data follow the plant: see
-    :class:`~ddpc_controllers.data.online.OnlineLearning`.
+    :class:`~ddpc_controllers.data.online.OnlineSettings`.
     """
 
     regulariser: Regulariser = setting(
@@ -313,26 +295,20 @@ class DeePC(OnlineLearning, BehavioralTracking):
     lambda_g: float = setting(50.0, above=0.0, doc="weight of the regulariser, of |g|^2 with the ridge")
     slack: bool = setting(True, doc="past outputs may be missed by sigma_y; otherwise they are met exactly")
     lambda_sigma: float = setting(1e7, above=0.0, doc="weight of |sigma_y|^2, the misfit of the past outputs")
-    affine_sum: AffineSum = setting("none", choices=get_args(AffineSum), doc="which entries of g sum to 1")
+    affine_sum: str = setting("none", choices=("none", "all"), doc="which entries of g sum to 1")
 
     def _faults_between_settings(self) -> list[str]:
         faults = super()._faults_between_settings()
-        if self.online_data != "frozen":
-            if self.regulariser == "l1":
-                faults.append(
-                    "DeePC: regulariser = 'l1' has no condensed form to update; use another regulariser or "
-                    "online_data = 'frozen'"
-                )
-            if self.affine_sum == "first-horizon":
-                faults.append(
-                    "DeePC: affine_sum = 'first-horizon' counts windows of the recording, which online_data "
-                    "replaces; use affine_sum = 'all'"
-                )
-        return faults + self._online_faults("DeePC")
+        if self.online_data != "frozen" and self.regulariser == "l1":
+            faults.append(
+                "DeePC: regulariser = 'l1' has no condensed form to update; use another regulariser or "
+                "online_data = 'frozen'"
+            )
+        return faults + self.online_faults()
 
     @property
-    def _affine_sum(self) -> AffineSum:
-        return self.affine_sum
+    def _sums_g(self) -> bool:
+        return self.affine_sum != "none"
 
     @property
     def _remembers_plan(self) -> bool:
@@ -348,26 +324,28 @@ class DeePC(OnlineLearning, BehavioralTracking):
         else:
             problem.equate({"y_ini": past_y}, {"y_ini": past_y})
         if self.regulariser == "projection":
-            predicted = problem.rows["y"]
-            sizes = sum(problem.rows.values()) - predicted, predicted
-            problem.regularise(Regularisation(sizes, (0.0, self.lambda_g)))
-        else:
+            problem.regularise({"y": self.lambda_g})
+        elif self.regulariser != "l1":
             problem.regularise(self.lambda_g, about="h_previous" if self._remembers_plan else "")
         return problem
 
-    def _make_solver(
-        self, loop: Loop, recording: Recording, condenser: Condenser, data: FloatArray
-    ) -> Solver:
-        if self.regulariser == "l1":
-            from ddpc_controllers.optimisation.uncondensed import UncondensedSolver
-
-            return UncondensedSolver(self, recording, loop, self.apply_steps)
+    def _make_learner(
+        self, problem: Problem, data: FloatArray, loop: Loop, recording: Recording
+    ) -> Learner | None:
         if self.online_data == "frozen":
-            return super()._make_solver(loop, recording, condenser, data)
-        condenser.condense(data)  # says so if the weights leave the optimum undetermined
-        signals = {"u": recording.u, "y": recording.y}
-        self._learner = self._make_learner(
-            condenser, data, self._layout, signals, loop.continues_recording, copy.deepcopy(loop.rng)
+            return None
+        return Learner(
+            self,
+            problem,
+            data,
+            self._layout,
+            {"u": recording.u, "y": recording.y},
+            self._scales.u,
+            loop.continues_recording,
+            copy.deepcopy(loop.rng),
         )
-        limits = self._planned_limits()
-        return AdaptiveQP(condenser, self._learner.data, *limits, make_backend(self.backend))
+
+    def _make_law(self, problem: Problem, data: FloatArray) -> Law:
+        if self.regulariser == "l1":
+            return UncondensedLaw(problem, self.lambda_g, data, self._limits)
+        return super()._make_law(problem, data)

@@ -28,8 +28,9 @@ from ddpc_controllers.data.dictionaries import Dictionary, ThinPlate, embed, mem
 from ddpc_controllers.data.hankel import require_informative
 from ddpc_controllers.data.windows import StateWindow, matching_recording, resting_input
 from ddpc_controllers.models.linear import SampledModel
-from ddpc_controllers.mpc import Predictor, TrackingSettings
+from ddpc_controllers.mpc import Predictor
 from ddpc_controllers.optimisation.limits import PREDICTED
+from ddpc_controllers.optimisation.tracking import TrackingSettings
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import Action, DataError, FloatArray, Loop, Recording, Sample, setting
 

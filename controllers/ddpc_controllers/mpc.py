@@ -9,71 +9,20 @@ A model's trajectories over the horizon are all ``h = (x, u, y) = M (x, u)``: wh
 a recording, the matrix M is to a model. Costs, limits, condensing and the online solution are shared.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from ddpc_controllers.checks import weight_matrices
-from ddpc_controllers.data.windows import ParameterVector, resting_input
+from ddpc_controllers.data.windows import resting_input
 from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
-from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
-from ddpc_controllers.optimisation.limits import HELD, rate_limits
-from ddpc_controllers.optimisation.problem import (
-    Problem,
-    bound_signals,
-    end_at_setpoints,
-    excess_variables,
-    penalise_tracking,
-    prefer_rest,
-)
-from ddpc_controllers.optimisation.qp import NOT_FINITE, Move, ParametricQP
-from ddpc_cosim import Bounds, FloatArray, Loop, Sample, Weight, setting
-
-Setpoint = Literal["input", "input-output", "none"]
-SETPOINTS = ("input", "input-output", "none")
-
-
-@dataclass(kw_only=True)
-class TrackingSettings:
-    """What a predictive controller minimises, in the terms of (8) and (11)."""
-
-    horizon: int = setting(5, low=1, doc="prediction horizon N, samples")
-    setpoint: Setpoint = setting(
-        "input", choices=SETPOINTS, doc="artificial setpoints: u_s (11), u_s and y_s (8), or none"
-    )
-    output_weight: Weight = setting(1.0, low=0.0, doc="Q: predicted outputs off the reference, or off y_s")
-    input_weight: Weight = setting(0.1, low=0.0, doc="R: inputs off u_s, or off their values at rest")
-    setpoint_weight: Weight = setting(1.0, low=0.0, doc="S: y_s off the reference")
-    change_weight: Weight = setting(0.0, low=0.0, doc="weight of the changes of the inputs")
-    setpoint_margin: float = setting(
-        0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoints"
-    )
-    terminal_length: int = setting(0, low=0, doc="samples at the horizon's end that equal the setpoints")
-    soft_output_bounds: float = setting(
-        0.0, low=0.0, doc="weight of |excess|^2 beyond the output bounds; 0: they are hard"
-    )
-    rate_bounds: float | Sequence[float] = setting(
-        default_factory=tuple, doc="largest change of each input per sample, in its unit; empty: none"
-    )
-    backend: BackendName = setting("piqp", choices=BACKENDS, doc="QP solver for active sets not seen before")
-
-    def tracking_faults(self) -> list[str]:
-        """Return how the settings contradict each other."""
-        who, faults = type(self).__name__, []
-        if self.terminal_length > self.horizon:
-            faults.append(
-                f"{who}: horizon = {self.horizon} is shorter than terminal_length = {self.terminal_length}"
-            )
-        if self.terminal_length and self.setpoint == "none":
-            faults.append(
-                f"{who}: terminal_length = {self.terminal_length} ties the horizon's end to the artificial "
-                'setpoints: set it to 0, or setpoint to "input" or "input-output"'
-            )
-        if not np.all(np.asarray(self.rate_bounds, dtype=float) > 0.0):
-            faults.append(f"{who}: rate_bounds = {self.rate_bounds!r} is not possible; allowed: above 0")
-        return faults
+from ddpc_controllers.optimisation.backends import make_backend
+from ddpc_controllers.optimisation.condensing import condense
+from ddpc_controllers.optimisation.limits import InputLimits, rate_limits
+from ddpc_controllers.optimisation.problem import ParameterVector
+from ddpc_controllers.optimisation.qp import ParametricQP
+from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
+from ddpc_cosim import Bounds, FloatArray, Loop, Sample, setting
 
 
 def trajectories(a: FloatArray, b: FloatArray, c: FloatArray, horizon: int) -> FloatArray:
@@ -126,15 +75,28 @@ class Predictor:
         rest: FloatArray,
     ) -> None:
         n, m, p = len(a), b.shape[1], len(c)
-        self._bounds = bounds
-        self._rates = rate_limits(settings.rate_bounds, m) / input_scales
-        self._parameters = ParameterVector({"x": (1, n), "u_last": (1, m), "r": (settings.horizon, p)})
-        problem = _write_down(settings, bounds, self._rates, rest, self._parameters.sizes)
-        condensed = problem.prepare("u", m).condense(trajectories(a, b, c, settings.horizon))
-        self._qp = ParametricQP(condensed, bounds.u_min, bounds.u_max, make_backend(settings.backend))
+        rates = rate_limits(settings.rate_bounds, m) / input_scales
+        self._limits = InputLimits(bounds.u_min, bounds.u_max, rates)
+        self._parameters = ParameterVector({"x": (1, n), "u_ini": (1, m), "r": (settings.horizon, p)})
+        past = {"x": n, "u_ini": m}
+        problem = tracking_problem(
+            settings,
+            bounds,
+            rest,
+            rates,
+            past,
+            self._parameters.sizes,
+            known={name: name for name in past},
+            prefer_rest=True,
+        )
+        problem.ask(u=m)
+        condensed = condense(problem, trajectories(a, b, c, settings.horizon))
+        self._law = ParametricQP(condensed, self._limits, make_backend(settings.backend))
 
-    def solve(self, state: FloatArray, last_input: FloatArray, reference: FloatArray) -> Move:
-        """Return the first optimal inputs.
+    def solve(
+        self, state: FloatArray, last_input: FloatArray, reference: FloatArray
+    ) -> tuple[FloatArray, str]:
+        """Return the first optimal inputs, shape (m,), and why they are not the optimum, empty if they are.
 
         Parameters
         ----------
@@ -146,51 +108,13 @@ class Predictor:
             References of the next samples, time along axis 0.
         """
         self._parameters.fill("x", state)
-        self._parameters.fill("u_last", last_input)
+        self._parameters.fill("u_ini", last_input)
         self._parameters.fill("r", reference)
-        u, fault = self._qp.solve(self._parameters.array)
-        if fault == NOT_FINITE:
-            return Move(last_input.copy(), HELD)
-        np.clip(u, last_input - self._rates, last_input + self._rates, out=u)
-        np.clip(u, self._bounds.u_min, self._bounds.u_max, out=u)
-        return Move(u, fault)
-
-
-def _write_down(
-    settings: TrackingSettings, bounds: Bounds, rates: FloatArray, rest: FloatArray, sizes: Mapping[str, int]
-) -> Problem:
-    n, m, horizon = sizes["x"], sizes["u_last"], settings.horizon
-    p, soft = sizes["r"] // horizon, settings.soft_output_bounds
-    setpoints = dict(
-        {"none": {}, "input": {"u_s": m}, "input-output": {"u_s": m, "y_s": p}}[settings.setpoint]
-    )
-    free = setpoints | (excess_variables(setpoints, horizon, p) if soft > 0.0 else {})
-    rows = {"x": n, "u_last": m, "u": horizon * m, "y": horizon * p}
-    problem = Problem(rows=rows, free=free, parameters=sizes)
-    for known in ("x", "u_last"):
-        problem.equate({known: np.eye(sizes[known])}, {known: np.eye(sizes[known])})
-    *_, change = weight_matrices(  # all faults at once
-        output_weight=(settings.output_weight, p),
-        input_weight=(settings.input_weight, m),
-        setpoint_weight=(settings.setpoint_weight, p),
-        change_weight=(settings.change_weight, m),
-    )
-    penalise_tracking(problem, settings, rest, p)
-    prefer_rest(problem, settings.input_weight, rest, p)
-    if change.any():
-        before = _inputs_before(horizon, m)
-        problem.penalise(change, {"u": np.eye(horizon * m) - before["u"], "u_last": -before["u_last"]}, {})
-    if settings.terminal_length:
-        end_at_setpoints(problem, settings.terminal_length, {"u": m, "y": p})
-    bound_signals(problem, bounds, settings.setpoint_margin, soft)
-    if np.isfinite(rates).any():
-        problem.bound("u", -rates, rates, _inputs_before(horizon, m), name="change of u")
-    return problem
-
-
-def _inputs_before(horizon: int, m: int) -> dict[str, FloatArray]:
-    """Return the blocks of the inputs of the sample before each of the horizon."""
-    return {"u": np.eye(horizon * m, k=-m), "u_last": np.eye(horizon * m, m)}
+        u, fault = self._law.solve(self._parameters.array)
+        if u is None:
+            return last_input.copy(), fault
+        self._limits.hold_changes(u[np.newaxis], last_input)
+        return u, fault
 
 
 @dataclass(kw_only=True)

@@ -1,93 +1,130 @@
-"""What the paper's published WKPC program does differently from equations (10)-(12)."""
+"""What the programs that the paper's authors published do and equations (8) and (10)-(12) do not.
+
+Subclasses, so that no setting of a method serves only them. Their trajectories are those of the programs.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ddpc_controllers.data.dictionaries import Lift, ThinPlate, ThinPlateFunctions, place_centres, thin_plate
+from ddpc_controllers.checks import all_finite
+from ddpc_controllers.data.dictionaries import Lift, ThinPlate
 from ddpc_controllers.data.hankel import hankel_matrix
-from ddpc_cosim import FloatArray
+from ddpc_controllers.deepc import DeePC
+from ddpc_controllers.optimisation.condensing import condense
+from ddpc_controllers.optimisation.qp import ParametricQP
+from ddpc_controllers.wkpc import WKPC
+from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, setting
 
 
-@dataclass(frozen=True, kw_only=True)
-class PublishedThinPlate:
-    """Thin-plate functions with the published program's two departures from (12).
+def padded_with_zeros(recording: Recording, samples: int) -> Recording:
+    """Append samples of zero to inputs and outputs, and drop as many in front."""
 
-    Parameters
-    ----------
-    printed : ThinPlate
-        Number of functions and box of the centres.
-    redraw_centre : bool
-        Draw one centre at every evaluation and use it for all functions, which makes them equal.
-    squared_distance : bool
-        Multiply the logarithm by the square of the distance.
+    def pad(signal: FloatArray) -> FloatArray:
+        return np.vstack([signal, np.zeros((samples, signal.shape[1]))])[samples:]
+
+    return Recording(pad(recording.u), pad(recording.y), recording.measured, recording.sampling_time)
+
+
+@dataclass(kw_only=True)
+class PublishedDeePC(DeePC):
+    """DeePC as the published program has it.
+
+    It appends ``initial_length`` samples of zero to the recording before it builds the Hankel matrices, which
+    plants a jump in the data, and requires that the first N entries of g alone sum to 1.
     """
 
-    printed: ThinPlate
-    redraw_centre: bool
-    squared_distance: bool
+    affine_sum: str = setting(
+        "first-horizon", choices=("first-horizon",), doc="which entries of g sum to 1: the first N"
+    )
 
-    def functions(self, size: int) -> int:
-        """Return n_p."""
-        return self.printed.functions(size)
+    def _faults_between_settings(self) -> list[str]:
+        faults = super()._faults_between_settings()
+        if self.online_data != "frozen":
+            faults.append(
+                "PublishedDeePC: the first N entries of g belong to windows of the recording, which "
+                "online_data replaces; use deepc with affine_sum = 'all'"
+            )
+        return faults
 
-    def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
-        """Return the functions; see :class:`~ddpc_controllers.data.dictionaries.Dictionary`."""
-        power = 2 if self.squared_distance else 1
-        if self.redraw_centre:
-            return _RedrawnFunctions(self.printed, power, rng)
-        printed = self.printed
-        box = (printed.low, printed.high)
-        return ThinPlateFunctions(place_centres(printed.centres, printed.count, states, box, rng), power)
+    def _stack(self, recording: Recording) -> FloatArray:
+        data = super()._stack(padded_with_zeros(recording, self.initial_length))
+        data[self._sum_rows(recording), self.horizon :] = 0.0
+        return data
+
+
+@dataclass(kw_only=True)
+class PublishedWKPC(WKPC):
+    """WKPC as the published program has it.
+
+    The recorded inputs and outputs are padded with zeros as in :class:`PublishedDeePC`. Instead of (12), one
+    new centre is drawn at every evaluation and used for all functions, which makes them equal and no function
+    of the state, and the logarithm is multiplied by the square of the distance. The lifted recording is a
+    memory that grows by two samples a step, the last state and the new one, each lifted anew; the lifted
+    Hankel matrix is rebuilt from its last T samples but the last N, while those of inputs and outputs stay.
+    """
+
+    dictionary: ThinPlate = setting(
+        default_factory=ThinPlate, doc="number of functions, and box of their centres"
+    )
+
+    def _faults_between_settings(self) -> list[str]:
+        faults = super()._faults_between_settings()
+        if not isinstance(self.dictionary, ThinPlate):
+            faults.append(f"PublishedWKPC: dictionary = {self.dictionary!r} is not a ThinPlate")
+        if self.online_data != "frozen":
+            faults.append("PublishedWKPC: the program leaves no data that online_data could update")
+        return faults
+
+    def _draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
+        return _RedrawnFunctions(self.dictionary, rng)
+
+    def _stack(self, recording: Recording, lifted: FloatArray) -> FloatArray:
+        return super()._stack(padded_with_zeros(recording, self.initial_length), lifted)
+
+    def _begin(self, loop: Loop, recording: Recording, lifted: FloatArray) -> None:
+        super()._begin(loop, recording, lifted)
+        self._lifted, self._last_state = lifted.copy(), np.empty(0)
+
+    def _step(self, sample: Sample) -> FloatArray | Action:
+        if all_finite(sample.y) and all_finite(sample.measured):
+            self._shift(self._last.take(sample.measured))
+        elif not self._resting:
+            self._shift(self._last.complete(sample.measured))
+        return super()._step(sample)
+
+    def _rest(self, sample: Sample) -> None:
+        """Start from rest, but with the lifted memory of the recording."""
+        self._resting = False
+        self._parameters.fill("y_ini", sample.y)
+
+    def _append_state(self, state: FloatArray) -> None:
+        """Do nothing: the lifted past is that of the memory."""
+
+    def _shift(self, state: FloatArray) -> None:
+        """Take a new state, shape (q,), and condense the problem on the shifted memory."""
+        last, self._last_state = self._last_state, state.copy()
+        past = self.initial_length
+        if last.size:
+            self._lifted[:-2] = self._lifted[2:]
+            self._lifted[-2], self._lifted[-1] = self._lift(last), self._lift(state)
+            hankel = hankel_matrix(self._lifted[: -self.horizon], past)
+            self._data[: len(hankel)] = hankel
+            if isinstance(self._law, ParametricQP):
+                self._law.replace(condense(self._problem, self._data))
+        self._parameters.fill("z_ini", self._lifted[-past:])
 
 
 @dataclass(frozen=True, eq=False)
 class _RedrawnFunctions:
-    """One centre for all functions, drawn anew for every state: not a function of the state at all."""
+    """One centre for all functions, drawn anew for every state."""
 
     printed: ThinPlate
-    power: int
     rng: np.random.Generator
 
     def __call__(self, states: FloatArray) -> FloatArray:
-        """Return the equal values of all functions for states of shape (..., q)."""
+        """Return the equal values ``d^2 log10(d)`` of all functions for states of shape (..., q)."""
         centres = self.rng.uniform(self.printed.low, self.printed.high, states.shape)
-        values = thin_plate(states - centres, self.power)
-        return np.repeat(values[..., np.newaxis], self.printed.count, axis=-1)
-
-
-class DoubleShift:
-    """A lifted memory that grows by two samples a step, while the input and output data stay.
-
-    It starts as the lifted recording. At every sample the last state and the new one are appended, each
-    lifted anew, and the lifted Hankel matrix is rebuilt from the last T samples but the last N.
-
-    Parameters
-    ----------
-    lift : callable
-        From states to lifted states z.
-    recorded : array, shape (T, n_z)
-        The lifted recording, time along axis 0.
-    initial_length, horizon : int
-        Tini and N.
-    """
-
-    def __init__(self, lift: Lift, recorded: FloatArray, initial_length: int, horizon: int) -> None:
-        self._lift = lift
-        self._memory = recorded.copy()
-        self._initial_length, self._horizon = initial_length, horizon
-        self._last_state: FloatArray | None = None
-
-    @property
-    def past(self) -> FloatArray:
-        """The last samples of the memory, which the program takes for z_ini; shape (Tini, n_z)."""
-        return self._memory[-self._initial_length :]
-
-    def move(self, state: FloatArray) -> FloatArray | None:
-        """Take a new state, shape (q,); return the lifted Hankel matrix if it changed."""
-        last, self._last_state = self._last_state, state.copy()
-        if last is None:
-            return None
-        self._memory[:-2] = self._memory[2:]
-        self._memory[-2], self._memory[-1] = self._lift(last), self._lift(state)
-        return hankel_matrix(self._memory[: -self._horizon], self._initial_length)
+        distance = np.sqrt(np.square(states - centres).sum(axis=-1))
+        logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)
+        return np.repeat((distance**2 * logarithm)[..., np.newaxis], self.printed.count, axis=-1)

@@ -18,10 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddpc_controllers.data.windows import resting_input
 from ddpc_controllers.deepc import BehavioralTracking
-from ddpc_controllers.optimisation.condensing import Regularisation
-from ddpc_controllers.optimisation.problem import Problem, prefer_rest
+from ddpc_controllers.optimisation.problem import Problem
 from ddpc_cosim import Loop, setting
 
 
@@ -49,18 +47,15 @@ class SPC(BehavioralTracking):
 
     def _write_down(self, loop: Loop) -> Problem:
         """Write down the problem over gamma_2 and gamma_3; gamma_1 follows from the past."""
-        problem = self._tracking_problem(loop)
-        prefer_rest(problem, self.input_weight, resting_input(loop), len(loop.outputs))
+        problem = self._tracking_problem(loop, prefer_rest=True)
         past_y = np.eye(self._parameters.sizes["y_ini"])
         problem.equate({"y_ini": past_y}, {"y_ini": past_y})
-        inputs, outputs = problem.rows["u"], problem.rows["y"]
-        past = sum(problem.rows.values()) - inputs - outputs
-        problem.regularise(Regularisation((past, inputs, outputs), self._weights()))
+        problem.regularise(dict(zip("uy", self._weights(), strict=True)))
         return problem
 
-    def _weights(self) -> tuple[float, float, float]:
-        """Return the weights of |gamma_1|^2, |gamma_2|^2 and |gamma_3|^2."""
-        return 0.0, 0.0, math.inf
+    def _weights(self) -> tuple[float, float]:
+        """Return the weights of |gamma_2|^2 and |gamma_3|^2."""
+        return 0.0, math.inf
 
 
 @dataclass(kw_only=True)
@@ -73,7 +68,7 @@ class GammaDDPC(SPC):
     beta_2: float = setting(0.0, low=0.0, doc="weight of |gamma_2|^2: inputs unlike those of the recording")
     beta_3: float = setting(5.0, above=0.0, doc="weight of |gamma_3|^2: outputs off their prediction")
 
-    def _weights(self) -> tuple[float, float, float]:
+    def _weights(self) -> tuple[float, float]:
         # The factor of the data as they are has the coordinates gamma / sqrt(windows).
         windows = self._diagnostics.data_columns
-        return 0.0, windows * self.beta_2, windows * self.beta_3
+        return windows * self.beta_2, windows * self.beta_3

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ddpc_controllers import IPID, MFAC, MFAPC, SPC, SPSA, WKPC, Cascade, DeePC, GammaDDPC
+from ddpc_controllers.published import PublishedDeePC, PublishedWKPC
 from ddpc_cosim import Action, ConfigError, Controller, DataError, Loop, Recording, Sample, declared_settings
 
 from .loops import ANGLE, close_loop, make_loop, paper_reference, pendulum_loop, quick_pendulum
@@ -15,13 +16,13 @@ from .loops import ANGLE, close_loop, make_loop, paper_reference, pendulum_loop,
 ALL: list[Any] = [DeePC, SPC, GammaDDPC, WKPC, MFAPC, MFAC, IPID, Cascade, SPSA]
 VARIANTS: list[Any] = [
     DeePC(),
-    DeePC(affine_sum="first-horizon", zero_padding=True),
+    PublishedDeePC(),
     DeePC(regulariser="shifted-ridge", apply_steps=2, rate_bounds=0.5, soft_output_bounds=1e3),
     DeePC(online_data="sliding-window", dither=0.2, use_current_output=True),
     SPC(),
     GammaDDPC(),
     WKPC(),
-    WKPC(zero_padding=True, redraw_centre=True, squared_distance=True, double_shift=True),
+    PublishedWKPC(),
     MFAPC(),
     MFAPC(form="pfdl", limits="clip"),
     MFAPC(form="ffdl", rate_bounds=0.5, assume_sign=False),
@@ -117,7 +118,7 @@ def test_every_setting_says_what_it_is(kind: Any) -> None:
         (SPC, {"initial_length": 0, "apply_steps": 0, "backend": "other", "use_current_output": 1}),
         (GammaDDPC, {"beta_2": -1.0, "beta_3": 0.0}),
         (DeePC, {"horizon": 0, "lambda_g": -1.0, "affine_sum": "some", "setpoint_margin": 2.0}),
-        (WKPC, {"initial_length": 1.5, "input_weight": 0.0, "zero_padding": "yes"}),
+        (WKPC, {"initial_length": 1.5, "input_weight": 0.0, "online_data": "yes"}),
         (MFAPC, {"eta": 2.5, "forecast_order": 0, "lambda_u": float("nan")}),
         (MFAC, {"form": "xfdl", "step_factor": 0.0, "rate_bounds": -1.0}),
         (IPID, {"order": 3, "window": 0, "kp": -1.0}),
@@ -153,7 +154,7 @@ def test_a_dictionary_that_cannot_draw_is_refused() -> None:
         WKPC(dictionary=7)
 
 
-def test_options_of_the_published_lift_need_that_lift() -> None:
+def test_the_published_lift_is_of_thin_plates() -> None:
     class Other:
         def functions(self, size: int) -> int:
             return size
@@ -161,8 +162,8 @@ def test_options_of_the_published_lift_need_that_lift() -> None:
         def draw(self, size: int, rng: np.random.Generator) -> Any:
             return np.square
 
-    with pytest.raises(ConfigError, match="redraw_centre and squared_distance change ThinPlate"):
-        WKPC(dictionary=Other(), redraw_centre=True)
+    with pytest.raises(ConfigError, match="is not a ThinPlate"):
+        PublishedWKPC(dictionary=Other())
 
 
 @pytest.mark.parametrize("kind", [DeePC, WKPC])

@@ -8,6 +8,7 @@ import pytest
 from ddpc_controllers import SPC, WKPC, DeePC, Identity
 from ddpc_controllers.deepc import BehavioralTracking
 from ddpc_controllers.optimisation.limits import PREDICTED
+from ddpc_controllers.published import PublishedWKPC
 from ddpc_cosim import Action, Bounds, Controller, FloatArray, Loop, Recording, Sample, Variable
 
 A = np.array([[0.8, 0.1], [-0.1, 0.7]])
@@ -138,9 +139,8 @@ def test_wkpc_learns_no_window_with_a_stand_in(online_data: str, signal: int) ->
 
 
 @pytest.mark.parametrize("lost", [0, 3])
-@pytest.mark.parametrize("redraw_centre", [False, True])
-def test_the_published_program_survives(lost: int, redraw_centre: bool) -> None:
-    controller = WKPC(double_shift=True, redraw_centre=redraw_centre)
+def test_the_published_program_survives(lost: int) -> None:
+    controller = PublishedWKPC()
     loop, state = affine_loop(continues=False)
     controller.start(loop)
     for k in range(12):

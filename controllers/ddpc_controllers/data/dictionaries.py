@@ -183,24 +183,16 @@ class ThinPlateFunctions:
     ----------
     centres : array, shape (n_p, q)
         The centres c_i.
-    power : int
-        Of the distance in front of the logarithm: 1 as printed in (12).
     """
 
     centres: FloatArray
-    power: int = 1
 
     def __call__(self, states: FloatArray) -> FloatArray:
-        """Return psi_1 ... psi_np for states of shape (..., q)."""
-        return thin_plate(states[..., np.newaxis, :] - self.centres, self.power)
-
-
-def thin_plate(difference: FloatArray, power: int) -> FloatArray:
-    """Return ``d**power * log10(d)`` for the lengths d of differences, shape (..., q); 0 where d = 0."""
-    distance = np.sqrt(np.square(difference).sum(axis=-1))
-    logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)
-    values: FloatArray = distance**power * logarithm
-    return values
+        """Return psi_1 ... psi_np for states of shape (..., q); 0 at the centres."""
+        distance = np.sqrt(np.square(states[..., np.newaxis, :] - self.centres).sum(axis=-1))
+        logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)
+        values: FloatArray = distance * logarithm
+        return values
 
 
 @dataclass(frozen=True, kw_only=True)

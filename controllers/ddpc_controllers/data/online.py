@@ -12,7 +12,7 @@ data do not have any more, call for a new factor, from the window's data or, wit
 the accumulated rounding after as many updates as there are windows.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -22,8 +22,8 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 
 from ddpc_controllers.checks import per_signal
 from ddpc_controllers.data.windows import WindowBuffer, WindowLayout
-from ddpc_controllers.optimisation.condensing import Condenser, Regularisation, RowFactor
-from ddpc_controllers.scaling import ScaledSignals
+from ddpc_controllers.optimisation.condensing import RowFactor, factorise
+from ddpc_controllers.optimisation.problem import Problem
 from ddpc_cosim import FloatArray, Weight, setting
 
 OnlineMode = Literal["frozen", "sliding-window", "forgetting"]
@@ -83,8 +83,8 @@ class OnlineData:
     ----------
     data : array, shape (rows, columns)
         M of the recording.
-    regularisation : Regularisation
-        Whose factor the coordinates come from.
+    weights : sequence of (int, float)
+        What g costs: see :func:`~ddpc_controllers.optimisation.condensing.factorise`.
     input_rows : array of int, shape (inputs in a window,)
         Which rows hold inputs.
     keep : float
@@ -104,12 +104,12 @@ class OnlineData:
     def __init__(
         self,
         data: FloatArray,
-        regularisation: Regularisation,
+        weights: Sequence[tuple[int, float]],
         input_rows: NDArray[np.intp],
         keep: float,
         floor: float,
     ) -> None:
-        self._regularisation, self._input_rows = regularisation, input_rows
+        self._weights, self._input_rows = weights, input_rows
         self._keep, self._floor = keep, floor
         self._windows = data.T.copy()
         self._oldest = 0
@@ -175,7 +175,7 @@ class OnlineData:
         return np.asarray(self.factor.basis @ (vectors[:, kept] * np.sqrt(values[kept])))
 
     def _factorise(self, data: FloatArray) -> None:
-        self.factor: RowFactor = self._regularisation.factor(data)
+        self.factor: RowFactor = factorise(data, self._weights)
         self._coordinates = np.linalg.pinv(self.factor.basis)
         self.gram = np.eye(self.factor.basis.shape[1])
         self._factorised += 1
@@ -196,43 +196,8 @@ def _updated(gram: FloatArray, new: FloatArray, old: FloatArray | None, keep: fl
     return gram + 0.5 * (change + change.T)
 
 
-class Learner:
-    """The newest window of the loop, and the data that learn it.
-
-    Parameters
-    ----------
-    buffer : WindowBuffer
-        The newest window.
-    data : OnlineData
-        What learns.
-    amplitude : array, shape (m,)
-        Amplitude of the dither.
-    rng : numpy.random.Generator
-        Where the dither comes from.
-    """
-
-    def __init__(
-        self, buffer: WindowBuffer, data: OnlineData, amplitude: FloatArray, rng: np.random.Generator
-    ) -> None:
-        self.data = data
-        self._buffer, self._amplitude, self._rng = buffer, amplitude, rng
-        self._dithers = bool(amplitude.any())
-
-    def learn(self, **samples: FloatArray) -> None:
-        """Take the loop's samples of all signals, shape (width,) each; learn the window they complete."""
-        self._buffer.append(samples)
-        window = self._buffer.column()
-        if window is not None:
-            self.data.learn(window)
-
-    def add_dither(self, plan: FloatArray) -> None:
-        """Add the dither to inputs, shape (samples, m), in place."""
-        if self._dithers:
-            plan += self._amplitude * self._rng.uniform(-1.0, 1.0, plan.shape)
-
-
 @dataclass(kw_only=True)
-class OnlineLearning(ScaledSignals):
+class OnlineSettings:
     """The settings of controllers whose data can follow the plant.
 
     ``"sliding-window"`` replaces the oldest window by the newest, ``"forgetting"`` weighs all windows down by
@@ -255,44 +220,74 @@ class OnlineLearning(ScaledSignals):
         0.0, low=0.0, doc="amplitude of the random signal added to each input, in its unit; online data only"
     )
 
-    def _online_faults(self, who: str) -> list[str]:
-        faults = []
+    def online_faults(self) -> list[str]:
+        """Return how the settings contradict each other."""
+        who, faults = type(self).__name__, []
         if self.online_data == "forgetting" and self.forgetting_factor == 1.0:
             faults.append(f"{who}: forgetting_factor = 1 forgets nothing; use 0.9 to 0.9999")
         if self.online_data == "frozen" and np.any(self.dither):
             faults.append(f"{who}: dither = {self.dither!r} excites for online_data, which is 'frozen'")
         return faults
 
-    def _make_learner(
+
+class Learner:
+    """How a predictive controller feeds its own loop's samples to its data (Remarks 1 and 2).
+
+    Parameters
+    ----------
+    settings : OnlineSettings
+        How the data follow the plant.
+    problem : Problem
+        The problem that they meet.
+    data : array, shape (rows, columns)
+        The recording's stacked data M.
+    layout, signals
+        How the recorded signals, shape (T, width) each, make up these data.
+    input_scales : array, shape (m,)
+        What one unit of each input is, in the unit of the dither.
+    continues : bool
+        The loop's first sample follows the recording's last.
+    rng : numpy.random.Generator
+        Where the dither comes from.
+
+    Attributes
+    ----------
+    data : OnlineData
+        The data as they are now.
+
+    Raises
+    ------
+    ConfigError
+        ``dither`` does not fit the number of inputs.
+    """
+
+    def __init__(
         self,
-        condenser: Condenser,
+        settings: OnlineSettings,
+        problem: Problem,
         data: FloatArray,
         layout: WindowLayout,
         signals: Mapping[str, FloatArray],
+        input_scales: FloatArray,
         continues: bool,
         rng: np.random.Generator,
-    ) -> Learner:
-        """Return what learns, starting from a recording's stacked data M.
-
-        Parameters
-        ----------
-        condenser, data
-            The problem and the data that it meets first.
-        layout, signals
-            How the recorded signals, shape (T, width) each, make up these data.
-        continues : bool
-            The loop's first sample follows the recording's last.
-        rng : numpy.random.Generator
-            Where the dither comes from.
-
-        Raises
-        ------
-        ConfigError
-            ``dither`` does not fit the number of inputs.
-        """
+    ) -> None:
         widths = {name: values.shape[1] for name, values in signals.items()}
-        amplitude = per_signal("dither", self.dither, widths["u"]) / self._scales.u
-        keep = self.forgetting_factor if self.online_data == "forgetting" else 1.0
+        self._amplitude = per_signal("dither", settings.dither, widths["u"]) / input_scales
+        self._dithers, self._rng = bool(self._amplitude.any()), rng
+        keep = settings.forgetting_factor if settings.online_data == "forgetting" else 1.0
         rows = layout.rows_of("u", widths)
-        online = OnlineData(data, condenser.regularisation, rows, keep, self.excitation_floor)
-        return Learner(WindowBuffer(layout, signals, continues), online, amplitude, rng)
+        self.data = OnlineData(data, problem.weights, rows, keep, settings.excitation_floor)
+        self._buffer = WindowBuffer(layout, signals, continues)
+
+    def learn(self, **samples: FloatArray) -> None:
+        """Take the loop's samples of all signals, shape (width,) each; learn the window they complete."""
+        self._buffer.append(samples)
+        window = self._buffer.column()
+        if window is not None:
+            self.data.learn(window)
+
+    def add_dither(self, plan: FloatArray) -> None:
+        """Add the dither to inputs, shape (samples, m), in place."""
+        if self._dithers:
+            plan += self._amplitude * self._rng.uniform(-1.0, 1.0, plan.shape)

@@ -1,8 +1,10 @@
-"""Solvers of ``minimise |t|^2 subject to excess + gain t <= 0``, and what contradicts what where none can.
+"""The QP solvers: of ``minimise |t|^2 subject to excess + gain t <= 0``, and of large sparse problems.
 
-They are asked for the active set first: its exact law has more digits than any solver's answer.
+The former are asked for the active set first: its exact law has more digits than any solver's answer. Where
+none can find an optimum, :func:`contradiction` finds what contradicts what.
 """
 
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, Literal, NamedTuple, Protocol, get_args
 
@@ -21,6 +23,7 @@ PIQP_TOLERANCE = 1e-12
 """Tolerances of PIQP, all of them: its defaults leave errors of 3e-4 in the input."""
 
 _DAQP_TOLERANCE = 1e-10
+_SPARSE_TOLERANCE = 1e-13
 _DAQP_INFEASIBLE = -1
 _EXCEEDED = 1e-8
 _CONTRADICTION = 1e-6
@@ -104,8 +107,7 @@ class PIQPBackend:
         self._directions = right[values > np.finfo(float).eps * len(right) * values[0]].T
         bounds, size = len(gain), self._directions.shape[1]
         solver = piqp.DenseSolver()
-        for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
-            setattr(solver.settings, name, PIQP_TOLERANCE)
+        _ask_for(solver, PIQP_TOLERANCE)
         gain = np.asfortranarray(gain @ self._directions)
         solver.setup(np.eye(size), np.zeros(size), G=gain, h_u=np.zeros(bounds))
         self._solver = solver
@@ -164,6 +166,11 @@ class DAQPBackend:
         return {**self.__dict__, "_model": None}
 
 
+def _ask_for(solver: Any, tolerance: float) -> None:
+    for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
+        setattr(solver.settings, name, tolerance)
+
+
 def make_backend(name: str) -> Backend:
     """Return a solver by name.
 
@@ -173,6 +180,99 @@ def make_backend(name: str) -> Backend:
         The solver is not installed.
     """
     return DAQPBackend() if name == "daqp" else PIQPBackend()
+
+
+SparseBlocks = Mapping[str, Any]
+"""Coefficient blocks, dense or sparse, by the name of the variable that they multiply."""
+
+
+class SparseQP:
+    """Minimise ``x' H x + c' x`` subject to ``A x = b`` and limits of x.
+
+    Parameters
+    ----------
+    sizes : mapping of str to int
+        Sizes of the variables, in their order in x.
+    half_hessian : mapping of (str, str) to array
+        Blocks of H.
+    equalities : mapping of str to blocks
+        Rows of A by the name of their right-hand side, in order.
+    limits : mapping of str to (array, array)
+        Limits of the variables that have any.
+    tolerance : float
+        Tolerance of PIQP, absolute and relative, on residuals and duality gap.
+    relaxed : float, optional
+        Tolerance of a second attempt where the first fails; default: there is none.
+
+    Attributes
+    ----------
+    linear, right : dict of str to array
+        Blocks of c and b, zero at first: views, to be changed in place.
+    """
+
+    def __init__(
+        self,
+        sizes: Mapping[str, int],
+        half_hessian: Mapping[tuple[str, str], Any],
+        equalities: Mapping[str, SparseBlocks],
+        limits: Mapping[str, tuple[FloatArray, FloatArray]],
+        tolerance: float = _SPARSE_TOLERANCE,
+        relaxed: float | None = None,
+    ) -> None:
+        import scipy.sparse as sp  # takes long, and no other problem needs it
+
+        def matrix(blocks: Mapping[tuple[str, str], Any], heights: Mapping[str, int]) -> Any:
+            # Zeros where there is no block: every row and column needs a size.
+            rows = [
+                [
+                    sp.csc_array(blocks.get((i, j), sp.csc_array((height, width))))
+                    for j, width in sizes.items()
+                ]
+                for i, height in heights.items()
+            ]
+            return sp.csc_matrix(sp.block_array(rows))
+
+        heights = {name: next(iter(blocks.values())).shape[0] for name, blocks in equalities.items()}
+        quadratic = matrix(half_hessian, sizes)
+        equations = matrix({(i, j): b for i, row in equalities.items() for j, b in row.items()}, heights)
+        self._c, self.linear = _vector(sizes)
+        self._b, self.right = _vector(heights)
+        self._x, self._parts = _vector(sizes)
+        free = {name: (np.full(size, -np.inf), np.full(size, np.inf)) for name, size in sizes.items()}
+        lower, upper = map(np.concatenate, zip(*({**free, **limits}[name] for name in sizes), strict=True))
+        self._tolerance, self._relaxed = tolerance, relaxed
+        self._solver = piqp.SparseSolver()
+        # Rows of size 1 need no other scaling, and shorter steps get through degenerate problems.
+        self._solver.settings.preconditioner_iter = 0
+        self._solver.settings.tau = 0.9
+        # PIQP's tolerances are absolute too: costs and rows of about size 1, whatever the units and weights.
+        curvatures = quadratic.diagonal()
+        self._cost = float(np.exp(-np.log(curvatures[curvatures > 0.0]).mean()))
+        self._row_sizes = np.sqrt(np.asarray(equations.power(2).sum(axis=1)).ravel())
+        self._row_sizes[self._row_sizes == 0.0] = 1.0
+        equations = sp.csc_matrix(sp.diags_array(1.0 / self._row_sizes) @ equations)
+        self._solver.setup(2.0 * self._cost * quadratic, self._c, equations, self._b, x_l=lower, x_u=upper)
+
+    def solve(self) -> tuple[dict[str, FloatArray], str]:
+        """Return the variables by name, and the solver's word for why they are not optimal, if so."""
+        self._solver.update(c=self._cost * self._c, b=self._b / self._row_sizes)
+        status = self._attempt(self._tolerance)
+        if status != piqp.PIQP_SOLVED and self._relaxed is not None:
+            status = self._attempt(self._relaxed)
+        self._x[...] = self._solver.result.x
+        solution = {name: part.copy() for name, part in self._parts.items()}
+        return solution, "" if status == piqp.PIQP_SOLVED else str(status.name)
+
+    def _attempt(self, tolerance: float) -> Any:
+        _ask_for(self._solver, tolerance)
+        return self._solver.solve()
+
+
+def _vector(sizes: Mapping[str, int]) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Return a vector of zeros, and views of its named parts."""
+    vector = np.zeros(sum(sizes.values()))
+    ends = np.cumsum(list(sizes.values()))[:-1]
+    return vector, dict(zip(sizes, np.split(vector, ends), strict=True))
 
 
 def contradiction(gain: FloatArray, excess: FloatArray) -> ActiveSet:

@@ -18,6 +18,7 @@ The factor is block lower triangular where g costs differently block by block: e
 block of rows, what of them the rows above do not determine.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.linalg.blas import dtrsm
 
+from ddpc_controllers.optimisation.problem import Problem
 from ddpc_cosim import ConfigError, FloatArray
 
 
@@ -44,9 +46,8 @@ class RowFactor:
     weights: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class Regularisation:
-    """Weights of |v|^2, one for each block of data rows.
+def factorise(data: FloatArray, weights: Sequence[tuple[int, float]]) -> RowFactor:
+    """Factorise the stacked data, shape (rows, columns), block by block.
 
     One block weighs ``|g|^2``. With the predicted outputs as a last block of their own and no weight on the
     rest it is ``|(I - Pi) g|^2``, Pi projecting on the rows that the outputs are predicted from (F. Doerfler,
@@ -54,21 +55,17 @@ class Regularisation:
 
     Parameters
     ----------
-    sizes : tuple of int
-        Rows in each block, from the top.
-    weights : tuple of float
-        Weight of each block; an infinite one keeps its coordinates at zero.
+    data : array, shape (rows, columns)
+        M.
+    weights : sequence of (int, float)
+        Rows in each block, from the top, and the weight of its coordinates; an infinite one keeps them at
+        zero.
     """
-
-    sizes: tuple[int, ...]
-    weights: tuple[float, ...]
-
-    def factor(self, data: FloatArray) -> RowFactor:
-        """Factorise the stacked data, shape (rows, columns)."""
-        basis, ranks = _block_triangular(data, self.sizes)
-        weights = np.repeat(self.weights, ranks)
-        kept = np.isfinite(weights)
-        return RowFactor(basis[:, kept], weights[kept])
+    sizes, values = zip(*weights, strict=True)
+    basis, ranks = _block_triangular(data, sizes)
+    weight = np.repeat(values, ranks)
+    kept = np.isfinite(weight)
+    return RowFactor(basis[:, kept], weight[kept])
 
 
 def _block_triangular(data: FloatArray, sizes: tuple[int, ...]) -> tuple[FloatArray, list[int]]:
@@ -122,7 +119,7 @@ class CondensedProblem:
         What must vanish: the part of the past that no combination of the recorded windows has, in parts of
         what they hold.
     labels : tuple of str
-        What each bound is called; empty where nobody needs to know.
+        What each bound is called; empty where no message needs it.
     """
 
     excess_law: FloatArray
@@ -210,102 +207,71 @@ class ReducedProblem:
         return -gain @ projected, gain
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Condenser:
-    """A tracking problem over (h, other variables), ready to meet its data.
+def condense(problem: Problem, data: FloatArray) -> CondensedProblem:
+    """Eliminate everything but the deviation t.
 
     Parameters
     ----------
-    row_count : int
-        Number of data rows h.
-    regularisation : Regularisation
-        What the combination of recorded windows costs.
-    origin : array, shape (row_count, parameters)
-        ``origin @ p`` are the data rows that the regularisation draws to; zero where |g| itself is weighed.
-    residual, target : arrays, shapes (r, variables) and (r, parameters)
-        The cost ``|residual @ x - target @ p|^2``.
-    equality, equality_target : arrays, shapes (e, variables) and (e, parameters)
-        ``equality @ x = equality_target @ p``.
-    bounded : array, shape (b, variables)
-        The quantities with limits.
-    lower, upper : array, shape (b,)
-        The limits, infinite where there is none.
-    labels : tuple of str
-        What the finite limits are called: the upper ones, and then the lower ones.
-    move : array, shape (m, variables)
-        The inputs to apply now, and whatever else is asked for.
+    problem : Problem
+        The problem as printed.
+    data : array, shape (rows, columns)
+        The stacked Hankel matrices M.
+
+    Raises
+    ------
+    ConfigError
+        The weights leave the optimum undetermined.
     """
+    return reduce(problem, factorise(data, problem.weights)).optimise()
 
-    row_count: int
-    regularisation: Regularisation
-    origin: FloatArray
-    residual: FloatArray
-    target: FloatArray
-    equality: FloatArray
-    equality_target: FloatArray
-    bounded: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    labels: tuple[str, ...]
-    move: FloatArray
 
-    def condense(self, data: FloatArray) -> CondensedProblem:
-        """Eliminate everything but the deviation t.
+def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
+    """Eliminate the equalities in the coordinates of a factor of the data."""
+    basis, rows = factor.basis, problem.row_count
 
-        Parameters
-        ----------
-        data : array, shape (row_count, columns)
-            The stacked Hankel matrices M.
-
-        Raises
-        ------
-        ConfigError
-            The weights leave the optimum undetermined.
-        """
-        return self.reduce(self.regularisation.factor(data)).optimise()
-
-    def reduce(self, factor: RowFactor) -> ReducedProblem:
-        """Eliminate the equalities in the coordinates of a factor of the data."""
-        basis = factor.basis
-        equality = self._in_z(self.equality, basis)
-        particular, null_space, conflict = _eliminate(equality, self.equality_target)
-        residual, bounded = self._in_z(self.residual, basis), self._in_z(self.bounded, basis)
-        move, own = self._in_z(self.move, basis), slice(basis.shape[1])
-        excess = self._excess(bounded @ particular, bounded @ null_space)
-        return ReducedProblem(
-            residual=residual @ null_space,
-            offset=residual @ particular - self.target,
-            own_gain=null_space[own],
-            own_law=particular[own] - self._origin_in_v(basis),
-            weights=factor.weights,
-            excess_law=excess[0],
-            excess_gain=excess[1],
-            move_law=move @ particular,
-            move_gain=move @ null_space,
-            conflict_law=conflict,
-            labels=excess[2],
-        )
-
-    def _in_z(self, matrix: FloatArray, basis: FloatArray) -> FloatArray:
+    def in_z(matrix: FloatArray) -> FloatArray:
         """Rewrite rows over (h, other variables) as rows over z = (v, other variables)."""
-        return np.hstack([matrix[:, : self.row_count] @ basis, matrix[:, self.row_count :]])
+        return np.hstack([matrix[:, :rows] @ basis, matrix[:, rows:]])
 
-    def _origin_in_v(self, basis: FloatArray) -> FloatArray:
-        if not self.origin.any():
-            return np.zeros((basis.shape[1], self.origin.shape[1]))
-        return np.asarray(np.linalg.lstsq(basis, self.origin)[0])
+    (residual, target), (equality, equality_target) = problem.cost, problem.equality
+    quantities, lower, upper = problem.bounded
+    particular, null_space, conflict = _eliminate(in_z(equality), equality_target)
+    residual, bounded, move, own = (
+        in_z(residual),
+        in_z(quantities),
+        in_z(problem.wanted),
+        slice(basis.shape[1]),
+    )
+    law, gain = _excess(bounded @ particular, bounded @ null_space, lower, upper)
+    kept = _tightest(law, gain)
+    drawn_to = np.zeros((basis.shape[1], problem.origin.shape[1]))
+    if problem.origin.any():
+        drawn_to = np.asarray(np.linalg.lstsq(basis, problem.origin)[0])
+    return ReducedProblem(
+        residual=residual @ null_space,
+        offset=residual @ particular - target,
+        own_gain=null_space[own],
+        own_law=particular[own] - drawn_to,
+        weights=factor.weights,
+        excess_law=law[kept],
+        excess_gain=gain[kept],
+        move_law=move @ particular,
+        move_gain=move @ null_space,
+        conflict_law=conflict,
+        labels=tuple(problem.labels[i] for i in kept.tolist()),
+    )
 
-    def _excess(self, law: FloatArray, gain: FloatArray) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
-        """Turn ``lower <= law p + gain w <= upper`` into normalised rows that must not be positive."""
-        above, below = np.isfinite(self.upper), np.isfinite(self.lower)
-        span = self.upper - self.lower
-        size = np.where(np.isfinite(span) & (span > 0.0), span, 1.0)
-        scale = np.concatenate([size[above], size[below]])[:, np.newaxis]
-        law = np.vstack([law[above], -law[below]])
-        law[:, -1] -= np.concatenate([self.upper[above], -self.lower[below]])  # the last parameter is 1
-        law, gain = law / scale, np.vstack([gain[above], -gain[below]]) / scale
-        kept = _tightest(law, gain)
-        return law[kept], gain[kept], tuple(self.labels[i] for i in kept.tolist())
+
+def _excess(
+    law: FloatArray, gain: FloatArray, lower: FloatArray, upper: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Turn ``lower <= law p + gain w <= upper`` into normalised rows that must not be positive."""
+    above, below, span = np.isfinite(upper), np.isfinite(lower), upper - lower
+    size = np.where(np.isfinite(span) & (span > 0.0), span, 1.0)
+    scale = np.concatenate([size[above], size[below]])[:, np.newaxis]
+    law = np.vstack([law[above], -law[below]])
+    law[:, -1] -= np.concatenate([upper[above], -lower[below]])  # the last parameter is 1
+    return law / scale, np.vstack([gain[above], -gain[below]]) / scale
 
 
 def _eliminate(equality: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -62,12 +62,16 @@ def rate_limits(rate_bounds: Weight, inputs: int) -> FloatArray:
 
 
 class InputLimits:
-    """The limits of the inputs, which stand first in a move.
+    """The limits of the inputs, which stand first in a move, and of their changes.
 
     Parameters
     ----------
     u_min, u_max : array, shape (m,)
         The limits.
+    rates : array, shape (m,), optional
+        Largest change of each input in one sample; default: any.
+    steps : int
+        For how many samples a move holds inputs.
 
     Attributes
     ----------
@@ -75,14 +79,17 @@ class InputLimits:
         Whether an input has none on a side.
     """
 
-    def __init__(self, u_min: FloatArray, u_max: FloatArray) -> None:
-        self._u_min, self._u_max, self._inputs = u_min, u_max, len(u_min)
-        self._low, self._high = u_min.tolist(), u_max.tolist()
+    def __init__(
+        self, u_min: FloatArray, u_max: FloatArray, rates: FloatArray | None = None, steps: int = 1
+    ) -> None:
+        self._bounds, self._inputs = (u_min, u_max), steps * len(u_min)
+        self._rates = np.full(len(u_min), np.inf) if rates is None else rates
         self.endless = not (np.isfinite(u_min).all() and np.isfinite(u_max).all())
         span = np.zeros(len(u_min))
         np.subtract(u_max, u_min, out=span, where=np.isfinite(u_min) & np.isfinite(u_max))
-        self._near_low = (u_min + _AT_LIMIT * span).tolist()
-        self._near_high = (u_max - _AT_LIMIT * span).tolist()
+        self._low, self._high = u_min.tolist() * steps, u_max.tolist() * steps
+        self._near_low = (u_min + _AT_LIMIT * span).tolist() * steps
+        self._near_high = (u_max - _AT_LIMIT * span).tolist() * steps
 
     def reach(self, u: FloatArray) -> None:
         """Put inputs that are at a limit but for rounding exactly there, in place."""
@@ -97,9 +104,15 @@ class InputLimits:
         inputs = u[: self._inputs]
         for low, value, high in zip(self._low, inputs.tolist(), self._high, strict=True):
             if not low <= value <= high:  # seldom: comparing a few numbers takes less time than a clip
-                np.maximum(inputs, self._u_min, out=inputs)
-                np.minimum(inputs, self._u_max, out=inputs)
+                np.clip(inputs, self._low, self._high, out=inputs)
                 return
+
+    def hold_changes(self, plan: FloatArray, last: FloatArray) -> None:
+        """Keep inputs, shape (samples, m), and their changes from ``last`` on within limits, in place."""
+        for u in plan:
+            np.clip(u, last - self._rates, last + self._rates, out=u)
+            np.clip(u, *self._bounds, out=u)
+            last = u
 
 
 class ChangeLimits:

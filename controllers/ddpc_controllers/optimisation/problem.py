@@ -1,72 +1,77 @@
-"""Tracking problems such as (8), written down in named variables as the papers print them."""
+"""Quadratic problems written down in named variables as the papers print them, and their parameters."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from ddpc_controllers.checks import weight_matrices
-from ddpc_controllers.data.windows import resting_input, setpoint_bounds
-from ddpc_controllers.optimisation.condensing import Condenser, Regularisation
-from ddpc_cosim import Bounds, FloatArray, Loop, Weight
+from ddpc_cosim import FloatArray
 
 Blocks = Mapping[str, FloatArray]
 """Coefficient blocks by the name of the variable or parameter that they multiply."""
 
 
-class _Bounded(NamedTuple):
-    """A bounded quantity: its name, its coefficients and its limits, one for each row."""
-
-    name: str
-    blocks: Blocks
-    lower: FloatArray
-    upper: FloatArray
-
-
-@dataclass
 class Problem:
-    """A quadratic problem in named variables, affine in named parameters.
+    """A quadratic problem in named variables x, affine in named parameters p.
 
     Parameters
     ----------
     rows : mapping of str to int
-        Sizes of the data rows ``h = M g`` (pasts, u, y), stacked in this order in M.
+        Sizes of the data rows ``h = M g`` (pasts, u, y), stacked in this order in M: the first part of x.
     free : mapping of str to int
         Sizes of the other variables (artificial setpoints); the combination g itself goes without saying.
     parameters : mapping of str to int
         Sizes of what changes from sample to sample, stacked in this order in p; the last is the constant 1.
+
+    Attributes
+    ----------
+    weights : tuple of (int, float)
+        What g costs, block by block of the data rows from the top: number of rows and weight. One block
+        weighs ``|g|^2``; see :func:`~ddpc_controllers.optimisation.condensing.factorise` for more.
+    origin : array, shape (rows, parameters)
+        ``origin @ p`` are the data rows that g is drawn to; zero where ``|g|`` itself is weighed.
+    labels : tuple of str
+        What the finite limits are called: the upper ones, and then the lower ones.
     """
 
-    rows: Mapping[str, int]
-    free: Mapping[str, int]
-    parameters: Mapping[str, int]
-    _costs: list[tuple[FloatArray, Blocks, Blocks]] = field(default_factory=list, init=False, repr=False)
-    _equalities: list[tuple[Blocks, Blocks]] = field(default_factory=list, init=False, repr=False)
-    _bounds: list[_Bounded] = field(default_factory=list, init=False, repr=False)
-    _regularisation: Regularisation | None = field(default=None, init=False, repr=False)
-    _about: str = field(default="", init=False, repr=False)
+    def __init__(
+        self, rows: Mapping[str, int], free: Mapping[str, int], parameters: Mapping[str, int]
+    ) -> None:
+        self.rows, self.free = dict(rows), dict(free)
+        self._variables, self._parameters = _places({**rows, **free}), _places(parameters)
+        self._width, self._columns = sum(rows.values()) + sum(free.values()), sum(parameters.values())
+        self._costs: list[tuple[FloatArray, FloatArray]] = []
+        self._equalities: list[tuple[FloatArray, FloatArray]] = []
+        self._bounds: list[tuple[str, FloatArray, FloatArray, FloatArray]] = []
+        self._wanted: list[FloatArray] = []
+        self.weights: tuple[tuple[int, float], ...] = ((self.row_count, 0.0),)
+        self.origin = np.zeros((self.row_count, self._columns))
 
-    def regularise(self, weight: float | Regularisation, about: str = "") -> None:
-        """Add ``weight |g|^2`` to the cost, or what a regularisation makes of it.
+    @property
+    def row_count(self) -> int:
+        """Number of data rows."""
+        return sum(self.rows.values())
+
+    def regularise(self, weight: float | Mapping[str, float], about: str = "") -> None:
+        """Add ``weight |g|^2`` to the cost, or weights for what the last blocks of rows add to those above.
 
         ``about`` names a parameter that holds data rows: their combination takes the place of g = 0.
         """
-        if not isinstance(weight, Regularisation):
-            weight = Regularisation((sum(self.rows.values()),), (weight,))
-        self._regularisation, self._about = weight, about
+        last = weight if isinstance(weight, Mapping) else {}
+        above = self.row_count - sum(self.rows[name] for name in last)
+        first = 0.0 if isinstance(weight, Mapping) else weight
+        self.weights = ((above, first), *((self.rows[name], size) for name, size in last.items()))
+        if about:
+            self.origin[:, self._parameters[about]] = np.eye(self.row_count)
 
     def penalise(self, weight: FloatArray, variables: Blocks, target: Blocks) -> None:
         """Add ``|sum variables - sum target|^2`` to the cost, each sample weighted by ``weight``."""
-        samples = _row_count(variables) // len(weight)
-        roots: FloatArray = np.kron(np.eye(samples, dtype=np.float64), _square_root(weight)).astype(
-            np.float64
-        )
-        self._costs.append((roots, variables, target))
+        left, right = self._assembled(variables, target)
+        root = np.kron(np.eye(len(left) // len(weight)), _square_root(weight))
+        self._costs.append((root @ left, root @ right))
 
     def equate(self, variables: Blocks, target: Blocks) -> None:
         """Require ``sum variables = sum target``."""
-        self._equalities.append((variables, target))
+        self._equalities.append(self._assembled(variables, target))
 
     def bound(
         self, variable: str, lower: FloatArray, upper: FloatArray, less: Blocks | None = None, name: str = ""
@@ -75,56 +80,121 @@ class Problem:
 
         With ``less`` it is the variable minus these others; ``name`` is what messages call it.
         """
-        size = {**self.rows, **self.free}[variable]
-        blocks = {variable: np.eye(size)}
+        blocks = {variable: np.eye({**self.rows, **self.free}[variable])}
         for other, block in (less or {}).items():
             blocks[other] = blocks.get(other, 0.0) - block
-        samples = size // len(lower)
-        self._bounds.append(
-            _Bounded(name or variable, blocks, np.tile(lower, samples), np.tile(upper, samples))
-        )
+        bounded, _ = self._assembled(blocks, {})
+        samples = len(bounded) // len(lower)
+        limits = np.tile(lower, samples), np.tile(upper, samples)
+        self._bounds.append((name or variable, bounded, *limits))
 
-    def prepare(self, move: str, inputs: int, outputs: int = 0) -> Condenser:
-        """Assemble what does not depend on the data.
+    def ask(self, **counts: int) -> None:
+        """Ask for the first entries of variables; where g is drawn to earlier rows, for all new ones too."""
+        for name, count in counts.items():
+            self._wanted.append(np.eye(self._width)[self._variables[name]][:count])
+        if self.origin.any():
+            self._wanted.append(np.eye(self.row_count, self._width))
 
-        The first ``inputs`` entries of ``move`` are applied. After them the first ``outputs`` entries of y
-        are asked for, and, where the regularisation is about earlier data rows, all new ones.
-        """
-        variables = _places({**self.rows, **self.free})
-        parameters = _places(self.parameters)
-        row_count = sum(self.rows.values())
-        origin = np.zeros((row_count, sum(self.parameters.values())))
-        wanted = np.vstack([_selection(move, variables)[:inputs], _selection("y", variables)[:outputs]])
-        if self._about:
-            origin[:, parameters[self._about]] = np.eye(row_count)
-            wanted = np.vstack([wanted, np.eye(row_count, wanted.shape[1])])
+    @property
+    def cost(self) -> tuple[FloatArray, FloatArray]:
+        """R and T of the cost ``|R x - T p|^2``, shapes (r, variables) and (r, parameters)."""
+        return _stacked(self._costs)
 
-        def assembled(left: Blocks, right: Blocks) -> tuple[FloatArray, FloatArray]:
-            rows = _row_count(left)
-            return _assemble(left, variables, rows), _assemble(right, parameters, rows)
+    @property
+    def equality(self) -> tuple[FloatArray, FloatArray]:
+        """E and E_p of ``E x = E_p p``, shapes (e, variables) and (e, parameters)."""
+        return _stacked(self._equalities)
 
-        costs = [(root, *assembled(left, right)) for root, left, right in self._costs]
-        equalities = [assembled(left, right) for left, right in self._equalities]
-        return Condenser(
-            row_count=row_count,
-            regularisation=self._regularisation or Regularisation((row_count,), (0.0,)),
-            origin=origin,
-            residual=np.vstack([root @ left for root, left, _ in costs]),
-            target=np.vstack([root @ right for root, _, right in costs]),
-            equality=np.vstack([left for left, _ in equalities]),
-            equality_target=np.vstack([right for _, right in equalities]),
-            bounded=np.vstack([_assemble(b.blocks, variables, len(b.lower)) for b in self._bounds]),
-            lower=np.concatenate([b.lower for b in self._bounds]),
-            upper=np.concatenate([b.upper for b in self._bounds]),
-            labels=(*self._labels("upper"), *self._labels("lower")),
-            move=wanted,
-        )
+    @property
+    def bounded(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """C and the limits of C x, shapes (b, variables), (b,) and (b,); infinite where there is none."""
+        _, rows, lower, upper = zip(*self._bounds, strict=True)
+        return np.vstack(rows), np.concatenate(lower), np.concatenate(upper)
 
-    def _labels(self, side: Literal["lower", "upper"]) -> Iterator[str]:
-        """Name the finite limits on one side."""
-        for bounded in self._bounds:
-            limits: FloatArray = getattr(bounded, side)
-            yield from [f"{bounded.name} at its {side} bound"] * int(np.isfinite(limits).sum())
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What the finite limits are called: the upper ones, and then the lower ones."""
+        return (*self._labels("upper"), *self._labels("lower"))
+
+    @property
+    def wanted(self) -> FloatArray:
+        """Rows that select from x what a solution is asked for, shape (n, variables)."""
+        return np.vstack(self._wanted)
+
+    def _assembled(self, variables: Blocks, parameters: Blocks) -> tuple[FloatArray, FloatArray]:
+        """Write blocks side by side, zero elsewhere: those of x, and those of p."""
+        rows = len(next(iter(variables.values())))
+        left, right = np.zeros((rows, self._width)), np.zeros((rows, self._columns))
+        for name, block in variables.items():
+            left[:, self._variables[name]] += block
+        for name, block in parameters.items():
+            right[:, self._parameters[name]] += block
+        return left, right
+
+    def _labels(self, side: str) -> Iterator[str]:
+        for name, _, lower, upper in self._bounds:
+            count = np.isfinite(upper if side == "upper" else lower).sum()
+            yield from [f"{name} at its {side} bound"] * int(count)
+
+
+class ParameterVector:
+    """The parameters of a problem: named windows of signals in one array, then a constant 1.
+
+    Parameters
+    ----------
+    windows : mapping of str to (int, int)
+        Length and width of each window.
+    array : array, shape (parameters,), optional
+        Values to begin with.
+
+    Attributes
+    ----------
+    array : array, shape (parameters,)
+        All windows and the 1; changed in place.
+    sizes : dict of str to int
+        Number of entries by name, in the order of the array.
+    """
+
+    def __init__(self, windows: Mapping[str, tuple[int, int]], array: FloatArray | None = None) -> None:
+        self._shapes = dict(windows)
+        self.sizes = {name: length * width for name, (length, width) in windows.items()} | {"one": 1}
+        self.array = np.zeros(sum(self.sizes.values())) if array is None else array
+        self.array[-1] = 1.0
+        self._windows: dict[str, FloatArray] = {}
+        self._moves: dict[str, tuple[FloatArray, FloatArray, FloatArray]] = {}
+        for name, place in _places(self.sizes).items():
+            if name in windows:
+                window = self._windows[name] = self.array[place].reshape(windows[name])
+                self._moves[name] = window[:-1], window[1:], window[-1]
+
+    def fill(self, name: str, values: FloatArray) -> None:
+        """Set a window, shape (length, width), time along axis 0; a single sample fills all of it."""
+        self._windows[name][...] = values
+
+    def window(self, name: str) -> FloatArray:
+        """Return a window, shape (length, width), time along axis 0: a view of the array."""
+        return self._windows[name]
+
+    def append(self, name: str, sample: FloatArray) -> None:
+        """Forget a window's oldest sample and append one, shape (width,)."""
+        older, newer, newest = self._moves[name]
+        older[...] = newer
+        newest[...] = sample
+
+    def __reduce__(self) -> tuple[type["ParameterVector"], tuple[Mapping[str, tuple[int, int]], FloatArray]]:
+        """Copy the array once: its windows are views, which copies would part from it."""
+        return type(self), (self._shapes, self.array)
+
+
+def _places(sizes: Mapping[str, int]) -> dict[str, slice]:
+    """Return where each named block stands in the stacked vector."""
+    ends = np.cumsum(list(sizes.values())).tolist()
+    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
+
+def _stacked(parts: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    left, right = zip(*parts, strict=True)
+    return np.vstack(left), np.vstack(right)
 
 
 def _square_root(weight: FloatArray) -> FloatArray:
@@ -132,183 +202,3 @@ def _square_root(weight: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(weight)
     root: FloatArray = np.sqrt(np.maximum(values, 0.0))[:, np.newaxis] * vectors.T
     return root
-
-
-def _places(sizes: Mapping[str, int]) -> dict[str, slice]:
-    """Return where each named block stands in the stacked vector."""
-    places = {}
-    start = 0
-    for name, size in sizes.items():
-        places[name] = slice(start, start + size)
-        start += size
-    return places
-
-
-def _row_count(blocks: Blocks) -> int:
-    return len(next(iter(blocks.values())))
-
-
-def _assemble(blocks: Blocks, places: Mapping[str, slice], rows: int) -> FloatArray:
-    """Write named blocks side by side, zero elsewhere."""
-    matrix = np.zeros((rows, max(place.stop for place in places.values())))
-    for name, block in blocks.items():
-        matrix[:, places[name]] += block
-    return matrix
-
-
-def _selection(name: str, places: Mapping[str, slice]) -> FloatArray:
-    """Return the rows that select one variable from the stacked vector."""
-    size = places[name].stop - places[name].start
-    return _assemble({name: np.eye(size)}, places, size)
-
-
-SUM_G = "sum_g"
-"""The data row that holds the sum of the entries of g."""
-
-
-_PREFERENCE = 1e-6
-
-
-class TrackingWeights(Protocol):
-    """The weights of (8)."""
-
-    output_weight: Weight
-    setpoint_weight: Weight
-    input_weight: Weight
-
-
-class TrackingSettings(TrackingWeights, Protocol):
-    """The settings that decide the problem."""
-
-    initial_length: int
-    horizon: int
-    artificial_setpoint: bool
-    terminal_equality: bool
-    setpoint_margin: float
-    soft_output_bounds: float
-
-
-def write_tracking_problem(
-    settings: TrackingSettings,
-    loop: Loop,
-    past: Mapping[str, int],
-    parameters: Mapping[str, int],
-    rates: FloatArray | None,
-) -> Problem:
-    """Write down cost, terminal condition and bounds.
-
-    Parameters
-    ----------
-    settings : TrackingSettings
-        Which parts the problem has, and their weights.
-    loop : Loop
-        Its signals and their limits.
-    past : mapping of str to int
-        Sizes of the data rows above those of u and y: the past, and the sum of g where it has a row. The
-        past inputs and the sum are required here; the past outputs are the caller's.
-    parameters : mapping of str to int
-        Sizes of the parameters.
-    rates : array, shape (m,), or None
-        Largest change of each input per sample.
-
-    Raises
-    ------
-    ConfigError
-        Every weight that does not fit the number of signals.
-    """
-    m, p, horizon = len(loop.inputs), len(loop.outputs), settings.horizon
-    sizes = {"u_s": m, "y_s": p} if settings.artificial_setpoint else {}
-    soft = settings.soft_output_bounds
-    free = sizes | (excess_variables(sizes, horizon, p) if soft > 0.0 else {})
-    problem = Problem(rows={**past, "u": horizon * m, "y": horizon * p}, free=free, parameters=parameters)
-
-    problem.equate({"u_ini": np.eye(past["u_ini"])}, {"u_ini": np.eye(past["u_ini"])})
-    if SUM_G in past:
-        problem.equate({SUM_G: np.eye(1)}, {"one": np.eye(1)})
-    penalise_tracking(problem, settings, resting_input(loop), p)
-    if settings.terminal_equality:
-        end_at_setpoints(problem, settings.initial_length, {"u": m, "y": p})
-    bound_signals(problem, loop.bounds, settings.setpoint_margin, soft)
-    if rates is not None:
-        _bound_rates(problem, horizon, rates)
-    return problem
-
-
-def excess_variables(setpoints: Mapping[str, int], horizon: int, outputs: int) -> dict[str, int]:
-    """Return the sizes of what soft output bounds are exceeded by: the outputs, and their setpoint."""
-    return {"y_excess": horizon * outputs} | ({"y_s_excess": outputs} if "y_s" in setpoints else {})
-
-
-def penalise_tracking(problem: Problem, weights: TrackingWeights, rest: FloatArray, outputs: int) -> None:
-    """Add the cost for the artificial setpoints that the problem has.
-
-    With u_s and y_s it is that of (8), with u_s that of (11), with none that of the regulation form [8], the
-    inputs weighed from ``rest``, shape (m,).
-    """
-    m, p, horizon = len(rest), outputs, problem.rows["u"] // len(rest)
-    every_u, every_y = np.eye(horizon * m), np.eye(horizon * p)
-    held_u, held_y = np.tile(np.eye(m), (horizon, 1)), np.tile(np.eye(p), (horizon, 1))
-    q, s, r = weight_matrices(
-        output_weight=(weights.output_weight, p),
-        setpoint_weight=(weights.setpoint_weight, p),
-        input_weight=(weights.input_weight, m),
-    )
-    if "y_s" in problem.free:
-        problem.penalise(q, {"y": every_y, "y_s": -held_y}, {})  # |y_k - y_s|_Q^2
-        problem.penalise(s, {"y_s": held_y}, {"r": every_y})  # |r_t+k - y_s|_S^2
-    else:
-        problem.penalise(q, {"y": every_y}, {"r": every_y})  # |y_k - r_t+k|_Q^2
-    if "u_s" in problem.free:
-        problem.penalise(r, {"u": every_u, "u_s": -held_u}, {})  # |u_k - u_s|_R^2
-    else:
-        problem.penalise(r, {"u": every_u}, {"one": held_u @ rest[:, np.newaxis]})  # |u_k|_R^2, off rest
-
-
-def prefer_rest(problem: Problem, input_weight: Weight, rest: FloatArray, outputs: int) -> None:
-    """Where inputs outnumber outputs, choose among setpoints u_s alike in cost the one nearest to rest."""
-    m = len(rest)
-    if "u_s" not in problem.free or m <= outputs:
-        return
-    (r,) = weight_matrices(input_weight=(input_weight, m))
-    problem.penalise(_PREFERENCE * r, {"u_s": np.eye(m)}, {"one": rest[:, np.newaxis]})
-
-
-def end_at_setpoints(problem: Problem, samples: int, widths: Mapping[str, int]) -> None:
-    """Require that the horizon's last samples equal the artificial setpoints that the problem has."""
-    for name, width in widths.items():
-        if f"{name}_s" in problem.free:
-            last = np.eye(problem.rows[name])[-samples * width :]
-            problem.equate({name: last, f"{name}_s": -np.tile(np.eye(width), (samples, 1))}, {})
-
-
-def bound_signals(problem: Problem, bounds: Bounds, margin: float, soft: float) -> None:
-    """Bound inputs, outputs and artificial setpoints; soft output bounds give way at a quadratic cost.
-
-    The setpoint's output bounds give way with them: the terminal condition would make them hard again.
-    """
-    setpoint = setpoint_bounds(bounds, margin)
-    problem.bound("u", bounds.u_min, bounds.u_max)
-    problem.bound("y", bounds.y_min, bounds.y_max, _excess(problem, "y", soft, len(bounds.y_min)))
-    if "u_s" in problem.free:
-        problem.bound("u_s", setpoint.u_min, setpoint.u_max)
-    if "y_s" in problem.free:
-        problem.bound("y_s", setpoint.y_min, setpoint.y_max, _excess(problem, "y_s", soft, len(bounds.y_min)))
-
-
-def _excess(problem: Problem, name: str, soft: float, width: int) -> dict[str, FloatArray] | None:
-    """Weigh what a soft bound is exceeded by, and return it; None where the bound is hard."""
-    excess = f"{name}_excess"
-    if excess not in problem.free:
-        return None
-    blocks = {excess: np.eye(problem.free[excess])}
-    problem.penalise(soft * np.eye(width), blocks, {})
-    return blocks
-
-
-def _bound_rates(problem: Problem, horizon: int, rates: FloatArray) -> None:
-    """Bound the change of every input from the sample before; the first from the newest past input."""
-    m = len(rates)
-    before = np.eye(horizon * m, k=-m)
-    newest = np.zeros((horizon * m, problem.rows["u_ini"]))
-    newest[:m, -m:] = np.eye(m)
-    problem.bound("u", -rates, rates, {"u": before, "u_ini": newest}, name="change of u")

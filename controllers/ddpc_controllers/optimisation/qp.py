@@ -18,20 +18,19 @@ One triangular solution, one product and one factorisation give its optimum.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 
+from ddpc_controllers.checks import all_finite
 from ddpc_controllers.data.online import OnlineData
 from ddpc_controllers.optimisation.backends import ActiveSet, Backend, PIQPBackend, contradiction
-from ddpc_controllers.optimisation.condensing import CondensedProblem, Condenser
-from ddpc_controllers.optimisation.limits import InputLimits, bounds_not_met, past_not_recorded
+from ddpc_controllers.optimisation.condensing import CondensedProblem, condense, reduce
+from ddpc_controllers.optimisation.limits import HELD, InputLimits, bounds_not_met, past_not_recorded
+from ddpc_controllers.optimisation.problem import Problem
 from ddpc_cosim import FloatArray
-
-NOT_FINITE = "a measurement or a reference is not finite: inputs at zero, or at the limit nearest to it"
-"""The fault of a problem that cannot be posed."""
 
 _FEASIBLE = 1e-11
 _NO_CONFLICT = 1e-6
@@ -46,14 +45,22 @@ class Move(NamedTuple):
 
     Parameters
     ----------
-    u : array, shape (m,)
-        The inputs, within their bounds; a new array. After them whatever else the problem was asked for.
+    u : array, shape (m,), or None
+        The inputs, within their bounds; a new array. After them whatever else the problem was asked for. None
+        where there is no answer at all: the last inputs are to be held.
     fault : str
         Why ``u`` is not the optimum of the problem as posed; empty if it is.
     """
 
-    u: FloatArray
+    u: FloatArray | None
     fault: str
+
+
+class Law(Protocol):
+    """What answers a parameter vector with a move."""
+
+    def solve(self, parameters: FloatArray) -> Move:
+        """Return the optimal move, or the documented fallback with its reason."""
 
 
 class ParametricQP:
@@ -63,21 +70,16 @@ class ParametricQP:
     ----------
     problem : CondensedProblem
         What to solve.
-    u_min, u_max : array, shape (m,)
+    limits : InputLimits
         Input limits, held exactly.
     backend : Backend, optional
         The solver for active sets not seen before; default: PIQP.
     """
 
     def __init__(
-        self,
-        problem: CondensedProblem,
-        u_min: FloatArray,
-        u_max: FloatArray,
-        backend: Backend | None = None,
+        self, problem: CondensedProblem, limits: InputLimits, backend: Backend | None = None
     ) -> None:
-        self._limits = InputLimits(u_min, u_max)
-        self._backend = backend or PIQPBackend()
+        self._limits, self._backend = limits, backend or PIQPBackend()
         self._active: ActiveSet = ()
         self._active_sets: dict[ActiveSet, ActiveSet] = {}
         self.replace(problem)
@@ -106,10 +108,12 @@ class ParametricQP:
         excess, u = answer[: self._bounds], answer[self._bounds :]
         fault = find_conflict(self._problem.conflict_law, parameters) if self._watches_conflict else ""
         if self._bounds and not max(excess.tolist()) <= 0.0:
+            if not all_finite(excess):
+                return Move(None, HELD)
             fault = self._respect_bounds(excess, u) or fault
             self._limits.reach(u)
-        elif self._checks_inputs:
-            fault = zero_unless_finite(u) or fault
+        elif self._checks_inputs and not np.isfinite(u).all():
+            return Move(None, HELD)
         self._limits.hold(u)
         return Move(u, fault)
 
@@ -153,8 +157,6 @@ class ParametricQP:
 
     def _ask_solver(self, excess: FloatArray, u: FloatArray, pattern: ActiveSet) -> str:
         """Solve, read off the active set, and prefer its exact law to the solver's digits."""
-        if fault := zero_unless_finite(u, excess):
-            return fault
         t, active, failure = self._backend.solve(excess)
         # Whatever the solver says of itself: a law that satisfies the optimality conditions is the optimum.
         if active and self._apply(active, excess, u):
@@ -168,6 +170,22 @@ class ParametricQP:
         return ""
 
 
+def make_law(
+    problem: Problem, data: FloatArray, limits: InputLimits, backend: Backend, online: OnlineData | None
+) -> Law:
+    """Return what solves a problem on recorded data M, or on those that follow the plant.
+
+    Raises
+    ------
+    ConfigError
+        The weights leave the optimum undetermined.
+    """
+    condensed = condense(problem, data)
+    return (
+        AdaptiveQP(problem, online, limits, backend) if online else ParametricQP(condensed, limits, backend)
+    )
+
+
 def find_conflict(conflict_law: FloatArray, parameters: FloatArray) -> str:
     """Say how far a past is from what the recorded windows can combine to; empty if it is not."""
     size = float(np.abs(conflict_law @ parameters).max())
@@ -176,14 +194,6 @@ def find_conflict(conflict_law: FloatArray, parameters: FloatArray) -> str:
     if size <= _NO_CONFLICT * float((np.abs(conflict_law) @ np.abs(parameters)).max()):
         return ""
     return past_not_recorded(size)
-
-
-def zero_unless_finite(u: FloatArray, excess: FloatArray | None = None) -> str:
-    """Set the move to zero, in place, and say so, if the problem's numbers are not finite."""
-    if np.isfinite(u if excess is None else excess).all():
-        return ""
-    u[...] = 0.0
-    return NOT_FINITE
 
 
 def infeasible(failure: str, gain: FloatArray, excess: FloatArray, labels: Sequence[str]) -> str:
@@ -201,26 +211,18 @@ class AdaptiveQP:
 
     Parameters
     ----------
-    condenser : Condenser
-        The problem.
+    problem : Problem
+        The problem as printed.
     data : OnlineData
         What it meets; changed by its owner between solutions.
-    u_min, u_max : array, shape (m,)
+    limits : InputLimits
         Input limits, held exactly.
     backend : Backend
         The solver for active sets that the last one does not lead to.
     """
 
-    def __init__(
-        self,
-        condenser: Condenser,
-        data: OnlineData,
-        u_min: FloatArray,
-        u_max: FloatArray,
-        backend: Backend,
-    ) -> None:
-        self._condenser, self._data, self._backend = condenser, data, backend
-        self._limits = InputLimits(u_min, u_max)
+    def __init__(self, problem: Problem, data: OnlineData, limits: InputLimits, backend: Backend) -> None:
+        self._problem, self._data, self._limits, self._backend = problem, data, limits, backend
         self._active: ActiveSet = ()
         self._adopt_factor()
 
@@ -240,10 +242,12 @@ class AdaptiveQP:
         conflict = self._reduced.conflict_law
         fault = find_conflict(conflict, parameters) if conflict.size else ""
         if self._bounds and not max(excess.tolist()) <= 0.0:
+            if not all_finite(excess):
+                return Move(None, HELD)
             fault = self._respect_bounds(excess, u, triangular) or fault
             self._limits.reach(u)
-        elif self._limits.endless or not self._bounds:
-            fault = zero_unless_finite(u) or fault
+        elif (self._limits.endless or not self._bounds) and not np.isfinite(u).all():
+            return Move(None, HELD)
         self._limits.hold(u)
         return Move(u, fault)
 
@@ -262,7 +266,7 @@ class AdaptiveQP:
     def _adopt_factor(self) -> None:
         """Eliminate the equalities in the coordinates of the data's factor."""
         self._factor = self._data.factor
-        reduced = self._reduced = self._condenser.reduce(self._factor)
+        reduced = self._reduced = reduce(self._problem, self._factor)
         rank, size = reduced.own_gain.shape
         self._bounds, self._split = len(reduced.excess_law), size + rank
         linear = reduced.residual.T @ reduced.offset
@@ -302,8 +306,6 @@ class AdaptiveQP:
 
     def _respect_bounds(self, excess: FloatArray, u: FloatArray, triangular: FloatArray) -> str:
         """Correct the unconstrained optimum ``u`` in place; t = R (w - optimum) is the deviation."""
-        if fault := zero_unless_finite(u, excess):
-            return fault
         gains = dtrsm(1.0, triangular, self._gains, side=1)
         gain, move_gain = gains[: self._bounds], gains[self._bounds :]
         t = self._deviation(gain, excess)

@@ -1,458 +1,108 @@
-"""The problems (8) and (10)-(11) as printed, over all entries of g, solved by PIQP's sparse backend.
+"""Problems over all entries of g, for a regulariser that leaves no condensed form: the 1-norm.
 
-Slow, and written without a thought for the condensed form: the reference that it is checked against, and the
-only route for the L1 regulariser.
+Slow: the cost of a step grows with the length of the recording.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import piqp
-import scipy.sparse as sp
-from scipy.sparse.linalg import norm
 
-from ddpc_controllers.data.windows import resting_input
-from ddpc_controllers.deepc import DeePC
-from ddpc_controllers.optimisation.limits import not_solved
-from ddpc_controllers.optimisation.qp import NOT_FINITE, Move
-from ddpc_controllers.wkpc import WKPC
-from ddpc_cosim import Bounds, FloatArray, Loop, Recording, weight_matrix
+from ddpc_controllers.optimisation.backends import SparseQP
+from ddpc_controllers.optimisation.limits import HELD, InputLimits, not_solved
+from ddpc_controllers.optimisation.problem import Problem
+from ddpc_controllers.optimisation.qp import Move
+from ddpc_cosim import FloatArray
 
-TOLERANCE = 1e-13
-
-SparseBlocks = Mapping[str, Any]
-"""Coefficient blocks, dense or sparse, by the name of the variable that they multiply."""
+_TOLERANCE, _RELAXED = 1e-9, 1e-7
+"""Tolerances in a closed loop; the problem is too degenerate for the tightest one."""
 
 
-class SparseQP:
-    """Minimise ``x' H x + c' x`` subject to ``A x = b`` and limits of x.
+class UncondensedLaw:
+    """A problem with ``weight |g|_1`` in its cost, solved for one parameter vector after another.
 
     Parameters
     ----------
-    sizes : mapping of str to int
-        Sizes of the variables, in their order in x.
-    half_hessian : mapping of (str, str) to array
-        Blocks of H.
-    equalities : mapping of str to blocks
-        Rows of A by the name of their right-hand side, in order.
-    limits : mapping of str to (array, array)
-        Limits of the variables that have any.
-    tolerance : float
-        Tolerance of PIQP, absolute and relative, on residuals and duality gap.
-    relaxed : float, optional
-        Tolerance of a second attempt where the first fails; default: there is none.
-
-    Attributes
-    ----------
-    linear, right : dict of str to array
-        Blocks of c and b, zero at first: views, to be changed in place.
+    problem : Problem
+        The problem as printed; what it says of g is left aside.
+    weight : float
+        Weight of the 1-norm.
+    data : array, shape (rows, columns)
+        The stacked Hankel matrices M.
+    limits : InputLimits
+        Input limits, held exactly.
     """
 
-    def __init__(
-        self,
-        sizes: Mapping[str, int],
-        half_hessian: Mapping[tuple[str, str], Any],
-        equalities: Mapping[str, SparseBlocks],
-        limits: Mapping[str, tuple[FloatArray, FloatArray]],
-        tolerance: float = TOLERANCE,
-        relaxed: float | None = None,
-    ) -> None:
-        names = list(sizes)
-        rows = {name: next(iter(blocks.values())).shape[0] for name, blocks in equalities.items()}
-        hessian = [[_block(half_hessian.get((i, j)), sizes[i], sizes[j]) for j in names] for i in names]
-        equality = [[_block(equalities[i].get(j), rows[i], sizes[j]) for j in names] for i in equalities]
-        self._c, self.linear = _vector(sizes)
-        self._b, self.right = _vector(rows)
-        self._x, self._parts = _vector(sizes)
-        endless = {name: np.full(size, np.inf) for name, size in sizes.items()}
-        lower = np.concatenate([limits[n][0] if n in limits else -endless[n] for n in names])
-        upper = np.concatenate([limits[n][1] if n in limits else endless[n] for n in names])
-        self._tolerance, self._relaxed = tolerance, relaxed
-        self._solver = piqp.SparseSolver()
-        # Rows of size 1 need no other scaling, and shorter steps get through degenerate problems.
-        self._solver.settings.preconditioner_iter = 0
-        self._solver.settings.tau = 0.9
-        quadratic, equations = _sparse(hessian), _sparse(equality)
-        # PIQP's tolerances are absolute too: costs and rows of about size 1, whatever the units and weights.
-        curvatures = quadratic.diagonal()
-        self._cost = float(np.exp(-np.log(curvatures[curvatures > 0.0]).mean()))
-        self._row_sizes = norm(equations, axis=1)
-        self._row_sizes[self._row_sizes == 0.0] = 1.0
-        equations = sp.csc_matrix(sp.diags_array(1.0 / self._row_sizes) @ equations)
-        self._solver.setup(2.0 * self._cost * quadratic, self._c, equations, self._b, x_l=lower, x_u=upper)
-
-    def solve(self) -> tuple[dict[str, FloatArray], str]:
-        """Return the variables by name, and the solver's word for why they are not optimal, if so."""
-        self._solver.update(c=self._cost * self._c, b=self._b / self._row_sizes)
-        status = self._attempt(self._tolerance)
-        if status != piqp.PIQP_SOLVED and self._relaxed is not None:
-            status = self._attempt(self._relaxed)
-        self._x[...] = self._solver.result.x
-        solution = {name: part.copy() for name, part in self._parts.items()}
-        return solution, "" if status == piqp.PIQP_SOLVED else str(status.name)
-
-    def _attempt(self, tolerance: float) -> Any:
-        for setting in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
-            setattr(self._solver.settings, setting, tolerance)
-        return self._solver.solve()
-
-
-def _block(block: Any, rows: int, columns: int) -> Any:
-    """Return a sparse block, of zeros where there is none: every row and column needs a size."""
-    return sp.csc_array((rows, columns)) if block is None else sp.csc_array(block)
-
-
-def _sparse(rows: list[list[Any]]) -> Any:
-    return sp.csc_matrix(sp.block_array(rows))
-
-
-def _vector(sizes: Mapping[str, int]) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Return a vector of zeros, and views of its named parts."""
-    vector = np.zeros(sum(sizes.values()))
-    ends = np.cumsum(list(sizes.values()))[:-1]
-    return vector, dict(zip(sizes, np.split(vector, ends), strict=True))
-
-
-_Limits = tuple[FloatArray, FloatArray]
-
-
-class FullSolution(NamedTuple):
-    """The optimum of a full problem.
-
-    Parameters
-    ----------
-    u, y : array, shape (N, m) and (N, p)
-        Inputs and predicted outputs, time along axis 0.
-    g : array, shape (columns,)
-        Combination of the recorded windows.
-    failure : str
-        PIQP's word for why it did not reach its tolerances; empty if it did.
-    """
-
-    u: FloatArray
-    y: FloatArray
-    g: FloatArray
-    failure: str
-
-    @property
-    def solved(self) -> bool:
-        """Whether PIQP reached its tolerances."""
-        return not self.failure
-
-
-class FullDeePC:
-    """Problem (8) in g, u, y, sigma_y, u_s, y_s and the excess of soft bounds, as far as the settings ask.
-
-    Parameters
-    ----------
-    settings : DeePC
-        Where the settings come from.
-    recording : Recording
-        The open-loop experiment.
-    bounds : Bounds
-        Limits of inputs and outputs.
-    tolerance : float
-        Tolerance of PIQP, absolute and relative, on residuals and duality gap.
-    rest : array, shape (m,), optional
-        Inputs at rest, which the regulation form weighs inputs from; default: zero.
-    column_scale : array, shape (columns,), optional
-        Factor of every recorded window.
-    relaxed : float, optional
-        Tolerance of a second attempt where the first fails; default: there is none.
-    """
-
-    def __init__(
-        self,
-        settings: DeePC,
-        recording: Recording,
-        bounds: Bounds,
-        tolerance: float = TOLERANCE,
-        rest: FloatArray | None = None,
-        column_scale: FloatArray | None = None,
-        relaxed: float | None = None,
-    ) -> None:
-        self._settings, self._bounds = settings, bounds
-        m, p = recording.u.shape[1], recording.y.shape[1]
-        self._shape = settings.horizon, m, p
-        self._q = weight_matrix(settings.output_weight, p, "output_weight")
-        self._r = weight_matrix(settings.input_weight, m, "input_weight")
-        self._s = weight_matrix(settings.setpoint_weight, p, "setpoint_weight")
-        windows = self._windows(recording)
-        scale = np.ones(windows["u"].shape[1]) if column_scale is None else column_scale
-        self._data = {name: rows * scale for name, rows in windows.items()}
-        self._l1 = settings.regulariser == "l1"
-        sizes = self._sizes(len(scale))
-        if self._l1:  # g is the difference of two parts that are not negative
-            self._data = {name: np.hstack([rows, -rows]) for name, rows in self._data.items()}
-        limits = {name: limit for name, limit in self._limits(sizes).items() if name in sizes}
-        self._qp = SparseQP(
-            sizes, self._half_hessian(sizes), self._equalities(sizes), limits, tolerance, relaxed
-        )
-        self._set_constants(np.zeros(m) if rest is None else rest)
-
-    def solve(
-        self,
-        u_ini: FloatArray,
-        y_ini: FloatArray,
-        reference: FloatArray,
-        previous: FloatArray | None = None,
-    ) -> FullSolution:
-        """Return the optimum for one past and one reference, time along axis 0 of each.
-
-        ``previous`` is the g that the shifted ridge is about; default: zero.
-        """
-        qp, (n, m, p) = self._qp, self._shape
-        qp.right["u_ini"][:], qp.right["y_ini"][:] = u_ini.ravel(), y_ini.ravel()
-        if "rate" in qp.right:
-            qp.right["rate"][:m] = u_ini[-1]
-        if self._settings.artificial_setpoint:
-            qp.linear["y_s"][:] = -2.0 * self._s @ reference.sum(axis=0)
-        else:
-            qp.linear["y"][:] = -2.0 * (reference @ self._q).ravel()
-        if previous is not None:
-            qp.linear["g"][:] = -2.0 * self._settings.lambda_g * previous
-        x, failure = qp.solve()
-        g = x["g"][: len(x["g"]) // 2] - x["g"][len(x["g"]) // 2 :] if self._l1 else x["g"]
-        return FullSolution(x["u"].reshape(n, m), x["y"].reshape(n, p), g, failure)
-
-    def _windows(self, recording: Recording) -> dict[str, FloatArray]:
-        """Return the blocks of the Hankel matrices (8), and the row that sums g."""
-        settings = self._settings
-        past, n, m, p = settings.initial_length, *self._shape
-        known = past + settings.use_current_output
-        u, y = recording.u, recording.y
-        if settings.zero_padding:
-            u, y = _pad(u, past), _pad(y, past)
-        hankel_u = _hankel(u[: len(u) - settings.use_current_output], past + n)
-        hankel_y = _hankel(y, known + n)
-        windows: dict[str, FloatArray] = {
-            "u_ini": hankel_u[: past * m],
-            "y_ini": hankel_y[: known * p],
-            "u": hankel_u[past * m :],
-            "y": hankel_y[known * p :],
-        }
-        columns = hankel_u.shape[1]
-        if settings.affine_sum != "none":
-            summed = columns if settings.affine_sum == "all" else n
-            windows["sum_g"] = (np.arange(columns) < summed).astype(np.float64)[np.newaxis]
-        return windows
-
-    def _sizes(self, columns: int) -> dict[str, int]:
-        settings, (n, m, p) = self._settings, self._shape
-        sizes = {"g": (1 + self._l1) * columns, "u": n * m, "y": n * p}
-        if settings.slack:
-            sizes["sigma"] = len(self._data["y_ini"])
-        if settings.artificial_setpoint:
-            sizes |= {"u_s": m, "y_s": p}
-        if settings.soft_output_bounds:
-            sizes |= {"y_held": n * p} | ({"y_s_held": p} if settings.artificial_setpoint else {})
-        if np.size(settings.rate_bounds):
-            sizes["rate"] = n * m
-        return sizes
-
-    def _half_hessian(self, sizes: Mapping[str, int]) -> dict[tuple[str, str], Any]:
-        settings, (n, _, _) = self._settings, self._shape
-        every, held = np.eye(n), np.ones((n, 1))
-        q, r = self._q, self._r
-        blocks: dict[tuple[str, str], Any] = {("u", "u"): np.kron(every, r), ("y", "y"): np.kron(every, q)}
-        if not self._l1:
-            blocks["g", "g"] = settings.lambda_g * self._weight_of_g(sizes["g"])
-        if settings.slack:
-            blocks["sigma", "sigma"] = settings.lambda_sigma * sp.eye_array(sizes["sigma"])
-        if settings.artificial_setpoint:
-            tie_u, tie_y = -np.kron(held, r), -np.kron(held, q)
-            blocks |= {("u", "u_s"): tie_u, ("u_s", "u"): tie_u.T, ("u_s", "u_s"): n * r}
-            blocks |= {("y", "y_s"): tie_y, ("y_s", "y"): tie_y.T, ("y_s", "y_s"): n * (q + self._s)}
-        for soft, exact in (("y_held", "y"), ("y_s_held", "y_s")):
-            if soft in sizes:  # what of y goes beyond the bounds: the distance to what is held within them
-                weight = settings.soft_output_bounds * np.eye(sizes[soft])
-                blocks |= {(soft, soft): weight, (soft, exact): -weight, (exact, soft): -weight}
-                blocks[exact, exact] = blocks[exact, exact] + weight
-        return blocks
-
-    def _weight_of_g(self, columns: int) -> Any:
-        if self._settings.regulariser != "projection":
-            return sp.eye_array(columns)
-        known = np.vstack([rows for name, rows in self._data.items() if name != "y"])
-        return np.eye(columns) - np.linalg.pinv(known) @ known
-
-    def _equalities(self, sizes: Mapping[str, int]) -> dict[str, dict[str, Any]]:
-        settings, (n, m, p), past = self._settings, self._shape, self._settings.initial_length
-        every_u, every_y = np.eye(n * m), np.eye(n * p)
-        rows: dict[str, dict[str, Any]] = {name: {"g": block} for name, block in self._data.items()}
-        rows["u"]["u"], rows["y"]["y"] = -every_u, -every_y
-        if settings.slack:
-            rows["y_ini"]["sigma"] = -np.eye(sizes["sigma"])
-        if settings.terminal_equality:
-            held_u, held_y = np.kron(np.ones((past, 1)), np.eye(m)), np.kron(np.ones((past, 1)), np.eye(p))
-            rows["end_u"] = {"u": every_u[-past * m :], "u_s": -held_u}
-            rows["end_y"] = {"y": every_y[-past * p :], "y_s": -held_y}
-        if "rate" in sizes:
-            rows["rate"] = {"u": every_u - np.eye(n * m, k=-m), "rate": -every_u}
-        return rows
-
-    def _limits(self, sizes: Mapping[str, int]) -> dict[str, _Limits]:
-        settings, bounds, (n, m, _) = self._settings, self._bounds, self._shape
-        within_y = np.tile(bounds.y_min, n), np.tile(bounds.y_max, n)
-        within_y_s = _shrink(bounds.y_min, bounds.y_max, settings.setpoint_margin)
-        soft = bool(settings.soft_output_bounds)
-        limits = {
-            "u": (np.tile(bounds.u_min, n), np.tile(bounds.u_max, n)),
-            "u_s": _shrink(bounds.u_min, bounds.u_max, settings.setpoint_margin),
-            "y_held" if soft else "y": within_y,
-            "y_s_held" if soft else "y_s": within_y_s,
-        }
-        if self._l1:
-            limits["g"] = np.zeros(sizes["g"]), np.full(sizes["g"], np.inf)
-        if "rate" in sizes:
-            rate = np.tile(np.broadcast_to(np.asarray(settings.rate_bounds, dtype=float), m), n)
-            limits["rate"] = -rate, rate
-        return limits
-
-    def _set_constants(self, rest: FloatArray) -> None:
-        qp, (n, _, _) = self._qp, self._shape
-        if "sum_g" in qp.right:
-            qp.right["sum_g"][:] = 1.0
-        if self._l1:
-            qp.linear["g"][:] = self._settings.lambda_g
-        if not self._settings.artificial_setpoint:
-            qp.linear["u"][:] = np.tile(-2.0 * self._r @ rest, n)
-
-
-class FullWKPC:
-    """Problem (10)-(11) in x = (g, u, y, u_s) for given lifted data.
-
-    Parameters
-    ----------
-    settings : WKPC
-        Where the settings come from.
-    lifted : array, shape (T, n_z)
-        Lifted states z of the recording, time along axis 0.
-    recording : Recording
-        The open-loop experiment.
-    bounds : Bounds
-        Limits of inputs and outputs.
-    tolerance : float
-        See :class:`FullDeePC`.
-    """
-
-    def __init__(
-        self,
-        settings: WKPC,
-        lifted: FloatArray,
-        recording: Recording,
-        bounds: Bounds,
-        tolerance: float = TOLERANCE,
-    ) -> None:
-        past, n = settings.initial_length, settings.horizon
-        u, y = recording.u, recording.y
-        if settings.zero_padding:
-            u, y = _pad(u, past), _pad(y, past)
-        m, p = u.shape[1], y.shape[1]
-        hankel_z = _hankel(lifted[:-n], past)
-        hankel_u, hankel_y = _hankel(u, past + n), _hankel(y, past + n)
-        columns = hankel_u.shape[1]
-        r = weight_matrix(settings.input_weight, m, "input_weight")
-        self._q = weight_matrix(settings.output_weight, p, "output_weight")
-        tie_r = -np.kron(np.ones((n, 1)), r)
-        sizes = {"g": columns, "u": n * m, "y": n * p, "u_s": m}
-        half_hessian = {
-            ("g", "g"): settings.lambda_g * sp.eye_array(columns),
-            ("u", "u"): np.kron(np.eye(n), r),
-            ("y", "y"): np.kron(np.eye(n), self._q),
-            ("u", "u_s"): tie_r,
-            ("u_s", "u"): tie_r.T,
-            ("u_s", "u_s"): n * r,
-        }
-        equalities: dict[str, dict[str, Any]] = {
-            "z_ini": {"g": hankel_z},
-            "u_ini": {"g": hankel_u[: past * m]},
-            "y_ini": {"g": hankel_y[: past * p]},
-            "u": {"g": hankel_u[past * m :], "u": -np.eye(n * m)},
-            "y": {"g": hankel_y[past * p :], "y": -np.eye(n * p)},
-        }
-        limits = {
-            "u": (np.tile(bounds.u_min, n), np.tile(bounds.u_max, n)),
-            "y": (np.tile(bounds.y_min, n), np.tile(bounds.y_max, n)),
-            "u_s": _shrink(bounds.u_min, bounds.u_max, settings.setpoint_margin),
-        }
-        self._shape = n, m, p
-        self._qp = SparseQP(sizes, half_hessian, equalities, limits, tolerance)
-
-    def solve(
-        self, z_ini: FloatArray, u_ini: FloatArray, y_ini: FloatArray, reference: FloatArray
-    ) -> FullSolution:
-        """Return the optimum for one past and one reference; time along axis 0 of each."""
-        qp, (n, m, p) = self._qp, self._shape
-        for name, past in (("z_ini", z_ini), ("u_ini", u_ini), ("y_ini", y_ini)):
-            qp.right[name][:] = past.ravel()
-        qp.linear["y"][:] = -2.0 * (reference @ self._q).ravel()
-        x, failure = qp.solve()
-        return FullSolution(x["u"].reshape(n, m), x["y"].reshape(n, p), x["g"], failure)
-
-
-def _hankel(w: FloatArray, depth: int) -> FloatArray:
-    return np.vstack([w[row : len(w) - depth + row + 1].T for row in range(depth)])
-
-
-def _pad(w: FloatArray, samples: int) -> FloatArray:
-    return np.concatenate([w[samples:], np.zeros((samples, w.shape[1]))])
-
-
-def _shrink(low: FloatArray, high: FloatArray, margin: float) -> _Limits:
-    """Shrink two-sided limits about their middle."""
-    two_sided = np.isfinite(low) & np.isfinite(high)
-    inset = np.zeros_like(low)
-    inset[two_sided] = (1.0 - margin) * (high - low)[two_sided] / 2.0
-    return low + inset, high - inset
-
-
-L1_TOLERANCE, L1_RELAXED = 1e-9, 1e-7
-"""Tolerances of PIQP in a closed loop; the L1 problem is too degenerate for the tightest one."""
-
-
-class UncondensedSolver:
-    """The full problem where the condensed one would stand; only its vectors change from step to step.
-
-    Parameters
-    ----------
-    settings : DeePC
-        Where the settings come from.
-    recording : Recording
-        The open-loop experiment.
-    loop : Loop
-        The loop's signals and limits.
-    planned : int
-        How many inputs of the horizon are applied.
-    """
-
-    def __init__(self, settings: DeePC, recording: Recording, loop: Loop, planned: int) -> None:
-        self._settings, self._recording, self._loop, self._planned = settings, recording, loop, planned
-        self._full: FullDeePC | None = self._set_up()
+    def __init__(self, problem: Problem, weight: float, data: FloatArray, limits: InputLimits) -> None:
+        self._problem, self._weight, self._data, self._limits = problem, weight, data, limits
+        self._qp: SparseQP | None = self._set_up()
 
     def solve(self, parameters: FloatArray) -> Move:
-        """Return the optimal inputs and their outputs; where PIQP fails, the last ones for all, and why."""
-        loop, past, horizon = self._loop, self._settings.initial_length, self._settings.horizon
-        m, p = len(loop.inputs), len(loop.outputs)
-        ends = np.cumsum([past * m, (past + self._settings.use_current_output) * p, horizon * p])
-        u_ini, y_ini, r, _ = np.split(parameters, ends)
-        u_ini, y_ini, r = u_ini.reshape(-1, m), y_ini.reshape(-1, p), r.reshape(-1, p)
-        u, y = np.tile(u_ini[-1], (self._planned, 1)), np.tile(y_ini[-1], (self._planned, 1))
-        fault = NOT_FINITE
-        if np.isfinite(parameters).all():
-            self._full = self._full or self._set_up()
-            solution = self._full.solve(u_ini, y_ini, r)
-            fault = not_solved(solution.failure)
-            if solution.solved:
-                u, y, fault = solution.u[: self._planned], solution.y[: self._planned], ""
-        u = np.clip(u, loop.bounds.u_min, loop.bounds.u_max)
-        return Move(np.concatenate([u.ravel(), y.ravel()]), fault)
+        """Return the optimal move, or why the last inputs are to be held.
 
-    def _set_up(self) -> FullDeePC:
-        rest, bounds = resting_input(self._loop), self._loop.bounds
-        return FullDeePC(self._settings, self._recording, bounds, L1_TOLERANCE, rest, relaxed=L1_RELAXED)
+        Parameters
+        ----------
+        parameters : array, shape (parameters,)
+            The parameter vector p; its last entry is 1.
+        """
+        if not np.isfinite(parameters).all():
+            return Move(None, HELD)
+        qp = self._qp = self._qp or self._set_up()
+        target = self._problem.cost[1] @ parameters
+        qp.right["misfit"][:] = target[self._misfits] / self._sizes
+        qp.linear["x"][:] = -2.0 * target[~self._misfits] @ self._residual
+        qp.right["equality"][:] = self._problem.equality[1] @ parameters
+        solution, failure = qp.solve()
+        if failure:
+            return Move(None, not_solved(failure))
+        u = self._problem.wanted[:, self._past :] @ solution["x"]
+        self._limits.hold(u)
+        return Move(u, "")
+
+    def _set_up(self) -> SparseQP:
+        """Write the problem in ``g = g+ - g-``, the variables x below the past, and differences of these.
+
+        The past is M g itself. What it misses in the cost becomes a variable: its large weights in the
+        linear cost of others would take the digits of the solver.
+        """
+        problem, data = self._problem, np.hstack([self._data, -self._data])
+        past = self._past = problem.row_count - problem.rows["u"] - problem.rows["y"]
+        (cost, _), (equality, _), (bounded, lower, upper) = problem.cost, problem.equality, problem.bounded
+
+        def split(rows: FloatArray) -> dict[str, FloatArray]:
+            return {"g": rows[:, :past] @ data[:past], "x": rows[:, past:]}
+
+        self._misfits = cost[:, :past].any(axis=1)
+        misfit, self._residual = cost[self._misfits], cost[~self._misfits, past:]
+        self._sizes = np.linalg.norm(misfit, axis=1)
+        alone = np.count_nonzero(bounded, axis=1) == 1
+        sizes = {
+            "g": data.shape[1],
+            "x": cost.shape[1] - past,
+            "misfit": len(misfit),
+            "difference": np.count_nonzero(~alone),
+        }
+        equalities = {
+            "data": {"g": data[past:], "x": -np.eye(len(data) - past, sizes["x"])},
+            "misfit": split(misfit / self._sizes[:, np.newaxis]) | {"misfit": -np.eye(sizes["misfit"])},
+            "equality": split(equality),
+            "difference": split(bounded[~alone]) | {"difference": -np.eye(sizes["difference"])},
+        }
+        half_hessian = {
+            ("x", "x"): self._residual.T @ self._residual,
+            ("misfit", "misfit"): np.diag(self._sizes**2),
+        }
+        low, high = np.full(sizes["x"], -np.inf), np.full(sizes["x"], np.inf)
+        variables = bounded[alone].argmax(axis=1) - past
+        low[variables], high[variables] = lower[alone], upper[alone]
+        limits = {
+            "g": (np.zeros(sizes["g"]), np.full(sizes["g"], np.inf)),
+            "x": (low, high),
+            "difference": (lower[~alone], upper[~alone]),
+        }
+        qp = SparseQP(sizes, half_hessian, equalities, limits, _TOLERANCE, _RELAXED)
+        qp.linear["g"][:] = self._weight
+        return qp
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave PIQP's workspace behind: it is set up again when it is needed."""
-        return {**self.__dict__, "_full": None}
+        """Leave the solver's workspace behind: it is set up again when it is needed."""
+        return {**self.__dict__, "_qp": None}

@@ -20,10 +20,11 @@ from ddpc_controllers.data.dictionaries import (
     ThinPlate,
     embed,
 )
-from ddpc_controllers.optimisation.uncondensed import FullWKPC
+from ddpc_controllers.published import PublishedWKPC
 from ddpc_cosim import ConfigError, DataError, FloatArray, PluginError, Recording
 from ddpc_cosim.settings import to_plain
 
+from ..full_problem import FullWKPC
 from ..loops import ANGLE, before, close_loop, paper_reference, pendulum_loop, quick_pendulum
 
 
@@ -151,7 +152,7 @@ def test_too_few_different_states_for_the_centres_are_told(rule: Any) -> None:
         (lambda: Combined(dictionaries=[]), "dictionaries is empty"),
         (lambda: Combined(dictionaries=NO_DICTIONARY), r"dictionaries\[1\] = 3 lacks draw"),
         (lambda: Delays(dictionary=Delays()), "looks back itself"),
-        (lambda: WKPC(dictionary=Delays(), double_shift=True), "double_shift lifts single samples"),
+        (lambda: PublishedWKPC(dictionary=Delays()), "is not a ThinPlate"),
     ],
 )
 def test_impossible_dictionaries_are_refused(make: Any, message: str) -> None:

@@ -11,10 +11,10 @@ from hypothesis import given, settings, strategies as st
 
 from ddpc_controllers import WKPC, DeePC
 from ddpc_controllers.data.online import Learner, OnlineData
-from ddpc_controllers.optimisation.condensing import Regularisation
-from ddpc_controllers.optimisation.uncondensed import FullDeePC
+from ddpc_controllers.published import PublishedDeePC, PublishedWKPC
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Recording, Sample
 
+from ..full_problem import FullDeePC
 from ..loops import (
     ANGLE,
     DEGREE,
@@ -58,10 +58,8 @@ def test_the_factor_is_that_of_the_windows(
     rows, columns, learned = 7, 25, 60
     span = rng.standard_normal((rows, rank))
     windows = deque((span @ rng.standard_normal(rank) for _ in range(columns)), columns)
-    sizes, weights = ((4, 3), (0.0, 2.0)) if blocks else ((rows,), (2.0,))
-    online = OnlineData(
-        np.array(windows).T, Regularisation(sizes, weights), np.array([0, 1]), keep, floor=0.0
-    )
+    weights = ((4, 0.0), (3, 2.0)) if blocks else ((rows, 2.0),)
+    online = OnlineData(np.array(windows).T, weights, np.array([0, 1]), keep, floor=0.0)
     everything = list(windows)
     for k in range(learned):
         if grows and k == 20:  # the plant changes: windows that no combination of the old ones has
@@ -325,9 +323,10 @@ def test_dither_needs_one_number_per_input(paper_recording: Recording) -> None:
         controller.start(pendulum_loop(paper_recording))
 
 
-def test_wkpc_without_a_lift_to_update_is_refused() -> None:
-    with pytest.raises(ConfigError, match="leave no data that online_data could update"):
-        WKPC(online_data="forgetting", double_shift=True)
+@pytest.mark.parametrize("kind", [PublishedDeePC, PublishedWKPC])
+def test_the_published_programs_have_no_data_to_update(kind: type[Controller]) -> None:
+    with pytest.raises(ConfigError, match="online_data"):
+        kind(online_data="forgetting")
 
 
 def test_windows_start_with_the_loop(paper_recording: Recording) -> None:

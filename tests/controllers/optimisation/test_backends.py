@@ -10,9 +10,9 @@ from hypothesis import assume, given, settings, strategies as st
 
 from ddpc_controllers import MPC, WKPC, DeePC, KoopmanMPC
 from ddpc_controllers.optimisation.backends import BACKENDS, Answer, Backend, contradiction, make_backend
-from ddpc_controllers.optimisation.uncondensed import FullDeePC
 from ddpc_cosim import ConfigError, Controller, FloatArray, Recording, Sample
 
+from ..full_problem import FullDeePC
 from ..loops import ANGLE, Run, before, close_loop, paper_reference, pendulum_loop, quick_pendulum
 from .test_qp import least_distance
 

@@ -8,10 +8,11 @@ from hypothesis import assume, given, settings, strategies as st
 from scipy.optimize import nnls
 
 from ddpc_controllers.optimisation.condensing import CondensedProblem
+from ddpc_controllers.optimisation.limits import HELD, InputLimits
 from ddpc_controllers.optimisation.qp import ParametricQP
 from ddpc_cosim import FloatArray
 
-WIDE = np.array([-1e6]), np.array([1e6])
+WIDE = InputLimits(np.array([-1e6]), np.array([1e6]))
 
 
 def least_distance(gain: FloatArray, excess: FloatArray) -> FloatArray | None:
@@ -45,7 +46,7 @@ def test_the_optimum_is_that_of_another_method(n: int, size: int, repeated: bool
     gain = rng.standard_normal((n, size))
     if repeated and n > 1:
         gain[-1] = 2.0 * gain[0]  # dependent bounds
-    qp = ParametricQP(problem(gain, rng.standard_normal((1, size))), *WIDE)
+    qp = ParametricQP(problem(gain, rng.standard_normal((1, size))), WIDE)
     for _ in range(6):
         excess = rng.uniform(-1.0, 0.5, n)
         t = least_distance(gain, excess)
@@ -63,16 +64,15 @@ def test_an_infeasible_problem_is_a_fault_and_the_move_stays_within_limits() -> 
         move_gain=np.array([[1.0]]),
         conflict_law=np.zeros((0, 2)),
     )
-    move = ParametricQP(law, np.array([-2.0]), np.array([2.0])).solve(np.array([7.0, 1.0]))
+    move = ParametricQP(law, InputLimits(np.array([-2.0]), np.array([2.0]))).solve(np.array([7.0, 1.0]))
     assert "no way to meet all bounds" in move.fault
     assert move.u == pytest.approx([2.0])
 
 
 def test_a_measurement_that_is_not_a_number_is_a_fault() -> None:
-    qp = ParametricQP(problem(np.ones((2, 1)), np.ones((1, 1))), np.array([1.0]), np.array([3.0]))
+    qp = ParametricQP(problem(np.ones((2, 1)), np.ones((1, 1))), WIDE)
     move = qp.solve(np.array([np.nan, np.nan, 1.0]))
-    assert "not finite" in move.fault
-    assert move.u == pytest.approx([1.0])
+    assert move == (None, HELD)
 
 
 def test_a_past_that_the_data_exclude_is_a_fault() -> None:
@@ -83,7 +83,7 @@ def test_a_past_that_the_data_exclude_is_a_fault() -> None:
         move_gain=np.zeros((1, 1)),
         conflict_law=np.array([[1.0, -1.0, 0.0]]),
     )
-    qp = ParametricQP(law, *WIDE)
+    qp = ParametricQP(law, WIDE)
     assert qp.solve(np.array([0.5, 0.5, 1.0])).fault == ""
     assert "no combination of the recorded windows" in qp.solve(np.array([0.5, 0.4, 1.0])).fault
 
@@ -97,7 +97,7 @@ def test_a_past_far_beyond_the_recorded_ones_is_judged_by_its_own_size(scale: fl
         move_gain=np.zeros((1, 1)),
         conflict_law=np.array([[1.0 / scale, -1.0, 0.0]]),  # the first signal is in other units
     )
-    qp = ParametricQP(law, *WIDE)
+    qp = ParametricQP(law, WIDE)
     assert qp.solve(np.array([1e6 * scale, 1e6 + 0.1, 1.0])).fault == ""
     assert qp.solve(np.array([1e6 * scale, 1e6 + 1e2, 1.0])).fault != ""
     assert qp.solve(np.array([1e-9 * scale, -1e-9, 1.0])).fault == ""
@@ -117,7 +117,7 @@ def test_an_input_at_its_limit_is_exactly_there(seed: int) -> None:
         move_gain=gain[np.newaxis],
         conflict_law=np.zeros((0, 2)),
     )
-    qp = ParametricQP(law, low, high)
+    qp = ParametricQP(law, InputLimits(low, high))
     for wanted, limit in ((high + 0.7 * span, high), (low - 0.3 * span, low), (high + span / 3.0, high)):
         move = qp.solve(np.array([wanted[0], 1.0]))
         assert move.fault == ""
@@ -132,13 +132,12 @@ def test_an_input_without_a_limit_that_is_not_finite_is_a_fault() -> None:
         move_gain=np.array([[1.0]]),
         conflict_law=np.zeros((0, 2)),
     )
-    move = ParametricQP(law, np.array([-np.inf]), np.array([1.0])).solve(np.array([-np.inf, 1.0]))
-    assert "not finite" in move.fault
-    assert np.isfinite(move.u).all()
+    endless = InputLimits(np.array([-np.inf]), np.array([1.0]))
+    assert ParametricQP(law, endless).solve(np.array([-np.inf, 1.0])) == (None, HELD)
 
 
 def test_the_move_is_the_callers_to_keep() -> None:
-    qp = ParametricQP(problem(-np.ones((1, 1)), np.ones((1, 1))), *WIDE)
+    qp = ParametricQP(problem(-np.ones((1, 1)), np.ones((1, 1))), WIDE)
     first = qp.solve(np.array([0.5, 1.0])).u
     kept = first.copy()
     qp.solve(np.array([0.9, 1.0]))
@@ -149,17 +148,17 @@ def test_what_was_learned_does_not_change_the_answer() -> None:
     rng = np.random.default_rng(4)
     gain = rng.standard_normal((8, 4))
     law = problem(gain, rng.standard_normal((1, 4)))
-    experienced = ParametricQP(law, *WIDE)
+    experienced = ParametricQP(law, WIDE)
     for _ in range(400):
         parameters = np.append(rng.uniform(-1.0, 0.3, 8), 1.0)
-        fresh = ParametricQP(law, *WIDE).solve(parameters)
+        fresh = ParametricQP(law, WIDE).solve(parameters)
         again = experienced.solve(parameters)
         assert again.fault == fresh.fault
         assert again.u == pytest.approx(fresh.u, abs=1e-7)
 
 
 def test_a_solver_can_be_pickled_after_use() -> None:
-    qp = ParametricQP(problem(-np.eye(2), np.ones((1, 2))), *WIDE)
+    qp = ParametricQP(problem(-np.eye(2), np.ones((1, 2))), WIDE)
     parameters = np.array([0.3, 0.2, 1.0])
     before = qp.solve(parameters)
     assert np.array_equal(pickle.loads(pickle.dumps(qp)).solve(parameters).u, before.u)
