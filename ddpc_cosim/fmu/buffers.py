@@ -120,8 +120,8 @@ class Port:
         for i, signal in enumerate(signals):
             by_type.setdefault(signal.source.type, []).append(i)
         self._blocks = [
-            _block(instance, name, [signals[i] for i in positions], positions, shapes)
-            for name, positions in by_type.items()
+            _block(instance, [signals[i] for i in positions], positions, shapes)
+            for positions in by_type.values()
         ]
         only = self._blocks[0] if len(self._blocks) == 1 else None
         # The usual FMU has real inputs and outputs: memory and vector are the same, nothing has to be sorted.
@@ -191,10 +191,9 @@ def layout(signals: Sequence[Signal], shapes: Shapes) -> Layout:
     return Layout(list(variables), size, elements)
 
 
-def _block(
-    instance: Instance, fmi_type: str, signals: Sequence[Signal], positions: list[int], shapes: Shapes
-) -> Block:
-    value_type = instance.types[fmi_type]
+def _block(instance: Instance, signals: Sequence[Signal], positions: list[int], shapes: Shapes) -> Block:
+    """Return the block of signals of one FMI type."""
+    value_type = instance.types[signals[0].source.type]
     references, size, elements = layout(signals, shapes)
     memory = (value_type.c_type * size)()
     arguments = (
@@ -358,40 +357,35 @@ class StartValues:
                 ) from error
 
     def _set_one(self, instance: Instance, signal: Signal, value: Value) -> None:
-        source = signal.source
-        memory, arguments, place = self._memory(instance, signal)
-        value_type = instance.types[source.type]
-        if len(memory) > 1:  # the other elements keep their values
+        if signal.source.values == "text":
+            self._set_text(instance, signal, str(value))
+            return
+        block = _block(instance, [signal], [0], self.shapes)
+        if len(block.values) > 1:  # the other elements keep their values
+            block.read()
+        block.accept(np.array([_number(signal.source, value)]))
+        block.write()
+
+    def _set_text(self, instance: Instance, signal: Signal, text: str) -> None:
+        value_type = instance.types[signal.source.type]
+        references, size, (place,) = layout([signal], self.shapes)
+        memory = (value_type.c_type * size)()
+        arguments = instance.value_arguments(reference_array(references), size, memory)
+        if size > 1:
             instance.call(value_type.get, *arguments)
-        if source.values == "text":
-            memory[place] = str(value).encode("utf-8")
-        elif source.values == "real":
-            memory[place] = _signed(source, _number(source, value))
-        else:
-            memory[place] = int(_signed(source, _number(source, value)))
+        memory[place] = text.encode("utf-8")
         instance.call(value_type.set, *arguments)
 
     def _read(self, instance: Instance, signal: Signal) -> float | None:
         """Return the value that the FMU has; None for a text, and where it does not tell."""
         if signal.source.values == "text":
             return None
-        memory, arguments, place = self._memory(instance, signal)
+        block = _block(instance, [signal], [0], self.shapes)
         try:
-            instance.call(instance.types[signal.source.type].get, *arguments)
+            block.read()
         except CallError:
             return None
-        return _signed(signal.source, float(memory[place]))
-
-    def _memory(self, instance: Instance, signal: Signal) -> tuple[Any, tuple[Any, ...], int]:
-        """Return memory for all elements of a variable, the call's arguments, and the element's place."""
-        source = signal.source
-        shape = self.shapes.get(source.name, source.shape)
-        count = prod(shape)
-        memory = (instance.types[source.type].c_type * count)()
-        references = reference_array([source.reference])
-        if any(index > size for index, size in zip(signal.indices, shape, strict=True)):
-            raise CallError(f"the array {source.name} has the size {list(shape)}")
-        return memory, instance.value_arguments(references, count, memory), flat_index(signal.indices, shape)
+        return float(block.numbers()[0])
 
 
 def _number(variable: FMUVariable, value: Value) -> float:
@@ -404,13 +398,6 @@ def _number(variable: FMUVariable, value: Value) -> float:
         return float(value.lower() == "true")
     allowed = f"; allowed: {', '.join(variable.items)}" if variable.items else ""
     raise ValueError(f"parameter {variable.name} = {value!r} must be a number{allowed}")
-
-
-def _signed(variable: FMUVariable, number: float) -> float:
-    """Return the opposite number for variables that are that of another (FMI 1.0)."""
-    if not variable.negated:
-        return number
-    return 1.0 - number if variable.values == "boolean" else -number
 
 
 def _check_range(signal: Signal, number: float) -> None:

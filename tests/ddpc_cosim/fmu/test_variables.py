@@ -121,6 +121,8 @@ def test_structural_parameters_size_arrays_before_anything_else(tmp_path: Path) 
     assert session.step(np.array([1.5, 2.5]), 0.1).tolist() == [2.5, 7.0, 1.5]
     with pytest.raises(ConfigError, match=r"v\[4\] is outside the array v of size \[2\]"):
         session.reset()
+    with pytest.raises(ConfigError, match=r"k\[4\] is outside the array k of size \[2\]"):
+        session.reset({"k[4]": 7.0})
     session.close()
 
 
