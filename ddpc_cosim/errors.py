@@ -87,6 +87,18 @@ class FMUStepError(CosimError):
         return type(self), (self.message, self.status, self.time)
 
 
+Place = tuple[int | str, ...]
+"""The keys that lead to a value of a study file; numbers count the entries of lists."""
+
+
+def dotted(place: Place) -> str:
+    """Return a place as a study file writes it: ``scenarios.windy.events[0].time``."""
+    text = ""
+    for part in place:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
 _MOST_LISTED = 12
 
 

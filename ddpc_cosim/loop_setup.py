@@ -71,10 +71,17 @@ def check_seed(seed: int) -> None:
 
 def check_events(events: Sequence[ParameterChange], end: float) -> None:
     """Raise ConfigError for every event that would never act on the plant, as the run ends before."""
-    late = [event.time for event in events if not event.time < end]
+    late = [fault for event in events if (fault := late_error(event.time, end))]
     if late:
-        advice = f"the run ends at t = {end:g} s; choose an earlier time or a longer duration"
-        raise ConfigError([f"events: the one at t = {time:g} s would not happen: {advice}" for time in late])
+        raise ConfigError([f"events: {fault}" for fault in late])
+
+
+def late_error(time: float, end: float) -> str:
+    """Return why a change at a time [s] would never act on the plant; empty if it would."""
+    if time < end:
+        return ""
+    advice = "choose an earlier time or a longer duration"
+    return f"at t = {time:g} s it would not happen: the run ends at t = {end:g} s; {advice}"
 
 
 def check_names(what: str, given: Iterable[str], known: Sequence[Variable]) -> None:
@@ -224,7 +231,7 @@ def _bounds(
 ) -> Bounds:
     """Return the limits of inputs and controlled outputs: those given, else the plant's own."""
     check_names("bounds", given, (*inputs, *outputs))
-    faults = [fault for name, pair in given.items() if (fault := _bounds_fault(name, pair))]
+    faults = [f"bounds of {name}: {fault}" for name, pair in given.items() if (fault := limits_error(pair))]
     if faults:
         raise ConfigError(faults)
     limits = [
@@ -236,12 +243,13 @@ def _bounds(
     return Bounds(limits[0][:, 0], limits[0][:, 1], limits[1][:, 0], limits[1][:, 1])
 
 
-def _bounds_fault(name: str, pair: Any) -> str:
+def limits_error(limits: Any) -> str:
+    """Return what is wrong with a pair of limits; empty if nothing is."""
     try:
-        low, high = map(float, pair)
+        low, high = map(float, limits)
     except (TypeError, ValueError):
-        return f"bounds of {name}: needed: two numbers, got {pair!r}"
-    return "" if low < high else f"bounds of {name}: {low:g} must be below {high:g}"
+        return f"needed: two numbers, got {limits!r}"
+    return "" if low < high else f"min ({low:g}) must be below max ({high:g})"
 
 
 def _values(name: str, reference: Reference, time: FloatArray) -> FloatArray:

@@ -14,12 +14,33 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from ddpc_cosim.errors import ConfigError, PluginError, did_you_mean
-from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.errors import ConfigError, Place, PluginError, did_you_mean, dotted
+from ddpc_cosim.plugins import load_plugin, load_target
 from ddpc_cosim.variables import FloatArray
 
 Weight = float | Sequence[float] | Sequence[Sequence[float]]
 """A weight: a scalar, one number per signal, or a symmetric matrix."""
+
+
+class SettingsError(ConfigError):
+    """Settings that are unknown or impossible.
+
+    Parameters
+    ----------
+    found : sequence of (Place, str)
+        Each setting at fault, by the keys that lead to it, and what is wrong with its value.
+    faults : sequence of str, optional
+        The same for somebody who does not see the keys.
+    """
+
+    def __init__(self, found: Sequence[tuple[Place, str]], faults: Sequence[str] = ()) -> None:
+        self.found = tuple(found)
+        super().__init__(
+            faults or [f"{dotted(place)}: {fault}" if place else fault for place, fault in found]
+        )
+
+    def __reduce__(self) -> Any:
+        return type(self), (self.found, self.faults)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +91,7 @@ class SettingInfo:
 
     def admits(self, number: float) -> bool:
         """Whether a number is finite and in range."""
-        # A whole number of any length is finite, but some are beyond what can be computed with.
+        # An integer of any length is finite, but some are beyond what can be computed with.
         return abs(number) <= sys.float_info.max and number > self.above and self.low <= number <= self.high
 
 
@@ -114,22 +135,19 @@ def check_settings(plugin: Any) -> None:
 
     Raises
     ------
-    ConfigError
+    SettingsError
         Every setting that has an impossible value: its name, the value and what is allowed.
     """
-    faults = []
+    found: list[tuple[Place, str]] = []
     for field in dataclasses.fields(plugin):
         info = field.metadata.get("setting")
         value = getattr(plugin, field.name)
         if info is not None and not _is_possible(value, field.type, info):
-            expected = (
-                f"{_type_words(field.type)}, {info.allowed}" if _type_words(field.type) else info.allowed
-            )
-            faults.append(
-                f"{type(plugin).__name__}: {field.name} = {value!r} is not possible; allowed: {expected}"
-            )
-    if faults:
-        raise ConfigError(faults)
+            allowed = ", ".join(filter(None, (_type_words(field.type), info.allowed)))
+            found.append(((field.name,), f"{value!r} is not possible; allowed: {allowed}"))
+    if found:
+        who = type(plugin).__name__
+        raise SettingsError(found, [f"{who}: {name} = {fault}" for (name,), fault in found])
 
 
 def to_plain(value: Any) -> Any:
@@ -173,15 +191,15 @@ def from_plain(plugin: type[Any], name: str, value: Any) -> Any:
 
     Raises
     ------
-    ConfigError
+    SettingsError
         The object cannot be made, and why.
     """
     if not isinstance(value, dict | list) or not dataclasses.is_dataclass(plugin):
         return value
     kind = _kind_of_tables(plugin, name)
     if isinstance(value, list):
-        return [_from_table(f"{name}[{i}]", item, kind) for i, item in enumerate(value)]
-    return _from_table(name, value, kind)
+        return [_from_table((name, i), item, kind) for i, item in enumerate(value)]
+    return _from_table((name,), value, kind)
 
 
 def _kind_of_tables(plugin: type[Any], name: str) -> Any:
@@ -194,26 +212,31 @@ def _kind_of_tables(plugin: type[Any], name: str) -> Any:
     return None if factory is dataclasses.MISSING else type(factory())
 
 
-def _from_table(name: str, value: Any, kind: Any) -> Any:
+def _from_table(place: Place, value: Any, kind: Any) -> Any:
     """Return the object that a table describes; anything else as it is."""
     if not isinstance(value, dict):
         return value
     entries = dict(value)
     if "type" in entries:
-        kind = load_class(name, str(entries.pop("type")))
+        try:
+            kind = load_class(str(entries.pop("type")))
+        except PluginError as error:
+            raise SettingsError([((*place, "type"), str(error))]) from error
     if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
         return value
     known = [f.name for f in dataclasses.fields(kind) if f.init]
     unknown = [key for key in entries if key not in known]
     if unknown:
         what = f"unknown setting of {kind.__name__}"
-        raise ConfigError([f"{name}.{key}: {what}; {did_you_mean(key, known)}" for key in unknown])
+        raise SettingsError([((*place, key), f"{what}; {did_you_mean(key, known)}") for key in unknown])
     try:
         return kind(**{key: from_plain(kind, key, entry) for key, entry in entries.items()})
+    except SettingsError as error:
+        raise SettingsError([((*place, *below), fault) for below, fault in error.found]) from error
     except ConfigError as error:
-        raise ConfigError([f"{name}: {fault}" for fault in error.faults]) from error
+        raise SettingsError([(place, fault) for fault in error.faults]) from error
     except Exception as error:  # a third party's constructor can fail in any way
-        raise ConfigError(f"{name}: {error}") from error
+        raise SettingsError([(place, str(error))]) from error
 
 
 def weight_matrix(weight: Weight, size: int, name: str) -> FloatArray:
@@ -251,20 +274,15 @@ def weight_matrix(weight: Weight, size: int, name: str) -> FloatArray:
     return matrix
 
 
-def load_class(name: str, target: str) -> Any:
+def load_class(target: str) -> Any:
     """Return the class that the key ``type`` of a setting's table names.
 
     Raises
     ------
-    ConfigError
+    PluginError
         There is none.
     """
-    from ddpc_cosim.plugins import load_plugin, load_target
-
-    try:
-        return load_target(target, "class") if ":" in target else load_plugin("controllers", target)
-    except PluginError as error:
-        raise ConfigError(f"{name}.type: {error}") from error
+    return load_target(target, "class") if ":" in target else load_plugin("controllers", target)
 
 
 def _is_possible(value: Any, kind: Any, info: SettingInfo) -> bool:
@@ -297,76 +315,58 @@ def _is_possible_weight(value: Any, info: SettingInfo) -> bool:
 
 
 def _type_words(kind: Any) -> str:
-    words = {
-        bool: "true or false",
-        int: "a whole number",
-        float: "a number",
-        Weight: "a number, list or matrix",
-    }
-    by_name = {"bool": words[bool], "int": words[int], "float": words[float], "Weight": words[Weight]}
-    return by_name.get(kind, "") if isinstance(kind, str) else words.get(kind, "")
+    words = {"bool": "true or false", "int": "an integer", "float": "a number"}
+    if kind in (Weight, "Weight"):
+        return "a number, list or matrix"
+    return words.get(kind if isinstance(kind, str) else getattr(kind, "__name__", ""), "")
 
 
 PLANT = "{plant}"
 """Stands for the FMU of the study's plant."""
 
 
-def placed(controller: str, settings: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a controller's plain settings with absolute paths.
+def map_files(controller: str, settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
+    """Return a controller's plain settings with every path changed, those of objects inside included.
 
     Parameters
     ----------
     controller : str
         Type of the controller.
     settings : mapping
-        Its settings as :func:`~ddpc_cosim.settings.to_plain` gives them.
-    folder : Path
-        What relative paths are relative to.
+        Its settings as :func:`to_plain` gives them.
+    change : callable
+        Called with each path, or ``PLANT``; returns what takes its place.
     """
-
-    def absolute(path: str) -> str:
-        return path if path == PLANT else str((folder / path).resolve())
-
-    return _changed(load_plugin("controllers", controller), settings, absolute)
+    return _map_files(load_plugin("controllers", controller), settings, change)
 
 
-def with_plant(controller: str, settings: Mapping[str, Any], fmu: str) -> dict[str, Any]:
-    """Return a controller's plain settings with the path of the plant's FMU where they ask for it."""
-    plugin = load_plugin("controllers", controller)
-    return _changed(plugin, settings, lambda path: fmu if path == PLANT else path)
-
-
-def files_of(controller: str, settings: Mapping[str, Any]) -> list[str]:
-    """Return the paths that a controller's plain settings name, the plant's placeholder among them."""
-    found: list[str] = []
+def hashes_of_files(controller: str, settings: Mapping[str, Any]) -> list[str]:
+    """Return a hash of each file that a controller's plain settings name; empty for one that is not there."""
+    hashes: list[str] = []
 
     def note(path: str) -> str:
-        found.append(path)
+        if path != PLANT:
+            hashes.append(_hash(path, *_stamp(path)) if Path(path).is_file() else "")
         return path
 
-    _changed(load_plugin("controllers", controller), settings, note)
-    return found
+    map_files(controller, settings, note)
+    return hashes
 
 
-def contents(controller: str, settings: Mapping[str, Any]) -> list[str]:
-    """Return a hash of each file that a controller's plain settings name; empty for one that is not there."""
-    paths = [Path(path) for path in files_of(controller, settings) if path != PLANT]
-    return [_content(path, *_stamp(path)) if path.is_file() else "" for path in paths]
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    status = path.stat()
+def _stamp(path: str) -> tuple[int, int]:
+    status = Path(path).stat()
     return status.st_size, status.st_mtime_ns
 
 
 @lru_cache(maxsize=64)
-def _content(path: Path, size: int, changed: int) -> str:
+def _hash(path: str, size: int, changed: int) -> str:
     """Return a hash of a file of this size that was last changed then: one reading serves all cases."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
-def _changed(plugin: type[Any], settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
-    """Return settings with every path changed, those of objects inside included."""
+def _map_files(
+    plugin: type[Any], settings: Mapping[str, Any], change: Callable[[str], str]
+) -> dict[str, Any]:
     declared = declared_settings(plugin)
     return {
         name: _entry(value, change, is_file=name in declared and declared[name].file)
@@ -381,5 +381,5 @@ def _entry(value: Any, change: Callable[[str], str], *, is_file: bool) -> Any:
         return [_entry(item, change, is_file=is_file) for item in value]
     if isinstance(value, dict) and "type" in value:
         entries = {name: entry for name, entry in value.items() if name != "type"}
-        return {"type": value["type"], **_changed(load_class("type", value["type"]), entries, change)}
+        return {"type": value["type"], **_map_files(load_class(value["type"]), entries, change)}
     return value

@@ -55,11 +55,14 @@ class Steps(Reference):
     values: Sequence[float]
 
     def __post_init__(self) -> None:
+        faults = []
         if len(self.times) != len(self.values) or not self.times:
             lengths = f"times ({len(self.times)}) and values ({len(self.values)})"
-            raise ConfigError(f"steps: {lengths} need the same length, at least 1")
+            faults.append(f"steps: {lengths} must have the same length, at least 1")
         if not np.all(np.diff(self.times) > 0):
-            raise ConfigError(f"steps: times must increase, got {list(self.times)}")
+            faults.append(f"steps: times must increase, got {list(self.times)}")
+        if faults:
+            raise ConfigError(faults)
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at the given times [s]; same shape as ``time``."""
@@ -80,7 +83,7 @@ class Ramp(Reference):
     def __post_init__(self) -> None:
         if not self.start_time < self.stop_time:
             raise ConfigError(
-                f"ramp: stop_time ({self.stop_time:g}) must be after start_time ({self.start_time:g})"
+                f"ramp: it must end after it starts, got {self.start_time:g} s to {self.stop_time:g} s"
             )
 
     def at(self, time: FloatArray) -> FloatArray:

@@ -90,9 +90,8 @@ class ControllerSubject:
     def make(self) -> Controller:
         """Return a new controller."""
         from ddpc_cosim.study.controllers import make_controller
-        from ddpc_cosim.study.sections import ControllerSection
 
-        return make_controller(ControllerSection(type=self.plugin, settings=self.settings))
+        return make_controller(self.plugin, self.settings)
 
 
 def find_subject(name: str, settings: Sequence[str]) -> Subject:
@@ -135,11 +134,11 @@ def _is_controller(name: str) -> bool:
 
 
 def _plant(name: str) -> Subject:
-    from ddpc_cosim.study.plants import PlantSource
+    from ddpc_cosim.study.plants import PlantSpec
     from ddpc_cosim.study.sections import PlantSection
 
-    target = PlantSource(PlantSection(name=name), Path()).prepare()
-    return FMUSubject(target.fmu) if target.fmu else PlantSubject(target.python)
+    plant = PlantSpec.of(PlantSection(name=name), Path()).built()
+    return FMUSubject(plant.fmu) if plant.fmu else PlantSubject(name)
 
 
 def _parse(settings: Sequence[str]) -> dict[str, Any]:

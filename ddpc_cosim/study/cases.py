@@ -2,24 +2,24 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
 from typing import Any
 
 import numpy as np
 
-from ddpc_cosim.controller import Bounds
+from ddpc_cosim.controller import Bounds, Controller
 from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImportError, FMUStepError
 from ddpc_cosim.master import OUTCOME_OF, ProgressReport, cosimulate
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, types_in
-from ddpc_cosim.settings import contents, with_plant
+from ddpc_cosim.settings import PLANT, hashes_of_files, map_files
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference, UniformRandom
-from ddpc_cosim.study.checks import CheckedStudy, converter, excitation_range, limits
-from ddpc_cosim.study.controllers import all_settings, make_controller
-from ddpc_cosim.study.plants import PlantTarget
+from ddpc_cosim.study.controllers import make_controller
+from ddpc_cosim.study.plants import PlantSpec
+from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.sections import ControllerSection, LoopSection, ScenarioSection, StabiliserSection
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable, names
@@ -41,7 +41,7 @@ class Case:
         Name of the controller in reports.
     section : dict
         The controller's type and settings, every default filled in.
-    plant : PlantTarget
+    plant : PlantSpec
         The plant.
     inputs, outputs, measurements : tuple of Variable
         The signals that take part.
@@ -63,6 +63,8 @@ class Case:
         Standard deviations of measurement noise.
     events : tuple of ParameterChange
         Parameter changes during the run.
+    id : str
+        Readable name and a hash of everything that decides the result, code version included.
     """
 
     controller: str
@@ -70,7 +72,7 @@ class Case:
     seed: int
     label: str
     section: dict[str, Any]
-    plant: PlantTarget
+    plant: PlantSpec
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     measurements: tuple[Variable, ...]
@@ -84,7 +86,8 @@ class Case:
     stabiliser: dict[str, Any] | None
     parameters: dict[str, ParameterValue]
     noise: dict[str, float]
-    events: tuple[ParameterChange, ...] = field(default=())
+    events: tuple[ParameterChange, ...] = ()
+    id: str = ""
 
     @property
     def name(self) -> str:
@@ -92,38 +95,25 @@ class Case:
         scenario = "" if self.scenario == "nominal" else f"_{self.scenario}"
         return f"{self.controller}{scenario}_seed{self.seed}"
 
-    @property
-    def id(self) -> str:
-        """Readable name and a hash of everything that decides the result, code version included."""
-        controllers = (self.section, self.stabiliser) if self.stabiliser else (self.section,)
-        decisive = asdict(self) | {"code": [code_version(kind) for kind in types_in([*controllers])]}
-        decisive["files"] = [contents(section["type"], section["settings"]) for section in controllers]
-        del decisive["label"]
-        decisive["plant"] = self.plant.content
-        decisive |= {key: names(getattr(self, key)) for key in ("inputs", "outputs", "measurements")}
-        decisive["reference"] = {name: repr(reference) for name, reference in self.reference.items()}
-        text = json.dumps(decisive, sort_keys=True, default=repr)
-        return f"{self.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
-
     def head(self) -> dict[str, Any]:
-        """Return what identifies the case in its ``run.json``."""
+        """Return the identifiers of the case for its ``run.json``."""
         keys = ("id", "controller", "label", "scenario", "seed")
         return {key: getattr(self, key) for key in keys}
 
 
 def cases_of(
-    checked: CheckedStudy, target: PlantTarget, seeds: list[int] | None = None, only: str = "*"
+    resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int] = (), only: str = "*"
 ) -> list[Case]:
     """Return the cases of a study: controllers x scenarios x seeds.
 
     Parameters
     ----------
-    checked : CheckedStudy
+    resolved : ResolvedStudy
         The study.
-    target : PlantTarget
+    plant : PlantSpec
         Its plant, ready to run.
-    seeds : list of int, optional
-        In place of the study's.
+    seeds : sequence of int
+        In place of the study's; empty: the study's.
     only : str
         Glob pattern that the readable name of a case must match.
 
@@ -132,13 +122,25 @@ def cases_of(
     ConfigError
         No case matches.
     """
-    cases = list(_all_cases(checked, target, seeds or checked.study.seeds))
+    cases = list(_all_cases(resolved, plant, seeds or resolved.study.seeds))
     chosen = [case for case in cases if fnmatch(case.name, only) or fnmatch(case.controller, only)]
     if not chosen:
         listed = ", ".join(case.name for case in cases[:_MOST_LISTED])
         more = f" and {len(cases) - _MOST_LISTED} more" if len(cases) > _MOST_LISTED else ""
         raise ConfigError(f"--only {only}: no case matches; there are {listed}{more}")
-    return chosen
+    return [replace(case, id=_identifier(case)) for case in chosen]
+
+
+def _identifier(case: Case) -> str:
+    controllers = (case.section, case.stabiliser) if case.stabiliser else (case.section,)
+    decisive = asdict(case) | {"code": [code_version(kind) for kind in types_in([*controllers])]}
+    decisive["files"] = [hashes_of_files(section["type"], section["settings"]) for section in controllers]
+    del decisive["label"], decisive["id"]
+    decisive["plant"] = case.plant.content
+    decisive |= {key: names(getattr(case, key)) for key in ("inputs", "outputs", "measurements")}
+    decisive["reference"] = {name: repr(reference) for name, reference in case.reference.items()}
+    text = json.dumps(decisive, sort_keys=True, default=repr)
+    return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
 
 
 def run_case(case: Case, progress: ProgressReport | None = None) -> Trace:
@@ -167,14 +169,12 @@ def _run(case: Case, plant: Plant, progress: ProgressReport | None) -> Trace:
     try:
         return cosimulate(
             plant,
-            make_controller(ControllerSection(**_ready(case.section, case.plant))),
+            _controller(case.section, case.plant),
             sampling_time=case.sampling_time,
             duration=case.duration,
             reference=case.reference,
             excitation=case.excitation,
-            stabiliser=make_controller(StabiliserSection(**_ready(case.stabiliser, case.plant)))
-            if case.stabiliser
-            else None,
+            stabiliser=_controller(case.stabiliser, case.plant) if case.stabiliser else None,
             bounds=case.bounds,
             outputs=names(case.outputs),
             measurements=names(case.measurements),
@@ -190,9 +190,10 @@ def _run(case: Case, plant: Plant, progress: ProgressReport | None) -> Trace:
         return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
 
 
-def _ready(section: dict[str, Any], plant: PlantTarget) -> dict[str, Any]:
-    """Return a controller's section in which the plant's FMU has its path."""
-    return section | {"settings": with_plant(section["type"], section["settings"], plant.fmu)}
+def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller:
+    """Return a controller that finds the plant's FMU where its settings ask for it."""
+    kind, settings = section["type"], section["settings"]
+    return make_controller(kind, map_files(kind, settings, lambda path: plant.fmu if path == PLANT else path))
 
 
 def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
@@ -229,57 +230,40 @@ def _outcome_of(error: CosimError) -> Outcome:
     return Outcome.FMU_ERROR if isinstance(error, FMUImportError) else Outcome.CONTROLLER_ERROR
 
 
-def _all_cases(checked: CheckedStudy, target: PlantTarget, seeds: list[int]) -> Iterator[Case]:
-    study = checked.study
-    variables = {**checked.signals.inputs, **checked.signals.outputs}
-    reference = {
-        name: section.build(converter(variables[name], section.unit))
-        for name, section in study.reference.items()
-    }
-    stabiliser = _stabiliser(checked)
+def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) -> Iterator[Case]:
+    study = resolved.study
+    stabiliser = study.recording.controller if study.recording is not None else None
+    events = {name: _events(scenario, study.loop) for name, scenario in study.scenarios.items()}
     for controller, section in study.controllers.items():
-        settings = all_settings(section, checked.folder)
-        bounds = limits({**study.bounds, **section.bounds}, variables, (*checked.inputs, *checked.outputs))
         for name, scenario in study.scenarios.items():
             for seed in seeds:
+                excitation = resolved.excitation
                 yield Case(
                     controller=controller,
                     scenario=name,
                     seed=seed,
-                    label=section.label or controller,
-                    section={"type": section.type, "settings": settings},
-                    plant=target,
-                    inputs=tuple(variables[name] for name in checked.inputs),
-                    outputs=tuple(variables[name] for name in checked.outputs),
-                    measurements=tuple(variables[name] for name in checked.measurements),
+                    label=section.label,
+                    section=_type_and_settings(section),
+                    plant=plant,
+                    inputs=resolved.inputs,
+                    outputs=resolved.outputs,
+                    measurements=resolved.measurements,
                     sampling_time=study.loop.sampling_time,
                     duration=study.loop.duration,
                     start_time=study.loop.start_time,
                     continue_recording=study.loop.start == "recording-end",
-                    reference=reference,
-                    bounds=bounds,
-                    excitation=_excitation(checked, seed),
-                    stabiliser=stabiliser,
+                    reference=resolved.reference,
+                    bounds=resolved.bounds[controller],
+                    excitation=None if excitation is None else replace(excitation, seed=seed),
+                    stabiliser=None if stabiliser is None else _type_and_settings(stabiliser),
                     parameters={**study.plant.parameters, **scenario.parameters},
                     noise=dict(scenario.noise),
-                    events=_events(scenario, study.loop),
+                    events=events[name],
                 )
 
 
-def _excitation(checked: CheckedStudy, seed: int) -> UniformRandom | None:
-    span = excitation_range(checked)
-    recording = checked.study.recording
-    if span is None or recording is None:
-        return None
-    return UniformRandom(tuple(span[0].tolist()), tuple(span[1].tolist()), recording.samples, seed)
-
-
-def _stabiliser(checked: CheckedStudy) -> dict[str, Any] | None:
-    recording = checked.study.recording
-    if recording is None or recording.controller is None:
-        return None
-    controller = recording.controller
-    return {"type": controller.type, "settings": all_settings(controller, checked.folder)}
+def _type_and_settings(section: ControllerSection | StabiliserSection) -> dict[str, Any]:
+    return {"type": section.type, "settings": section.settings}
 
 
 def _events(scenario: ScenarioSection, loop: LoopSection) -> tuple[ParameterChange, ...]:

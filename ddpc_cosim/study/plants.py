@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, names, with_
 
 
 @dataclass(frozen=True, slots=True)
-class PlantSignals:
+class PlantVariables:
     """The variables of a plant by name, as a study may use them.
 
     Parameters
@@ -36,6 +36,8 @@ class PlantSignals:
         The parameters that can change during a run.
     default_inputs, default_outputs : tuple of str
         What takes part if a study names none; empty: all.
+    display_units : mapping of str to tuple of DisplayUnit
+        The display units that the plant defines for each unit.
     """
 
     inputs: Mapping[str, Variable]
@@ -44,20 +46,37 @@ class PlantSignals:
     tunable: frozenset[str] = field(default_factory=frozenset)
     default_inputs: tuple[str, ...] = ()
     default_outputs: tuple[str, ...] = ()
+    display_units: Mapping[str, tuple[DisplayUnit, ...]] = field(default_factory=dict)
+
+    def shown(self, display_units: Mapping[str, str], nominal: Mapping[str, float]) -> Self:
+        """Return the variables with a study's display units and nominal values.
+
+        Raises
+        ------
+        ConfigError
+            There is no conversion to such a display unit; all of them at once.
+        """
+        inputs, outputs = (
+            with_display_units(group.values(), display_units, self.display_units)
+            for group in (self.inputs, self.outputs)
+        )
+        return replace(
+            self,
+            inputs={v.name: v for v in _with_nominal(inputs, nominal)},
+            outputs={v.name: v for v in _with_nominal(outputs, nominal)},
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class PlantTarget:
-    """What a worker needs to open the plant: an FMU's path, or ``module:Class``.
+class PlantSpec:
+    """The plant of a study: what it is, and how a worker opens it.
 
     Parameters
     ----------
+    name : str
+        The plug-in's name or ``module:attribute``; empty for a supplied FMU.
     fmu : str
-        Path of the FMU; empty for a Python plant.
-    python : str
-        The Python plant's name or ``module:Class``; empty for an FMU.
-    content : str
-        SHA-256 of the FMU, or the Python class with a hash of its source: what decides the behaviour.
+        Absolute path of the FMU; empty for a Python class, and for equations until :meth:`built`.
     isolated : bool
         Whether the FMU runs in a process of its own.
     step_timeout : float
@@ -68,23 +87,107 @@ class PlantTarget:
         Units to show variables in.
     nominal : mapping of str to float
         Nominal values in place of the plant's own.
+    content : str
+        What decides the behaviour: SHA-256 of the FMU, or the Python class with a hash of its source; empty
+        until :meth:`built`.
     """
 
+    name: str
     fmu: str
-    python: str
-    content: str
     isolated: bool = False
     step_timeout: float = 60.0
     fmi_type: FMIType = "auto"
     display_units: Mapping[str, str] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
+    content: str = ""
+
+    @classmethod
+    def of(cls, section: PlantSection, folder: Path) -> Self:
+        """Return the plant that a section names.
+
+        Parameters
+        ----------
+        section : PlantSection
+            The plant section.
+        folder : Path
+            Folder of the study file: FMU paths are relative to it.
+
+        Raises
+        ------
+        CosimError
+            There is no such plant, or it cannot be loaded.
+        """
+        spec = cls(
+            name=section.name,
+            fmu=str((folder / section.fmu).resolve()) if section.fmu else "",
+            # The project's own C code is trusted; what a supplied FMU does is not known.
+            isolated=bool(section.fmu) if section.isolated == "auto" else section.isolated,
+            step_timeout=section.step_timeout,
+            fmi_type=section.fmi_type,
+            display_units=section.display_units,
+            nominal=section.nominal,
+        )
+        plugin = None if spec.fmu else spec._plugin()
+        if plugin is not None and not (_is_model(plugin) or _is_plant_class(plugin)):
+            raise ConfigError(f'plant "{spec.name}" is neither a PlantModel nor a Plant class: {plugin!r}')
+        if spec.isolated and not spec.is_fmu:
+            raise ConfigError(f'plant "{spec.name}" is a Python class; only FMUs can be isolated')
+        return spec
+
+    @property
+    def is_fmu(self) -> bool:
+        """Whether the plant runs as an FMU, supplied or built from equations."""
+        return bool(self.fmu) or _is_model(self._plugin())
+
+    def _plugin(self) -> Any:
+        return load_plugin("plants", self.name)
+
+    def variables(self) -> PlantVariables:
+        """Return the plant's variables, without building or running it.
+
+        Raises
+        ------
+        CosimError
+            The plant cannot be read.
+        """
+        if self.fmu:
+            return _fmu_variables(Path(self.fmu), self.fmi_type)
+        plugin = self._plugin()
+        if _is_model(plugin):
+            return _model_variables(plugin)
+        try:
+            plant: Plant = plugin()
+        except Exception as error:  # a third party's constructor can fail in any way
+            raise ConfigError(f'plant "{self.name}": {type(error).__name__}: {error}') from error
+        try:
+            inputs, outputs = ({v.name: v for v in group} for group in (plant.inputs, plant.outputs))
+            return PlantVariables(inputs, outputs, {})
+        finally:
+            plant.close()
+
+    def built(self) -> Self:
+        """Return the plant ready to run: equations are exported to an FMU, which is compiled if it is new."""
+        if not self.is_fmu:
+            plugin = self._plugin()
+            content = f"{plugin.__module__}:{plugin.__qualname__} {source_hash(plugin.__module__)}"
+            return replace(self, content=content + self._shown())
+        fmu = Path(self.fmu) if self.fmu else _build(self._plugin()).resolve()
+        kind = "" if self.fmi_type == "auto" else f" {self.fmi_type}"
+        content = hashlib.sha256(fmu.read_bytes()).hexdigest() + kind + self._shown()
+        return replace(self, fmu=str(fmu), content=content)
+
+    def _shown(self) -> str:
+        """Return what the study says of display units and nominal values, which decide metrics too."""
+        units = [f" {name}[{unit}]" for name, unit in sorted(self.display_units.items())]
+        nominal = [f" {name}~{value!r}" for name, value in sorted(self.nominal.items())]
+        return "".join(units + nominal)
 
     def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
         """Open the plant with the chosen inputs and outputs."""
         if self.fmu:
             plant = self._open_fmu(inputs, outputs)
         else:
-            plant = PythonPlant(load_plugin("plants", self.python), inputs)
+            plant = PythonPlant(self._plugin(), inputs)
             plant.inputs = with_display_units(plant.inputs, self.display_units, {})
             plant.outputs = with_display_units(plant.outputs, self.display_units, {})
         plant.inputs = _with_nominal(plant.inputs, self.nominal)
@@ -94,6 +197,7 @@ class PlantTarget:
     def _open_fmu(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
         from ddpc_cosim.fmu.plant import FMUPlant
 
+        units = {name: unit for name, unit in self.display_units.items() if name in (*inputs, *outputs)}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", CosimWarning)  # told when the study was read
             return FMUPlant(
@@ -101,121 +205,10 @@ class PlantTarget:
                 inputs=list(inputs),
                 outputs=list(outputs),
                 fmi_type=self.fmi_type,
-                display_units={
-                    name: unit for name, unit in self.display_units.items() if name in (*inputs, *outputs)
-                },
+                display_units=units,
                 isolated=self.isolated,
                 step_timeout=self.step_timeout,
             )
-
-
-class PlantSource:
-    """A plant that a study names, before any run.
-
-    Parameters
-    ----------
-    section : PlantSection
-        The plant section.
-    folder : Path
-        Folder of the study file: FMU paths are relative to it.
-
-    Raises
-    ------
-    CosimError
-        There is no such plant, or it cannot be loaded.
-    """
-
-    def __init__(self, section: PlantSection, folder: Path) -> None:
-        self._fmu = folder / section.fmu if section.fmu else None
-        # The project's own C code is trusted; what a supplied FMU does is not known.
-        self._isolated = bool(section.fmu) if section.isolated == "auto" else section.isolated
-        self._step_timeout = section.step_timeout
-        self._fmi_type: FMIType = section.fmi_type
-        self._display_units, self._nominal = section.display_units, section.nominal
-        self._name = section.name
-        self._plugin: Any = load_plugin("plants", section.name) if section.name else None
-        if self._plugin is not None and not (_is_model(self._plugin) or _is_plant_class(self._plugin)):
-            raise ConfigError(
-                f'plant "{section.name}" is neither a PlantModel nor a Plant class: {self._plugin!r}'
-            )
-        if self._isolated and _is_plant_class(self._plugin):
-            raise ConfigError(f'plant "{section.name}" is a Python class; only FMUs can be isolated')
-
-    @property
-    def fmu_path(self) -> str:
-        """Absolute path of the FMU that the study supplies; empty for a plug-in."""
-        return str(self._fmu.resolve()) if self._fmu else ""
-
-    @property
-    def is_fmu(self) -> bool:
-        """Whether the plant runs as an FMU, supplied or built from equations."""
-        return not _is_plant_class(self._plugin)
-
-    def signals(self) -> PlantSignals:
-        """Return the plant's variables, as they are to be shown, without building or running it.
-
-        Raises
-        ------
-        ConfigError
-            A display unit is unknown.
-        """
-        signals, defined = self._declared()
-
-        def shown(variables: Mapping[str, Variable]) -> dict[str, Variable]:
-            known = with_display_units(variables.values(), self._display_units, defined)
-            return {v.name: v for v in _with_nominal(known, self._nominal)}
-
-        return replace(signals, inputs=shown(signals.inputs), outputs=shown(signals.outputs))
-
-    def _declared(self) -> tuple[PlantSignals, Mapping[str, tuple[DisplayUnit, ...]]]:
-        """Return the plant's variables and the display units that it defines for each unit."""
-        if self._fmu is not None:
-            return _fmu_signals(self._fmu, self._fmi_type)
-        if _is_model(self._plugin):
-            return _model_signals(self._plugin), {}
-        try:
-            plant: Plant = self._plugin()
-        except Exception as error:  # a third party's constructor can fail in any way
-            raise ConfigError(f'plant "{self._name}": {type(error).__name__}: {error}') from error
-        try:
-            signals = PlantSignals({v.name: v for v in plant.inputs}, {v.name: v for v in plant.outputs}, {})
-            return signals, {}
-        finally:
-            plant.close()
-
-    def prepare(self) -> PlantTarget:
-        """Make the plant ready to run: equations are exported to an FMU, which is compiled if it is new."""
-        fmu = self._fmu
-        if _is_model(self._plugin):
-            fmu = _build(self._plugin)
-        if fmu is None:
-            plugin = self._plugin
-            content = f"{plugin.__module__}:{plugin.__qualname__} {source_hash(plugin.__module__)}"
-            return PlantTarget(
-                "",
-                self._name,
-                content + self._asked(),
-                display_units=self._display_units,
-                nominal=self._nominal,
-            )
-        kind = "" if self._fmi_type == "auto" else f" {self._fmi_type}"
-        content = hashlib.sha256(fmu.read_bytes()).hexdigest() + kind + self._asked()
-        return PlantTarget(
-            str(fmu.resolve()),
-            "",
-            content,
-            self._isolated,
-            self._step_timeout,
-            self._fmi_type,
-            self._display_units,
-            self._nominal,
-        )
-
-    def _asked(self) -> str:
-        """Return what the study says of display units and nominal values, which decide figures too."""
-        units = [f" {name}[{unit}]" for name, unit in sorted(self._display_units.items())]
-        sizes = [f" {name}~{value!r}" for name, value in sorted(self._nominal.items())]
-        return "".join(units + sizes)
 
 
 def _with_nominal(variables: Iterable[Variable], nominal: Mapping[str, float]) -> tuple[Variable, ...]:
@@ -241,7 +234,7 @@ def _is_plant_class(plugin: Any) -> bool:
     return isinstance(plugin, type) and issubclass(plugin, Plant)
 
 
-def _fmu_signals(path: Path, fmi_type: FMIType) -> tuple[PlantSignals, Mapping[str, tuple[DisplayUnit, ...]]]:
+def _fmu_variables(path: Path, fmi_type: FMIType) -> PlantVariables:
     from ddpc_cosim.fmu.plant import FMUPlant
 
     with FMUPlant(path, fmi_type=fmi_type) as plant:
@@ -250,19 +243,19 @@ def _fmu_signals(path: Path, fmi_type: FMIType) -> tuple[PlantSignals, Mapping[s
     elements = {s.variable.name: s.variable for s in description.signals("parameter", "input")}
     free = {s.variable.name for s in description.signals("input")}
     tunable = {s.variable.name for s in description.signals("parameter") if s.source.is_tunable}
-    signals = PlantSignals(
+    return PlantVariables(
         inputs={s.variable.name: s.variable for s in description.signals("input")},
         outputs={s.variable.name: s.variable for s in description.signals("output", "local")},
         parameters=settable | elements,
         tunable=frozenset(tunable | free),
         default_inputs=inputs,
         default_outputs=outputs,
+        display_units=description.display_units,
     )
-    return signals, description.display_units
 
 
-def _model_signals(model: Any) -> PlantSignals:
-    return PlantSignals(
+def _model_variables(model: Any) -> PlantVariables:
+    return PlantVariables(
         {v.name: _variable(v) for v in model.inputs},
         {v.name: _variable(v) for v in model.outputs},
         {v.name: _variable(v) for v in model.parameters},
@@ -315,7 +308,7 @@ class PythonPlant(Plant):
         return self._t0 + self._steps * self._h
 
     def plan(self, sampling_time: float, stop_time: float) -> None:
-        """Say what the coming runs will ask."""
+        """Announce sampling and stop time of the next runs."""
         self._plant.plan(sampling_time, stop_time)
 
     def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
@@ -340,5 +333,5 @@ class PythonPlant(Plant):
         close_plant(self._plant)
 
     def provenance(self) -> Mapping[str, str]:
-        """Return what identifies the plant."""
+        """Return the identifier of the plant."""
         return plant_provenance(self._plant)

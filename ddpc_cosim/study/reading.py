@@ -1,41 +1,53 @@
-"""From a study file to a checked study: every fault of the file in one error."""
+"""From a study file to a resolved study: every error of the file at once, each with its line."""
 
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from itertools import product
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from ddpc_cosim.errors import ConfigError, PluginError
+from ddpc_cosim.errors import ConfigError, Place, PluginError, dotted
 from ddpc_cosim.plugins import load_plugin
-from ddpc_cosim.study.checks import CheckedStudy, check_study
-from ddpc_cosim.study.sections import ControllerSection, Study
-from ddpc_cosim.study.validation_errors import Faults, validate_all
+from ddpc_cosim.study.resolve import ResolvedStudy, resolve
+from ddpc_cosim.study.sections import Study
+from ddpc_cosim.study.validation_errors import ValidationErrors, parse
 
 
-def read_study(name: str) -> CheckedStudy:
-    """Read a study file, or a built-in or plug-in study by name, and check it.
+def read_study(name: str) -> ResolvedStudy:
+    """Read a study file, or a built-in or plug-in study by name, and resolve it.
 
     Raises
     ------
     ConfigError
-        There is no such study, or it has faults: all of them, each with file, key and what to do.
+        There is no such study, or it has errors: all of them, each with file, line, key and what to do.
     """
     path = find_study(name)
     try:
         # Some editors put a byte order mark in front, which TOML does not know.
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = path.read_text(encoding="utf-8-sig")
+        data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are no TOML errors
         raise ConfigError(f"{path.name}: not a TOML file: {error}") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     data.setdefault("name", _as_name(path.stem))
-    study, faults = validate_all(Study, data)
-    checked = check_study(expand_sweeps(study, faults), path.parent, faults) if study is not None else None
-    if faults.listed or checked is None:
-        raise ConfigError([f"{path.name}: {fault}" for fault in faults.listed])
-    return checked
+    errors = ValidationErrors()
+    study = parse(Study, data, errors)
+    resolved = resolve(study, path.parent, errors)
+    if resolved is None:
+        raise ConfigError(_with_lines(path.name, errors, key_lines(text)))
+    return resolved
+
+
+def _with_lines(file: str, errors: ValidationErrors, lines: Mapping[Place, int]) -> list[str]:
+    """Return the errors in the order of their lines; what is missing has the line of its table."""
+    located = []
+    for place, messages in errors.found.items():
+        line = next((lines[place[:n]] for n in range(len(place), 0, -1) if place[:n] in lines), 0)
+        where = f"{file}:{line}" if line else file
+        located += [(line, f"{where}: {dotted(place)}: {message}") for message in messages]
+    return [text for _, text in sorted(located, key=itemgetter(0))]
 
 
 def find_study(name: str) -> Path:
@@ -61,55 +73,49 @@ def _as_name(stem: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip("._-")[:60] or "study"
 
 
-_LONGEST_NAME = 60
+def key_lines(text: str) -> dict[Place, int]:
+    """Return the line, counted from 1, on which each key of a TOML file begins.
 
-
-def expand_sweeps(study: Study, faults: Faults) -> Study:
-    """Return a study in which every variant of a sweep is a controller beside the one that is varied.
-
-    Variants are called after what they vary (``deepc-lambda_g-5``) and say of whom they are variants; the
-    study that a run leaves behind lists them like this, and runs again as it is.
+    What stands in a value that goes over several lines has the line on which the value begins.
     """
-    controllers: dict[str, ControllerSection] = {}
-    for name, section in study.controllers.items():
-        controllers[name] = section.model_copy(update={"sweep": []})
-        for number, varied in enumerate(_combinations(section), start=1):
-            variant = _name(name, varied, number)
-            if variant in controllers or variant in study.controllers:
-                faults.add(
-                    ("controllers", name, "sweep"), f'two controllers are called "{variant}"; change a value'
-                )
-            controllers[variant] = _variant(name, section, varied)
-    return study.model_copy(update={"controllers": controllers})
+    lines: dict[Place, int] = {}
+    lengths: dict[Place, int] = {}  # of the arrays of tables, so far
+    table: Place = ()
+    statement, begins = "", 1
+    for number, line in enumerate(text.splitlines(), start=1):
+        statement, begins = (f"{statement}\n{line}", begins) if statement else (line, number)
+        try:
+            content = tomllib.loads(statement)
+        except tomllib.TOMLDecodeError:  # a value that goes on
+            continue
+        if statement.lstrip().startswith("["):
+            table = _header_place(content, lengths)
+            lines.setdefault(table, begins)
+        else:
+            for place in _places(content, table):
+                lines.setdefault(place, begins)
+        statement = ""
+    return lines
 
 
-def _combinations(section: ControllerSection) -> Iterator[Mapping[str, Any]]:
-    for table in section.sweep:
-        for values in product(*table.values()):
-            yield dict(zip(table, values, strict=True))
+def _header_place(content: dict[str, Any], lengths: dict[Place, int]) -> Place:
+    """Return the place of a table from its header by itself; arrays of tables are counted."""
+    place: Place = ()
+    below: Any = content
+    while below:
+        ((key, below),) = below.items()
+        place = (*place, key)
+        if isinstance(below, list):
+            lengths[place] = lengths.get(place, 0) + 1
+            below = {}
+        if place in lengths:
+            place = (*place, lengths[place] - 1)
+    return place
 
 
-def _variant(name: str, section: ControllerSection, varied: Mapping[str, Any]) -> ControllerSection:
-    words = ", ".join(f"{setting} = {_words(value)}" for setting, value in varied.items())
-    return section.model_copy(
-        update={
-            "settings": {**section.settings, **varied},
-            "label": f"{section.label or name}, {words}",
-            "sweep": [],
-            "variant_of": name,
-            "varied": list(varied),
-        }
-    )
-
-
-def _name(name: str, varied: Mapping[str, Any], number: int) -> str:
-    """Return a readable name; a number where the values make it too long for a file's name."""
-    values = {setting: re.sub(r"[^A-Za-z0-9._-]+", "", _words(value)) for setting, value in varied.items()}
-    readable = "-".join([name, *(f"{setting}-{value}" for setting, value in values.items())])
-    return readable if len(readable) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 5]}-{number}"
-
-
-def _words(value: Any) -> str:
-    if isinstance(value, dict):
-        return " ".join(f"{key} {_words(entry)}" for key, entry in value.items())
-    return f"{value:g}" if isinstance(value, float) else str(value)
+def _places(value: Any, place: Place) -> Iterator[Place]:
+    """Yield the places of everything in a value."""
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+        yield (*place, key)
+        if isinstance(item, dict | list):
+            yield from _places(item, (*place, key))

@@ -14,10 +14,9 @@ from typing import Protocol
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.plugins import package_version
 from ddpc_cosim.study.cases import Case, cases_of
-from ddpc_cosim.study.checks import CheckedStudy
-from ddpc_cosim.study.controllers import all_settings
 from ddpc_cosim.study.executors import Update, run_cases
-from ddpc_cosim.study.plants import PlantTarget
+from ddpc_cosim.study.plants import PlantSpec
+from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import (
     CASES_FOLDER,
     CaseResult,
@@ -71,7 +70,9 @@ class Selection:
     fresh: bool = False
 
 
-def run_study(checked: CheckedStudy, folder: Path, selection: Selection, progress: Progress) -> StudyResults:
+def run_study(
+    resolved: ResolvedStudy, folder: Path, selection: Selection, progress: Progress
+) -> StudyResults:
     """Run a study's cases into a folder and return the results.
 
     Cases that are there from an earlier run and whose settings, FMU, seed and code are the same are kept. If
@@ -82,8 +83,8 @@ def run_study(checked: CheckedStudy, folder: Path, selection: Selection, progres
     ConfigError
         No case is selected, or the folder cannot be written to.
     """
-    target = checked.plant.prepare()
-    cases = cases_of(checked, target, selection.seeds or None, selection.only)
+    plant = resolved.plant.built()
+    cases = cases_of(resolved, plant, selection.seeds, selection.only)
     cases_folder = folder / CASES_FOLDER
     try:
         cases_folder.mkdir(parents=True, exist_ok=True)
@@ -93,9 +94,9 @@ def run_study(checked: CheckedStudy, folder: Path, selection: Selection, progres
     progress.start(len(missing), len(cases) - len(missing))
     for case in run_cases(missing, cases_folder, selection.jobs, progress.update) if missing else ():
         progress.finished(case, load_case(cases_folder / case.id))
-    study = _resolved(checked, selection)
+    study = resolved.study.model_copy(update={"seeds": selection.seeds or resolved.study.seeds})
     results = load_cases(folder, study, [case.id for case in cases])
-    provenance = _provenance(results, target, selection, study)
+    provenance = _provenance(results, plant, selection, study)
     write_results(folder, study, results, provenance)
     return StudyResults(folder, study, results, provenance)
 
@@ -108,41 +109,8 @@ def _is_there(folder: Path) -> bool:
         return False
 
 
-def _resolved(checked: CheckedStudy, selection: Selection) -> Study:
-    """Return the study as run: every default filled in, paths absolute."""
-    study = checked.study
-    controllers = {
-        name: section.model_copy(
-            update={"settings": all_settings(section, checked.folder), "label": section.label or name}
-        )
-        for name, section in study.controllers.items()
-    }
-    plant = study.plant.model_copy(
-        update={
-            "fmu": checked.plant.fmu_path,
-            "inputs": list(checked.inputs),
-            "outputs": list(checked.outputs),
-            "measurements": list(checked.measurements),
-        }
-    )
-    recording = study.recording
-    if recording is not None and recording.controller is not None:
-        settings = {"settings": all_settings(recording.controller, checked.folder)}
-        recording = recording.model_copy(
-            update={"controller": recording.controller.model_copy(update=settings)}
-        )
-    return study.model_copy(
-        update={
-            "controllers": controllers,
-            "plant": plant,
-            "recording": recording,
-            "seeds": selection.seeds or study.seeds,
-        }
-    )
-
-
 def _provenance(
-    results: Sequence[CaseResult], target: PlantTarget, selection: Selection, study: Study
+    results: Sequence[CaseResult], spec: PlantSpec, selection: Selection, study: Study
 ) -> dict[str, str]:
     # A case that failed before its first sample does not know its plant.
     known: Iterator[dict[str, str]] = (read_run(result.folder)["provenance"] for result in results)
@@ -150,7 +118,7 @@ def _provenance(
     versions = {f"{name.lower()} version": metadata.version(name) for name in _VERSIONS_OF}
     return {
         **{key.replace("_", " "): value for key, value in plant.items()},
-        "plant content": target.content,
+        "plant content": spec.content,
         "study sha256": study_hash(study),
         "ddpc-cosim version": package_version(),
         "python version": platform.python_version(),

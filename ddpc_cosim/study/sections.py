@@ -1,12 +1,15 @@
-"""The study file: its sections, keys and ranges. Read and checked by :mod:`ddpc_cosim.study.reading`."""
+"""The study file: its sections, keys and ranges. Read by :mod:`ddpc_cosim.study.reading`."""
 
 import math
-from itertools import pairwise
+from collections.abc import Callable, Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
-from ddpc_cosim.signals import Constant, Ramp, Reference, Sine, Steps
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.loop_setup import end_time, limits_error, whole_steps
+from ddpc_cosim.signals import Constant, Ramp, Reference, Sine, Steps, UniformRandom
+from ddpc_cosim.study.validation_errors import Section
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -14,18 +17,17 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Value = bool | int | Finite | str
 
 
-_MOST_STEPS = 1e8
 _MOST_VARIANTS = 1000
+_SEEDS = 2**32
+_LONGEST_RANGE = 1_000_000
 
 
-class Section(BaseModel):
-    """A section of a study file: unknown keys are faults, values do not change after reading."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-    def contradictions(self) -> list[str]:
-        """Return how the values here contradict each other, each of them being possible by itself."""
-        return []
+def _errors_of(rule: Callable[..., object], *arguments: object) -> Iterator[tuple[str, str]]:
+    """Yield what a rule of the loop says about values."""
+    try:
+        rule(*arguments)
+    except ConfigError as error:
+        yield from (("", fault) for fault in error.faults)
 
 
 class PlantSection(Section):
@@ -49,14 +51,15 @@ class PlantSection(Section):
     fmi_type: Literal["auto", "co-simulation", "model-exchange"] = Field(
         "auto", description="how the FMU is run; auto: Co-Simulation if it has it"
     )
-    isolated: Literal["auto"] | bool = Field(
+    isolated: Literal["auto", True, False] = Field(
         "auto", description="run the FMU in a process of its own; auto: if it is a supplied file"
     )
     step_timeout: Positive = Field(60.0, description="longest time for any call of an isolated FMU [s]")
 
-    def contradictions(self) -> list[str]:
-        """Return what is wrong with the choice of the plant."""
-        return ["needs exactly one of the keys name and fmu"] if bool(self.name) == bool(self.fmu) else []
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong with the choice of the plant."""
+        if bool(self.name) == bool(self.fmu):
+            yield "", "needs exactly one of the keys name and fmu"
 
 
 class LoopSection(Section):
@@ -69,21 +72,13 @@ class LoopSection(Section):
         "rest", description="start from the plant's initial state, or where the recording ended"
     )
 
-    def contradictions(self) -> list[str]:
-        """Return why the duration is not made of samples."""
-        steps = self.duration / self.sampling_time
-        if not 0.5 < steps <= _MOST_STEPS:
-            return [f"duration / sampling_time = {steps:g} samples; allowed: 1 to {_MOST_STEPS:.0e}"]
-        if not math.isclose(steps, round(steps), rel_tol=1e-9):
-            whole = f"a whole multiple of sampling_time ({self.sampling_time:g})"
-            return [f"duration ({self.duration:g}) must be {whole}"]
-        if (
-            math.ulp(max(abs(self.start_time), abs(self.start_time + self.duration)))
-            > 1e-3 * self.sampling_time
-        ):
-            where = f"start_time ({self.start_time:g}) is too large"
-            return [f"{where}: samples {self.sampling_time:g} s apart coincide there"]
-        return []
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield why the run is not made of samples."""
+        yield from _errors_of(self._end)
+
+    def _end(self) -> float:
+        steps = whole_steps(self.duration, self.sampling_time)
+        return end_time(self.start_time, steps, self.sampling_time)
 
     @property
     def steps(self) -> int:
@@ -113,15 +108,9 @@ class StepsReference(_Signal):
     times: Annotated[list[Finite], Field(min_length=1)]
     values: Annotated[list[Finite], Field(min_length=1)]
 
-    def contradictions(self) -> list[str]:
-        """Return how times and values do not fit."""
-        faults = []
-        if len(self.times) != len(self.values):
-            lengths = f"times ({len(self.times)}) and values ({len(self.values)})"
-            faults.append(f"{lengths} need the same length")
-        if any(later <= earlier for earlier, later in pairwise(self.times)):
-            faults.append("times must increase")
-        return faults
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield how times and values do not fit."""
+        yield from _errors_of(Steps, self.times, self.values)
 
     def build(self, convert: Any) -> Reference:
         """Return the signal in the variable's own unit."""
@@ -137,9 +126,9 @@ class RampReference(_Signal):
     from_time: Finite
     to_time: Finite
 
-    def contradictions(self) -> list[str]:
-        """Return what is wrong with the order of the instants."""
-        return ["to_time must be after from_time"] if self.to_time <= self.from_time else []
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong with the order of the instants."""
+        yield from _errors_of(Ramp, self.from_value, self.to_value, self.from_time, self.to_time)
 
     def build(self, convert: Any) -> Reference:
         """Return the signal in the variable's own unit."""
@@ -164,8 +153,16 @@ class SineReference(_Signal):
         return Sine(amplitude, self.frequency, offset, self.phase)
 
 
+def _kind(reference: Any) -> Any:
+    return reference.get("kind") if isinstance(reference, dict) else getattr(reference, "kind", None)
+
+
 ReferenceSection = Annotated[
-    ConstantReference | StepsReference | RampReference | SineReference, Field(discriminator="kind")
+    Annotated[ConstantReference, Tag("constant")]
+    | Annotated[StepsReference, Tag("steps")]
+    | Annotated[RampReference, Tag("ramp")]
+    | Annotated[SineReference, Tag("sine")],
+    Discriminator(_kind),
 ]
 
 
@@ -176,11 +173,10 @@ class BoundsSection(Section):
     max: Finite | None = None
     unit: str = Field("", description="unit of min and max; empty: the variable's own")
 
-    def contradictions(self) -> list[str]:
-        """Return what is wrong with the order of the limits."""
-        if self.min is None or self.max is None or self.min < self.max:
-            return []
-        return [f"min ({self.min:g}) must be below max ({self.max:g})"]
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong with the order of the limits."""
+        if self.min is not None and self.max is not None and (error := limits_error((self.min, self.max))):
+            yield "", error
 
 
 class ExcitationSection(Section):
@@ -191,9 +187,9 @@ class ExcitationSection(Section):
     high: Finite
     unit: str = Field("", description="unit of low and high; empty: the input's own")
 
-    def contradictions(self) -> list[str]:
-        """Return what is wrong with the order of the limits."""
-        return [f"low ({self.low:g}) must be below high ({self.high:g})"] if self.low >= self.high else []
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong with the order of the limits."""
+        yield from _errors_of(UniformRandom, self.low, self.high, 1)
 
 
 class StabiliserSection(Section):
@@ -229,9 +225,9 @@ class DriftSection(Section):
     from_time: Finite
     to_time: Finite
 
-    def contradictions(self) -> list[str]:
-        """Return what is wrong with the order of the instants."""
-        return ["to_time must be after from_time"] if self.to_time <= self.from_time else []
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong with the order of the instants."""
+        yield from _errors_of(Ramp, self.from_value, self.to_value, self.from_time, self.to_time)
 
 
 class ScenarioSection(Section):
@@ -242,8 +238,8 @@ class ScenarioSection(Section):
     noise: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = Field(
         {}, description="standard deviation of the noise of each measurement, in its unit"
     )
-    events: list[EventSection] = []
-    drifts: list[DriftSection] = []
+    events: list[EventSection] = Field([])
+    drifts: list[DriftSection] = Field([])
 
 
 def _as_list(tables: Any) -> Any:
@@ -266,15 +262,13 @@ class ControllerSection(Section):
     variant_of: str = Field("", description="the controller whose sweep this one is part of")
     varied: list[str] = Field([], description="settings in which it differs from that controller")
 
-    def contradictions(self) -> list[str]:
-        """Return what is wrong with the sweep."""
-        faults = [
-            f"sweep.{name}: no values" for table in self.sweep for name, values in table.items() if not values
-        ]
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong with the sweep."""
+        empty = [name for table in self.sweep for name, values in table.items() if not values]
+        yield from (("sweep", f"{name}: no values") for name in empty)
         variants = sum(math.prod(map(len, table.values())) for table in self.sweep)
         if variants > _MOST_VARIANTS:
-            faults.append(f"sweep: {variants} variants; allowed: {_MOST_VARIANTS}")
-        return faults
+            yield "sweep", f"{variants} variants; allowed: {_MOST_VARIANTS}"
 
 
 class PublishedMethod(Section):
@@ -294,7 +288,7 @@ class Reproduction(Section):
     source: str
     metrics: dict[str, str] = Field(description="title of each metric compared, by its key")
     methods: list[PublishedMethod]
-    notes: list[str] = []
+    notes: list[str] = Field([])
     parameters: str = Field("Parameters as run", description="title over the tables of settings")
 
 
@@ -313,27 +307,36 @@ class ReportSection(Section):
     reproduction: Reproduction | None = None
 
 
-def expand_seeds(seeds: Any) -> Any:
-    """Return a list of seeds in which ranges such as ``"0:30"`` are written out, without repetitions."""
-    listed: list[Any] = []
+def expand_seeds(seeds: Any) -> list[int]:
+    """Return a list of seeds in which ranges such as ``"0:30"`` are written out, without repetitions.
+
+    Raises
+    ------
+    ValueError
+        Something is neither a seed nor a range.
+    """
+    expanded: list[int] = []
     for seed in seeds if isinstance(seeds, list) else [seeds]:
-        if isinstance(seed, str) and seed.count(":") == 1:
-            first, last = seed.split(":")
-            if not (
-                first.isdecimal() and last.isdecimal() and int(first) < int(last) <= int(first) + 1_000_000
-            ):
-                raise ValueError(
-                    f"{seed!r} is not a range; write it as first:last with first < last, e.g. 0:30"
-                )
-            listed.extend(range(int(first), int(last)))
-        elif isinstance(seed, str) and seed.isdecimal():
-            listed.append(int(seed))
+        first, _, last = seed.partition(":") if isinstance(seed, str) else ("", "", "")
+        if type(seed) is int and 0 <= seed < _SEEDS:
+            expanded.append(seed)
+        elif first.isdecimal() and not last and seed == first and int(first) < _SEEDS:
+            expanded.append(int(first))
+        elif (
+            first.isdecimal()
+            and last.isdecimal()
+            and int(first) < int(last) <= min(int(first) + _LONGEST_RANGE, _SEEDS)
+        ):
+            expanded.extend(range(int(first), int(last)))
         else:
-            listed.append(seed)
-    return list(dict.fromkeys(listed)) if all(type(seed) is int for seed in listed) else listed
+            raise ValueError(
+                f"{seed!r} is not a seed; allowed: integers from 0 to {_SEEDS - 1}, "
+                "or ranges as first:last with first < last, e.g. 0:30"
+            )
+    return list(dict.fromkeys(expanded))
 
 
-Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], BeforeValidator(expand_seeds)]
+Seeds = Annotated[list[int], BeforeValidator(expand_seeds)]
 
 
 class Study(Section):
@@ -343,12 +346,12 @@ class Study(Section):
     title: str = ""
     summary: str = ""
     source: str = Field("", description="publication that the study follows")
-    seeds: Annotated[Seeds, Field(min_length=1)] = [0]
+    seeds: Annotated[Seeds, Field(min_length=1)] = Field([0])
     plant: PlantSection
     loop: LoopSection
     reference: Annotated[dict[str, ReferenceSection], Field(min_length=1)]
-    bounds: dict[str, BoundsSection] = {}
+    bounds: dict[str, BoundsSection] = Field({})
     recording: RecordingSection | None = None
     controllers: Annotated[dict[Name, ControllerSection], Field(min_length=1)]
-    scenarios: Annotated[dict[Name, ScenarioSection], Field(min_length=1)] = {"nominal": ScenarioSection()}
+    scenarios: dict[Name, ScenarioSection] = Field({"nominal": ScenarioSection()}, min_length=1)
     report: ReportSection = ReportSection()

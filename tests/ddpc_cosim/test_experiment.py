@@ -301,17 +301,20 @@ def test_other_settings_of_the_stabiliser_are_another_case(tmp_path: Path) -> No
         path = tmp_path / "about.toml"
         path.write_text(STUDY.replace("lambda_u = 0.5", f"lambda_u = {weight}"), encoding="utf-8")
         checked = read_study(str(path))
-        ids |= {case.id for case in cases_of(checked, checked.plant.prepare())}
+        ids |= {case.id for case in cases_of(checked, checked.plant.built())}
     assert len(ids) == 2
 
 
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ('{ type = "mfapc", settings = { eta = 7.0 } }', "recording.controller: settings: MFAPC: eta = 7.0"),
+        (
+            '{ type = "mfapc", settings = { eta = 7.0 } }',
+            "recording.controller.settings.eta: 7.0 is not possible",
+        ),
         (
             '{ type = "mfapc", settings = { etta = 1.0 } }',
-            "recording.controller: settings.etta: unknown setting",
+            "recording.controller.settings.etta: unknown setting",
         ),
         ('{ type = "mfapcc" }', "recording.controller.type: .*mfapc"),
         ('{ type = "deepc" }', "recording.controller: learns from a recording itself"),

@@ -160,7 +160,7 @@ def test_an_error_of_the_start_is_raised() -> None:
         ({"duration": 0.0}, ["duration = 0"]),
         (
             {"bounds": {"push": (1.0, 1.0), "a": (2.0, -2.0)}},
-            ["bounds of push: 1 must be below 1", "bounds of a: 2 must be below -2"],
+            ["bounds of push: min (1) must be below max (1)", "bounds of a: min (2) must be below max (-2)"],
         ),
         ({"bounds": {"pull": (0, 1)}}, ['bounds: no signal "pull"; there are: a, push']),
         ({"noise": GaussianNoise({"b": 1.0})}, ['noise: no signal "b"; there are: a']),
@@ -172,9 +172,9 @@ def test_an_error_of_the_start_is_raised() -> None:
         (
             {"events": [ParameterChange(time, {"gain": 1.0}) for time in (2.0, 99.0, np.nan)]},
             [
-                "events: the one at t = 2 s would not happen: the run ends at t = 2 s; choose an earlier",
-                "events: the one at t = 99 s would not happen",
-                "events: the one at t = nan s would not happen",
+                "events: at t = 2 s it would not happen: the run ends at t = 2 s; choose an earlier",
+                "events: at t = 99 s it would not happen",
+                "events: at t = nan s it would not happen",
             ],
         ),
         ({"duration": 1e300}, ["duration / sampling_time = 2e+300 samples; allowed: 1 to 1e+08"]),

@@ -219,7 +219,7 @@ def test_a_plant_that_cannot_be_made_is_a_fault_of_the_study(site: Path) -> None
     (site / "lag.toml").write_text(STUDY.replace('"lag"', '"thirdparty:Refusing"'), encoding="utf-8")
     result = CliRunner().invoke(main, ["run", "lag-study"])
     assert result.exit_code == 2
-    assert 'lag.toml: plant.name: plant "thirdparty:Refusing": RuntimeError: no licence' in result.stderr
+    assert 'lag.toml:4: plant.name: plant "thirdparty:Refusing": RuntimeError: no licence' in result.stderr
 
 
 def test_parameters_of_a_plant_that_has_none_are_faults(site: Path) -> None:

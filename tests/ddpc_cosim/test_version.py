@@ -88,8 +88,8 @@ def only_case(folder: Path, gain: str = "lag:Gain") -> Case:
     forget()
     study = folder / "study.toml"
     study.write_text(STUDY.format(gain=gain), encoding="utf-8")
-    checked = read_study(str(study))
-    (case,) = cases_of(checked, checked.plant.prepare())
+    resolved = read_study(str(study))
+    (case,) = cases_of(resolved, resolved.plant.built())
     return case
 
 

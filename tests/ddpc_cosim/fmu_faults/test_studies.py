@@ -9,7 +9,7 @@ from fmus.builder import Fault
 
 from ddpc_cosim import ConfigError, Outcome, Trace
 from ddpc_cosim.study.cases import cases_of, run_case
-from ddpc_cosim.study.plants import PlantSource
+from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.sections import PlantSection
 
@@ -53,8 +53,8 @@ def run(tmp_path: Path, faulty_fmus: dict[int, Path]) -> Run:
         )
         path = tmp_path / "study.toml"
         path.write_text(text + more, encoding="utf-8")
-        checked = read_study(str(path))
-        (case,) = cases_of(checked, checked.plant.prepare())
+        resolved = read_study(str(path))
+        (case,) = cases_of(resolved, resolved.plant.built())
         return run_case(case)
 
     return run_fault
@@ -98,7 +98,7 @@ class TestWhatIsIsolated:
         section = PlantSection.model_validate(
             {"fmu": str(faulty_fmus[2]), "isolated": wanted, "step_timeout": 7.0}
         )
-        target = PlantSource(section, tmp_path).prepare()
+        target = PlantSpec.of(section, tmp_path).built()
         assert (target.isolated, target.step_timeout) == (isolated, 7.0)
         plant = target.open(["u"], ["y"])
         np.testing.assert_allclose(plant.reset(), [0.0])
@@ -110,7 +110,7 @@ class TestWhatIsIsolated:
     ) -> None:
         monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "cache"))
         section = PlantSection.model_validate({"name": "pendulum", "isolated": wanted})
-        assert PlantSource(section, tmp_path).prepare().isolated is isolated
+        assert PlantSpec.of(section, tmp_path).built().isolated is isolated
 
     def test_python_plants_cannot_be(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """The author of a class is at hand; who wrote an FMU may not be."""
@@ -120,4 +120,4 @@ class TestWhatIsIsolated:
         monkeypatch.syspath_prepend(tmp_path)
         section = PlantSection.model_validate({"name": "own:Own", "isolated": True})
         with pytest.raises(ConfigError, match='plant "own:Own" is a Python class; only FMUs can be isolated'):
-            PlantSource(section, tmp_path)
+            PlantSpec.of(section, tmp_path)

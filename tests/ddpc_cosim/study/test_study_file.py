@@ -1,21 +1,24 @@
 """Study files that are in order, and what becomes of them."""
 
 import math
+import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from ddpc_cosim import ConfigError, Ramp, Sine, Steps
+from ddpc_cosim import ConfigError, Controller, FloatArray, Loop, Ramp, Sample, Sine, Steps, setting
 from ddpc_cosim.study.cases import Case, cases_of
-from ddpc_cosim.study.checks import converter
-from ddpc_cosim.study.plants import PlantTarget
+from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.resolve import converter
 from ddpc_cosim.study.sections import expand_seeds
-from ddpc_cosim.variables import DisplayUnit, Variable
+from ddpc_cosim.variables import DisplayUnit, Variable, names
 
-TARGET = PlantTarget(fmu="pendulum.fmu", python="", content="0")
+TARGET = PlantSpec(name="", fmu="pendulum.fmu", content="0")
 
 SMALL = """
 [plant]
@@ -45,12 +48,12 @@ def cases(text: str, folder: Path) -> list[Case]:
 
 
 def test_the_study_of_the_paper_is_in_order() -> None:
-    checked = read_study("paper")
-    assert checked.study.name == "paper"
-    assert checked.study.seeds == [5489, *range(30)]
-    assert (checked.inputs, checked.outputs) == (("torque",), ("angle",))
-    assert checked.measurements == ("angle", "angular_velocity")
-    assert len(cases_of(checked, TARGET)) == 7 * 31
+    resolved = read_study("paper")
+    assert resolved.study.name == "paper"
+    assert resolved.study.seeds == [5489, *range(30)]
+    assert (names(resolved.inputs), names(resolved.outputs)) == (("torque",), ("angle",))
+    assert names(resolved.measurements) == ("angle", "angular_velocity")
+    assert len(cases_of(resolved, TARGET)) == 7 * 31
 
 
 def test_the_paper_s_values_arrive_in_the_plant_s_units() -> None:
@@ -70,11 +73,11 @@ def test_a_controller_may_have_limits_of_its_own() -> None:
 
 
 def test_what_is_left_out_has_defaults(small: Path) -> None:
-    checked = read_study(str(small))
-    assert checked.study.name == "my-study"
-    assert checked.inputs == ("torque",)
-    assert checked.measurements == checked.outputs == ("angle",)
-    (case,) = cases_of(checked, TARGET)
+    resolved = read_study(str(small))
+    assert resolved.study.name == "my-study"
+    assert names(resolved.inputs) == ("torque",)
+    assert names(resolved.measurements) == names(resolved.outputs) == ("angle",)
+    (case,) = cases_of(resolved, TARGET)
     assert (case.seed, case.scenario, case.label) == (0, "nominal", "mfapc")
     assert case.bounds["torque"] == (-math.inf, math.inf)
     assert case.section["settings"]["lambda_u"] == 0.37
@@ -144,21 +147,23 @@ def test_seeds_may_be_ranges(given: object, seeds: list[int]) -> None:
     assert expand_seeds(given) == seeds
 
 
-@pytest.mark.parametrize("given", ["3:1", "1:1", "a:3", "1:b", "-1:3", "0:99999999"])
-def test_ranges_that_are_none_are_refused(given: str) -> None:
-    with pytest.raises(ValueError, match="is not a range; write it as first:last"):
+@pytest.mark.parametrize(
+    "given", ["3:1", "1:1", "a:3", "1:b", "-1:3", "0:99999999", "x", "", -1, 2**32, True, 1.0]
+)
+def test_what_is_neither_a_seed_nor_a_range_is_refused(given: object) -> None:
+    with pytest.raises(ValueError, match=r"is not a seed; allowed: integers from 0 .* e\.g\. 0:30"):
         expand_seeds(given)
 
 
 def test_only_some_cases_can_be_chosen() -> None:
-    checked = read_study("paper")
-    assert {case.controller for case in cases_of(checked, TARGET, [1], "deepc*")} == {
+    resolved = read_study("paper")
+    assert {case.controller for case in cases_of(resolved, TARGET, [1], "deepc*")} == {
         "deepc",
         "deepc-published-code",
     }
-    assert [case.name for case in cases_of(checked, TARGET, [1, 2], "wkpc_seed2")] == ["wkpc_seed2"]
+    assert [case.name for case in cases_of(resolved, TARGET, [1, 2], "wkpc_seed2")] == ["wkpc_seed2"]
     with pytest.raises(ConfigError, match=r"--only lqr: no case matches; there are mfapc_seed1"):
-        cases_of(checked, TARGET, [1], "lqr")
+        cases_of(resolved, TARGET, [1], "lqr")
 
 
 def test_a_case_is_named_after_what_decides_its_result(tmp_path: Path) -> None:
@@ -180,12 +185,45 @@ def test_a_case_is_named_after_what_decides_its_result(tmp_path: Path) -> None:
 
     (labelled,) = cases(SMALL + 'label = "ours"\nsettings = { lambda_u = 0.37 }', tmp_path)
     assert labelled.id == original.id
-    (other_plant,) = cases_of(read_study(str(tmp_path / "study.toml")), PlantTarget("p", "", "1"))
+    (other_plant,) = cases_of(read_study(str(tmp_path / "study.toml")), PlantSpec("", "p", content="1"))
     assert other_plant.id != original.id
 
 
 def test_a_change_of_the_code_gives_another_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (case,) = cases(SMALL, tmp_path)
-    before = case.id
+    (before,) = cases(SMALL, tmp_path)
     monkeypatch.setattr("ddpc_cosim.study.cases.code_version", lambda controller: f"another {controller}")
-    assert case.id != before
+    (after,) = cases(SMALL, tmp_path)
+    assert after.id != before.id
+
+
+@dataclass(kw_only=True)
+class Counted(Controller):
+    """Counts how often it is built."""
+
+    gain: float = setting(1.0, doc="gain")
+    built: ClassVar[int] = 0
+
+    def __post_init__(self) -> None:
+        Counted.built += 1
+
+    def start(self, loop: Loop) -> None:
+        raise AssertionError
+
+    def step(self, sample: Sample) -> FloatArray:
+        raise AssertionError
+
+
+def test_a_controller_is_built_once_before_it_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each section, each variant of a sweep, and the stabilising controller."""
+    monkeypatch.setattr(Counted, "built", 0)
+    monkeypatch.setitem(sys.modules, "counted", sys.modules[__name__])
+    text = SMALL.replace('type = "mfapc"', 'type = "counted:Counted"')
+    text += """sweep = { gain = [2.0, 3.0] }
+    [recording]
+    samples = 9
+    excitation.torque = { low = -1.0, high = 1.0 }
+    controller = { type = "counted:Counted" }
+    """
+    found = cases(text.replace("[plant]", "seeds = [0, 1]\n[plant]"), tmp_path)
+    assert len(found) == 6
+    assert Counted.built == 4

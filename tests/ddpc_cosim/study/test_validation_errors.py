@@ -1,6 +1,7 @@
 """Faults of study files: all of them at once, each with file, key and what to do, and none that follows."""
 
 import copy
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,13 @@ from click.testing import CliRunner
 from ddpc_cosim import ConfigError
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.studies import paper
-from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.reading import key_lines, read_study
 
 PAPER: dict[str, Any] = tomllib.loads(paper.read_text(encoding="utf-8"))
 
 
-def faults_of(content: dict[str, Any] | str, folder: Path) -> list[str]:
-    """Return the faults of a study, without the file name that each of them must begin with."""
+def errors_of(content: dict[str, Any] | str, folder: Path) -> list[str]:
+    """Return the errors of a study, without the file name and line that each of them must begin with."""
     path = folder / "study.toml"
     path.write_text(content if isinstance(content, str) else tomli_w.dumps(content), encoding="utf-8")
     found: tuple[str, ...] = ()
@@ -26,8 +27,11 @@ def faults_of(content: dict[str, Any] | str, folder: Path) -> list[str]:
         read_study(str(path))
     except ConfigError as error:
         found = error.faults
-    assert all(fault.startswith("study.toml: ") for fault in found)
-    return [fault.removeprefix("study.toml: ") for fault in found]
+    matches = [re.fullmatch(r"study\.toml(?::(\d+))?: (.*)", error, re.DOTALL) for error in found]
+    lines = [int(match[1] or 0) for match in matches if match]
+    assert len(lines) == len(found)
+    assert lines == sorted(lines)
+    return [match[2] for match in matches if match]
 
 
 def changed(**changes: Any) -> dict[str, Any]:
@@ -92,26 +96,26 @@ controllers = ["z", "b"]
 
 FAULTS = """
 summry: unknown key; did you mean "summary"?
-seeds: '5:2' is not a range; write it as first:last with first < last, e.g. 0:30
+seeds: '5:2' is not a seed; allowed: integers from 0 to 4294967295, or ranges as first:last with first < last
 loop.sampling_time: must be greater than 0, got -0.1
 loop.duration: must be a number, got 'long'
 loop.start: must be one of 'rest' or 'recording-end', got 'recording'
-reference.angle: times (2) and values (3) need the same length
-reference.angle: times must increase
+reference.angle: steps: times (2) and values (3) must have the same length
+reference.angle: steps: times must increase
 reference.angle.unit: unit "grad" does not fit angle; allowed: rad, deg
 bounds.torque: min (3) must be below max (1)
 bounds.angle.unit: unit "m" does not fit angle; allowed: rad, deg
-recording.excitation.torque: low (1) must be below high (-1)
+recording.excitation.torque: uniform excitation: low (1.0) must be below high (-1.0)
 recording.samples: 5 is too short for e, which needs
 plant.inputs: no input "torqe"; did you mean "torque"?
 plant.parameters.mass: -1 is outside [0.001, inf]
 plant.parameters: no parameter "colour"; there are: damping, gravity, mass, radius, torque_gain
 controllers.a.type: no controller "deep"; did you mean "deepc"?
-controllers.b: settings.lamda_g: unknown setting of deepc; did you mean "lambda_g"?
-controllers.b: settings: DeePC: horizon = 0 is not possible; allowed: a whole number, >= 1
-controllers.b: settings: DeePC: output_weight = -1.0 is not possible; allowed: a number, list
-controllers.c.label: must be a text, got 3
-controllers.c: settings.dictionary.cout: unknown setting of ThinPlate; did you mean "count"?
+controllers.b.settings.lamda_g: unknown setting of deepc; did you mean "lambda_g"?
+controllers.b.settings.horizon: 0 is not possible; allowed: an integer, >= 1
+controllers.b.settings.output_weight: -1.0 is not possible; allowed: a number, list
+controllers.c.label: must be a string, got 3
+controllers.c.settings.dictionary.cout: unknown setting of ThinPlate; did you mean "count"?
 controllers.c.bounds: no input or controlled output "angel"; did you mean "angle"?
 controllers.d d: must be letters, digits, dots, hyphens and underscores, the first one
 scenarios.s.noise.angle: must be greater than or equal to 0, got -1.0
@@ -126,7 +130,7 @@ report.panels[0].controllers: no controller "z"; there are:
 def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path) -> None:
     """Each fault is there, and nothing else: no fault is told twice or follows from another one."""
     expected = FAULTS.strip().splitlines()
-    found = faults_of(FULL_OF_FAULTS, tmp_path)
+    found = errors_of(FULL_OF_FAULTS, tmp_path)
     for line in expected:
         assert sum(fault.startswith(line) for fault in found) == 1, line
     assert len(found) == len(expected), [f for f in found if not f.startswith(tuple(expected))]
@@ -134,11 +138,11 @@ def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path) -> None:
 
 def test_the_command_says_so_and_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    faults = faults_of(FULL_OF_FAULTS, tmp_path)
+    faults = errors_of(FULL_OF_FAULTS, tmp_path)
     result = CliRunner().invoke(main, ["run", "study.toml"])
     assert result.exit_code == 2
     assert result.stdout == ""
-    assert result.stderr.splitlines() == [f"error: study.toml: {fault}" for fault in faults]
+    assert [re.sub(r"^error: study.toml(:\d+)?: ", "", line) for line in result.stderr.splitlines()] == faults
     assert [path.name for path in tmp_path.iterdir()] == ["study.toml"]
 
 
@@ -161,8 +165,8 @@ def test_a_file_that_is_no_toml_is_named(content: str | bytes, tmp_path: Path) -
 
 
 def test_a_long_value_is_cut_in_the_message(tmp_path: Path) -> None:
-    (fault,) = faults_of(changed(seeds="a" * 5000), tmp_path)
-    assert fault == f"seeds: must be a whole number, got '{'a' * 99}..."
+    (error,) = errors_of(changed(loop__duration="a" * 5000), tmp_path)
+    assert error == f"loop.duration: must be a number, got '{'a' * 99}..."
 
 
 DRIFT = {"parameter": "mass", "from_value": 1.0, "to_value": 2.0}
@@ -182,7 +186,7 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     ({"plant__output": []}, 'plant.output: unknown key; did you mean "outputs"?'),
     ({"loop": None}, "loop: required key is missing"),
     ({"loop__duration": None}, "loop.duration: required key is missing"),
-    ({"loop__duration": 40.05}, "loop: duration (40.05) must be a whole multiple of sampling_time (0.1)"),
+    ({"loop__duration": 40.05}, "loop: duration = 40.05 must be a whole multiple of sampling_time = 0.1"),
     ({"loop__duration": float("inf")}, "loop.duration: must be a finite number, got inf"),
     ({"loop__duration": True}, "loop.duration: must be a number, got True"),
     ({"loop__duration": 1e300}, "loop: duration / sampling_time = 1e+301 samples; allowed"),
@@ -202,12 +206,12 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     ),
     ({"bounds__angle__min": "low"}, "bounds.angle.min: must be a number, got 'low'"),
     ({"recording__samples": None}, "recording.samples: required key is missing"),
-    ({"recording__samples": 1.5}, "recording.samples: must be a whole number, got 1.5"),
+    ({"recording__samples": 1.5}, "recording.samples: must be an integer, got 1.5"),
     ({"recording__excitation": {}}, "recording.excitation: none for the input torque"),
     ({"seeds": []}, "seeds: must not be empty"),
-    ({"seeds": [2**32]}, "seeds[0]: must be less than 4294967296, got 4294967296"),
-    ({"seeds": "all"}, "seeds: must be a whole number, got 'all'"),
-    ({"seeds": [1, True]}, "seeds[1]: must be a whole number, got True"),
+    ({"seeds": [2**32]}, "seeds: 4294967296 is not a seed; allowed: integers from 0 to 4294967295"),
+    ({"seeds": "all"}, "seeds: 'all' is not a seed; allowed"),
+    ({"seeds": [1, True]}, "seeds: True is not a seed; allowed"),
     ({"name": "../up"}, "name: must be letters, digits, dots"),
     ({"name": "x" * 99}, "name: must have at most 60 characters"),
     ({"controllers": None}, "controllers: required key is missing"),
@@ -221,23 +225,23 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     ({"controllers__mfapc__settings": 3}, "controllers.mfapc.settings: must be a table, got 3"),
     (
         {"controllers__mfapc__settings__mu": "1"},
-        "controllers.mfapc: settings: MFAPC: mu = '1' is not possible",
+        "controllers.mfapc.settings.mu: '1' is not possible",
     ),
     (
         {"controllers__mfapc__settings__horizon": 10**400},
-        "controllers.mfapc: settings: MFAPC: horizon = 1000",
+        "controllers.mfapc.settings.horizon: 1000",
     ),
     (
         {"controllers__deepc__settings__output_weight": "100"},
-        "controllers.deepc: settings: DeePC: output_weight = '100' is not possible",
+        "controllers.deepc.settings.output_weight: '100' is not possible",
     ),
     (
         {"controllers__wkpc__settings__dictionary": {"type": "math:nothing"}},
-        'controllers.wkpc: settings.dictionary.type: class "math:nothing" cannot be loaded',
+        'controllers.wkpc.settings.dictionary.type: class "math:nothing" cannot be loaded',
     ),
     (
         {"controllers__wkpc__settings__dictionary": {"count": 0}},
-        "controllers.wkpc: settings.dictionary: ThinPlate: count = 0 is not possible",
+        "controllers.wkpc.settings.dictionary.count: 0 is not possible",
     ),
     ({"scenarios": {"s": {"parameters": {"mas": 1.0}}}}, 'scenarios.s.parameters: no parameter "mas"; did'),
     (
@@ -251,20 +255,20 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     ),
     (
         {"scenarios": {"s": {"events": [{"time": 40.0, "parameters": {"mass": 1.0}}]}}},
-        "scenarios.s.events[0].time: the run ends at 40 s: it would not happen at 40 s; choose an earlier",
+        "scenarios.s.events[0].time: at t = 40 s it would not happen: the run ends at t = 40 s",
     ),
-    ({"loop__start_time": 1e17}, "loop: start_time (1e+17) is too large: samples 0.1 s apart coincide there"),
+    ({"loop__start_time": 1e17}, "loop: start_time = 1e+17 is too large: samples 0.1 s apart coincide there"),
     (
         {"loop__start_time": 7.0, "scenarios": {"s": {"events": [{"time": 99, "parameters": {}}]}}},
-        "scenarios.s.events[0].time: the run ends at 47 s: it would not happen at 99 s",
+        "scenarios.s.events[0].time: at t = 99 s it would not happen: the run ends at t = 47 s",
     ),
     (
         {"scenarios": {"s": {"drifts": [DRIFT | {"from_time": 41.0, "to_time": 50.0}]}}},
-        "scenarios.s.drifts[0].from_time: the run ends at 40 s: it would not happen at 41 s",
+        "scenarios.s.drifts[0].from_time: at t = 41 s it would not happen: the run ends at t = 40 s",
     ),
     (
         {"scenarios": {"s": {"drifts": [DRIFT | {"from_time": -2.0, "to_time": 0.0}]}}},
-        "scenarios.s.drifts[0].to_time: it would be over when the run starts at 0 s; use the scenario's",
+        "scenarios.s.drifts[0].to_time: it would be over when the run starts at t = 0 s; use the scenario's",
     ),
 ]
 
@@ -273,12 +277,12 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
 def test_one_fault_is_told_once_and_nothing_that_follows_from_it(
     changes: dict[str, Any], fault: str, tmp_path: Path
 ) -> None:
-    (found,) = faults_of(changed(**changes), tmp_path)
+    (found,) = errors_of(changed(**changes), tmp_path)
     assert found.startswith(fault)
 
 
 def test_a_study_without_recording_cannot_teach(tmp_path: Path) -> None:
-    found = faults_of(changed(recording=None, loop__start="recording-end"), tmp_path)
+    found = errors_of(changed(recording=None, loop__start="recording-end"), tmp_path)
     lacking = "learns from a recording, and the study has no recording section"
     assert 'loop.start: "recording-end" needs a recording section' in found
     assert f"controllers.deepc: {lacking}" in found
@@ -287,18 +291,18 @@ def test_a_study_without_recording_cannot_teach(tmp_path: Path) -> None:
 
 def test_a_misspelt_recording_is_not_missed_too(tmp_path: Path) -> None:
     study = changed(recordin=PAPER["recording"], recording=None)
-    assert faults_of(study, tmp_path) == ['recordin: unknown key; did you mean "recording"?']
+    assert errors_of(study, tmp_path) == ['recordin: unknown key; did you mean "recording"?']
 
 
 def test_a_recording_that_is_too_short_is_told_for_each_controller(tmp_path: Path) -> None:
-    found = faults_of(changed(recording__samples=10), tmp_path)
+    found = errors_of(changed(recording__samples=10), tmp_path)
     assert len(found) == 4
     assert all(fault.startswith("recording.samples: 10 is too short for ") for fault in found)
 
 
 def test_one_bad_controller_is_not_missed_in_the_report(tmp_path: Path) -> None:
     """The panels and the reproduction name it too."""
-    assert len(faults_of(changed(controllers__deepc="none"), tmp_path)) == 1
+    assert len(errors_of(changed(controllers__deepc="none"), tmp_path)) == 1
 
 
 def test_limits_that_leave_no_room_beside_the_plant_s_own(tmp_path: Path, make_fmu: Any) -> None:
@@ -317,7 +321,7 @@ def test_limits_that_leave_no_room_beside_the_plant_s_own(tmp_path: Path, make_f
     [controllers.mfapc]
     type = "mfapc"
     """
-    assert faults_of(text, tmp_path) == ["bounds.u: leaves no room: [20, 10] with the plant's own limits"]
+    assert errors_of(text, tmp_path) == ["bounds.u: leaves no room: [20, 10] with the plant's own limits"]
 
 
 @pytest.mark.parametrize(
@@ -348,3 +352,135 @@ def test_a_study_that_is_not_there(name: str, words: str) -> None:
     with pytest.raises(ConfigError) as caught:
         read_study(name)
     assert words in str(caught.value)
+
+
+LINES = """
+seeds = [
+    1,  # a value that goes on
+    2,
+]
+"quoted key".a.b = 1
+summary = '''
+[plant]
+name = "in a text"
+'''
+[plant]  # a comment = 1
+name = "pendulum"
+parameters = { mass = 1.0, "x = y" = 2.0 }
+[controllers.a.settings]
+horizon = 5
+[[scenarios.s.events]]
+time = 1.0
+[scenarios.s.events.parameters]
+mass = 1.0
+[[scenarios.s.events]]
+time = 2.0
+"""
+
+
+def test_every_key_of_a_file_has_its_line() -> None:
+    assert key_lines(LINES) == {
+        ("seeds",): 2,
+        ("seeds", 0): 2,
+        ("seeds", 1): 2,
+        ("quoted key",): 6,
+        ("quoted key", "a"): 6,
+        ("quoted key", "a", "b"): 6,
+        ("summary",): 7,
+        ("plant",): 11,
+        ("plant", "name"): 12,
+        ("plant", "parameters"): 13,
+        ("plant", "parameters", "mass"): 13,
+        ("plant", "parameters", "x = y"): 13,
+        ("controllers", "a", "settings"): 14,
+        ("controllers", "a", "settings", "horizon"): 15,
+        ("scenarios", "s", "events", 0): 16,
+        ("scenarios", "s", "events", 0, "time"): 17,
+        ("scenarios", "s", "events", 0, "parameters"): 18,
+        ("scenarios", "s", "events", 0, "parameters", "mass"): 19,
+        ("scenarios", "s", "events", 1): 20,
+        ("scenarios", "s", "events", 1, "time"): 21,
+    }
+
+
+def test_a_line_of_a_built_in_study_shows_the_key_that_it_is_named_for() -> None:
+    for path in paper.parent.glob("*.toml"):
+        text = path.read_text(encoding="utf-8")
+        for place, line in key_lines(text).items():
+            shown = text.splitlines()[line - 1]
+            goes_on = shown.endswith("[")  # below the key of a list that takes several lines
+            assert goes_on or [key for key in place if isinstance(key, str)][-1] in shown
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error"),
+    [
+        (
+            "horizon = 5, lambda_u",
+            "horizon = 0, lambda_u",
+            ":40: controllers.mfapc.settings.horizon: 0",
+        ),
+        ("duration = 40.0", "durations = 40.0", ':19: loop.durations: unknown key; did you mean "duration"?'),
+        ("duration = 40.0", "", ":17: loop.duration: required key is missing"),
+        ("[loop]", "[lop]", ':17: lop: unknown key; did you mean "loop"?'),
+        ("samples = 200", "samples = 1", ":33: recording.samples: 1 is too short for deepc"),
+    ],
+)
+def test_an_error_names_the_line_of_its_key(old: str, new: str, error: str, tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(paper.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        read_study(str(path))
+    assert caught.value.faults[0].startswith(f"study.toml{error}")
+
+
+HIDING = """
+seeds = "x"
+[plant]
+name = "pendulum"
+outputs = ["angle"]
+step_timeout = 0
+[loop]
+sampling_time = 0.1
+duration = 1
+start = 3
+[reference.angle]
+kind = "constant"
+unit = "m"
+[controllers.a]
+settings = { horizon = 0 }
+bounds.angel = { min = 0.0 }
+[controllers.b]
+type = "mfapc"
+label = 3
+settings = { horizon = 0 }
+[[controllers.b.sweep]]
+form = ["none"]
+[scenarios.s]
+noise = { angle = -1.0, speed = 1.0 }
+[[scenarios.s.events]]
+time = 2.0
+[[report.panels]]
+controllers = ["z"]
+"""
+
+
+def test_an_error_of_a_field_hides_no_error_that_does_not_depend_on_it(tmp_path: Path) -> None:
+    assert [error.partition(": ")[0] for error in errors_of(HIDING, tmp_path)] == [
+        "seeds",
+        "plant.step_timeout",
+        "loop.start",
+        "reference.angle.value",
+        "reference.angle.unit",
+        "controllers.a.type",
+        "controllers.a.bounds",
+        "controllers.b.label",
+        "controllers.b.settings.horizon",
+        "controllers.b.sweep[0].form",
+        "scenarios.s.noise.angle",
+        "scenarios.s.noise",
+        "scenarios.s.events[0].parameters",
+        "scenarios.s.events[0].time",
+        "report.panels[0].title",
+        "report.panels[0].controllers",
+    ]

@@ -6,7 +6,7 @@ from typing import Any
 
 from hypothesis import HealthCheck, example, given, settings, strategies as st
 
-from .test_study_faults import PAPER, faults_of
+from .test_validation_errors import PAPER, errors_of
 
 
 def places(table: Any, place: tuple[int | str, ...] = ()) -> list[tuple[int | str, ...]]:
@@ -63,7 +63,7 @@ def test_a_study_with_any_mistakes_is_a_config_error_or_runs(
     study = copy.deepcopy(PAPER)
     for place, kind, value in mutations:
         mutate(study, place, kind, value)
-    found = faults_of(study, tmp_path)
+    found = errors_of(study, tmp_path)
     assert len(found) == len(set(found))
     keys = [fault.partition(": ") for fault in found]
     missing = {key for key, _, what in keys if what == "required key is missing"}

@@ -56,7 +56,7 @@ def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
     ("arguments", "words"),
     [
         (["run", "papre"], 'error: no study "papre"; did you mean "paper"?'),
-        (["run", "paper", "--seeds", "3:1"], "error: --seeds: '3:1' is not a range; write it as first:last"),
+        (["run", "paper", "--seeds", "3:1"], "error: --seeds: '3:1' is not a seed; allowed"),
         (["run", "paper", "--seeds", "x"], "error: --seeds: 'x' is not a seed; allowed"),
         (["run", "paper", "--seeds", "-1"], "error: --seeds: '-1' is not a seed"),
         (["run", "study.toml", "--only", "lqr"], "error: --only lqr: no case matches"),

@@ -34,7 +34,7 @@ duration = 0.5
 [reference]
 {output} = {{ kind = "constant", value = 0.0 }}
 [controllers.held]
-type = "tests.ddpc_cosim.test_setting_files:Held"
+type = "tests.ddpc_cosim.study.test_setting_files:Held"
 settings = {{ {settings} }}
 """
 
@@ -86,8 +86,8 @@ def case_of(folder: Path, settings: str = "", plant: str = "pendulum") -> Case:
     path.write_text(
         STUDY.format(plant=plant, input=inputs, output=outputs, settings=settings), encoding="utf-8"
     )
-    checked = read_study(str(path))
-    (case,) = cases_of(checked, checked.plant.prepare())
+    resolved = read_study(str(path))
+    (case,) = cases_of(resolved, resolved.plant.built())
     return case
 
 
@@ -103,7 +103,7 @@ def numbers(tmp_path: Path) -> Path:
 def test_paths_are_relative_to_the_study(
     tmp_path: Path, numbers: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kind, absolute = "tests.ddpc_cosim.test_setting_files:Source", numbers / "two.txt"
+    kind, absolute = "tests.ddpc_cosim.study.test_setting_files:Source", numbers / "two.txt"
     settings = (
         'source = { path = "numbers and words/one.txt" }, '
         f"others = [{{ type = '{kind}', path = '{absolute}' }}]"
@@ -148,4 +148,4 @@ def test_files_that_are_not_there_are_faults_of_the_study(tmp_path: Path) -> Non
 
 def test_a_python_plant_has_no_fmu_to_name(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r'"\{plant\}" stands for the FMU of the plant, which is a Python'):
-        case_of(tmp_path, plant="tests.ddpc_cosim.test_setting_files:Line")
+        case_of(tmp_path, plant="tests.ddpc_cosim.study.test_setting_files:Line")

@@ -21,7 +21,7 @@ duration = 20.0
 [reference]
 level_1 = {{ kind = "constant", value = 14.0 }}
 [controllers.probe]
-type = "tests.ddpc_cosim.test_nominal:Probe"
+type = "tests.ddpc_cosim.study.test_nominal:Probe"
 """
 
 
@@ -38,8 +38,8 @@ class Probe(Controller):
 def case_of(folder: Path, plant: str = "") -> Case:
     path = folder / "study.toml"
     path.write_text(STUDY.format(plant=plant), encoding="utf-8")
-    checked = read_study(str(path))
-    (case,) = cases_of(checked, checked.plant.prepare())
+    resolved = read_study(str(path))
+    (case,) = cases_of(resolved, resolved.plant.built())
     return case
 
 
@@ -63,8 +63,8 @@ def test_impossible_ones_are_faults(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         case_of(tmp_path, "nominal = { pump_1 = 0.0, level_1 = -2.0 }")
     assert list(caught.value.faults) == [
-        "study.toml: plant.nominal.pump_1: must be greater than 0, got 0.0",
-        "study.toml: plant.nominal.level_1: must be greater than 0, got -2.0",
+        "study.toml:6: plant.nominal.pump_1: must be greater than 0, got 0.0",
+        "study.toml:6: plant.nominal.level_1: must be greater than 0, got -2.0",
     ]
     with pytest.raises(ConfigError, match=r'plant\.nominal.*"pmp_1".*did you mean "pump_1"'):
         case_of(tmp_path, "nominal = { pmp_1 = 1.0 }")

@@ -10,7 +10,7 @@ import tomli_w
 
 from ddpc_cosim import ConfigError
 from ddpc_cosim.study.cases import Case, cases_of
-from ddpc_cosim.study.plants import PlantTarget
+from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
 
 STUDY = """
@@ -32,7 +32,7 @@ form = ["cfdl", "pfdl"]
 [[controllers.mfapc.sweep]]
 initial_gradient = [-0.1, [0.5]]
 """
-TARGET = PlantTarget(fmu="pendulum.fmu", python="", content="")
+TARGET = PlantSpec(name="", fmu="pendulum.fmu")
 
 
 def cases(folder: Path, text: str) -> list[Case]:
@@ -85,14 +85,14 @@ def test_impossible_values_are_all_named(tmp_path: Path) -> None:
             STUDY + "[[controllers.mfapc.sweep]]\nlambda_u = [-1.0]\n"
             "[[controllers.mfapc.sweep]]\nlambda = [1]\n",
         )
-    assert "lambda_u = -1.0 is not possible" in caught.value.faults[0]
+    assert "controllers.mfapc.sweep[0].lambda_u: -1.0 is not possible" in caught.value.faults[0]
     assert 'unknown setting of mfapc; did you mean "lambda_u"' in caught.value.faults[1]
 
 
 @pytest.mark.parametrize(
     ("sweep", "reason"),
     [
-        ("horizon = []", "sweep.horizon: no values"),
+        ("horizon = []", "sweep: horizon: no values"),
         ("horizon = [3, 3]", 'two controllers are called "mfapc-horizon-3"'),
         (f"horizon = {list(range(1, 1003))}", "1002 variants; allowed: 1000"),
     ],
@@ -124,7 +124,7 @@ def test_a_drift_is_a_step_at_every_sample(tmp_path: Path) -> None:
     [
         ({"parameter": "mas"}, 'no tunable parameter "mas"; did you mean "mass"'),
         ({"to_value": -1.0}, r"drifts\[0\].to_value: -1 is outside"),
-        ({"to_time": 2.0}, "to_time must be after from_time"),
+        ({"to_time": 2.0}, "it must end after it starts, got 2.2 s to 2 s"),
     ],
 )
 def test_impossible_drifts_are_refused(changes: dict[str, Any], reason: str, tmp_path: Path) -> None:
