@@ -3,7 +3,8 @@
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
@@ -25,7 +26,6 @@ from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.executors import Update
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import METRICS_FILE, CaseResult, StudyResults, load_results
 from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_cosim.study.sections import expand_seeds
@@ -41,12 +41,13 @@ def run_command(
 ) -> int:
     """Run a study, print the result table and the report's path, and return the exit code."""
     chosen = _parse_seeds(seeds)
-    resolved = _read(name)
+    with _warnings_in_one_line():
+        resolved = read_study(name)
     folder = out or Path("runs") / resolved.study.name
     console = Console(stderr=True)
     selection = Selection(jobs or os.cpu_count() or 1, chosen, only, fresh)
     progress = TerminalProgress(console) if console.is_terminal else LineProgress(sys.stderr)
-    with progress:
+    with _warnings_in_one_line(), progress:
         results = run_study(resolved, folder, selection, progress)
     # Where nobody's window limits it, the table takes the width it needs.
     screen = Console(width=None if sys.stdout.isatty() else _WIDE)
@@ -61,14 +62,14 @@ def run_command(
     return 1 if failed else 0
 
 
-def _read(name: str) -> ResolvedStudy:
-    """Read a study; what is not quite right with its plant is told in one line each."""
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """Print what is not quite right with a plant in one line each."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CosimWarning)
-        resolved = read_study(name)
+        yield
     for message in dict.fromkeys(str(warning.message) for warning in caught):
         print(f"warning: {message}", file=sys.stderr)
-    return resolved
 
 
 def _parse_seeds(text: str | None) -> list[int]:

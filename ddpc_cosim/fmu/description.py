@@ -8,7 +8,7 @@ from functools import cached_property
 from itertools import product
 from typing import Literal
 
-from ddpc_cosim.errors import ConfigError, did_you_mean
+from ddpc_cosim.errors import ConfigError, FMUImportError, did_you_mean
 from ddpc_cosim.fmu.variable_types import Values, values_of
 from ddpc_cosim.variables import DisplayUnit, Variable
 
@@ -294,6 +294,27 @@ def default_signals(description: FMUDescription, causality: str) -> list[Signal]
     """Return the inputs or outputs that take part if none are named: the real numbers, or all if none are."""
     numbers = list(description.signals(causality))
     return [signal for signal in numbers if signal.source.values == "real"] or numbers
+
+
+def choose_interface(description: FMUDescription, fmi_type: str, label: str) -> Interface:
+    """Return how the FMU is run.
+
+    Raises
+    ------
+    ConfigError
+        The type is none.
+    FMUImportError
+        The FMU does not have it.
+    """
+    kinds = ("co-simulation", "model-exchange")
+    if fmi_type not in ("auto", *kinds):
+        raise ConfigError(f'fmi_type = "{fmi_type}" is not possible; allowed: auto, {", ".join(kinds)}')
+    for kind in kinds if fmi_type == "auto" else (fmi_type,):
+        if kind in description.interfaces:
+            return description.interfaces[kind]
+    offered = ", ".join(description.interfaces) or "neither Co-Simulation nor Model Exchange"
+    wanted = "" if fmi_type == "auto" else f"it cannot be run for {fmi_type}: "
+    raise FMUImportError(f"{label}: {wanted}the FMU is for {offered} (FMI {description.fmi_version})")
 
 
 def choose_signals(

@@ -15,7 +15,7 @@ from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues
 from ddpc_cosim.fmu.co_simulation import CoSimulationRun, StepSizes
-from ddpc_cosim.fmu.description import FMUDescription, Interface, Signal, choose_signals
+from ddpc_cosim.fmu.description import FMUDescription, Interface, Signal, choose_interface, choose_signals
 from ddpc_cosim.fmu.fmi1 import Fmi1Model, Fmi1Slave
 from ddpc_cosim.fmu.fmi2 import Fmi2Model, Fmi2Slave
 from ddpc_cosim.fmu.fmi3 import Fmi3Model, Fmi3Slave
@@ -45,27 +45,6 @@ _TOLERANCES = (1e-12, 1e-2)
 
 _only_ones: WeakValueDictionary[tuple[str, str], Instance] = WeakValueDictionary()
 """The instances of FMUs that allow only one in a process."""
-
-
-def choose_interface(description: FMUDescription, fmi_type: str, label: str) -> Interface:
-    """Return how the FMU is run.
-
-    Raises
-    ------
-    ConfigError
-        The type is none.
-    FMUImportError
-        The FMU does not have it.
-    """
-    kinds = ("co-simulation", "model-exchange")
-    if fmi_type not in ("auto", *kinds):
-        raise ConfigError(f'fmi_type = "{fmi_type}" is not possible; allowed: auto, {", ".join(kinds)}')
-    for kind in kinds if fmi_type == "auto" else (fmi_type,):
-        if kind in description.interfaces:
-            return description.interfaces[kind]
-    offered = ", ".join(description.interfaces) or "neither Co-Simulation nor Model Exchange"
-    wanted = "" if fmi_type == "auto" else f"it cannot be run for {fmi_type}: "
-    raise FMUImportError(f"{label}: {wanted}the FMU is for {offered} (FMI {description.fmi_version})")
 
 
 def make_instance(

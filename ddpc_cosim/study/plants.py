@@ -5,11 +5,12 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 import numpy as np
 
-from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.plugins import load_plugin, source_hash
 from ddpc_cosim.safe_calls import (
@@ -171,10 +172,23 @@ class PlantSpec:
             plugin = self._plugin()
             content = f"{plugin.__module__}:{plugin.__qualname__} {source_hash(plugin.__module__)}"
             return replace(self, content=content + self._shown())
+        if self.fmu:
+            self._check_library()
         fmu = Path(self.fmu) if self.fmu else _build(self._plugin()).resolve()
         kind = "" if self.fmi_type == "auto" else f" {self.fmi_type}"
         content = hashlib.sha256(fmu.read_bytes()).hexdigest() + kind + self._shown()
         return replace(self, fmu=str(fmu), content=content)
+
+    def _check_library(self) -> None:
+        """Check that a supplied FMU has a library for this platform; nothing of it is loaded."""
+        from ddpc_cosim.fmu.plant import FMUPlant
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", CosimWarning)
+            with FMUPlant(self.fmu, fmi_type=self.fmi_type) as plant:
+                remarks = [text for text in plant.warnings if text not in plant.description.warnings]
+        for remark in remarks:  # the others were told when the study was read
+            warnings.warn(f"{Path(self.fmu).name}: {remark}", CosimWarning, stacklevel=3)
 
     def _shown(self) -> str:
         """Return what the study says of display units and nominal values, which decide metrics too."""
@@ -235,10 +249,19 @@ def _is_plant_class(plugin: Any) -> bool:
 
 
 def _fmu_variables(path: Path, fmi_type: FMIType) -> PlantVariables:
-    from ddpc_cosim.fmu.plant import FMUPlant
+    from ddpc_cosim.fmu.archive import unpack
+    from ddpc_cosim.fmu.description import choose_interface, choose_signals
+    from ddpc_cosim.fmu.reader import read_description
 
-    with FMUPlant(path, fmi_type=fmi_type) as plant:
-        description, inputs, outputs = plant.description, names(plant.inputs), names(plant.outputs)
+    if not path.is_file():
+        raise FMUImportError(f"{path}: no such file")
+    with TemporaryDirectory() as folder:
+        unpack(path, Path(folder))
+        description = read_description(Path(folder), path.name)
+    choose_interface(description, fmi_type, path.name)
+    inputs, outputs = choose_signals(description, path.name, None, None)
+    for warning in description.warnings:
+        warnings.warn(f"{path.name}: {warning}", CosimWarning, stacklevel=2)
     settable = {v.name: v.variable for v in description.variables.values() if v.is_settable and not v.shape}
     elements = {s.variable.name: s.variable for s in description.signals("parameter", "input")}
     free = {s.variable.name for s in description.signals("input")}
@@ -248,8 +271,8 @@ def _fmu_variables(path: Path, fmi_type: FMIType) -> PlantVariables:
         outputs={s.variable.name: s.variable for s in description.signals("output", "local")},
         parameters=settable | elements,
         tunable=frozenset(tunable | free),
-        default_inputs=inputs,
-        default_outputs=outputs,
+        default_inputs=names([signal.variable for signal in inputs]),
+        default_outputs=names([signal.variable for signal in outputs]),
         display_units=description.display_units,
     )
 

@@ -27,6 +27,20 @@ class SnoopingWKPC(Snooper, WKPC): pass
 """
 
 
+STUDY = """
+[plant]
+fmu = "{fmu}"
+outputs = ["angle"]
+[loop]
+sampling_time = 0.1
+duration = 1.0
+[reference]
+angle = {{ kind = "constant", value = 0.1 }}
+[controllers.mfapc]
+type = "mfapc"
+"""
+
+
 def modules_after(code: str, tmp_path: Path) -> set[str]:
     """Return the modules that are loaded in a new process after some code."""
     done = subprocess.run(
@@ -69,6 +83,22 @@ def test_a_study_with_faults(tmp_path: Path, paper_text: str) -> None:
     loaded = modules_after(code, tmp_path)
     assert "ddpc_cosim.study.reading" in loaded
     assert not loaded & HEAVY
+
+
+FMU_RUNTIME = {"ddpc_cosim.fmu.plant", "ddpc_cosim.fmu.session", "ddpc_cosim.fmu.instance", "fmpy"}
+
+
+def test_a_study_of_equations_is_read_without_anything_of_fmus(tmp_path: Path) -> None:
+    loaded = modules_after("from ddpc_cosim.study.reading import read_study\nread_study('paper')", tmp_path)
+    assert not [module for module in loaded if module.startswith(("ddpc_cosim.fmu.", "fmpy"))]
+
+
+def test_a_study_of_an_fmu_is_read_without_the_fmu_runtime(tmp_path: Path, pendulum_fmu: Path) -> None:
+    (tmp_path / "study.toml").write_text(STUDY.format(fmu=pendulum_fmu.as_posix()), encoding="utf-8")
+    code = "from ddpc_cosim.study.reading import read_study\nread_study('study.toml')"
+    loaded = modules_after(code, tmp_path)
+    assert "ddpc_cosim.fmu.reader" in loaded
+    assert not loaded & FMU_RUNTIME
 
 
 def test_a_worker_that_runs_cases_of_the_paper(tmp_path: Path, run_program: Run, paper_text: str) -> None:
