@@ -180,6 +180,7 @@ def fmu_source(
         if not (isfinite(value) and value > 0):
             raise ExportError(f"{name} must be positive and finite, not {value}")
     symbolic = resolve(model)
+    uses = symbolic.dependencies()
     runtime = package_files("fmu_plants") / "runtime"
     names = (*_RUNTIME, _FRONT_ENDS[fmi_version])
     sources = {name: (runtime / name).read_text(encoding="utf-8") for name in names}
@@ -189,9 +190,8 @@ def fmu_source(
     def described(guid: str) -> FMUSource:
         all_sources = {_MODEL_SOURCE: code.replace('.guid = ""', f'.guid = "{guid}"'), **sources}
         listed = [name for name in all_sources if name.endswith(".c") and with_sources]
-        description = Description(model, symbolic.dependencies(), guid, relative_tolerance, listed)
-        files = description.files(fmi_version)
-        return FMUSource(model.name, guid, fmi_version, files, all_sources, with_sources)
+        description = Description(fmi_version, model, uses, guid, relative_tolerance, listed)
+        return FMUSource(model.name, guid, fmi_version, description.files(), all_sources, with_sources)
 
     draft = described(guid="")
     texts = {**draft.descriptions, **draft.sources}

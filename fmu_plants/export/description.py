@@ -5,7 +5,7 @@ computed outputs, parameters. The value reference of a variable is its position.
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from importlib.metadata import version
@@ -107,6 +107,8 @@ class Description:
 
     Parameters
     ----------
+    fmi_version : str
+        ``"2.0"`` or ``"3.0"``.
     model : PlantModel
     dependencies : mapping of str to frozenset of str
         Names of the variables that each derivative and each computed output is a function of.
@@ -118,35 +120,46 @@ class Description:
         Names of the C files below ``sources``; none if the FMU does not contain them.
     """
 
+    fmi_version: str
     model: PlantModel
     dependencies: Mapping[str, frozenset[str]]
     guid: str
     relative_tolerance: float
     sources: Sequence[str]
 
-    def files(self, fmi_version: str) -> dict[str, str]:
-        """Return the texts of the description files for a version of FMI, by name inside the FMU."""
-        files = {"modelDescription.xml": _model_description(self, fmi_version)}
-        if fmi_version == "3.0" and self.sources:
-            files["sources/buildDescription.xml"] = _build_description(self)
+    @property
+    def is_fmi2(self) -> bool:
+        """Whether the version is 2.0."""
+        return self.fmi_version == "2.0"
+
+    def files(self) -> dict[str, str]:
+        """Return the texts of the description files by name inside the FMU."""
+        files = {"modelDescription.xml": _xml_text(_model_description(self))}
+        if self.sources and not self.is_fmi2:
+            files["sources/buildDescription.xml"] = _xml_text(_build_description(self))
         return files
 
 
-def _model_description(description: Description, fmi_version: str) -> str:
-    is_fmi2 = fmi_version == "2.0"
+def _xml_text(root: ET.Element) -> str:
+    """Return an indented document; the same tree gives the same text."""
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _model_description(description: Description) -> ET.Element:
     model, layout = description.model, scalars(description.model)
     root = ET.Element(
         "fmiModelDescription",
         {
-            "fmiVersion": fmi_version,
+            "fmiVersion": description.fmi_version,
             "modelName": model.name,
-            "guid" if is_fmi2 else "instantiationToken": description.guid,
+            "guid" if description.is_fmi2 else "instantiationToken": description.guid,
             "description": f"{model.description} ({model.source})" if model.source else model.description,
             "generationTool": f"ddpc-cosim {version('ddpc-cosim')}",
             "variableNamingConvention": "structured",
         },
     )
-    (_add_fmi2_interfaces if is_fmi2 else _add_fmi3_interfaces)(root, description)
+    _add_interfaces(root, description)
     _add_units(root, layout)
     categories = ET.SubElement(root, "LogCategories")
     for name in _LOG_CATEGORIES:
@@ -159,29 +172,28 @@ def _model_description(description: Description, fmi_version: str) -> str:
         tolerance=repr(float(description.relative_tolerance)),
         stepSize=repr(float(model.step_size)),
     )
-    (_add_fmi2_variables if is_fmi2 else _add_fmi3_variables)(root, model, layout)
-    (_add_fmi2_structure if is_fmi2 else _add_fmi3_structure)(root, description, layout)
-    return _xml_text(root)
+    _add_variables(root, description, layout)
+    _add_structure(root, description, layout)
+    return root
 
 
-def _build_description(description: Description) -> str:
+def _build_description(description: Description) -> ET.Element:
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=description.model.name)
     files = ET.SubElement(configuration, "SourceFileSet", language="C11")
     for name in sorted(description.sources):
         ET.SubElement(files, "SourceFile", name=name)
-    return _xml_text(root)
+    return root
 
 
-def _xml_text(root: ET.Element) -> str:
-    """Return an indented document; the same tree gives the same text."""
-    ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
-
-
-def _add_fmi2_interfaces(root: ET.Element, description: Description) -> None:
+def _add_interfaces(root: ET.Element, description: Description) -> None:
+    """Add Model Exchange and Co-Simulation; FMI 2.0 has the list of source files there."""
+    common = {"modelIdentifier": description.model.name} | _CAPABILITIES[description.fmi_version]
+    if not description.is_fmi2:
+        ET.SubElement(root, "ModelExchange", common, providesEvaluateDiscreteStates="true")
+        ET.SubElement(root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true")
+        return
     root.set("numberOfEventIndicators", "0")
-    common = {"modelIdentifier": description.model.name} | _CAPABILITIES["2.0"]
     exchange = ET.SubElement(root, "ModelExchange", common, completedIntegratorStepNotNeeded="true")
     simulation = ET.SubElement(
         root,
@@ -198,23 +210,15 @@ def _add_fmi2_interfaces(root: ET.Element, description: Description) -> None:
             ET.SubElement(files, "File", name=name)
 
 
-def _add_fmi3_interfaces(root: ET.Element, description: Description) -> None:
-    common = {"modelIdentifier": description.model.name} | _CAPABILITIES["3.0"]
-    ET.SubElement(root, "ModelExchange", common, providesEvaluateDiscreteStates="true")
-    ET.SubElement(root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true")
-
-
 def _add_units(root: ET.Element, layout: Sequence[Scalar]) -> None:
     """Add every unit once, with the display units of all variables that have it."""
     definitions = ET.SubElement(root, "UnitDefinitions")
-    units = dict.fromkeys(scalar.variable.unit for scalar in layout if scalar.variable.unit)
-    for unit in units:
+    for unit in dict.fromkeys(scalar.variable.unit for scalar in layout if scalar.variable.unit):
         element = ET.SubElement(definitions, "Unit", name=unit)
         si = parse_unit(unit)
         exponents = {name: str(power) for name, power in si.exponents.items()}
         ET.SubElement(element, "BaseUnit", exponents | _conversion(si.factor, si.offset))
-        shown = dict.fromkeys(s.variable.display_unit for s in layout if s.variable.unit == unit)
-        for display in shown:
+        for display in dict.fromkeys(s.variable.display_unit for s in layout if s.variable.unit == unit):
             if display is not None:
                 conversion = _conversion(display.factor, display.offset)
                 ET.SubElement(element, "DisplayUnit", {"name": display.name} | conversion)
@@ -226,23 +230,20 @@ def _conversion(factor: float, offset: float) -> dict[str, str]:
     return {name: repr(float(value)) for name, (value, default) in attributes.items() if value != default}
 
 
-def _add_fmi2_variables(root: ET.Element, model: PlantModel, layout: Sequence[Scalar]) -> None:
-    """Add the variables; a derivative refers to its state by an index that begins with 1."""
+def _add_variables(root: ET.Element, description: Description, layout: Sequence[Scalar]) -> None:
+    """Add the variables; a derivative refers to its state as the model structure does."""
     variables = ET.SubElement(root, "ModelVariables")
-    states = _state_positions(layout)
+    state_of = {derivative_name(state.name): state.name for state in description.model.states}
+    number_of = _numbers(description, layout)
     for reference, scalar in enumerate(layout):
-        element = ET.SubElement(variables, "ScalarVariable", _role(model, scalar, reference))
-        derivative = {"derivative": str(states[reference] + 1)} if reference in states else {}
-        ET.SubElement(element, "Real", _numbers(scalar) | derivative)
-
-
-def _add_fmi3_variables(root: ET.Element, model: PlantModel, layout: Sequence[Scalar]) -> None:
-    variables = ET.SubElement(root, "ModelVariables")
-    states = _state_positions(layout)
-    for reference, scalar in enumerate(layout):
-        derivative = {"derivative": str(states[reference])} if reference in states else {}
-        attributes = _role(model, scalar, reference) | _numbers(scalar) | derivative
-        ET.SubElement(variables, "Float64", attributes)
+        role = _role(description.model, scalar, reference)
+        values = _values(scalar)
+        if scalar.kind is Kind.DERIVATIVE:
+            values["derivative"] = str(number_of[state_of[scalar.variable.name]])
+        if description.is_fmi2:
+            ET.SubElement(ET.SubElement(variables, "ScalarVariable", role), "Real", values)
+        else:
+            ET.SubElement(variables, "Float64", role | values)
 
 
 def _role(model: PlantModel, scalar: Scalar, reference: int) -> dict[str, str]:
@@ -259,7 +260,7 @@ def _role(model: PlantModel, scalar: Scalar, reference: int) -> dict[str, str]:
     return attributes
 
 
-def _numbers(scalar: Scalar) -> dict[str, str]:
+def _values(scalar: Scalar) -> dict[str, str]:
     """Return unit, display unit, range, nominal and start value of a variable."""
     variable = scalar.variable
     attributes = {}
@@ -267,10 +268,9 @@ def _numbers(scalar: Scalar) -> dict[str, str]:
         attributes["unit"] = variable.unit
     if variable.display_unit is not None:
         attributes["displayUnit"] = variable.display_unit.name
-    for name in ("min", "max"):
-        value = float(getattr(variable, name))
+    for name, value in {"min": variable.min, "max": variable.max}.items():
         if not isinf(value):
-            attributes[name] = repr(value)
+            attributes[name] = repr(float(value))
     if variable.nominal != 1.0:
         attributes["nominal"] = repr(float(variable.nominal))
     if scalar.kind in _WITH_START:
@@ -278,70 +278,33 @@ def _numbers(scalar: Scalar) -> dict[str, str]:
     return attributes
 
 
-def _positions(layout: Sequence[Scalar]) -> dict[str, int]:
-    return {scalar.variable.name: position for position, scalar in enumerate(layout)}
+def _numbers(description: Description, layout: Sequence[Scalar]) -> dict[str, int]:
+    """Return how variables refer to each other: by value reference, in FMI 2.0 by an index from 1 on."""
+    return {scalar.variable.name: n for n, scalar in enumerate(layout, 1 if description.is_fmi2 else 0)}
 
 
-def _state_positions(layout: Sequence[Scalar]) -> dict[int, int]:
-    """Return the position of the state for the position of each derivative."""
-    positions = _positions(layout)
-    states = [scalar.variable.name for scalar in layout if scalar.kind is Kind.STATE]
-    return {positions[derivative_name(state)]: positions[state] for state in states}
-
-
-@dataclass(frozen=True, slots=True)
-class _Unknown:
-    """An entry of the model structure: a variable and what it depends on, as positions in the layout."""
-
-    position: int
-    dependencies: tuple[int, ...]
-
-
-def _add_fmi2_structure(root: ET.Element, description: Description, layout: Sequence[Scalar]) -> None:
-    """Add the model structure, whose indices begin with 1."""
-    structure = ET.SubElement(root, "ModelStructure")
-    outputs, derivatives, initial = _unknowns(description, layout)
-    for group, unknowns in {
-        "Outputs": outputs,
-        "Derivatives": derivatives,
-        "InitialUnknowns": initial,
-    }.items():
-        if not unknowns:
-            continue  # the schema knows no empty group
-        parent = ET.SubElement(structure, group)
-        for unknown in unknowns:
-            dependencies = " ".join(str(position + 1) for position in unknown.dependencies)
-            ET.SubElement(parent, "Unknown", index=str(unknown.position + 1), dependencies=dependencies)
-
-
-def _add_fmi3_structure(root: ET.Element, description: Description, layout: Sequence[Scalar]) -> None:
-    """Add the model structure, by value references."""
-    structure = ET.SubElement(root, "ModelStructure")
-    groups = ("Output", "ContinuousStateDerivative", "InitialUnknown")
-    for group, unknowns in zip(groups, _unknowns(description, layout), strict=True):
-        for unknown in unknowns:
-            dependencies = " ".join(map(str, unknown.dependencies))
-            ET.SubElement(structure, group, valueReference=str(unknown.position), dependencies=dependencies)
-
-
-def _unknowns(description: Description, layout: Sequence[Scalar]) -> tuple[list[_Unknown], ...]:
-    """Return outputs, derivatives and initial unknowns with their dependencies.
-
-    They depend on time, states and inputs; at initialization also on start values.
-    """
-    model, positions = description.model, _positions(layout)
+def _add_structure(root: ET.Element, description: Description, layout: Sequence[Scalar]) -> None:
+    """Add what depends on what: on time, states and inputs; at initialization also on start values."""
+    model, number_of = description.model, _numbers(description, layout)
     running = {s.variable.name for s in layout if s.kind in (Kind.TIME, Kind.STATE, Kind.INPUT)}
     starting = {s.variable.name for s in layout if s.kind in _WITH_START} | running
     used = {state.name: frozenset([state.name]) for state in model.states} | dict(description.dependencies)
+    outputs = [output.name for output in model.outputs]
     derivatives = [derivative_name(state.name) for state in model.states]
-    computed = [output.name for output in model.computed_outputs]
+    computed = [*derivatives, *(output.name for output in model.computed_outputs)]
+    structure = ET.SubElement(root, "ModelStructure")
 
-    def unknowns(names: Sequence[str], knowns: set[str]) -> Iterator[_Unknown]:
-        for name in sorted(names, key=positions.__getitem__):
-            yield _Unknown(positions[name], tuple(sorted(positions[known] for known in used[name] & knowns)))
+    def add(group: str, element: str, names: Sequence[str], knowns: set[str]) -> None:
+        parent, tag, number = structure, element, "valueReference"
+        if description.is_fmi2:
+            if not names:
+                return  # the schema knows no empty group
+            parent, tag, number = ET.SubElement(structure, group), "Unknown", "index"
+        for name in sorted(names, key=number_of.__getitem__):
+            dependencies = sorted(number_of[known] for known in used[name] & knowns)
+            attributes = {number: str(number_of[name]), "dependencies": " ".join(map(str, dependencies))}
+            ET.SubElement(parent, tag, attributes)
 
-    return (
-        list(unknowns([output.name for output in model.outputs], running)),
-        list(unknowns(derivatives, running)),
-        list(unknowns([*derivatives, *computed], starting)),
-    )
+    add("Outputs", "Output", outputs, running)
+    add("Derivatives", "ContinuousStateDerivative", derivatives, running)
+    add("InitialUnknowns", "InitialUnknown", computed, starting)
