@@ -177,19 +177,15 @@ def parse_unit(text: str) -> SIUnit:
     """
     if not text:
         return SIUnit()
-    tokens = _tokens(text)
+    tokens = list(_tokens(text.strip()))
     unit = _product(text, tokens)
     if tokens:
         raise ValueError(f"unit {text!r} cannot be read from {tokens[0][0]!r} on")
     return unit
 
 
-def _tokens(text: str) -> list[tuple[str, int]]:
+def _tokens(text: str) -> Iterator[tuple[str, int]]:
     """Split into symbols with their exponents and marks (exponent 0)."""
-    return list(_scan(text.strip()))
-
-
-def _scan(text: str) -> Iterator[tuple[str, int]]:
     position = 0
     while position < len(text):
         match = _TOKEN.match(text, position)
@@ -236,5 +232,5 @@ def _lookup(symbol: str) -> SIUnit:
     prefix, rest = symbol[0], symbol[1:]
     if prefix in _PREFIXES and rest in _PREFIXED:
         return SIUnit({}, _PREFIXES[prefix]) * _PREFIXED[rest]
-    known_text = ", ".join(known_symbols())
-    raise ValueError(f"unknown unit symbol {symbol!r}; known: {known_text}, and SI prefixes of them")
+    listing = ", ".join(known_symbols())
+    raise ValueError(f"unknown unit symbol {symbol!r}; known: {listing}, and SI prefixes of them")

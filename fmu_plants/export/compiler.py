@@ -31,13 +31,6 @@ FLAGS = ("-std=c11", "-ffp-contract=off", "-fvisibility=hidden")
 _FAST = ("-O2", "-shared")
 ZIG = (sys.executable, "-m", "ziglang", "cc")
 
-_EXPORT_CHECK = """
-import ctypes, sys
-library = ctypes.CDLL(sys.argv[1])
-print(*[name for name in sys.argv[2:] if not hasattr(library, name)])
-"""
-
-
 _NO_ZIG = (
     "compiling for other platforms needs the Python package ziglang, which is not installed: "
     '`pip install "ddpc-cosim[zig]"` (or `pip install ziglang`); without --platforms, the FMU is for this '
@@ -104,15 +97,17 @@ class Compiler:
         """The arguments that come after the files."""
         return () if self.platform.system == "windows" else ("-lm",)
 
-    def own_files(self, sources: Sequence[str]) -> dict[str, str]:
-        """Return the text of further files that it needs to make a library of the sources, by name."""
-        return {}
+    def build(self, sources: Sequence[str], library: str, extra_flags: Sequence[str], folder: Path) -> None:
+        """Make a shared library of the sources in a folder, with headers from there.
 
-    def calls(self, sources: Sequence[str], library: str, extra_flags: Sequence[str]) -> list[list[str]]:
-        """Return the arguments of each call that it takes to make a library of the sources, in order."""
-        return [[*self.flags, *extra_flags, "-I.", "-o", library, *sources, *self.libraries]]
+        Raises
+        ------
+        ExportError
+            See `run`.
+        """
+        self.run([*self.flags, *extra_flags, "-I.", "-o", library, *sources, *self.libraries], folder)
 
-    def run(self, arguments: Sequence[str], folder: str | Path) -> None:
+    def run(self, arguments: Sequence[str], folder: Path) -> None:
         """Call it in a folder.
 
         Raises
@@ -153,20 +148,16 @@ class CrossCompiler(Compiler):
         """The arguments that come after the object file."""
         return _LINK[self.platform.system]
 
-    def own_files(self, sources: Sequence[str]) -> dict[str, str]:
-        """Return the source that includes all others, by name, and what Windows needs."""
-        if self.platform.system != "windows":
-            return {_UNIT: _including(sources)}
-        runtime = package_files("fmu_plants") / "runtime"
-        windows = (runtime / _WINDOWS_SOURCE).read_text(encoding="utf-8")
-        return {_UNIT: _including([_WINDOWS_SOURCE, *sources]), _WINDOWS_SOURCE: windows}
-
-    def calls(self, sources: Sequence[str], library: str, extra_flags: Sequence[str]) -> list[list[str]]:
-        """Return the arguments for compiling, where the system's headers are found, and for linking."""
-        return [
-            [*self.flags, *extra_flags, "-I.", "-c", "-o", _OBJECT, _UNIT],
-            ["-shared", "-s", _FOR_SIZE, "-o", library, _OBJECT, *self.libraries],
-        ]
+    def build(self, sources: Sequence[str], library: str, extra_flags: Sequence[str], folder: Path) -> None:
+        """Compile, where the system's headers are found, and link."""
+        if self.platform.system == "windows":
+            windows = package_files("fmu_plants") / "runtime" / _WINDOWS_SOURCE
+            (folder / _WINDOWS_SOURCE).write_bytes(windows.read_bytes())
+            sources = [_WINDOWS_SOURCE, *sources]
+        unit = "".join(f'#include "{name}"\n' for name in sources)
+        (folder / _UNIT).write_text(unit, encoding="utf-8", newline="\n")
+        self.run([*self.flags, *extra_flags, "-I.", "-c", "-o", _OBJECT, _UNIT], folder)
+        self.run(["-shared", "-s", _FOR_SIZE, "-o", library, _OBJECT, *self.libraries], folder)
 
 
 def find_compiler() -> Compiler:
@@ -244,27 +235,22 @@ def compile_library(
     ExportError
         The compiler fails, or the library does not load or export what it must.
     """
-    with tempfile.TemporaryDirectory(prefix="fmu-plants-") as folder:
+    with tempfile.TemporaryDirectory(prefix="fmu-plants-") as name:
+        folder, platform = Path(name), compiler.platform
+        for name, text in files.items():
+            (folder / name).write_text(text, encoding="utf-8", newline="\n")
         # Everything is named relative to one folder: nothing depends on how its path is spelt.
-        library = f"library{compiler.platform.suffix}"
-        sources = sorted(name for name in files if name.endswith(".c"))
-        for name, text in {**files, **compiler.own_files(sources)}.items():
-            Path(folder, name).write_text(text, encoding="utf-8", newline="\n")
-        for arguments in compiler.calls(sources, library, extra_flags):
-            compiler.run(arguments, folder)
-        built = Path(folder, library)
-        is_for_here = compiler.platform == host_platform()
-        missing = _unloadable_exports(built, required) if is_for_here else _unlisted_exports(built, required)
+        built = folder / f"library{platform.suffix}"
+        compiler.build(sorted(name for name in files if name.endswith(".c")), built.name, extra_flags, folder)
+        missing = (_unloadable if platform == host_platform() else _unlisted)(built, required)
         if missing:
-            names, where = ", ".join(missing), compiler.platform.name
-            raise ExportError(
-                f"the library for {where} built by {compiler.command[0]} does not export: {names}"
-            )
+            builder = f"the library for {platform.name} built by {compiler.command[0]}"
+            raise ExportError(f"{builder} does not export: {', '.join(missing)}")
         return built.read_bytes()
 
 
 def _capture(
-    command: Sequence[str], cwd: str | Path | None = None, env: Mapping[str, str] | None = None
+    command: Sequence[str], cwd: Path | None = None, env: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
     """Run a command for its output, which may be in any encoding."""
     return subprocess.run(
@@ -272,7 +258,14 @@ def _capture(
     )
 
 
-def _unloadable_exports(library: Path, required: Sequence[str]) -> list[str]:
+_EXPORT_CHECK = """
+import ctypes, sys
+library = ctypes.CDLL(sys.argv[1])
+print(*[name for name in sys.argv[2:] if not hasattr(library, name)])
+"""
+
+
+def _unloadable(library: Path, required: Sequence[str]) -> list[str]:
     """Ask a process of its own: a defective library may bring it down, and the file stays free to delete."""
     command = [sys.executable, "-I", "-S", "-c", _EXPORT_CHECK, str(library), *required]
     done = _capture(command)
@@ -282,14 +275,10 @@ def _unloadable_exports(library: Path, required: Sequence[str]) -> list[str]:
     return done.stdout.split()
 
 
-def _unlisted_exports(library: Path, required: Sequence[str]) -> list[str]:
+def _unlisted(library: Path, required: Sequence[str]) -> list[str]:
     """Read the file: a library for another platform cannot be loaded."""
     try:
         exported = exported_symbols(library.read_bytes())
     except (OSError, ValueError) as error:
         raise ExportError(f"the library that was built cannot be read: {error}") from error
     return [name for name in required if name not in exported]
-
-
-def _including(sources: Sequence[str]) -> str:
-    return "".join(f'#include "{name}"\n' for name in sources)
