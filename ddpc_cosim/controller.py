@@ -138,7 +138,7 @@ class Action(NamedTuple):
     status : str
         ``"ok"``, or in a few words why ``u`` is a fallback. Anything but ``"ok"`` is counted and reported.
     info : mapping of str to float
-        Figures about this step, for the curious.
+        Values about this step, by name.
     """
 
     u: FloatArray
@@ -191,7 +191,7 @@ class Controller(ABC):
         return 0
 
     def diagnostics(self) -> Mapping[str, float]:
-        """Return figures about the data or model of this run (rank, order, ...); valid after ``start``."""
+        """Return values about the data or model of this run (rank, order, ...); valid after ``start``."""
         return {}
 
     def settings(self) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.variables import FloatArray, Variable
 
 ParameterValue = float | int | bool | str
-"""The value of a parameter: a number, a truth value, or a text where the plant has such parameters."""
+"""The value of a parameter: a number, a boolean, or a text where the plant has such parameters."""
 
 FMIType = Literal["auto", "co-simulation", "model-exchange"]
 """How an FMU is run; ``"auto"``: for Co-Simulation if it can be."""
@@ -18,8 +18,8 @@ class Plant(ABC):
     """A sampled plant with zero-order hold at its inputs.
 
     The co-simulation master calls, in this order: ``reset`` once per run, then ``step`` (with
-    ``set_parameters`` between two steps when an event asks for it), and ``close`` at the end. It tells what a
-    run will ask by ``plan`` before ``reset``.
+    ``set_parameters`` between two steps when an event asks for it), and ``close`` at the end. It announces
+    sampling and stop time by ``plan`` before ``reset``.
     Subclasses set ``inputs`` (m variables) and ``outputs`` (p variables).
     """
 
@@ -27,7 +27,7 @@ class Plant(ABC):
     outputs: tuple[Variable, ...]
 
     def plan(self, sampling_time: float, stop_time: float) -> None:  # noqa: B027 - most plants take any run
-        """Say what the coming runs will ask, before ``reset``.
+        """Announce sampling and stop time of the next runs, before ``reset``.
 
         Parameters
         ----------
@@ -128,5 +128,5 @@ class Plant(ABC):
         """Release everything; the plant is not used afterwards."""
 
     def provenance(self) -> Mapping[str, str]:
-        """Return what identifies this plant in a report: file, hash, version."""
+        """Return the identifiers of this plant in a report: file, hash, version."""
         return {"class": f"{type(self).__module__}:{type(self).__qualname__}"}

@@ -133,7 +133,7 @@ class StepSizes:
 
 
 def _whole(h: float, step: float) -> int | None:
-    """Return how many steps make h, None if that is no whole number."""
+    """Return how many steps make h, None if that is not an integer."""
     ratio = h / step
     steps = round(ratio)
     return steps if steps >= 1 and abs(ratio - steps) <= _WHOLE * steps else None

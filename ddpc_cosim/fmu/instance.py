@@ -59,7 +59,7 @@ class EventInfo:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where an instance comes from: the FMU's unpacked folder, its library, and what identifies the model."""
+    """Where an instance comes from: the FMU's unpacked folder, its library, and the model's identifiers."""
 
     folder: Path
     library: Path

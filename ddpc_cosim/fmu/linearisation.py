@@ -3,7 +3,7 @@
     dx' = A dx + B du,   dy = C dx + D du
 
 The derivatives are the FMU's own where it has them (``fmi2GetDirectionalDerivative``, FMI 2.0 section 2.1.9;
-``fmi3GetDirectionalDerivative``, FMI 3.0 section 2.2.11), else central differences of what it computes beside
+``fmi3GetDirectionalDerivative``, FMI 3.0 section 2.2.11), else central differences of what it computes around
 the point. What discrete states do at later events is in neither.
 """
 
@@ -93,7 +93,7 @@ _STEP = float(np.finfo(float).eps) ** (1.0 / 3.0)
 
 
 class OperatingPoint:
-    """The point at which a model is, and what it computes beside it.
+    """The point at which a model is, and what it computes around it.
 
     Parameters
     ----------
@@ -155,9 +155,9 @@ def central_differences(around: OperatingPoint) -> FloatArray:
     below, above = np.where(stuck, here - step, below), np.where(stuck, here + step, above)
     columns = []
     for i in range(len(here)):
-        beside = [here.copy(), here.copy()]
-        beside[0][i], beside[1][i] = below[i], above[i]
-        low, high = (around.at(point) for point in beside)
+        points = [here.copy(), here.copy()]
+        points[0][i], points[1][i] = below[i], above[i]
+        low, high = (around.at(point) for point in points)
         with np.errstate(over="ignore", invalid="ignore"):  # the caller says what is not finite
             columns.append((high - low) / (above[i] - below[i]))
     around.at(here)
@@ -218,7 +218,7 @@ def linearise(
     Raises
     ------
     CallError
-        The FMU fails beside the point, or a derivative is not finite.
+        The FMU fails near the point, or a derivative is not finite.
     """
     around = OperatingPoint(model, inputs, outputs, shapes)
     n = len(around.x_0)

@@ -97,7 +97,7 @@ class Run(ABC):
         self._go_back(*state.bookkeeping)
 
     def _bookkeeping(self) -> tuple[Any, ...]:
-        """Return what the run must remember beside the FMU's state."""
+        """Return what the run must remember besides the FMU's state."""
         return self._base_time, self._steps, self._step_size
 
     def _go_back(self, *bookkeeping: Any) -> None:
