@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ddpc_cosim.fmu.defects import Defect, Severity
 from ddpc_cosim.fmu.description import FMUDescription, FMUVariable, Interface
+from ddpc_cosim.fmu.description.defects import Defect, Severity
 from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu
 from ddpc_cosim.variables import Variable
 

@@ -23,9 +23,9 @@ from ddpc_cosim.fmu.description import (
     Signal,
     flat_index,
 )
+from ddpc_cosim.fmu.description.variable_types import Values
 from ddpc_cosim.fmu.instance import Instance, ValueType, reference_array
 from ddpc_cosim.fmu.status import WARNING, CallError, failed_call
-from ddpc_cosim.fmu.variable_types import Values
 from ddpc_cosim.plant import ParameterValue as Value
 from ddpc_cosim.variables import FloatArray
 

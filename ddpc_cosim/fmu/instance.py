@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ddpc_cosim.fmu.description.variable_types import TYPES
 from ddpc_cosim.fmu.library import CFunction, is_missing, load_library
 from ddpc_cosim.fmu.status import FATAL, WARNING, CallError, Log, failed_call
-from ddpc_cosim.fmu.variable_types import TYPES
 from ddpc_cosim.variables import FloatArray
 
 DoubleArray = Any

@@ -16,6 +16,7 @@ from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues
 from ddpc_cosim.fmu.co_simulation import CoSimulationRun, StepSizes
 from ddpc_cosim.fmu.description import FMUDescription, Interface, Signal, choose_interface, choose_signals
+from ddpc_cosim.fmu.description.reader import read_description
 from ddpc_cosim.fmu.fmi1 import Fmi1Model, Fmi1Slave
 from ddpc_cosim.fmu.fmi2 import Fmi2Model, Fmi2Slave
 from ddpc_cosim.fmu.fmi3 import Fmi3Model, Fmi3Slave
@@ -31,7 +32,6 @@ from ddpc_cosim.fmu.linearisation import (
 )
 from ddpc_cosim.fmu.model_exchange import ModelExchangeRun
 from ddpc_cosim.fmu.output import quiet, step_mute
-from ddpc_cosim.fmu.reader import one_line, read_description
 from ddpc_cosim.fmu.run import Run
 from ddpc_cosim.fmu.scratch import ScratchFolder
 from ddpc_cosim.fmu.status import DISCARD, FATAL, CallError
@@ -391,7 +391,7 @@ class FMUSession:
             tool = self.description.generation_tool
             needs = f"; it needs {tool} on this machine" if self.interface.needs_execution_tool else ""
             raise FMUImportError(
-                f"{self._label}: cannot be instantiated: {one_line(error)}{needs}"
+                f"{self._label}: cannot be instantiated: {_one_line(error)}{needs}"
             ) from error
         self._instance = instance
         self._finalizer = weakref.finalize(self, instance.free)
@@ -435,3 +435,7 @@ def _terminate(instance: Instance) -> None:
         instance.terminate()
     except CallError:
         return
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:300] or type(error).__name__

@@ -10,9 +10,9 @@ from typing import Any
 
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
-from ddpc_cosim.fmu.defects import Defect, Findings, Kind, Severity
 from ddpc_cosim.fmu.description import INTERFACES, FMUDescription, FMUVariable, Interface
-from ddpc_cosim.fmu.reader import read_tolerantly
+from ddpc_cosim.fmu.description.defects import Defect, Findings, Kind, Severity
+from ddpc_cosim.fmu.description.reader import read_tolerantly
 from ddpc_cosim.inspection.binaries import Binaries, check_binaries
 from ddpc_cosim.inspection.checks import check_description
 from ddpc_cosim.variables import Variable

@@ -9,8 +9,8 @@ from typing import Literal
 
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.build import described_sources, has_sources
-from ddpc_cosim.fmu.defects import Findings, Kind, Severity
 from ddpc_cosim.fmu.description import FMUDescription, Interface, InterfaceKind
+from ddpc_cosim.fmu.description.defects import Findings, Kind, Severity
 from ddpc_cosim.fmu.library import library_extension, library_in, listed, platform_folders, platforms
 
 Route = Literal["binary", "sources", ""]

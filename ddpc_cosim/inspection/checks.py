@@ -4,8 +4,8 @@ import re
 from collections import defaultdict
 
 from ddpc_cosim.fmu.archive import is_file_name
-from ddpc_cosim.fmu.defects import BAD_EXPERIMENT, Findings, Kind, Severity
 from ddpc_cosim.fmu.description import INTERFACES, FMUDescription, FMUVariable
+from ddpc_cosim.fmu.description.defects import BAD_EXPERIMENT, Findings, Kind, Severity
 
 _C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 

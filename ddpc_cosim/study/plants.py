@@ -251,7 +251,7 @@ def _is_plant_class(plugin: Any) -> bool:
 def _fmu_variables(path: Path, fmi_type: FMIType) -> PlantVariables:
     from ddpc_cosim.fmu.archive import unpack
     from ddpc_cosim.fmu.description import choose_interface, choose_signals
-    from ddpc_cosim.fmu.reader import read_description
+    from ddpc_cosim.fmu.description.reader import read_description
 
     if not path.is_file():
         raise FMUImportError(f"{path}: no such file")

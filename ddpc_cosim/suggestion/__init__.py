@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError
-from ddpc_cosim.fmu.defects import Severity
 from ddpc_cosim.fmu.description import FMUDescription, default_signals
+from ddpc_cosim.fmu.description.defects import Severity
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
 from ddpc_cosim.suggestion import design

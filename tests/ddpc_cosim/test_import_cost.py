@@ -97,7 +97,7 @@ def test_a_study_of_an_fmu_is_read_without_the_fmu_runtime(tmp_path: Path, pendu
     (tmp_path / "study.toml").write_text(STUDY.format(fmu=pendulum_fmu.as_posix()), encoding="utf-8")
     code = "from ddpc_cosim.study.reading import read_study\nread_study('study.toml')"
     loaded = modules_after(code, tmp_path)
-    assert "ddpc_cosim.fmu.reader" in loaded
+    assert "ddpc_cosim.fmu.description.reader" in loaded
     assert not loaded & FMU_RUNTIME
 
 

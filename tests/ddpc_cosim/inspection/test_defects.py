@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ddpc_cosim import CosimError, CosimWarning, FMUPlant
-from ddpc_cosim.fmu.defects import Severity
+from ddpc_cosim.fmu.description.defects import Severity
 from ddpc_cosim.inspection import inspect_fmu
 
 FMI2, FMI3 = "2.0", "3.0"

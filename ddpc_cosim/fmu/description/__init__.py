@@ -9,7 +9,7 @@ from itertools import product
 from typing import Literal
 
 from ddpc_cosim.errors import ConfigError, FMUImportError, did_you_mean
-from ddpc_cosim.fmu.variable_types import Values, values_of
+from ddpc_cosim.fmu.description.variable_types import Values, values_of
 from ddpc_cosim.variables import DisplayUnit, Variable
 
 InterfaceKind = Literal["co-simulation", "model-exchange"]

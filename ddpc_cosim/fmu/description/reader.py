@@ -1,0 +1,280 @@
+"""Reading modelDescription.xml of FMI 1.0, 2.0 and 3.0: once, and tolerantly.
+
+What contradicts the standard but can be understood is read as it must be meant. Whatever is ignored, replaced
+or assumed on the way is noted as a defect; FMPy's validator is an extra check of ``inspect --strict``.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from ddpc_cosim.errors import FMUImportError
+from ddpc_cosim.fmu.archive import MODEL_DESCRIPTION, read_xml
+from ddpc_cosim.fmu.description import (
+    INTERFACES,
+    DefaultExperiment,
+    FMUDescription,
+    Interface,
+    InterfaceKind,
+    defects,
+    number,
+)
+from ddpc_cosim.fmu.description.defects import Findings, Severity
+from ddpc_cosim.fmu.description.variables import (
+    Element,
+    VariableReader,
+    integer,
+    is_number,
+    is_true,
+    noted_number,
+)
+from ddpc_cosim.variables import DisplayUnit
+
+
+def read_description(folder: Path, label: str) -> FMUDescription:
+    """Read the model description of an unpacked FMU that is to run.
+
+    Parameters
+    ----------
+    folder : Path
+        The unpacked FMU.
+    label : str
+        The FMU's file name, for errors.
+
+    Raises
+    ------
+    FMUImportError
+        It cannot run; all errors of the description at once.
+    """
+    findings = Findings()
+    description = read_tolerantly(folder, label, findings)
+    errors = [str(defect) for defect in findings if defect.severity is Severity.ERROR]
+    if description is None or errors:
+        raise FMUImportError(f"{label}: {MODEL_DESCRIPTION}: {'; '.join(errors)}")
+    warnings = [str(defect) for defect in findings if defect.severity is Severity.WARNING]
+    return replace(description, warnings=tuple(f"{MODEL_DESCRIPTION}: {warning}" for warning in warnings))
+
+
+def read_tolerantly(folder: Path, label: str, findings: Findings) -> FMUDescription | None:
+    """Read the model description of an unpacked FMU as far as it can be understood.
+
+    Parameters
+    ----------
+    folder : Path
+        The unpacked FMU.
+    label : str
+        The FMU's file name, for errors.
+    findings : Findings
+        Where the defects that are met are noted; with one that is an error, the FMU cannot run.
+
+    Returns
+    -------
+    FMUDescription or None
+        None for an unknown FMI version.
+
+    Raises
+    ------
+    FMUImportError
+        There is no model description, it is not XML, or it may do harm.
+    """
+    if not (folder / MODEL_DESCRIPTION).is_file():
+        raise FMUImportError(f"{label}: not an FMU: the archive has no {MODEL_DESCRIPTION}")
+    root, overlooked = read_xml(folder / MODEL_DESCRIPTION, f"{label}: {MODEL_DESCRIPTION}")
+    for what in overlooked:
+        findings.add(defects.REPAIRED, what)
+    if root.tag.startswith("{"):  # FMI knows no namespaces, some tools do
+        findings.add(defects.REPAIRED, "XML namespaces were left out")
+        for element in root.iter():
+            element.tag = element.tag.rpartition("}")[2]
+    if "fmiVersion" not in root.attrib:
+        raise FMUImportError(f"{label}: {MODEL_DESCRIPTION} cannot be read: <{root.tag}> has no fmiVersion")
+    version = _version(root.get("fmiVersion"), findings)
+    return _Reading(root, version, findings).description() if version else None
+
+
+def _version(text: str, findings: Findings) -> str:
+    """Return the FMI version; empty if it is unknown."""
+    if text.startswith("3."):
+        return text
+    version = {"1": "1.0", "2": "2.0", "3": "3.0"}.get(text.strip()[:1], "")
+    if not version:
+        findings.add(defects.UNKNOWN_VERSION, f'fmiVersion = "{text}"')
+    elif version != text:
+        findings.add(defects.REPAIRED, f'fmiVersion "{text}" was read as {version}')
+    return version
+
+
+class _Structure(NamedTuple):
+    """The model structure, by names of variables."""
+
+    dependencies: dict[str, tuple[str, ...] | None]
+    derivatives: list[str]
+    event_indicators: list[str]
+
+
+class _Reading:
+    """The reading of one description, whose parts refer to each other."""
+
+    def __init__(self, root: Element, version: str, findings: Findings) -> None:
+        self.root, self.version, self.note = root, version, findings.add
+        self.major = int(version[0])
+        self.units = dict(self._units())
+        reader = VariableReader(root, self.major, self.units, self.note)
+        self.variables = reader.variables()
+        self.names = reader.names(self.variables)
+
+    def description(self) -> FMUDescription:
+        """Return what has been read."""
+        root, structure = self.root, self._structure()
+        states = self._size(structure.derivatives) if self.major > 1 else self._fmi1_states()
+        indicators = self._integer("numberOfEventIndicators") + self._size(structure.event_indicators)
+        return FMUDescription(
+            fmi_version=self.version,
+            guid=root.get("instantiationToken" if self.major == 3 else "guid", ""),
+            model_name=root.get("modelName", ""),
+            variables=self.variables,
+            interfaces=self._interfaces(),
+            generation_tool=root.get("generationTool") or "unknown",
+            generated_at=root.get("generationDateAndTime", ""),
+            author=root.get("author", ""),
+            version=root.get("version", ""),
+            copyright=root.get("copyright", ""),
+            license=root.get("license", ""),
+            text=root.get("description", ""),
+            continuous_states=states,
+            event_indicators=indicators,
+            derivatives=tuple(structure.derivatives),
+            default_experiment=self._experiment(),
+            display_units=self.units,
+            dependencies=structure.dependencies,
+            source_files=self._source_files(),
+        )
+
+    def _interfaces(self) -> dict[str, Interface]:
+        if self.major == 1:  # which has one of them, and other words for what it can do
+            is_slave = self.root.find("Implementation") is not None
+            kind: InterfaceKind = "co-simulation" if is_slave else "model-exchange"
+            identifier = self.root.get("modelIdentifier", "")
+            return {kind: Interface(kind, identifier, needs_completed_step=False)}
+        found: dict[str, Interface] = {
+            k: self._interface(k, e) for k, tag in INTERFACES.items() for e in self.root.findall(tag)
+        }
+        if not found:
+            offered = self.root.find("ScheduledExecution")
+            self.note(defects.NO_INTERFACE, "no interface at all" if offered is None else offered.tag)
+        return found
+
+    def _interface(self, kind: InterfaceKind, element: Element) -> Interface:
+        is_fmi3, is_slave = self.major == 3, kind == "co-simulation"
+
+        def can(fmi2: str, fmi3: str = "") -> bool:
+            return is_true(element.get(fmi3 if fmi3 and is_fmi3 else fmi2))
+
+        fixed_step = element.get("fixedInternalStepSize") if is_slave and is_fmi3 else None
+        tells_steps = can("needsCompletedIntegratorStep")
+        if not is_fmi3:
+            tells_steps = not can("completedIntegratorStepNotNeeded")
+        return Interface(
+            kind=kind,
+            model_identifier=element.get("modelIdentifier", ""),
+            needs_execution_tool=can("needsExecutionTool"),
+            only_one_instance=can("canBeInstantiatedOnlyOncePerProcess"),
+            can_save_state=can("canGetAndSetFMUstate", "canGetAndSetFMUState"),
+            can_serialize_state=can("canSerializeFMUstate", "canSerializeFMUState"),
+            provides_directional_derivatives=can(
+                "providesDirectionalDerivative", "providesDirectionalDerivatives"
+            ),
+            variable_step=not is_slave or can("canHandleVariableCommunicationStepSize"),
+            fixed_step=noted_number(self.note, kind, "fixedInternalStepSize", fixed_step, 0.0) or None,
+            has_event_mode=is_slave and is_fmi3 and can("hasEventMode"),
+            needs_completed_step=tells_steps and not is_slave,
+        )
+
+    def _source_files(self) -> dict[str, tuple[str, ...]]:
+        """Return the source files by model identifier; FMI 3.0 has a file of its own for them."""
+        found: dict[str, tuple[str, ...]] = {}
+        for tag in ("ModelExchange", "CoSimulation"):
+            for interface in self.root.findall(tag):
+                names = tuple(file.get("name", "") for file in interface.iterfind("SourceFiles/File"))
+                if names:
+                    found.setdefault(interface.get("modelIdentifier", ""), names)
+        return found
+
+    def _fmi1_states(self) -> int:
+        if self.root.get("numberOfContinuousStates") is None:
+            self.note(defects.REPAIRED, "numberOfContinuousStates is missing, read as 0")
+        return self._integer("numberOfContinuousStates")
+
+    def _size(self, names: Iterable[str]) -> int:
+        """Return the number of scalars in some variables."""
+        return sum(math.prod(self.variables[name].shape) for name in names)
+
+    def _experiment(self) -> DefaultExperiment:
+        found = self.root.findall("DefaultExperiment")
+        attributes = found[-1].attrib if found else {}
+
+        def value(name: str) -> float | None:
+            text = attributes.get(name)
+            if text is not None and not is_number(text):
+                self.note(defects.BAD_EXPERIMENT, f'{name} = "{text}"')
+            given = number(text, math.nan)
+            return given if math.isfinite(given) else None
+
+        return DefaultExperiment(value("startTime"), value("stopTime"), value("tolerance"), value("stepSize"))
+
+    def _units(self) -> Iterator[tuple[str, tuple[DisplayUnit, ...]]]:
+        """Yield the units that are defined, each with its display units."""
+        tag, shown, factor = "DisplayUnit", "name", "factor"
+        if self.major == 1:
+            tag, shown, factor = "DisplayUnitDefinition", "displayUnit", "gain"
+        for unit in self.root.iterfind("UnitDefinitions/*"):
+            display_units = [
+                DisplayUnit(
+                    name := element.get(shown, ""),
+                    noted_number(self.note, name, factor, element.get(factor), 1.0),
+                    noted_number(self.note, name, "offset", element.get("offset"), 0.0),
+                )
+                for element in unit.iterfind(tag)
+                if not is_true(element.get("inverse"))  # of the reciprocal value (FMI 3.0): not known here
+            ]
+            yield unit.get("unit" if self.major == 1 else "name", ""), tuple(display_units)
+
+    def _structure(self) -> _Structure:
+        structure = _Structure({}, [], [])
+        for part in self.root.iterfind("ModelStructure/*"):
+            for unknown in [part] if self.major == 3 else part.iterfind("Unknown"):
+                written = unknown.get("valueReference" if self.major == 3 else "index", "")
+                name = self.names.get(integer(written))
+                if name is None:
+                    self.note(defects.BAD_STRUCTURE, f'{part.tag}: "{written}"')
+                    continue
+                dependencies = self._dependencies(f"{part.tag} {written}", unknown)
+                if part.tag in ("Outputs", "Output"):
+                    structure.dependencies[name] = dependencies
+                elif part.tag in ("Derivatives", "ContinuousStateDerivative"):
+                    structure.derivatives.append(name)
+                elif part.tag == "EventIndicator":
+                    structure.event_indicators.append(name)
+        return structure
+
+    def _dependencies(self, where: str, unknown: Element) -> tuple[str, ...] | None:
+        """Return the variables that one depends on; None where that is not known."""
+        written = unknown.get("dependencies")
+        if written is None:
+            return None
+        found = {text: self.names.get(integer(text)) for text in written.split()}
+        wrong = [text for text, name in found.items() if name is None]
+        if wrong:
+            self.note(defects.BAD_DEPENDENCY, f"{where}: {', '.join(wrong)}")
+            return None
+        return tuple(name for name in found.values() if name is not None)
+
+    def _integer(self, attribute: str) -> int:
+        """Return a number of the root element, 0 for none."""
+        written = self.root.get(attribute)
+        found = integer(written)
+        if written is not None and found is None:
+            self.note(defects.NOT_A_NUMBER, f'{attribute} = "{written}"')
+        return max(found or 0, 0)
