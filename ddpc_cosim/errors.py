@@ -80,7 +80,7 @@ class FMUStepError(CosimError):
     def __init__(self, message: str, status: StepStatus, time: float) -> None:
         super().__init__(message)
         self.message = message
-        self.status = status
+        self.status = StepStatus(status)
         self.time = time
 
     def __reduce__(self) -> tuple[type["FMUStepError"], tuple[str, StepStatus, float]]:

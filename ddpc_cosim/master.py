@@ -5,7 +5,7 @@ At every sample the plant is measured, the controller decides, the row is writte
 inputs until the next sample. The experiment that records data is the same loop with an exciting controller.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -30,6 +30,7 @@ from ddpc_cosim.loop_setup import (
     whole_steps,
 )
 from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.rows import RowStore
 from ddpc_cosim.safe_calls import (
     NotFiniteError,
     ask_controller,
@@ -58,9 +59,6 @@ OUTCOME_OF = {
 # A sample time can lie a rounding error before the instant it stands for; in sampling times.
 _EARLY = 1e-6
 
-ProgressReport = Callable[[int, int], None]
-"""Called now and then with the samples done and the samples planned."""
-
 
 def cosimulate(
     plant: Plant,
@@ -81,7 +79,7 @@ def cosimulate(
     seed: int = 0,
     start_time: float = 0.0,
     continue_recording: bool = False,
-    progress: ProgressReport | None = None,
+    store: RowStore | None = None,
 ) -> Trace:
     """Run one closed loop of a plant and a controller.
 
@@ -119,8 +117,8 @@ def cosimulate(
         Time of the first sample [s].
     continue_recording : bool
         Close the loop where the experiment ended instead of starting from rest.
-    progress : callable, optional
-        Called now and then with the samples done and planned.
+    store : RowStore, optional
+        Where the rows are written, one per sample of this loop; default: in memory.
 
     Returns
     -------
@@ -165,8 +163,9 @@ def cosimulate(
     start_controller(controller, loop)
     settings, provenance = controller_settings(controller), plant_provenance(plant)
     time = start_time + np.arange(steps + 1 + controller.horizon, dtype=np.float64) * sampling_time
-    rows = _Rows(loop, time, setup.references(reference, time), steps + 1, controller.horizon)
-    outcome, reason = _closed_loop(setup, controller, rows, y_plant, events, progress)
+    table = setup.references(reference, time)
+    rows = _Rows(loop, time, table, steps + 1, controller.horizon, store)
+    outcome, reason = _closed_loop(setup, controller, rows, y_plant, events)
     try:
         diagnostics = controller_diagnostics(controller) | diagnostics
     except ControllerError as error:
@@ -285,7 +284,7 @@ def _experiment(
         raise DivergenceError(f"the plant diverged during the {kind} experiment, {when}: {error}") from error
     except ControllerError as error:
         raise ControllerError(f"{error}, during the experiment, at t = {rows.last_time:g} s") from error
-    recording = Recording(rows.u, np.array(exciting.seen), rows.measured, sampling_time)
+    recording = Recording(rows.store.u, np.array(exciting.seen), rows.store.measured, sampling_time)
     return _Experiment(recording, y_plant, exciting.fallbacks)
 
 
@@ -295,17 +294,27 @@ def _no_bounds(loop: Loop) -> Bounds:
 
 
 class _Rows:
-    """The rows of a run, allocated before it."""
+    """The rows of a run, with the time and the references that controllers may look at."""
 
-    def __init__(self, loop: Loop, time: FloatArray, reference: FloatArray, rows: int, horizon: int) -> None:
+    def __init__(
+        self,
+        loop: Loop,
+        time: FloatArray,
+        reference: FloatArray,
+        rows: int,
+        horizon: int,
+        store: RowStore | None = None,
+    ) -> None:
         self.time, self.reference, self.horizon = time[:rows], reference, horizon
         self.start, self.sampling_time, self.bounds = float(time[0]), loop.sampling_time, loop.bounds
-        self.y = np.empty((rows, len(loop.outputs)))
-        self.measured = np.empty((rows, len(loop.measurements)))
-        self.u = np.full((rows, len(loop.inputs)), np.nan)
-        self.solve_time = np.full(rows, np.nan)
-        self.status = [OK] * rows
-        self.count = 0
+        columns = len(loop.outputs), len(loop.measurements), len(loop.inputs)
+        self.store = store or RowStore(rows, *columns)
+        self.store.reference[:] = reference[:rows]
+
+    @property
+    def count(self) -> int:
+        """How many rows have been begun."""
+        return self.store.count
 
     @property
     def last_time(self) -> float:
@@ -319,16 +328,7 @@ class _Rows:
 
     def written(self) -> dict[str, Any]:
         """Return the rows up to the last one that was written."""
-        n = self.count
-        return {
-            "time": self.time[:n],
-            "reference": self.reference[:n],
-            "y": self.y[:n],
-            "measured": self.measured[:n],
-            "u": self.u[:n],
-            "status": tuple(self.status[:n]),
-            "solve_time": self.solve_time[:n],
-        }
+        return {"time": self.time[: self.count], **self.store.written()}
 
 
 def _closed_loop(
@@ -337,11 +337,10 @@ def _closed_loop(
     rows: _Rows,
     y_plant: FloatArray,
     events: Sequence[ParameterChange],
-    progress: ProgressReport | None,
 ) -> tuple[Outcome, str]:
     """Run to the end and return how it ended; faults during the run are outcomes, not exceptions."""
     try:
-        _run(setup, controller, rows, y_plant, events=events, progress=progress)
+        _run(setup, controller, rows, y_plant, events=events)
     except ConfigError as error:  # the plant refuses an event
         if rows.count == 0:
             raise
@@ -362,7 +361,6 @@ def _run(
     y_plant: FloatArray,
     *,
     events: Sequence[ParameterChange] = (),
-    progress: ProgressReport | None = None,
     hold_last: bool = False,
 ) -> FloatArray:
     """Run sample by sample and return the plant's last outputs: those of the last row, or after it."""
@@ -373,10 +371,8 @@ def _run(
         while pending and pending[0].time <= time + _EARLY * h:
             set_plant_parameters(plant, pending.pop(0).parameters, time)
         _write_row(setup, controller, rows, k, y_plant)
-        if progress is not None:
-            progress(k, last)
         if k < last or hold_last:
-            y_plant = step_plant(plant, rows.u[k].copy(), h, time)  # a plant may use its inputs up
+            y_plant = step_plant(plant, rows.store.u[k].copy(), h, time)  # a plant may use its inputs up
             require_finite(y_plant, plant)
     return y_plant
 
@@ -384,13 +380,7 @@ def _run(
 def _write_row(setup: LoopSetup, controller: Controller, rows: _Rows, k: int, y_plant: FloatArray) -> None:
     """Measure the plant at sample k, let the controller decide, and keep both in row k."""
     y, measured = setup.measure(y_plant)
-    rows.y[k] = setup.controlled(y_plant)
-    rows.measured[k] = measured
-    rows.count = k + 1
+    rows.store.begin(k, setup.controlled(y_plant), measured)
     sample = Sample(k, float(rows.time[k]), y, measured, rows.reference[k + 1 : k + 1 + rows.horizon])
-    try:
-        decision = ask_controller(controller, sample, rows.u.shape[1])
-    except ControllerError:
-        rows.status[k] = "error"
-        raise
-    rows.u[k], rows.status[k], rows.solve_time[k] = clip_inputs(decision, rows.bounds)
+    decision = ask_controller(controller, sample, rows.store.u.shape[1])
+    rows.store.complete(k, *clip_inputs(decision, rows.bounds))

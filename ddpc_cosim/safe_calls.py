@@ -41,6 +41,24 @@ class NotFiniteError(Exception):
     """The plant returned a value that is not finite."""
 
 
+Announce = Callable[[str, str, float], None]
+"""Called when a call begins, with ``"plant"`` or ``"controller"``, the method and the time of the run [s];
+and when it has returned, with empty names."""
+
+
+def _announce_to_nobody(who: str, call: str, time: float) -> None:
+    """Do nothing."""
+
+
+_announce: Announce = _announce_to_nobody
+
+
+def announce_calls(announce: Announce) -> None:
+    """Have all calls of this process announced: a process that watches it sees which one does not return."""
+    global _announce
+    _announce = announce
+
+
 def make_plant(make: Callable[[], Plant]) -> Plant:
     """Make a plant, which may raise any CosimError itself."""
     with _plant_errors(getattr(make, "__name__", repr(make)) + "()", own=CosimError):
@@ -144,6 +162,7 @@ _Own = type[Exception] | tuple[type[Exception], ...]
 @contextmanager
 def _plant_errors(call: str, time: float = math.nan, own: _Own = FMUStepError) -> Iterator[None]:
     """Raise an FMUStepError for anything that a plant raises, except its ``own`` errors."""
+    _announce("plant", call.rpartition(".")[2], time)
     try:
         yield
     except own:
@@ -151,17 +170,22 @@ def _plant_errors(call: str, time: float = math.nan, own: _Own = FMUStepError) -
     except _ANY_FAULT as error:
         when = "" if math.isnan(time) else f" at t = {time:g} s"
         raise FMUStepError(f"{call} {_raised(error)}{when}", StepStatus.CRASHED, time) from error
+    finally:
+        _announce("", "", math.nan)
 
 
 @contextmanager
 def _controller_errors(controller: Controller, call: str, own: _Own = ()) -> Iterator[None]:
     """Raise a ControllerError for anything that a controller raises, except its ``own`` errors."""
+    _announce("controller", call, math.nan)
     try:
         yield
     except own:
         raise
     except _ANY_FAULT as error:
         raise ControllerError(f"{type(controller).__name__}.{call} {_raised(error)}") from error
+    finally:
+        _announce("", "", math.nan)
 
 
 def _outputs(plant: Plant, call: str, y: NDArray[Any], time: float) -> FloatArray:

@@ -1,6 +1,7 @@
 """An FMU behind the plant contract."""
 
 import hashlib
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,13 +13,16 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError, did_you_mean
 from ddpc_cosim.fmu.archive import UnpackLimits
 from ddpc_cosim.fmu.description import FMUDescription
+from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
-from ddpc_cosim.fmu.session import FMUSession
+from ddpc_cosim.fmu.session import FMUSession, unpack_fmu
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
+from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.variables import FloatArray, Variable, names, with_display_units
 
 _KIND = {"co-simulation": "Co-Simulation", "model-exchange": "Model Exchange"}
 _DEFAULTS = UnpackLimits()
+_STOP_MARGIN = 1e-3
 
 
 class FMUPlant(Plant):
@@ -86,58 +90,62 @@ class FMUPlant(Plant):
         self.path = Path(path)
         if not self.path.is_file():
             raise FMUImportError(f"{self.path}: no such file")
+        if not 0 < step_timeout < math.inf:
+            raise ConfigError(f"step_timeout = {step_timeout} is not possible; allowed: a finite number > 0")
         self._sha256 = hashlib.sha256(self.path.read_bytes()).hexdigest()
-        limits = UnpackLimits(max_unpacked_size, max_files)
-        if isolated:
-            from ddpc_cosim.fmu.isolation import IsolatedSession
-
-            self._session: FMUSession | IsolatedSession = IsolatedSession(
-                self.path,
-                inputs=inputs,
-                outputs=outputs,
-                fmi_type=fmi_type,
-                tolerance=tolerance,
-                unpack_limits=limits,
-                step_timeout=step_timeout,
-            )
-        else:
-            self._session = FMUSession(
-                self.path,
-                inputs=inputs,
-                outputs=outputs,
-                fmi_type=fmi_type,
-                tolerance=tolerance,
-                unpack_limits=limits,
-            )
+        self._scratch = ScratchFolder()
         try:
+            self._fmu = unpack_fmu(
+                self.path,
+                self._scratch.path,
+                inputs=inputs,
+                outputs=outputs,
+                fmi_type=fmi_type,
+                tolerance=tolerance,
+                limits=UnpackLimits(max_unpacked_size, max_files),
+            )
             self.inputs, self.outputs = self._shown_in(display_units or {})
-            for warning in self._session.warnings:  # where warnings are errors, they end it here
+            self.warnings = self._fmu.warnings
+            for warning in self.warnings:  # where warnings are errors, they end it here
                 warnings.warn(f"{self.path.name}: {warning}", CosimWarning, stacklevel=2)
         except BaseException:
-            self._session.close()
+            self._scratch.remove()
             raise
+        self._session: FMUSession | IsolatedSession
+        if isolated:
+            self._session = IsolatedSession(self._fmu, self._scratch.path, step_timeout)
+        else:
+            self._session = FMUSession(self._fmu)
+        self._stop_time: float | None = None
         self._step = self._session.step
 
     def _shown_in(self, units: Mapping[str, str]) -> tuple[tuple[Variable, ...], tuple[Variable, ...]]:
         """Return inputs and outputs with the display units that are asked for."""
-        inputs, outputs = self._session.inputs, self._session.outputs
+        inputs, outputs = ([s.variable for s in group] for group in (self._fmu.inputs, self._fmu.outputs))
         unknown = [name for name in units if name not in names((*inputs, *outputs))]
         if unknown:
             known = did_you_mean(unknown[0], names((*inputs, *outputs)))
             raise ConfigError(f'{self.path.name}: display_units: no signal "{unknown[0]}"; {known}')
-        defined = self._session.description.display_units
+        defined = self.description.display_units
         return with_display_units(inputs, units, defined), with_display_units(outputs, units, defined)
 
     def plan(self, sampling_time: float, stop_time: float) -> None:
         """Tell the FMU's stop time, and refuse a sampling time that its step size does not allow."""
-        self._session.plan(sampling_time, stop_time)
+        substeps = self._fmu.substeps(sampling_time)
+        warning = (
+            f"the FMU's step size is fixed: {substeps} steps of {sampling_time / substeps:g} s per sample"
+        )
+        if substeps > 1 and warning not in self.warnings:
+            self.warnings += (warning,)
+        # A little later than the last sample: rounding must not make the last step an illegal one.
+        self._stop_time = stop_time + _STOP_MARGIN * sampling_time
 
     def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
         """Instantiate the FMU anew, initialise it at ``t0`` and return the outputs, shape (p,).
 
         Besides parameters, start values (initial states) and inputs that are not driven can be given.
         """
-        return self._session.reset(parameters, t0)
+        return self._session.reset(parameters or {}, t0, self._stop_time)
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
@@ -150,9 +158,7 @@ class FMUPlant(Plant):
     @property
     def can_linearise(self) -> bool:
         """Whether :meth:`linearise` works if the FMU is opened for Model Exchange."""
-        signals = ([self.description.signal(v.name) for v in group] for group in (self.inputs, self.outputs))
-        inputs, outputs = ([signal for signal in group if signal is not None] for group in signals)
-        return not linearisation_faults(self.description, inputs, outputs)
+        return not linearisation_faults(self.description, self._fmu.inputs, self._fmu.outputs)
 
     def linearise(
         self, u: FloatArray | Sequence[float] | None = None, *, derivatives: Derivatives = "auto"
@@ -196,7 +202,7 @@ class FMUPlant(Plant):
     @property
     def can_save_state(self) -> bool:
         """Whether the FMU says that its state can be saved."""
-        return self._session.can_save_state
+        return self._fmu.interface.can_save_state
 
     def save_state(self) -> object:
         """Return a copy of the FMU's state, for :meth:`restore_state` until the next reset."""
@@ -208,17 +214,15 @@ class FMUPlant(Plant):
 
     def close(self) -> None:
         """Terminate and free the FMU and remove its temporary folder."""
-        self._session.close()
+        try:
+            self._session.close()
+        finally:
+            self._scratch.remove()
 
     @property
     def description(self) -> FMUDescription:
         """What the FMU says about itself."""
-        return self._session.description
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the FMU but does not keep it from running."""
-        return self._session.warnings
+        return self._fmu.description
 
     @property
     def time(self) -> float:
@@ -233,7 +237,7 @@ class FMUPlant(Plant):
             "fmu": self.path.name,
             "fmu_sha256": self._sha256,
             "fmu_guid": description.guid,
-            "fmi_version": f"{description.fmi_version} {_KIND[self._session.interface.kind]}",
+            "fmi_version": f"{description.fmi_version} {_KIND[self._fmu.interface.kind]}",
             "fmu_model": description.model_name,
             "fmu_tool": description.generation_tool,
             **told,

@@ -1,11 +1,13 @@
-"""One FMU in this process: what :class:`FMUPlant` and the isolated child process drive.
+"""One FMU: unpacked and described, and a session of it in this process.
 
-Call order: ``plan`` (optional), ``reset`` once per run, then ``step`` with ``set_parameters``, ``save_state``
-and ``restore_state`` between two steps, and ``close`` at the end.
+Call order: ``reset`` once per run, then ``step`` with ``set_parameters``, ``save_state`` and
+``restore_state`` between two steps, and ``close`` at the end.
 """
 
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from weakref import WeakValueDictionary
 
@@ -31,9 +33,7 @@ from ddpc_cosim.fmu.linearisation import (
     linearise,
 )
 from ddpc_cosim.fmu.model_exchange import ModelExchangeRun
-from ddpc_cosim.fmu.output import quiet, step_mute
 from ddpc_cosim.fmu.run import Run
-from ddpc_cosim.fmu.scratch import ScratchFolder
 from ddpc_cosim.fmu.status import DISCARD, FATAL, CallError
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.variables import FloatArray
@@ -47,80 +47,59 @@ _only_ones: WeakValueDictionary[tuple[str, str], Instance] = WeakValueDictionary
 """The instances of FMUs that allow only one in a process."""
 
 
-def make_instance(
-    origin: Origin, description: FMUDescription, interface: Interface, driven: Sequence[Signal]
-) -> Instance:
-    """Load and instantiate the FMU; raises whatever the loader or the FMU says."""
-    key = (interface.model_identifier, description.guid)
-    other = _only_ones.get(key)
-    if interface.only_one_instance and other is not None and other.is_alive:
-        raise RuntimeError(
-            "it allows one instance per process (canBeInstantiatedOnlyOncePerProcess), and there is one; "
-            "close that, or give each a process of its own (isolated=True)"
-        )
-    instance = _new_instance(origin, description, interface, driven)
-    if interface.only_one_instance:
-        _only_ones[key] = instance
-    return instance
-
-
-def _new_instance(
-    origin: Origin, description: FMUDescription, interface: Interface, driven: Sequence[Signal]
-) -> Instance:
-    if interface.kind == "model-exchange":
-        sizes = {"states": description.continuous_states, "event_indicators": description.event_indicators}
-        return _MODELS[description.major](origin, **sizes)
-    # Only inputs that are discrete need event mode; without it the FMU handles its events itself.
-    discrete = any(signal.source.variability == "discrete" for signal in driven)
-    event_mode = {"event_mode": interface.has_event_mode and discrete} if description.major == 3 else {}
-    return _SLAVES[description.major](origin, **event_mode)
-
-
-def start_run(
-    instance: Instance,
-    inputs: Port,
-    outputs: Port,
-    t0: float,
-    *,
-    description: FMUDescription,
-    interface: Interface,
-    tolerance: float | None,
-    label: str,
-) -> Run:
-    """Return the run of an instance that has been initialised."""
-    if isinstance(instance, Model):
-        low, high = _TOLERANCES
-        own = description.default_experiment.tolerance or _DEFAULT_TOLERANCE
-        chosen = tolerance if tolerance is not None else min(max(own, low), high)
-        needs_completed_step = interface.needs_completed_step or description.major == 1
-        return ModelExchangeRun(
-            instance, inputs, outputs, t0, tolerance=chosen, needs_completed_step=needs_completed_step
-        )
-    if isinstance(instance, Slave):
-        steps = StepSizes(description, interface, label)
-        return CoSimulationRun(instance, inputs, outputs, t0, steps.change)
-    raise TypeError(f"{type(instance).__name__} is neither a slave nor a model")
-
-
-_STOP_MARGIN = 1e-3
-
-
-class FMUSession:
-    """One unpacked FMU in this process.
+@dataclass(frozen=True, slots=True)
+class UnpackedFMU:
+    """An FMU in a folder, described; nothing of its library has run.
 
     Parameters
     ----------
-    path : Path
-        The FMU.
-    inputs, outputs : sequence of str, optional
-        Names of the inputs to drive and of the outputs (or local variables) to read; default: all that are
-        real numbers.
-    fmi_type : str
-        ``"co-simulation"``, ``"model-exchange"``, or ``"auto"``: the former if the FMU has it.
-    tolerance : float, optional
-        Relative tolerance of the integration; default: the FMU's own.
-    unpack_limits : UnpackLimits
-        How large the FMU may get when it is unpacked.
+    label : str
+        The FMU's file name, for errors.
+    description : FMUDescription
+        What it says about itself.
+    interface : Interface
+        How it is run.
+    inputs, outputs : tuple of Signal
+        What is driven and what is read.
+    origin : Origin
+        What to load.
+    warnings : tuple of str
+        What is wrong with the FMU but does not keep it from running.
+    tolerance : float or None
+        Relative tolerance of the integration; None: the FMU's own.
+    """
+
+    label: str
+    description: FMUDescription
+    interface: Interface
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    origin: Origin
+    warnings: tuple[str, ...]
+    tolerance: float | None
+
+    def substeps(self, sampling_time: float) -> int:
+        """Return how many communication steps make a sample [s].
+
+        Raises
+        ------
+        ConfigError
+            The FMU's step size does not allow it.
+        """
+        return StepSizes(self.description, self.interface, self.label).substeps(sampling_time)
+
+
+def unpack_fmu(
+    path: Path,
+    folder: Path,
+    *,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    fmi_type: FMIType = "auto",
+    tolerance: float | None = None,
+    limits: UnpackLimits | None = None,
+) -> UnpackedFMU:
+    """Unpack and describe an FMU; parameters as of :class:`FMUPlant`.
 
     Raises
     ------
@@ -129,72 +108,49 @@ class FMUSession:
     ConfigError
         It has no such inputs or outputs; all faults at once.
     """
+    label = path.name
+    unpack(path, folder, limits)
+    description = read_description(folder, label)
+    interface = choose_interface(description, fmi_type, label)
+    library, remarks = find_library(folder, description, interface, label)
+    driven, read = choose_signals(description, label, inputs, outputs)
+    tool = f"the FMU needs the tool that made it: {description.generation_tool}"
+    origin = Origin(
+        folder=folder,
+        library=library,
+        kind=interface.kind,
+        model_identifier=interface.model_identifier,
+        guid=description.guid,
+        model_name=description.model_name or label,
+    )
+    warnings = dict.fromkeys(
+        (*description.warnings, *remarks, *([tool] if interface.needs_execution_tool else []))
+    )
+    return UnpackedFMU(
+        label, description, interface, tuple(driven), tuple(read), origin, tuple(warnings), tolerance
+    )
 
-    def __init__(
-        self,
-        path: Path,
-        *,
-        inputs: Sequence[str] | None = None,
-        outputs: Sequence[str] | None = None,
-        fmi_type: FMIType = "auto",
-        tolerance: float | None = None,
-        unpack_limits: UnpackLimits | None = None,
-    ) -> None:
-        self.path = Path(path)
-        if not self.path.is_file():
-            raise FMUImportError(f"{self.path}: no such file")
-        self._label = self.path.name
-        self._tolerance = tolerance
+
+class FMUSession:
+    """One FMU in this process.
+
+    Parameters
+    ----------
+    fmu : UnpackedFMU
+        The FMU.
+    """
+
+    def __init__(self, fmu: UnpackedFMU) -> None:
+        self.fmu = fmu
         self._instance: Instance | None = None
         self._run: Run | None = None
-        self._scratch = ScratchFolder()
-        folder = self._scratch.path
-        try:
-            unpack(self.path, folder, unpack_limits)
-            self.description = read_description(folder, self._label)
-            self.interface = choose_interface(self.description, fmi_type, self._label)
-            library, remarks = find_library(folder, self.description, self.interface, self._label)
-            self._inputs, self._outputs = choose_signals(self.description, self._label, inputs, outputs)
-        except BaseException:
-            self._scratch.remove()
-            raise
-        self.warnings: tuple[str, ...] = (*self.description.warnings, *remarks)
-        if self.interface.needs_execution_tool:
-            self._warn(f"the FMU needs the tool that made it: {self.description.generation_tool}")
-        self._origin = Origin(
-            folder=folder,
-            library=library,
-            kind=self.interface.kind,
-            model_identifier=self.interface.model_identifier,
-            guid=self.description.guid,
-            model_name=self.description.model_name or self._label,
-        )
-        self.inputs = tuple(signal.variable for signal in self._inputs)
-        self.outputs = tuple(signal.variable for signal in self._outputs)
-        self._mute = step_mute(library.parent)
         self._shapes: Shapes = {}
-        self._stop_time: float | None = None
         self._may_terminate = False
         self._time = 0.0
 
-    def plan(self, sampling_time: float, stop_time: float) -> None:
-        """Say what the coming run will ask: its sampling time and the time of its last sample [s].
-
-        Raises
-        ------
-        ConfigError
-            The FMU cannot run so.
-        """
-        substeps = StepSizes(self.description, self.interface, self._label).substeps(sampling_time)
-        if substeps > 1:
-            self._warn(
-                f"the FMU's step size is fixed: {substeps} steps of {sampling_time / substeps:g} s per sample"
-            )
-        # A little later than the last sample: rounding must not make the last step an illegal one.
-        self._stop_time = stop_time + _STOP_MARGIN * sampling_time
-
-    @quiet()
-    def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
+    def reset(
+        self, parameters: Mapping[str, ParameterValue], t0: float, stop_time: float | None
+    ) -> FloatArray:
         """Instantiate the FMU anew, initialise it at ``t0`` and return the outputs, shape (p,).
 
         Structural parameters are set first, then the other start values, in the state that the standard
@@ -209,34 +165,24 @@ class FMUSession:
         FMUStepError
             It cannot be initialised, or refuses a value.
         """
-        values = StartValues(self.description, self._label, parameters or {}, self._inputs)
-        self._free()
+        fmu = self.fmu
+        values = StartValues(fmu.description, fmu.label, parameters, fmu.inputs)
+        self.close()
         self._time = t0
         instance = self._instantiate()
-        try:
+        with self._told():
             values.set_structural(instance)
             values.set_before_initialization(instance)
-            instance.initialize(t0, self._stop_time, self._tolerance)
+            instance.initialize(t0, stop_time, fmu.tolerance)
             instance.complete_initialization()
             self._may_terminate = True
             self._shapes = values.shapes
-            inputs = Port(instance, self._inputs, values.shapes)
-            outputs = Port(instance, self._outputs, values.shapes)
+            inputs = Port(instance, fmu.inputs, values.shapes)
+            outputs = Port(instance, fmu.outputs, values.shapes)
             inputs.fetch()
-            self._run = start_run(
-                instance,
-                inputs,
-                outputs,
-                t0,
-                description=self.description,
-                interface=self.interface,
-                tolerance=self._tolerance,
-                label=self._label,
-            )
+            self._run = _start_run(fmu, instance, inputs, outputs, t0)
             values.check_taken(instance)
             return self._run.outputs()
-        except CallError as error:
-            raise self._failure(error) from error
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,).
@@ -248,19 +194,12 @@ class FMUSession:
         """
         run = self._run
         if run is None:
-            raise ConfigError(f"{self._label}: step before reset")
-        mute = self._mute
-        if mute is not None:
-            mute.on()
+            raise ConfigError(f"{self.fmu.label}: step before reset")
         try:
             return run.step(u, h)
         except CallError as error:
             raise self._failure(error) from error
-        finally:
-            if mute is not None:
-                mute.off()
 
-    @quiet()
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, and inputs that are not driven, from the next step on.
 
@@ -271,15 +210,12 @@ class FMUSession:
         FMUStepError
             The FMU refuses a value.
         """
-        run = self._started("set_parameters")
-        values = StartValues(self.description, self._label, parameters, self._inputs, tunable_only=True)
-        try:
+        run, fmu = self._started("set_parameters"), self.fmu
+        values = StartValues(fmu.description, fmu.label, parameters, fmu.inputs, tunable_only=True)
+        with self._told():
             run.change(values.set_during_run)
-        except CallError as error:
-            raise self._failure(error) from error
 
-    @quiet()
-    def linearise(self, u: FloatArray | None = None, derivatives: Derivatives = "auto") -> LinearModel:
+    def linearise(self, u: FloatArray | None, derivatives: Derivatives) -> LinearModel:
         """Return the linear model about where the run is, with the inputs u, shape (m,), held from now on.
 
         Raises
@@ -289,41 +225,31 @@ class FMUSession:
         FMUStepError
             The FMU fails beside the point, or a derivative there is not finite.
         """
-        run = self._started("linearise")
-        faults = linearisation_faults(self.description, self._inputs, self._outputs)
+        run, fmu = self._started("linearise"), self.fmu
+        faults = linearisation_faults(fmu.description, fmu.inputs, fmu.outputs)
         if not faults and not isinstance(run, ModelExchangeRun):
             faults = ['the FMU runs for Co-Simulation; open it with fmi_type = "model-exchange"']
         if derivatives not in DERIVATIVES:
             faults.append(f'derivatives = "{derivatives}" is not possible; allowed: {", ".join(DERIVATIVES)}')
-        if u is not None and np.shape(u) != (len(self._inputs),):
-            faults.append(f"u has shape {np.shape(u)}; needed: {len(self._inputs)} numbers")
+        if u is not None and np.shape(u) != (len(fmu.inputs),):
+            faults.append(f"u has shape {np.shape(u)}; needed: {len(fmu.inputs)} numbers")
         if faults or not isinstance(run, ModelExchangeRun):
-            raise ConfigError([f"{self._label}: {fault}" for fault in faults])
-        told = has_directional_derivatives(run.model, self.description, self._shapes)
+            raise ConfigError([f"{fmu.label}: {fault}" for fault in faults])
+        told = has_directional_derivatives(run.model, fmu.description, self._shapes)
         if derivatives == "directional" and not told:
-            raise ConfigError(
-                f"{self._label}: the FMU has no directional derivatives; differences do without"
-            )
-        try:
+            raise ConfigError(f"{fmu.label}: the FMU has no directional derivatives; differences do without")
+        with self._told():
             if u is not None:
                 run.hold(u)
             return linearise(
                 run.model,
-                self._inputs,
-                self._outputs,
+                fmu.inputs,
+                fmu.outputs,
                 self._shapes,
-                self.description,
+                fmu.description,
                 directional=told and derivatives != "differences",
             )
-        except CallError as error:
-            raise self._failure(error) from error
 
-    @property
-    def can_save_state(self) -> bool:
-        """Whether the FMU says that its state can be saved."""
-        return self.interface.can_save_state
-
-    @quiet()
     def save_state(self) -> object:
         """Return a copy of the FMU's state, for :meth:`restore_state` of the same run.
 
@@ -335,14 +261,12 @@ class FMUSession:
             It fails to.
         """
         run = self._started("save_state")
-        if not self.can_save_state:
-            raise ConfigError(f"{self._label}: the FMU cannot save its state (canGetAndSetFMUstate is false)")
-        try:
+        if not self.fmu.interface.can_save_state:
+            reason = "the FMU cannot save its state (canGetAndSetFMUstate is false)"
+            raise ConfigError(f"{self.fmu.label}: {reason}")
+        with self._told():
             return run.save_state()
-        except CallError as error:
-            raise self._failure(error) from error
 
-    @quiet()
     def restore_state(self, state: object) -> None:
         """Go back to a saved state of this run.
 
@@ -354,10 +278,8 @@ class FMUSession:
             The FMU fails to.
         """
         run = self._started("restore_state")
-        try:
+        with self._told():
             run.restore_state(state)
-        except CallError as error:
-            raise self._failure(error) from error
 
     @property
     def time(self) -> float:
@@ -366,36 +288,47 @@ class FMUSession:
 
     @property
     def log(self) -> tuple[str, ...]:
-        """What the FMU has said last."""
+        """What the FMU has logged last."""
         return tuple(self._instance.log.lines) if self._instance is not None else ()
 
-    @quiet()
     def close(self) -> None:
-        """Terminate and free the FMU and remove its temporary folder."""
-        self._free()
-        self._scratch.remove()
-
-    def _warn(self, warning: str) -> None:
-        if warning not in self.warnings:
-            self.warnings += (warning,)
+        """Terminate and free the FMU."""
+        run, instance = self._run, self._instance
+        self._run = self._instance = None
+        if run is not None:
+            run.end()
+        if instance is not None:
+            if self._may_terminate:  # not before the end of the initialisation, nor after an error
+                with suppress(CallError):  # without consequences: nothing but freeing follows
+                    instance.terminate()
+            self._finalizer()
+        self._may_terminate = False
 
     def _started(self, what: str) -> Run:
         if self._run is None:
-            raise ConfigError(f"{self._label}: {what} before reset")
+            raise ConfigError(f"{self.fmu.label}: {what} before reset")
         return self._run
 
     def _instantiate(self) -> Instance:
+        """Load and instantiate the FMU."""
+        fmu = self.fmu
         try:
-            instance = make_instance(self._origin, self.description, self.interface, self._inputs)
+            instance = _make_instance(fmu)
         except Exception as error:  # FMPy raises plain exceptions for whatever the loader or the FMU says
-            tool = self.description.generation_tool
-            needs = f"; it needs {tool} on this machine" if self.interface.needs_execution_tool else ""
-            raise FMUImportError(
-                f"{self._label}: cannot be instantiated: {_one_line(error)}{needs}"
-            ) from error
+            tool = fmu.description.generation_tool
+            needs = f"; it needs {tool} on this machine" if fmu.interface.needs_execution_tool else ""
+            raise FMUImportError(f"{fmu.label}: cannot be instantiated: {_one_line(error)}{needs}") from error
         self._instance = instance
         self._finalizer = weakref.finalize(self, instance.free)
         return instance
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Turn a call that failed into an error of the contract."""
+        try:
+            yield
+        except CallError as error:
+            raise self._failure(error) from error
 
     def _failure(self, error: CallError) -> FMUStepError:
         details = "; the FMU asks to terminate" if error.asks_to_terminate else ""
@@ -405,18 +338,7 @@ class FMUSession:
             self._abandon()
         elif error.code != DISCARD:
             self._may_terminate = False
-        return FMUStepError(f"{self._label}: {error} at t = {time:g} s{details}", error.status, time)
-
-    def _free(self) -> None:
-        run, instance = self._run, self._instance
-        self._run = self._instance = None
-        if run is not None:
-            run.end()
-        if instance is not None:
-            if self._may_terminate:  # not before the end of the initialisation, nor after an error
-                _terminate(instance)
-            self._finalizer()
-        self._may_terminate = False
+        return FMUStepError(f"{self.fmu.label}: {error} at t = {time:g} s{details}", error.status, time)
 
     def _abandon(self) -> None:
         """Let go of an instance that no function may be called on any more (FMI: status fatal)."""
@@ -429,12 +351,44 @@ class FMUSession:
         self._run = self._instance = None
 
 
-def _terminate(instance: Instance) -> None:
-    """Terminate; a failure has no consequences, as nothing but freeing follows."""
-    try:
-        instance.terminate()
-    except CallError:
-        return
+def _make_instance(fmu: UnpackedFMU) -> Instance:
+    """Load and instantiate an FMU; raises whatever the loader or the FMU says."""
+    description, interface = fmu.description, fmu.interface
+    key = (interface.model_identifier, description.guid)
+    other = _only_ones.get(key)
+    if interface.only_one_instance and other is not None and other.is_alive:
+        raise RuntimeError(
+            "it allows one instance per process (canBeInstantiatedOnlyOncePerProcess), and there is one; "
+            "close that, or give each a process of its own (isolated=True)"
+        )
+    instance: Instance
+    if interface.kind == "model-exchange":
+        sizes = {"states": description.continuous_states, "event_indicators": description.event_indicators}
+        instance = _MODELS[description.major](fmu.origin, **sizes)
+    else:
+        # Only inputs that are discrete need event mode; without it the FMU handles its events itself.
+        discrete = any(signal.source.variability == "discrete" for signal in fmu.inputs)
+        event_mode = {"event_mode": interface.has_event_mode and discrete} if description.major == 3 else {}
+        instance = _SLAVES[description.major](fmu.origin, **event_mode)
+    if interface.only_one_instance:
+        _only_ones[key] = instance
+    return instance
+
+
+def _start_run(fmu: UnpackedFMU, instance: Instance, inputs: Port, outputs: Port, t0: float) -> Run:
+    """Return the run of an instance that has been initialised."""
+    if isinstance(instance, Slave):
+        steps = StepSizes(fmu.description, fmu.interface, fmu.label)
+        return CoSimulationRun(instance, inputs, outputs, t0, steps.change)
+    if not isinstance(instance, Model):
+        raise TypeError(f"{type(instance).__name__} is neither a slave nor a model")
+    low, high = _TOLERANCES
+    own = fmu.description.default_experiment.tolerance or _DEFAULT_TOLERANCE
+    tolerance = fmu.tolerance if fmu.tolerance is not None else min(max(own, low), high)
+    needs_completed_step = fmu.interface.needs_completed_step or fmu.description.major == 1
+    return ModelExchangeRun(
+        instance, inputs, outputs, t0, tolerance=tolerance, needs_completed_step=needs_completed_step
+    )
 
 
 def _one_line(error: BaseException) -> str:

@@ -6,17 +6,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ddpc_cosim.controller import Bounds, Controller
 from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImportError, FMUStepError
-from ddpc_cosim.master import OUTCOME_OF, ProgressReport, cosimulate
+from ddpc_cosim.master import OUTCOME_OF, cosimulate
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, types_in
+from ddpc_cosim.rows import RowStore
+from ddpc_cosim.safe_calls import announce_calls, close_plant
 from ddpc_cosim.settings import PLANT, hashes_of_files, map_files
-from ddpc_cosim.signals import Excitation, GaussianNoise, ParameterChange, Ramp, Reference
+from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference, UniformRandom
 from ddpc_cosim.study.controllers import make_controller
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.resolve import ResolvedStudy
@@ -53,7 +56,7 @@ class Case:
         Of each controlled output, in its own unit.
     bounds : dict of str to (float, float)
         Limits in the variables' own units.
-    excitation : Excitation or None
+    excitation : UniformRandom or None
         The experiment.
     stabiliser : dict or None
         Type and settings of the controller that keeps the plant during the experiment.
@@ -82,7 +85,7 @@ class Case:
     continue_recording: bool
     reference: dict[str, Reference]
     bounds: dict[str, tuple[float, float]]
-    excitation: Excitation | None
+    excitation: UniformRandom | None
     stabiliser: dict[str, Any] | None
     parameters: dict[str, ParameterValue]
     noise: dict[str, float]
@@ -139,33 +142,37 @@ def _identifier(case: Case) -> str:
     decisive["plant"] = case.plant.content
     decisive |= {key: names(getattr(case, key)) for key in ("inputs", "outputs", "measurements")}
     decisive["reference"] = {name: repr(reference) for name, reference in case.reference.items()}
-    decisive["excitation"] = repr(case.excitation)
     text = json.dumps(decisive, sort_keys=True, default=repr)
     return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
 
 
-def run_case(case: Case, progress: ProgressReport | None = None) -> Trace:
-    """Run one case; whatever goes wrong is in the trace's outcome and reason."""
+def run_case(case: Case, store: RowStore | None = None) -> Trace:
+    """Run one case; whatever goes wrong is in the trace's outcome and reason.
+
+    Its rows, and what it is in, are written to a store, by default in memory.
+    """
+    store = store or row_store(case)
+    announce_calls(store.announce)
     read = (*names(case.outputs), *names(case.measurements))
     try:
         plant = case.plant.open(names(case.inputs), tuple(dict.fromkeys(read)))
     except CosimError as error:
         return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
     try:
-        trace = _run(case, plant, progress)
+        trace = _run(case, plant, store)
     except BaseException:
         with suppress(CosimError):  # the first fault counts
-            plant.close()
+            close_plant(plant)
         raise
     try:
-        plant.close()
+        close_plant(plant)
     except FMUStepError as error:
         if trace.outcome is Outcome.COMPLETED:
             return replace(trace, outcome=_outcome_of(error), reason=f"after the last sample: {error}")
     return trace
 
 
-def _run(case: Case, plant: Plant, progress: ProgressReport | None) -> Trace:
+def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
     """Close the loop of a case and an open plant."""
     try:
         return cosimulate(
@@ -185,7 +192,7 @@ def _run(case: Case, plant: Plant, progress: ProgressReport | None) -> Trace:
             seed=case.seed,
             start_time=case.start_time,
             continue_recording=case.continue_recording,
-            progress=progress,
+            store=store,
         )
     except CosimError as error:
         return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
@@ -195,6 +202,22 @@ def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller:
     """Return a controller that finds the plant's FMU where its settings ask for it."""
     kind, settings = section["type"], section["settings"]
     return make_controller(kind, map_files(kind, settings, lambda path: plant.fmu if path == PLANT else path))
+
+
+def row_store(case: Case, path: Path | None = None) -> RowStore:
+    """Return the store for a case's rows, in a file or in memory."""
+    columns = len(case.outputs), len(case.measurements), len(case.inputs)
+    return RowStore(_planned_samples(case), *columns, path)
+
+
+def partial_trace(case: Case, store: RowStore, outcome: Outcome, reason: str) -> Trace:
+    """Return the trace of a case whose process is gone, with the rows that it has left."""
+    time = case.start_time + np.arange(store.count, dtype=np.float64) * case.sampling_time
+    return replace(no_samples(case, outcome, reason), time=time, **store.written())
+
+
+def _planned_samples(case: Case) -> int:
+    return round(case.duration / case.sampling_time) + 1
 
 
 def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
@@ -216,7 +239,7 @@ def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
         measurements=case.measurements,
         bounds=Bounds(u_limits[:, 0], u_limits[:, 1], y_limits[:, 0], y_limits[:, 1]),
         sampling_time=case.sampling_time,
-        planned_samples=round(case.duration / case.sampling_time) + 1,
+        planned_samples=_planned_samples(case),
         outcome=outcome,
         reason=reason,
         settings=dict(case.section["settings"]),
@@ -255,7 +278,7 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
                     continue_recording=study.loop.start == "recording-end",
                     reference=resolved.reference,
                     bounds=resolved.bounds[controller],
-                    excitation=None if excitation is None else excitation.with_seed(seed),
+                    excitation=None if excitation is None else replace(excitation, seed=seed),
                     stabiliser=None if stabiliser is None else _type_and_settings(stabiliser),
                     parameters={**study.plant.parameters, **scenario.parameters},
                     noise=dict(scenario.noise),

@@ -1,39 +1,28 @@
-"""Running many cases in isolated local workers: a crash or a hang costs one case and nothing else."""
+"""Running many cases in local workers: a crash or a hang costs one case and nothing else."""
 
-import os
-import shutil
-import signal
-import sys
-import tempfile
-import threading
+import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
-from contextlib import contextmanager
-from functools import cache
-from multiprocessing import get_context, parent_process
-from multiprocessing.context import BaseContext
-from multiprocessing.util import Finalize, get_temp_dir
+from contextlib import suppress
+from multiprocessing.connection import wait
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple
-
-from pebble import ProcessExpired, ProcessPool
+from time import monotonic
+from typing import NamedTuple
 
 from ddpc_cosim.errors import CosimError
-from ddpc_cosim.fmu import isolation_launch, scratch
-from ddpc_cosim.study.cases import Case, no_samples, run_case
+from ddpc_cosim.master import OUTCOME_OF
+from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.scratch import ScratchFolder
+from ddpc_cosim.study.cases import Case, partial_trace, row_store, run_case
 from ddpc_cosim.study.results import write_case
 from ddpc_cosim.trace import Outcome
+from ddpc_cosim.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, lost, result_of, serve_calls
 
 _POLL_SECONDS = 0.1
-# Small matrices gain nothing from threaded linear algebra, and workers would fight for the processors.
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
-# Workers are asked for through a socket there: its path may have 107 bytes, 103 with some systems.
-_LONGEST_SOCKET_FOLDER = 103 - len("/listener-12345678")
-
-# It removes its folder at -100.
-_AFTER_MULTIPROCESSING = -200
+_REPLY_SECONDS = 60.0
+_DRAFTS = ".drafts-"
+_AT_THE_END = ("diagnostics", "close")
+_PRELOAD = (__name__, "ddpc_cosim.fmu.plant")
 
 
 class Update(NamedTuple):
@@ -45,24 +34,6 @@ class Update(NamedTuple):
 
 
 Watcher = Callable[[Update], None]
-
-
-class _Channel(NamedTuple):
-    """Where workers say how far they are."""
-
-    sender: Any
-    lock: Any
-
-    def tell(self, update: Update) -> None:
-        """Tell an update, unless another worker is at it; it may have died so, with the lock in its hands."""
-        if self.lock.acquire(block=False):
-            try:
-                self.sender.send(update)
-            finally:
-                self.lock.release()
-
-
-_channel: Any = None
 
 
 def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | None = None) -> Iterator[Case]:
@@ -84,154 +55,127 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
     CosimError
         A case cannot be written.
     """
-    context = _context()
-    updates, sender = context.Pipe(duplex=False)
-    channel = _Channel(sender, context.Lock())
-    done: SimpleQueue[Future[None]] = SimpleQueue()
-    with (
-        updates,
-        sender,
-        _single_threaded(),
-        # Whatever a worker that was killed has left behind is removed with these folders.
-        scratch.ScratchFolder() as temporary,
-        _drafts(folder) as drafts,
-        ProcessPool(
-            jobs, context=context, initializer=_prepare_worker, initargs=[channel, temporary]
-        ) as pool,
-    ):
-        running: dict[Future[None], Case] = {}
+    with ScratchFolder() as temporary, _drafts(folder) as drafts:
+        preload = [*_PRELOAD, *_plugin_modules(cases)]
+        waiting, idle, running = deque(cases), list[Worker](), list[_Run]()
         try:
-            for case in cases:
-                # A worker may see other code than the master did, and so another id: it is told this one.
-                arguments = [case, folder / case.id, case.head(), drafts]
-                future: Future[None] = pool.schedule(_run_and_write, args=arguments)
-                running[future] = case
-                future.add_done_callback(done.put)
-            while running:
-                ended = _next(done)
-                while updates.poll():
-                    update = updates.recv()
+            while waiting or running:
+                while waiting and len(running) < jobs:
+                    case = waiting.popleft()
+                    reused = None if case.plant.isolated or not idle else idle.pop()
+                    worker = reused or Worker(serve_calls, folder=temporary, preload=preload)
+                    running.append(_Run(case, worker, folder, drafts, temporary))
+                ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
+                for run in list(running):
+                    ended = run.has_ended(run.worker.channel.socket in ready)
                     if watch is not None:
-                        watch(update)
-                if ended is not None:
-                    case = running.pop(ended)
-                    _finish(ended, case, folder / case.id, drafts)
-                    yield case
-        except BaseException:
-            pool.stop()  # type: ignore[no-untyped-call]
-            raise
+                        watch(Update(run.case.name, *run.progress))
+                    if ended:
+                        running.remove(run)
+                        if run.can_be_reused:
+                            idle.append(run.worker)
+                        else:
+                            run.worker.end()
+                        yield run.case
+        finally:
+            for worker in (*idle, *(run.worker for run in running)):
+                worker.end()
 
 
-def _next(done: "SimpleQueue[Future[None]]") -> "Future[None] | None":
-    """Return a run that has ended, None if there is none within a moment."""
+def _drafts(folder: Path) -> ScratchFolder:
+    """Make a folder for the drafts of this run's cases, on the same disk."""
     try:
-        return done.get(timeout=_POLL_SECONDS)
-    except Empty:
-        return None
-
-
-def _context() -> BaseContext:
-    """Return the quickest way to start clean workers: a preloaded fork server where there is one."""
-    if sys.platform == "win32" or sys.platform == "darwin":
-        return get_context("spawn")
-    _keep_sockets()
-    if len(os.fsencode(get_temp_dir())) > _LONGEST_SOCKET_FOLDER:
-        return get_context("spawn")
-    context = get_context("forkserver")
-    context.set_forkserver_preload([__name__])
-    return context
-
-
-@cache
-def _keep_sockets() -> None:
-    """Have multiprocessing's folder removed also if this process is killed."""
-    keeper = scratch.Keeper(Path(get_temp_dir()))
-    Finalize(None, keeper.dismiss, exitpriority=_AFTER_MULTIPROCESSING)
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update({name: value for name, value in _ONE_THREAD.items() if before[name] is None})
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-
-
-@contextmanager
-def _drafts(folder: Path) -> Iterator[Path]:
-    """Make a folder for the drafts of this run's cases, which goes with the run, however it ends."""
-    try:
-        drafts = Path(tempfile.mkdtemp(prefix=".drafts-", dir=folder)).resolve()
+        return ScratchFolder(folder, _DRAFTS)
     except OSError as error:
         raise CosimError(f"{folder}: cannot be written to: {error.strerror}") from error
-    keeper = scratch.Keeper(drafts)
-    try:
-        yield drafts
-    finally:
-        shutil.rmtree(drafts, ignore_errors=True)
-        keeper.dismiss()
 
 
-def _prepare_worker(channel: _Channel, temporary: Path) -> None:
-    """Tell a worker where to report progress and to keep files; an interrupt is the master's to handle."""
-    global _channel
-    _channel = channel
-    scratch.stay_within(temporary)
-    isolation_launch.keep_server()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_leave_with_master, daemon=True).start()
+def _plugin_modules(cases: Sequence[Case]) -> list[str]:
+    """Return the modules of the installed controllers; those beside a study may change between two runs."""
+    installed = {case.section["type"] for case in cases if ":" not in case.section["type"]}
+    return sorted({load_plugin("controllers", name).__module__ for name in installed})
 
 
-def _leave_with_master() -> None:
-    """End this worker when the master has gone, also in the middle of an FMU's step that hangs."""
-    master = parent_process()
-    if master is not None:
-        master.join()
-        os._exit(1)
+class _Run:
+    """A case in a worker.
 
-
-def _run_and_write(case: Case, folder: Path, head: dict[str, Any], drafts: Path) -> None:
-    from time import monotonic
-
-    last = monotonic()
-
-    def progress(samples: int, planned: int) -> None:
-        nonlocal last
-        if monotonic() - last > _POLL_SECONDS:
-            last = monotonic()
-            _channel.tell(Update(case.name, samples, planned))
-
-    write_case(folder, run_case(case, progress), head, drafts)
-
-
-def _finish(future: Future[None], case: Case, folder: Path, drafts: Path) -> None:
-    """Write what is known of a case whose worker died.
-
-    Raises
-    ------
-    CosimError
-        The worker could not write the case, and so nobody can.
+    Parameters
+    ----------
+    case : Case
+        The case.
+    worker : Worker
+        Serves calls.
+    folder, drafts : Path
+        Where the case's folder is to be, and to stand until it is complete.
+    temporary : Path
+        Where the file of rows lies.
     """
-    error = future.exception()
-    if error is None:
-        return
-    if isinstance(error, CosimError):
-        raise error
-    # A fault of the master itself must not cost the other cases, nor an exit() in somebody's code.
-    reason = f"{type(error).__name__}: {error}".removesuffix(": ")
-    if isinstance(error, ProcessExpired):
-        reason = f"the worker process died: {_cause_of_death(error.exitcode)}"
-    write_case(folder, no_samples(case, Outcome.CRASHED, reason), case.head(), drafts)
+
+    def __init__(self, case: Case, worker: Worker, folder: Path, drafts: Path, temporary: Path) -> None:
+        self.case, self.worker, self.can_be_reused = case, worker, not case.plant.isolated
+        self._folder, self._drafts = folder / case.id, drafts
+        self._rows = temporary / f"rows-{case.id}"
+        self._store = row_store(case, self._rows)
+        self._call, self._since = 0, monotonic()
+        with suppress(OSError):  # it has died meanwhile, which the next look at it will show
+            ask(worker.channel, run_and_write, case, self._rows, self._folder, drafts)
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Samples begun, and planned."""
+        return self._store.count, len(self._store.y)
+
+    def has_ended(self, has_replied: bool) -> bool:
+        """Whether the case is over, and then all that is known of it written.
+
+        Raises
+        ------
+        CosimError
+            The worker could not write the case, and so nobody can.
+        """
+        if has_replied:
+            try:
+                result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=_REPLY_SECONDS))
+            except UnexpectedError as error:  # a fault of ours, or of the interpreter, must not cost others
+                self._give_up(Outcome.CRASHED, str(error))
+            except (OSError, EOFError, ValueError):
+                self._end_worker()
+        elif self._hangs():
+            self._end_worker(self.case.plant.step_timeout)
+        else:
+            return False
+        self._rows.unlink(missing_ok=True)
+        return True
+
+    def _hangs(self) -> bool:
+        """Whether the plant or the controller has kept the run waiting for too long."""
+        call, now = self._store.call, monotonic()
+        if call.number != self._call or not call.name:
+            self._call, self._since = call.number, now
+        return now - self._since > self.case.plant.step_timeout
+
+    def _end_worker(self, seconds: float | None = None) -> None:
+        """End a worker that has died or is to die, and write what it has left."""
+        call, case, count = self._store.call, self.case, self._store.count
+        ending = self.worker.end()
+        who, time = Path(case.plant.fmu).name or case.plant.name, call.time
+        if call.who == "controller":
+            who = f"controller {case.section['type']}"
+            time = case.start_time + (count - 1) * case.sampling_time if count else math.nan
+        error = lost(who, call.name or "between two calls", time, ending, seconds)
+        when = "" if count else "before the first sample: "
+        if call.name in _AT_THE_END:
+            when = "after the last sample: "
+        self._give_up(OUTCOME_OF[error.status], f"{when}{error}")
+
+    def _give_up(self, outcome: Outcome, reason: str) -> None:
+        """Write a case that its worker has not written."""
+        self.can_be_reused = False
+        store = row_store(self.case, self._rows)  # opened anew, for the texts that have been added
+        trace = partial_trace(self.case, store, outcome, reason)
+        write_case(self._folder, trace, self.case.head(), self._drafts)
 
 
-def _cause_of_death(exit_code: int) -> str:
-    if exit_code < 0:
-        try:
-            return signal.Signals(-exit_code).name
-        except ValueError:
-            return f"signal {-exit_code}"
-    return f"exit code {exit_code}"
+def run_and_write(case: Case, rows: Path, folder: Path, drafts: Path) -> None:
+    """Run a case, in a worker, and write its folder."""
+    write_case(folder, run_case(case, row_store(case, rows)), case.head(), drafts)

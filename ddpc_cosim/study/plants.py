@@ -79,9 +79,9 @@ class PlantSpec:
     fmu : str
         Absolute path of the FMU; empty for a Python class, and for equations until :meth:`built`.
     isolated : bool
-        Whether the FMU runs in a process of its own.
+        Whether each case has a worker process of its own; others share workers.
     step_timeout : float
-        Longest time for any of its calls there [s].
+        Longest time for any call of the plant or of a controller [s].
     fmi_type : str
         How the FMU is run.
     display_units : mapping of str to str
@@ -220,8 +220,6 @@ class PlantSpec:
                 outputs=list(outputs),
                 fmi_type=self.fmi_type,
                 display_units=units,
-                isolated=self.isolated,
-                step_timeout=self.step_timeout,
             )
 
 

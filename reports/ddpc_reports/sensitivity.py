@@ -18,7 +18,8 @@ from ddpc_reports.comparison import (
     metric_unit,
     spread as summed_up,
 )
-from ddpc_reports.figures import Figure, one_chart
+from ddpc_reports.embedding import static_svg
+from ddpc_reports.figures import Figure, View, specification
 from ddpc_reports.numbers import as_given, significant, with_unit
 from ddpc_reports.verdict import Statement, by_signal, formatter
 
@@ -137,7 +138,9 @@ def _figure(sweep: Sweep, key: str, identifier: str) -> Figure:
         caption += " Starred: of the completed cases; others of this setting did not complete."
     # A map with one setting needs no second axis.
     titles = sweep.axes if len(sweep.axes) > 1 else ("", *sweep.axes)
-    return one_chart(identifier, "Sensitivity", caption, heat_chart(rows, titles), sweep.label)
+    spec = specification(heat_chart(rows, titles))
+    view = View(identifier + "-1", sweep.label, caption, spec, static_svg(spec, identifier + "-1", caption))
+    return Figure(identifier, "Sensitivity", caption, (view,))
 
 
 def _summed_words(sweep: Sweep) -> str:

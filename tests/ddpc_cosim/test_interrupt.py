@@ -1,16 +1,18 @@
 """An interrupt keeps what is done, leaves nothing half done, and the same command goes on from there."""
 
 import os
+import select
 import signal
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from ddpc_cosim.cli.main import Terminated, orderly_end
+from ddpc_cosim.scratch import remove_left_behind
 
-from .fmu_faults.processes import Watch, descendants
+from .fmu_faults.processes import Watch, descendants, heed_interrupts
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 WriteStudy = Callable[..., Path]
@@ -27,10 +29,32 @@ class Blocked(Controller):
         pass
     def step(self, sample):
         if sample.k == 3 and "BLOCK" in os.environ:
-            print("blocked", file=sys.stderr, flush=True)
+            open(os.environ["BLOCK"], "w").close()
             threading.Event().wait()
         return np.ones(1)
 """
+
+
+def start_and_wait(folder: Path, command: list[str], environment: dict[str, str]) -> "subprocess.Popen[str]":
+    """Start a command in a session of its own and wait until a controller blocks it."""
+    os.mkfifo(folder / "fifo")
+    descriptor = os.open(folder / "fifo", os.O_RDONLY | os.O_NONBLOCK)
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    process = subprocess.Popen(
+        command,
+        cwd=folder,
+        env={**os.environ, "BLOCK": str(folder / "fifo"), **environment},
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        encoding="utf-8",
+        start_new_session=True,
+        preexec_fn=heed_interrupts,
+    )
+    assert poll.poll(60_000), "the controller has not blocked"
+    os.close(descriptor)
+    return process
 
 
 @pytest.mark.parametrize(
@@ -60,33 +84,20 @@ def test_an_interrupted_run_goes_on(
     write_study("mfapc", "blocked:Blocked", seeds="[0, 1]")
     arguments = ["run", "study.toml", "--jobs", "1", "--no-report", "--out", "out"]
     paths = [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
-    environment = {**os.environ, "BLOCK": "1", "PYTHONPATH": os.pathsep.join(paths)}
-    environment["TMPDIR"] = str(tmp_path / "scratch")
-    process = subprocess.Popen(
-        [program, *arguments],
-        cwd=tmp_path,
-        env=environment,
-        stderr=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        text=True,
-        encoding="utf-8",
-        start_new_session=True,
-    )
-    assert process.stderr is not None
-    said = []
-    for line in process.stderr:
-        said.append(line)
-        if line == "blocked\n":
-            break
+    environment = {"PYTHONPATH": os.pathsep.join(paths), "TMPDIR": str(tmp_path / "scratch")}
+    process = start_and_wait(tmp_path, [program, *arguments], environment)
     family = Watch(descendants(process.pid))
     (os.killpg if to_the_group else os.kill)(process.pid, request_to_end)
     # The pipe ends when the last process that holds it has ended: no worker is left behind.
     rest = process.communicate(timeout=60)[1]
-    assert process.returncode == exit_code, said
+    assert process.returncode == exit_code, rest
     if told:
         assert f"{told}: finished cases are kept; the same command goes on from there" in rest
     assert "Traceback" not in rest
     assert family.wait(60.0) == []
+    if not told:  # as the next run does
+        remove_left_behind(tmp_path / "scratch")
+        remove_left_behind(tmp_path / "out/cases", ".drafts-")
     assert list((tmp_path / "scratch").iterdir()) == []
 
     kept = {path.name: (path / "run.json").stat().st_mtime_ns for path in (tmp_path / "out/cases").iterdir()}
@@ -100,6 +111,43 @@ def test_an_interrupted_run_goes_on(
     assert kept.items() <= after.items()
 
 
+STARTING = """
+import os, sys, threading
+from ddpc_controllers import MFAPC
+
+if "ddpc_cosim.cli.main" not in sys.modules:  # in a worker
+    open(os.environ["BLOCK"], "w").close()
+    threading.Event().wait()
+
+class Starting(MFAPC):
+    pass
+"""
+
+
+def test_an_interrupt_while_workers_start(write_study: WriteStudy, tmp_path: Path, program: str) -> None:
+    """All processes of the run get it, as from a terminal; none of them prints a traceback."""
+    (tmp_path / "starting.py").write_text(STARTING, encoding="utf-8")
+    write_study("starting:Starting")
+    command = [program, "run", "study.toml", "--jobs", "1", "--no-report"]
+    process = start_and_wait(tmp_path, command, {"PYTHONPATH": str(tmp_path)})
+    family = Watch(descendants(process.pid))
+    os.killpg(process.pid, signal.SIGINT)
+    rest = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, rest
+    assert "interrupted: finished cases are kept" in rest
+    assert "Traceback" not in rest
+    assert family.wait(60.0) == []
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Handle Ctrl-C as in the foreground of a shell: a background job ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_second_request_ends_the_process_at_once(number: signal.Signals) -> None:
     requests = (signal.SIGINT, signal.SIGTERM)

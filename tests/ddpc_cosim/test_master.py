@@ -412,12 +412,6 @@ def test_status_and_time_of_each_step_are_kept() -> None:
     assert np.all(trace.solve_time > 0.0)
 
 
-def test_progress_is_told_from_the_first_sample_to_the_last() -> None:
-    told: list[tuple[int, int]] = []
-    close_loop(Integrators(), Scripted(), progress=lambda done, planned: told.append((done, planned)))
-    assert told == [(0, 4), (1, 4), (2, 4), (3, 4), (4, 4)]
-
-
 def test_the_frame_has_a_column_per_signal_with_its_unit() -> None:
     frame = close_loop(Integrators(), Scripted(), measurements=["x0", "clock"]).frame()
     assert list(frame.columns) == [

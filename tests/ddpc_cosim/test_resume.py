@@ -1,11 +1,14 @@
 """Studies that are run again, go on, or lose a worker on the way."""
 
 import json
+import signal
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from signal import SIGKILL, SIGSEGV
 from typing import Any
 
+import numpy as np
 import pytest
 from fmus.builder import Fault
 
@@ -161,7 +164,7 @@ def test_an_fmu_that_gives_no_instance_fails_before_the_first_sample(write_study
     results, _ = run(write_study("mfapc", fault=Fault.NO_INSTANCE))
     (case,) = results.cases
     assert case.outcome == "fmu-error"
-    assert case.reason.startswith("before the first sample: null.fmu: cannot be instantiated")
+    assert case.reason.startswith("before the first sample: no_instance.fmu: cannot be instantiated")
     assert len(case.trace()) == 0
 
 
@@ -178,15 +181,24 @@ def test_a_worker_that_dies_costs_one_case(write_study: WriteStudy, tmp_path: Pa
         run["controller"]: (run["outcome"], run["reason"])
         for run in (json.loads(p.read_text(encoding="utf-8")) for p in tmp_path.glob("out/cases/*/run.json"))
     }
-    died = "the worker process died: "
+    segfault, kill = (f"{number.name} ({signal.strsignal(number)})" for number in (SIGSEGV, SIGKILL))
+    died = "crashed in step at t = 0.3 s: "
     assert found == {
-        "exits": ("crashed", f"{died}exit code 3"),
-        "segfaults": ("crashed", f"{died}SIGSEGV"),
-        "killed": ("crashed", f"{died}SIGKILL"),
+        "exits": ("crashed", f"controller deadly:Exits: {died}its process ended with exit code 3"),
+        "segfaults": ("crashed", f"controller deadly:Segfaults: {died}{segfault}"),
+        "killed": ("crashed", f"controller deadly:Killed: {died}{kill}"),
         "sane": ("completed", ""),
         "mfapc": ("completed", ""),
     }
-    assert "crashed: the worker process died: SIGSEGV" in done.stderr
+    assert f"crashed: controller deadly:Segfaults: {died}{segfault}" in done.stderr
+    crashed = [case for case in load_results(tmp_path / "out").cases if case.outcome == "crashed"]
+    for case in crashed:  # the samples before it are kept, its own too
+        trace = case.trace()
+        np.testing.assert_allclose(trace.time, [0.0, 0.1, 0.2, 0.3])
+        np.testing.assert_array_equal(trace.u[:, 0], [1.0, 1.0, 1.0, np.nan])
+        np.testing.assert_allclose(trace.y[:, 0], trace.time, atol=1e-12)
+        np.testing.assert_array_equal(trace.reference, 1.0)
+        assert trace.status == ("ok", "ok", "ok", "error")
     assert list(scratch.iterdir()) == []
 
     again = run_program(*arguments)
@@ -198,7 +210,6 @@ import os
 from dataclasses import dataclass
 import numpy as np
 from ddpc_cosim import Controller
-from ddpc_cosim.study import executors
 from ddpc_cosim.study import results as storage
 
 class Odd(Exception):
@@ -221,12 +232,6 @@ class Leaves(Interrupts):
 class Strange(Interrupts):
     def start(self, loop):
         raise Odd("strange", 2)
-
-@dataclass(kw_only=True)
-class DiesTelling(Interrupts):
-    def start(self, loop):
-        executors._channel.lock.acquire()
-        os._exit(3)
 
 @dataclass(kw_only=True)
 class Fills(Interrupts):
@@ -256,15 +261,48 @@ def test_whatever_a_controller_raises_costs_its_case_and_no_other(
     }
 
 
-def test_a_worker_that_dies_while_it_tells_its_progress_stops_no_other(
+HANGING = """
+import threading
+from dataclasses import dataclass
+import numpy as np
+from ddpc_cosim import Action, Controller
+
+@dataclass(kw_only=True)
+class Hangs(Controller):
+    def start(self, loop):
+        pass
+    def step(self, sample):
+        if sample.k == 3:
+            threading.Event().wait()
+        return Action(np.ones(1), "as well as it can" if sample.k == 1 else "ok")
+
+@dataclass(kw_only=True)
+class HangsAtOnce(Hangs):
+    def start(self, loop):
+        threading.Event().wait()
+"""
+
+
+def test_a_controller_that_never_returns_costs_its_case_and_no_other(
     write_study: WriteStudy, tmp_path: Path, run_program: Run
 ) -> None:
-    (tmp_path / "leaving.py").write_text(LEAVING, encoding="utf-8")
-    write_study("leaving:DiesTelling", "mfapc", duration=500.0)
+    (tmp_path / "hanging.py").write_text(HANGING, encoding="utf-8")
+    study = write_study("hanging:Hangs", "hanging:HangsAtOnce", "mfapc")
+    text = study.read_text(encoding="utf-8").replace("[plant]", "[plant]\nstep_timeout = 2.0")
+    study.write_text(text, encoding="utf-8")
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
     assert done.returncode == 1
-    found = {case.controller: case.outcome for case in load_results(tmp_path / "out").cases}
-    assert found == {"diestelling": "crashed", "mfapc": "completed"}
+    cases = {case.controller: case for case in load_results(tmp_path / "out").cases}
+    assert {name: case.outcome for name, case in cases.items()} == {
+        "hangs": "timed-out",
+        "hangsatonce": "timed-out",
+        "mfapc": "completed",
+    }
+    late = "no return within 2 s in"
+    assert cases["hangs"].reason.startswith(f"controller hanging:Hangs: {late} step at t = 0.3 s; ")
+    start = f"before the first sample: controller hanging:HangsAtOnce: {late} start; "
+    assert cases["hangsatonce"].reason.startswith(start)
+    assert cases["hangs"].trace().status == ("ok", "as well as it can", "ok", "error")
 
 
 def test_a_disk_that_is_full_ends_the_run_and_what_is_done_is_kept(

@@ -8,12 +8,14 @@ import pytest
 from fmus.builder import HERE, LAG, describe, platform_folder, write_fmu
 
 from ddpc_cosim.errors import FMUImportError
-from ddpc_cosim.fmu.session import FMUSession
+from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
 from fmu_plants.export.binaries import needed_libraries
 from fmu_plants.export.compiler import find_compiler
 
 from .test_tolerant_reading import value_after_a_second
+
+pytestmark = pytest.mark.filterwarnings("ignore::ddpc_cosim.CosimWarning")  # what is told, tests look at
 
 FIRST, SECOND = "libfirst_companion.so", "libsecond_companion.so"
 
@@ -74,14 +76,14 @@ def test_they_are_unloaded_with_the_fmu(tmp_path: Path, chain: Chain) -> None:
 
 
 def test_one_that_is_nowhere_is_named(tmp_path: Path, chain: Chain) -> None:
-    session = FMUSession(lag_fmu(tmp_path / "lag.fmu", chain.main))
+    session = FMUPlant(lag_fmu(tmp_path / "lag.fmu", chain.main))
     with pytest.raises(FMUImportError, match=f"its library needs {FIRST}, which is neither in the FMU nor"):
         session.reset()
     session.close()
 
 
 def test_so_is_one_that_a_companion_needs(tmp_path: Path, chain: Chain) -> None:
-    session = FMUSession(lag_fmu(tmp_path / "lag.fmu", chain.main, **{f"resources/{FIRST}": chain.first}))
+    session = FMUPlant(lag_fmu(tmp_path / "lag.fmu", chain.main, **{f"resources/{FIRST}": chain.first}))
     with pytest.raises(FMUImportError, match=f"its library needs {SECOND}"):
         session.reset()
     session.close()

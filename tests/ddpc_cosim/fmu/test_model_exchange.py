@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from ddpc_cosim.errors import FMUStepError, StepStatus
 from ddpc_cosim.fmu import integrators
-from ddpc_cosim.fmu.session import FMUSession
+from ddpc_cosim.fmu.plant import FMUPlant
 
 VERSIONS = ("1.0", "2.0", "3.0")
 
@@ -26,14 +26,12 @@ def integrator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
     return str(request.param)
 
 
-def session(
-    folder: Path, version: str, model: str, outputs: list[str], tolerance: float = 1e-9
-) -> FMUSession:
+def session(folder: Path, version: str, model: str, outputs: list[str], tolerance: float = 1e-9) -> FMUPlant:
     # FMI 2.0 wants to be told of integrator steps by default, FMI 3.0 does not.
     wants_steps = ' needsCompletedIntegratorStep="true"' if version == "3.0" else ""
     interfaces = f'<ModelExchange modelIdentifier="models"{wants_steps}/>'
     path = model_fmu(folder, version, model, interfaces=interfaces)
-    return FMUSession(path, outputs=outputs, tolerance=tolerance)
+    return FMUPlant(path, outputs=outputs, tolerance=tolerance)
 
 
 def bounce_times(height: float, gravity: float, restitution: float, count: int) -> list[float]:
@@ -113,7 +111,7 @@ def test_step_events_are_asked_for_after_integrator_steps(
 
 def test_an_exported_plant_follows_its_equations(pendulum_fmu: Path, integrator: str) -> None:
     torques = np.random.default_rng(7).uniform(-3.5, 3.5, 40)
-    plant = FMUSession(pendulum_fmu, fmi_type="model-exchange", tolerance=1e-9)
+    plant = FMUPlant(pendulum_fmu, fmi_type="model-exchange", tolerance=1e-9)
     rows = [plant.reset({"mass": 1.5}), *(plant.step(np.array([torque]), 0.1) for torque in torques)]
     plant.close()
     x = np.zeros(2)
@@ -129,7 +127,7 @@ def test_an_exported_plant_follows_its_equations(pendulum_fmu: Path, integrator:
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_fmpy_gets_the_same_trajectory(exported: Callable[[str], Path], version: str) -> None:
     path = exported(version)
-    plant = FMUSession(path, fmi_type="model-exchange", tolerance=1e-9)
+    plant = FMUPlant(path, fmi_type="model-exchange", tolerance=1e-9)
     plant.reset()
     rows = [plant.step(np.array([3.0]), 0.1) for _ in range(30)]
     plant.close()
@@ -156,7 +154,7 @@ def test_a_failing_evaluation_ends_the_step_with_its_reason(tmp_path: Path, inte
 
 def test_tunable_parameters_and_free_inputs_change_between_samples(tmp_path: Path) -> None:
     path = model_fmu(tmp_path, "2.0", "lag", interfaces='<ModelExchange modelIdentifier="models"/>')
-    lag = FMUSession(path, inputs=[], outputs=["x"], tolerance=1e-9)
+    lag = FMUPlant(path, inputs=[], outputs=["x"], tolerance=1e-9)
     lag.reset({"u": 1.0, "x": 0.5})
     nothing = np.empty(0)
     assert lag.step(nothing, 1.0) == pytest.approx([1 - 0.5 * np.exp(-1.0)], abs=1e-7)
@@ -167,7 +165,7 @@ def test_tunable_parameters_and_free_inputs_change_between_samples(tmp_path: Pat
 
 
 def test_a_state_brings_back_time_inputs_and_events(pendulum_fmu: Path) -> None:
-    plant = FMUSession(pendulum_fmu, fmi_type="model-exchange", tolerance=1e-8)
+    plant = FMUPlant(pendulum_fmu, fmi_type="model-exchange", tolerance=1e-8)
     plant.reset()
     plant.step(np.array([1.0]), 0.1)
     state = plant.save_state()

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from fmpy.template import create_fmu, generate_model_description
 
-from ddpc_cosim.fmu.session import FMUSession
+from ddpc_cosim.fmu.plant import FMUPlant
+
+pytestmark = pytest.mark.filterwarnings("ignore::ddpc_cosim.CosimWarning")  # what is told, tests look at
 
 PYTHONFMU = """
 from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real
@@ -59,7 +61,7 @@ def test_fmus_written_in_python(tmp_path: Path, tool: str, code: str) -> None:
     script.write_text(code, encoding="utf-8")
     command = [sys.executable, "-m", tool, "build", "-f", str(script), "--dest", str(tmp_path)]
     subprocess.run(command, check=True, capture_output=True)
-    session = FMUSession(tmp_path / "Lag.fmu", inputs=["u"], outputs=["x", "steps"])
+    session = FMUPlant(tmp_path / "Lag.fmu", inputs=["u"], outputs=["x", "steps"])
     session.reset({"rate": 3.0})
     x = 0.0
     for k, u in enumerate([1.0, -0.5, 0.25], start=1):
@@ -73,7 +75,7 @@ def test_fmus_of_fmpys_template(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "cache"))
     description = generate_model_description(n_parameters=1, n_inputs=2, n_outputs=3, n_states=1)
     create_fmu(description, tmp_path / "template.fmu")
-    session = FMUSession(tmp_path / "template.fmu")
+    session = FMUPlant(tmp_path / "template.fmu")
     assert "compiled from the FMU's C sources" in session.warnings[-1]
     y = session.reset({"p0": 2.0})
     assert session.step(np.array([1.0, -1.0]), 0.01).tolist() == y.tolist() == [0.0, 0.0, 0.0]

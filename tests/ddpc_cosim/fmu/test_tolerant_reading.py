@@ -21,9 +21,11 @@ from fmus.builder import (
 
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import unpack
-from ddpc_cosim.fmu.session import FMUSession
+from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
 from fmu_plants.export.compiler import compile_library, find_compiler
+
+pytestmark = pytest.mark.filterwarnings("ignore::ddpc_cosim.CosimWarning")  # what is told, tests look at
 
 SUFFIX = fmpy.sharedLibraryExtension
 CO_SIMULATION = '<CoSimulation modelIdentifier="models" canHandleVariableCommunicationStepSize="true"/>'
@@ -31,7 +33,7 @@ CO_SIMULATION = '<CoSimulation modelIdentifier="models" canHandleVariableCommuni
 
 def value_after_a_second(path: Path) -> float:
     """Run the lag with the input 1 from rest: 1 - exp(-1)."""
-    session = FMUSession(path, inputs=["u"], outputs=["x"])
+    session = FMUPlant(path, inputs=["u"], outputs=["x"])
     session.reset()
     y = session.step(np.array([1.0]), 1.0)
     session.close()
@@ -39,7 +41,7 @@ def value_after_a_second(path: Path) -> float:
 
 
 def warnings_of(path: Path) -> str:
-    session = FMUSession(path, inputs=["u"], outputs=["x"])
+    session = FMUPlant(path, inputs=["u"], outputs=["x"])
     session.close()
     return "\n".join(session.warnings)
 
@@ -112,7 +114,7 @@ def test_letters_of_another_encoding_than_the_file_claims(tmp_path: Path) -> Non
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text.encode("cp1252"))
         archive.writestr(f"binaries/{platform_folder('2.0')}/{IDENTIFIER}{SUFFIX}", content)
-    session = FMUSession(path, inputs=["u"], outputs=["x"])
+    session = FMUPlant(path, inputs=["u"], outputs=["x"])
     assert session.description.model_name == "Größe"
     # Warnings are stored with results: they are the same in every run, without any temporary folder.
     assert not any("ddpc-cosim-" in warning for warning in session.warnings)
@@ -137,7 +139,7 @@ def test_letters_of_another_encoding_than_the_file_claims(tmp_path: Path) -> Non
 def test_descriptions_that_cannot_be_understood(tmp_path: Path, text: str, words: str) -> None:
     path = write_fmu(tmp_path / "lag.fmu", text, model_library("2.0"))
     with pytest.raises(FMUImportError) as caught:
-        FMUSession(path)
+        FMUPlant(path)
     assert words in str(caught.value)
 
 
@@ -145,7 +147,7 @@ def test_missing_functions_count_only_when_they_are_needed(tmp_path: Path) -> No
     """The libraries here have no functions for states, derivatives, types, or debugging."""
     claims = CO_SIMULATION.replace("/>", ' canGetAndSetFMUstate="true"/>')
     path = write_fmu(tmp_path / "lag.fmu", lag_description(interfaces=claims), model_library("2.0"))
-    session = FMUSession(path, inputs=["u"], outputs=["x"])
+    session = FMUPlant(path, inputs=["u"], outputs=["x"])
     session.reset()
     session.step(np.array([1.0]), 0.1)
     with pytest.raises(FMUStepError, match=r"library has no function fmi2GetFMUstate"):
@@ -154,7 +156,7 @@ def test_missing_functions_count_only_when_they_are_needed(tmp_path: Path) -> No
 
 
 def test_an_fmu_that_cannot_save_its_state_says_so(tmp_path: Path) -> None:
-    session = FMUSession(model_fmu(tmp_path, "2.0", "lag"))
+    session = FMUPlant(model_fmu(tmp_path, "2.0", "lag"))
     session.reset()
     assert not session.can_save_state
     with pytest.raises(ConfigError, match="cannot save its state"):
@@ -188,7 +190,7 @@ def test_which_of_two_libraries_is_not_guessed(tmp_path: Path) -> None:
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr(f"binaries/{fmpy.platform}/two{SUFFIX}", model_library("2.0"))
     with pytest.raises(FMUImportError, match="no binary for this platform"):
-        FMUSession(path)
+        FMUPlant(path)
 
 
 def test_a_description_that_begins_with_blanks(tmp_path: Path) -> None:
@@ -231,7 +233,7 @@ def test_an_fmu_that_refuses_without_a_word_is_asked_why(tmp_path: Path) -> None
     text = source("front2.c").replace("EXPORT void *fmi2Instantiate(", said, 1)
     sources = {"models.c": source("models.c"), "models.h": source("models.h"), "front2.c": text}
     library = compile_library(find_compiler(), sources, ["fmi2Instantiate"])
-    session = FMUSession(write_fmu(tmp_path / "lag.fmu", lag_description(), library))
+    session = FMUPlant(write_fmu(tmp_path / "lag.fmu", lag_description(), library))
     with pytest.raises(FMUImportError, match=r"cannot be instantiated: .*\[error\] no licence for lag"):
         session.reset()
     session.close()
@@ -303,7 +305,7 @@ def test_the_headers_of_fmi_are_there_and_their_prefix_is_off(tmp_path: Path, ow
         "fmi2String d, const fmi2CallbackFunctions *e, fmi2Boolean f, fmi2Boolean g) { return 0; }"
     }
     path = write_fmu(tmp_path / "lag.fmu", lag_description(), None, **files)
-    session = FMUSession(path)
+    session = FMUPlant(path)
     with pytest.raises(FMUImportError, match=r"cannot be instantiated: Failed to instantiate"):
         session.reset()
     session.close()
@@ -324,7 +326,7 @@ def test_sources_that_do_not_compile_are_reported_with_the_compilers_words(
         tmp_path / "lag.fmu", lag_description(), None, **{"sources/all.c": "#error no such thing"}
     )
     with pytest.raises(FMUImportError, match=r"(?s)lag.fmu: no binary .* cannot compile .*no such thing"):
-        FMUSession(path)
+        FMUPlant(path)
 
 
 def test_sources_outside_of_the_fmu_are_refused(tmp_path: Path, own_cache: Path) -> None:
@@ -333,13 +335,13 @@ def test_sources_outside_of_the_fmu_are_refused(tmp_path: Path, own_cache: Path)
         tmp_path / "lag.fmu", lag_description(interfaces=listed), None, **{"sources/front2.c": ""}
     )
     with pytest.raises(FMUImportError, match="is outside the FMU"):
-        FMUSession(path)
+        FMUPlant(path)
 
 
 def test_a_library_that_cannot_be_loaded_leaves_the_working_directory(tmp_path: Path) -> None:
     here = Path.cwd()
     path = write_fmu(tmp_path / "lag.fmu", lag_description(), b"no library")
-    session = FMUSession(path)
+    session = FMUPlant(path)
     with pytest.raises(FMUImportError, match=r"lag\.fmu: cannot be instantiated"):
         session.reset()
     session.close()

@@ -8,7 +8,7 @@ import pytest
 from fmus.builder import LAG, V, describe, model_fmu, model_library, write_fmu
 
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
-from ddpc_cosim.fmu.session import FMUSession
+from ddpc_cosim.fmu.plant import FMUPlant
 
 VERSIONS = ("1.0", "2.0", "3.0")
 
@@ -62,7 +62,7 @@ def feedthrough(folder: Path, *, event_mode: bool = False) -> Path:
 def pass_through(
     path: Path, names: Sequence[str], values: Sequence[float], **parameters: float
 ) -> list[float]:
-    session = FMUSession(path, inputs=names, outputs=[_output(name) for name in names])
+    session = FMUPlant(path, inputs=names, outputs=[_output(name) for name in names])
     session.reset(parameters)
     y = session.step(np.array(values), 0.1)
     session.close()
@@ -96,7 +96,7 @@ def test_whole_numbers_are_rounded_and_truth_values_cut_at_a_half(tmp_path: Path
 
 def test_elements_of_arrays_are_addressed_from_1_in_rows(tmp_path: Path) -> None:
     path = feedthrough(tmp_path)
-    session = FMUSession(
+    session = FMUPlant(
         path, inputs=["M[1,2]", "v[2]"], outputs=[f"M out[{i},{j}]" for i in (1, 2) for j in (1, 2, 3)]
     )
     session.reset({"M[2,3]": 6.0})
@@ -105,7 +105,7 @@ def test_elements_of_arrays_are_addressed_from_1_in_rows(tmp_path: Path) -> None
 
 
 def test_arrays_are_known_by_their_elements(tmp_path: Path) -> None:
-    session = FMUSession(feedthrough(tmp_path), outputs=["steps"])
+    session = FMUPlant(feedthrough(tmp_path), outputs=["steps"])
     inputs = {v.name: v.start for v in session.inputs}
     session.close()
     assert inputs == {"real in": 2.5, "single in": 0.0, "v[1]": 1.0, "v[2]": 2.0} | {
@@ -116,7 +116,7 @@ def test_arrays_are_known_by_their_elements(tmp_path: Path) -> None:
 def test_structural_parameters_size_arrays_before_anything_else(tmp_path: Path) -> None:
     """The FMU takes the size in configuration mode only, and everything else outside of it only."""
     path = feedthrough(tmp_path)
-    session = FMUSession(path, inputs=["v[1]", "v[4]"], outputs=["v out[4]", "k out[4]", "v out[1]"])
+    session = FMUPlant(path, inputs=["v[1]", "v[4]"], outputs=["v out[4]", "k out[4]", "v out[1]"])
     session.reset({"k[4]": 7.0, "n": 4})
     assert session.step(np.array([1.5, 2.5]), 0.1).tolist() == [2.5, 7.0, 1.5]
     with pytest.raises(ConfigError, match=r"v\[4\] is outside the array v of size \[2\]"):
@@ -138,18 +138,18 @@ def test_structural_parameters_size_arrays_before_anything_else(tmp_path: Path) 
 )
 def test_names_that_are_no_inputs_are_refused(tmp_path: Path, inputs: list[str], words: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        FMUSession(feedthrough(tmp_path), inputs=inputs)
+        FMUPlant(feedthrough(tmp_path), inputs=inputs)
     assert words in str(caught.value)
 
 
 def test_texts_and_bytes_are_no_signals(tmp_path: Path) -> None:
     path = model_fmu(tmp_path, "2.0", "lag")
     with pytest.raises(ConfigError, match='"name" is a String and cannot be an output; only numbers can'):
-        FMUSession(path, outputs=["name"])
+        FMUPlant(path, outputs=["name"])
 
 
 def test_steps_that_return_early_are_continued(tmp_path: Path) -> None:
-    session = FMUSession(feedthrough(tmp_path), inputs=["real in"], outputs=["steps"])
+    session = FMUPlant(feedthrough(tmp_path), inputs=["real in"], outputs=["steps"])
     session.reset()
     assert session.step(np.array([0.0]), 0.4) == [2.0]
     assert session.step(np.array([0.0]), 0.3) == [3.0]
@@ -162,7 +162,7 @@ def test_steps_that_return_early_are_continued(tmp_path: Path) -> None:
 def test_start_values_and_parameters_take_effect(tmp_path: Path, version: str, kind: str) -> None:
     settings = {} if version != "1.0" else {"interfaces": "CoSimulation" if kind == "co-simulation" else ""}
     path = model_fmu(tmp_path, version, "lag", **settings)
-    session = FMUSession(path, outputs=["x", "name_length"], fmi_type=kind, tolerance=1e-9)  # type: ignore[arg-type]
+    session = FMUPlant(path, outputs=["x", "name_length"], fmi_type=kind, tolerance=1e-9)  # type: ignore[arg-type]
     start = session.reset({"x": 0.5, "rate": 2.0, "name": "größer"})
     assert start.tolist() == [0.5, len("größer".encode())]
     x, _ = session.step(np.array([1.0]), 0.5)
@@ -185,7 +185,7 @@ def test_start_values_and_parameters_take_effect(tmp_path: Path, version: str, k
 def test_impossible_values_are_refused_by_name(
     tmp_path: Path, values: dict[str, float | str], words: str
 ) -> None:
-    session = FMUSession(model_fmu(tmp_path, "2.0", "lag"), outputs=["x"])
+    session = FMUPlant(model_fmu(tmp_path, "2.0", "lag"), outputs=["x"])
     with pytest.raises(ConfigError) as caught:
         session.reset(values)
     assert words in str(caught.value)
@@ -194,14 +194,14 @@ def test_impossible_values_are_refused_by_name(
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_a_value_that_the_fmu_refuses_is_an_error(tmp_path: Path, version: str) -> None:
-    session = FMUSession(model_fmu(tmp_path, version, "lag"), outputs=["x"])
+    session = FMUPlant(model_fmu(tmp_path, version, "lag"), outputs=["x"])
     with pytest.raises(FMUStepError, match=r"the FMU refuses rate = -1: fmi\dSet\w+ returned error"):
         session.reset({"rate": -1.0})
     session.close()
 
 
 def test_a_value_that_the_fmu_ignores_is_an_error(tmp_path: Path) -> None:
-    session = FMUSession(
+    session = FMUPlant(
         model_fmu(tmp_path, "2.0", "ball", interfaces='<ModelExchange modelIdentifier="models"/>')
     )
     with pytest.raises(FMUStepError, match=r"the FMU ignores e = 0.123: initialised, it has 0.7"):
@@ -210,7 +210,7 @@ def test_a_value_that_the_fmu_ignores_is_an_error(tmp_path: Path) -> None:
 
 
 def test_enumerations_are_given_by_name_or_number(tmp_path: Path) -> None:
-    session = FMUSession(feedthrough(tmp_path), inputs=["real in"], outputs=["mode out"])
+    session = FMUPlant(feedthrough(tmp_path), inputs=["real in"], outputs=["mode out"])
     for value in ("on", 2):
         session.reset({"mode in": value})
         assert session.step(np.array([0.0]), 0.1) == [2.0]
@@ -220,7 +220,7 @@ def test_enumerations_are_given_by_name_or_number(tmp_path: Path) -> None:
 
 
 def test_an_fmu_without_inputs_runs(exported: Callable[[str], Path]) -> None:
-    session = FMUSession(exported("3.0"), inputs=[], outputs=["angle"])
+    session = FMUPlant(exported("3.0"), inputs=[], outputs=["angle"])
     session.reset({"torque": 1.0})
     assert session.step(np.empty(0), 0.1) > 0
     session.close()
@@ -241,7 +241,7 @@ def test_negated_aliases_have_the_opposite_sign(tmp_path: Path, kind: str) -> No
     for name in NEGATED:
         text = text.replace(f'name="{name}"', f'name="{name}" alias="negatedAlias"')
     path = write_fmu(tmp_path / "lag.fmu", text, model_library("1.0"))
-    session = FMUSession(path, inputs=["minus_u"], outputs=["x", "minus_x", "rate"])
+    session = FMUPlant(path, inputs=["minus_u"], outputs=["x", "minus_x", "rate"])
     session.reset({"minus_rate": -2.0})
     x, minus_x, rate = session.step(np.array([-1.0]), 1.0)
     session.close()
@@ -254,7 +254,7 @@ def test_limits_that_mean_none_are_none(tmp_path: Path) -> None:
     """Many tools write the largest number that they know."""
     unlimited = {"min": "-1.7976931348623157E+308", "max": "1E+60"}
     variables = [V("u", 0, causality="input", start="0", more=unlimited), *LAG[1:]]
-    session = FMUSession(
+    session = FMUPlant(
         write_fmu(tmp_path / "lag.fmu", describe("2.0", "lag", variables), model_library("2.0"))
     )
     session.close()
@@ -265,7 +265,7 @@ def test_limits_that_mean_none_are_none(tmp_path: Path) -> None:
 def test_a_stop_time_that_is_no_number_is_none(tmp_path: Path, word: str) -> None:
     experiment = f'<DefaultExperiment startTime="0" stopTime="{word}"/>'
     text = describe("2.0", "lag", LAG, head=experiment)
-    session = FMUSession(write_fmu(tmp_path / "lag.fmu", text, model_library("2.0")))
+    session = FMUPlant(write_fmu(tmp_path / "lag.fmu", text, model_library("2.0")))
     session.close()
     assert session.description.default_experiment.stop_time is None
 
@@ -274,4 +274,4 @@ def test_arrays_that_would_not_fit_into_memory_are_refused(tmp_path: Path) -> No
     huge = '<Dimension start="65536"/><Dimension start="65536"/>'
     text = describe("3.0", "lag", [*LAG, V("field", 30, more={"nested": huge})])
     with pytest.raises(FMUImportError, match="the array field has 4294967296 elements; allowed: 1000000"):
-        FMUSession(write_fmu(tmp_path / "lag.fmu", text, model_library("3.0")))
+        FMUPlant(write_fmu(tmp_path / "lag.fmu", text, model_library("3.0")))

@@ -48,16 +48,3 @@ def nothing_left(scratch: Path) -> Iterator[None]:
     yield
     assert Path.cwd() == here
     assert list(scratch.iterdir()) == []
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[None]:
-    """Keep ready what isolated FMUs are forked from: starting it anew for every test takes long."""
-    if sys.platform == "win32":
-        yield
-        return
-    from ddpc_cosim.fmu.isolation_fork import ForkServer
-
-    held = ForkServer.acquire()
-    yield
-    held.release()

@@ -2,8 +2,14 @@
 
 import os
 import select
+import signal
 import subprocess
 import sys
+
+
+def heed_interrupts() -> None:
+    """Let a new process be interrupted, as one in the foreground of a shell: a background job ignores it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def descendants(pid: int) -> list[int]:

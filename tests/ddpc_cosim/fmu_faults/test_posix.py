@@ -1,21 +1,25 @@
 """What holds where there are permissions, forks and signals."""
 
+import importlib
+import json
 import os
+import signal
 import stat
 import subprocess
 import sys
+import sysconfig
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from fmus.builder import library_name
 
-from ddpc_cosim import FMUStepError
+from ddpc_cosim import FMUPlant, FMUStepError
 from ddpc_cosim.fmu.archive import unpack
-from ddpc_cosim.fmu.isolation import IsolatedSession
-from ddpc_cosim.fmu.isolation_fork import ForkServer
-from ddpc_cosim.fmu.scratch import ScratchFolder
+from ddpc_cosim.scratch import ScratchFolder, remove_left_behind
+from ddpc_cosim.worker import Worker, _ForkServer, result_of
 
 from .loop import H
 from .processes import Watch, descendants
@@ -40,46 +44,93 @@ def test_permissions(tmp_path: Path) -> None:
 
 
 class TestTheServer:
-    def test_it_lives_as_long_as_its_fmus(self, faulty_fmus: dict[int, Path], scratch: Path) -> None:
-        """All isolated FMUs of a process come from one server; after the last one no process is left."""
+    def test_it_is_kept_for_the_next_worker(self, faulty_fmus: dict[int, Path], scratch: Path) -> None:
+        """All workers of a process come from one server; they end with their FMUs."""
+        FMUPlant(faulty_fmus[2], isolated=True).close()
         before = set(descendants(os.getpid()))
-        first = IsolatedSession(faulty_fmus[2])
-        server = ForkServer.acquire()
-        second = IsolatedSession(faulty_fmus[2])
+        first, second = (FMUPlant(faulty_fmus[2], isolated=True) for _ in range(2))
         first.close()
         second.reset()
         np.testing.assert_allclose(second.step(U, H), [H])
         second.close()
-        third = IsolatedSession(faulty_fmus[2])
-        third.close()
-        server.release()
         assert set(descendants(os.getpid())) == before
 
     def test_one_that_was_killed(self, faulty_fmus: dict[int, Path], scratch: Path) -> None:
-        """Its FMUs crash with it, and the next one gets another server."""
-        session = IsolatedSession(faulty_fmus[2])
+        """Its workers end with it, and the next one gets another server."""
+        session = FMUPlant(faulty_fmus[2], isolated=True)
         session.reset()
-        server = ForkServer.acquire()
+        server = _ForkServer.running()
         server._process.kill()
         server._process.wait()
         with pytest.raises(FMUStepError, match="crashed in step at t = 0 s: its process has gone"):
             session.step(U, H)
         np.testing.assert_allclose(session.reset(), [0.0])
         session.close()
-        server.release()
+
+
+WORKER_SIDE = """
+import json, subprocess, sys
+from ddpc_cosim.worker import reply
+
+def leave_a_process(channel):
+    child = subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"])
+    channel.send(str(child.pid).encode())
+    channel.receive(1)
+
+def tell_path(channel):
+    reply(channel, lambda: [json.__file__, sys.path])
+"""
+
+
+@pytest.fixture
+def worker_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Functions of a module that workers find too."""
+    (tmp_path / "worker_side.py").write_text(WORKER_SIDE, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield importlib.import_module("worker_side")
+    del sys.modules["worker_side"]
+
+
+@pytest.mark.parametrize("how", ["ended", "died"])
+def test_what_a_worker_forks_ends_with_it(how: str, worker_side: Any, tmp_path: Path) -> None:
+    worker = Worker(worker_side.leave_a_process, folder=tmp_path)
+    family = Watch([int(worker.channel.receive(20))])
+    if how == "died":
+        worker.channel.send(b"")
+        with pytest.raises(EOFError):
+            worker.channel.receive(1)
+    assert worker.end().code == (70 if how == "died" else -signal.SIGKILL)
+    assert family.wait(60.0) == []
+
+
+def test_nothing_beside_a_script_shadows_a_library(
+    worker_side: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What this process finds there is still found, behind everything that is installed."""
+    for name in ("json", "socket", "selectors", "numpy"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(9)", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend("")
+    _ForkServer.running()._stop()
+    worker = Worker(worker_side.tell_path, folder=tmp_path)
+    library, path = result_of(worker.channel.receive(10_000))
+    worker.end()
+    assert library == json.__file__
+    installed = (sysconfig.get_paths()[kind] for kind in ("stdlib", "purelib"))
+    assert path.index(str(tmp_path)) > max(path.index(folder) for folder in installed)
 
 
 FORKED = """
 import os, sys
 import numpy as np
 from pathlib import Path
-from ddpc_cosim.fmu.isolation import IsolatedSession
+from ddpc_cosim import FMUPlant
 
-session = IsolatedSession(Path(sys.argv[1]))
+session = FMUPlant(sys.argv[1], isolated=True)
 session.reset()
 if os.fork() == 0:
     del session
-    other = IsolatedSession(Path(sys.argv[1]))
+    other = FMUPlant(sys.argv[1], isolated=True)
     other.reset()
     print(other.step(np.ones(1), 0.5), flush=True)
     other.close()
@@ -101,7 +152,7 @@ def test_a_forked_copy_of_the_master(faulty_fmus: dict[int, Path], scratch: Path
 class TestScratchFolders:
     SCRIPT = """
 import os, signal
-from ddpc_cosim.fmu.scratch import ScratchFolder
+from ddpc_cosim.scratch import ScratchFolder
 folder = ScratchFolder()
 (folder.path / "file").touch()
 print(folder.path, flush=True)
@@ -110,24 +161,24 @@ input()
 
     @pytest.mark.parametrize("how", ["killed", "at its end"])
     def test_the_process_ends(self, how: str, scratch: Path) -> None:
+        """What a process that was killed has left behind, the next one removes; not what is in use."""
         command = [sys.executable, "-c", self.SCRIPT]
         pipe = subprocess.PIPE
         with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
             assert process.stdout is not None
             folder = Path(process.stdout.readline().rstrip("\n"))
+            remove_left_behind(scratch)
             assert (folder / "file").exists()
-            keeper = Watch(descendants(process.pid))
             if how == "killed":
                 process.kill()
             process.communicate("\n")
-        assert keeper.wait(60.0) == []
+        assert folder.exists() == (how == "killed")
+        remove_left_behind(scratch)
         assert list(scratch.iterdir()) == []
 
     def test_removed_once(self, scratch: Path) -> None:
-        before = descendants(os.getpid())
         folder = ScratchFolder()
         folder.remove()
         folder.path.mkdir()
         folder.remove()
         assert folder.path.is_dir()
-        assert descendants(os.getpid()) == before

@@ -8,9 +8,11 @@ import pytest
 from fmus.builder import Fault
 
 from ddpc_cosim import ConfigError, Outcome, Trace
-from ddpc_cosim.study.cases import cases_of, run_case
+from ddpc_cosim.study.cases import cases_of
+from ddpc_cosim.study.executors import run_cases
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.results import read_trace
 from ddpc_cosim.study.sections import PlantSection
 
 from .loop import FAULT_SAMPLE, FAULT_TIME, SHORT
@@ -36,7 +38,7 @@ excitation.u = { low = -1.0, high = 1.0 }
 
 Run = Callable[..., Trace]
 
-pytestmark = pytest.mark.usefixtures("server", "nothing_left")
+pytestmark = pytest.mark.usefixtures("nothing_left")
 
 
 @pytest.fixture
@@ -54,8 +56,9 @@ def run(tmp_path: Path, faulty_fmus: dict[int, Path]) -> Run:
         path = tmp_path / "study.toml"
         path.write_text(text + more, encoding="utf-8")
         resolved = read_study(str(path))
-        (case,) = cases_of(resolved, resolved.plant.built())
-        return run_case(case)
+        cases = cases_of(resolved, resolved.plant.built())
+        (case,) = run_cases(cases, tmp_path, jobs=1)
+        return read_trace(tmp_path / case.id)
 
     return run_fault
 

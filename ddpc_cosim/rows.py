@@ -1,0 +1,142 @@
+"""The rows of a run, in memory or in a file that outlives the process that fills it.
+
+Time is implied. Besides its rows a file tells which call of a plant or controller the run is in: whoever
+opens it knows how far the run is, whether it hangs, and where it was when its process died.
+"""
+
+import mmap
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ddpc_cosim.controller import OK
+from ddpc_cosim.variables import FloatArray
+
+# Rows begun, calls begun, bytes of texts, and the time of the call; then the call.
+_ROWS, _CALLS, _TEXT_BYTES, _TIME = range(4)
+_CALL = slice(32, 96)
+_HEADER = 96
+_TEXTS = 1 << 16
+_END = "\n"
+_FAILED, _NOT_KEPT = "error", "(not kept: too many different statuses)"
+
+
+class Call(NamedTuple):
+    """What a run is in.
+
+    Parameters
+    ----------
+    number : int
+        How many calls have begun, and ended.
+    who, name : str
+        ``"plant"`` or ``"controller"``, and its method; empty between two calls.
+    time : float
+        Time of the run there [s]; NaN before it.
+    """
+
+    number: int
+    who: str
+    name: str
+    time: float
+
+
+class RowStore:
+    """Arrays of all rows that a run can have, allocated before it.
+
+    Parameters
+    ----------
+    samples : int
+        Number of rows.
+    outputs, measurements, inputs : int
+        Number of columns.
+    path : Path, optional
+        A file, made if there is none; who opens the same one has the same rows. Default: in memory.
+
+    Attributes
+    ----------
+    reference, y : array, shape (samples, outputs)
+        In the outputs' units.
+    measured : array, shape (samples, measurements)
+        All measurements as the controller saw them.
+    u : array, shape (samples, inputs)
+        Inputs as held; NaN where the controller failed.
+    solve_time : array, shape (samples,)
+        Wall-clock time of ``controller.step`` [s].
+    """
+
+    def __init__(
+        self, samples: int, outputs: int, measurements: int, inputs: int, path: Path | None = None
+    ) -> None:
+        columns = (outputs, outputs, measurements, inputs, 1, 1)
+        size = _HEADER + 8 * samples * sum(columns) + (_TEXTS if path else 0)
+        self._memory: Any = _mapped(path, size) if path else np.zeros(size, np.uint8).data
+        head = memoryview(self._memory)[:_HEADER]
+        self._numbers_of, self._times, self._call = head.cast("q"), head.cast("d"), head[_CALL]
+        tables, start = [], _HEADER
+        for count in columns:
+            table = np.frombuffer(self._memory, np.float64, samples * count, start)
+            tables.append(table.reshape(samples, count))
+            start += 8 * samples * count
+        self.reference, self.y, self.measured, self.u, solve_time, status = tables
+        self.solve_time: FloatArray = solve_time[:, 0]
+        self._status = status[:, 0].view(np.int64)
+        self._text_memory = memoryview(self._memory)[start:]
+        written = bytes(self._text_memory[: self._numbers_of[_TEXT_BYTES]]).decode("utf-8", "replace")
+        self._texts = {text: number for number, text in enumerate([OK, _FAILED, *written.split(_END)[:-1]])}
+
+    @property
+    def count(self) -> int:
+        """How many rows have been begun."""
+        return self._numbers_of[_ROWS]
+
+    @property
+    def call(self) -> Call:
+        """The call that the run is in."""
+        who, _, name = bytes(self._call).rstrip(b"\0").decode("utf-8", "replace").partition(" ")
+        return Call(self._numbers_of[_CALLS], who, name, self._times[_TIME])
+
+    def announce(self, who: str, name: str, time: float) -> None:
+        """Note the call that begins; an empty one: that the last one has ended."""
+        self._call[:] = f"{who} {name}".strip().encode()[: len(self._call)].ljust(len(self._call), b"\0")
+        self._times[_TIME] = time
+        self._numbers_of[_CALLS] += 1
+
+    def begin(self, k: int, y: FloatArray, measured: FloatArray) -> None:
+        """Begin row k, whose controller has not decided yet."""
+        self.y[k], self.measured[k] = y, measured
+        self.u[k] = self.solve_time[k] = np.nan
+        self._status[k] = self._texts[_FAILED]
+        self._numbers_of[_ROWS] = k + 1
+
+    def complete(self, k: int, u: FloatArray, status: str, solve_time: float) -> None:
+        """Complete row k with what the controller has decided."""
+        if status not in self._texts:
+            self._add(status)
+        self.u[k], self._status[k], self.solve_time[k] = u, self._texts[status], solve_time
+
+    def written(self) -> dict[str, Any]:
+        """Return the rows up to the last one that was begun, as a trace names them."""
+        n = self.count
+        tables = {name: getattr(self, name)[:n] for name in ("reference", "y", "measured", "u", "solve_time")}
+        texts = {number: text for text, number in self._texts.items()}
+        status = tuple(texts.get(number, _NOT_KEPT) for number in self._status[:n].tolist())
+        return {**tables, "status": status}
+
+    def _add(self, status: str) -> None:
+        """Remember a status, in a file too as long as there is room for it."""
+        self._texts[status] = len(self._texts)
+        text = (status.replace(_END, " ") + _END).encode()
+        begin = self._numbers_of[_TEXT_BYTES]
+        end = begin + len(text)
+        if end <= len(self._text_memory):
+            self._text_memory[begin:end] = text
+            self._numbers_of[_TEXT_BYTES] = end
+        else:  # later ones would have other numbers there
+            self._text_memory = self._text_memory[:0]
+
+
+def _mapped(path: Path, size: int) -> mmap.mmap:
+    with path.open("a+b") as file:
+        file.truncate(size)
+        return mmap.mmap(file.fileno(), size)

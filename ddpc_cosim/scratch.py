@@ -1,0 +1,92 @@
+"""Temporary folders that do not outlive the next run, however the process ends.
+
+A process that is killed, or brought down by an FMU, cannot tidy up. So each folder holds a file that is
+locked as long as its process lives; whoever makes such a folder first removes those that nobody holds.
+"""
+
+import os
+import shutil
+import sys
+import tempfile
+import weakref
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+_LOCK = ".lock"
+
+
+class ScratchFolder:
+    """A folder that is removed by :meth:`remove`, with the object, with the process, or by the next one.
+
+    Parameters
+    ----------
+    within : Path, optional
+        Where it is made; default: the folder of temporary files.
+    prefix : str
+        What its name begins with; folders of this prefix that nobody holds are removed.
+
+    Raises
+    ------
+    OSError
+        It cannot be made.
+    """
+
+    def __init__(self, within: Path | None = None, prefix: str = "ddpc-cosim-") -> None:
+        parent = Path(within or tempfile.gettempdir()).resolve()
+        _remove_left_behind_once(parent, prefix)
+        while True:
+            self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+            lock = os.open(self.path / _LOCK, os.O_CREAT | os.O_RDWR)
+            if _holds(lock) and (self.path / _LOCK).exists():  # nobody has taken it for one left behind
+                break
+            os.close(lock)
+        self._finalizer = weakref.finalize(self, _remove, self.path, lock, os.getpid())
+
+    def __enter__(self) -> Path:
+        return self.path
+
+    def __exit__(self, *_: object) -> None:
+        self.remove()
+
+    def remove(self) -> None:
+        """Remove the folder and all that is in it; nothing happens the second time."""
+        self._finalizer()
+
+
+def remove_left_behind(parent: Path, prefix: str = "ddpc-cosim-") -> None:
+    """Remove the folders of processes that have gone."""
+    for lock_file in parent.glob(f"{prefix}*/{_LOCK}"):
+        with suppress(OSError):  # another user's, or just removed
+            lock = os.open(lock_file, os.O_RDWR)
+            try:
+                if sys.platform != "win32" and _holds(lock):
+                    lock_file.unlink()
+            finally:
+                os.close(lock)
+            if sys.platform == "win32":
+                lock_file.unlink()  # which cannot be done while a process has it open
+            if not lock_file.exists():
+                shutil.rmtree(lock_file.parent, ignore_errors=True)
+
+
+_remove_left_behind_once = cache(remove_left_behind)
+
+
+def _holds(lock: int) -> bool:
+    """Lock a file unless somebody else has; return whether it is locked now."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _remove(path: Path, lock: int, owner: int) -> None:
+    if os.getpid() == owner:  # not in a forked copy
+        os.close(lock)
+        shutil.rmtree(path, ignore_errors=True)

@@ -1,0 +1,511 @@
+"""The one kind of process for whatever may crash or hang: the cases of a study, isolated FMUs, checks.
+
+On POSIX, workers are forked from a server: a process without threads in which what they need is imported
+already. It collects what they print, ends whole process groups, and ends them all when this process is gone.
+A worker protects against faults, not against malice: it has the user's rights.
+
+What goes to a worker is pickled. What comes back never is: it is JSON of a bounded length, or numbers of a
+known one.
+"""
+
+import atexit
+import contextlib
+import gc
+import importlib
+import itertools
+import json
+import math
+import os
+import pickle
+import selectors
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from time import monotonic
+from typing import Any, ClassVar, NamedTuple, NoReturn
+
+from ddpc_cosim import errors
+from ddpc_cosim.errors import CosimError, FMUStepError, StepStatus
+
+LONGEST_REPLY = 1 << 27
+_LONGEST_TEXT = 10_000
+_PHASES = {"reset": "initialisation", "close": "terminate"}
+_LENGTH = struct.Struct("=q")
+
+_START_SECONDS = 120.0
+_OUTPUT_KEPT, _OUTPUT_SHOWN = 4000, 300
+_CHUNK = 1 << 16
+_LEFT_BEHIND = 70
+_FIRST_WINDOWS_FAULT = 0xC0000000
+_PR_SET_PDEATHSIG = 1
+# Small matrices gain nothing from threaded linear algebra, and threads do not survive a fork.
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class UnexpectedError(Exception):
+    """What was called in a worker raised an error that is not of this project's family."""
+
+
+class Channel:
+    """Messages behind their length, over a socket; strictly one request, one reply."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.socket = connection
+
+    def send(self, content: bytes) -> None:
+        """Send a message."""
+        self.socket.sendall(_LENGTH.pack(len(content)) + content)
+
+    def receive(self, longest: int, beginning: bytes = b"", seconds: float | None = None) -> bytes:
+        """Return the message of which the beginning has been received already.
+
+        Raises
+        ------
+        EOFError, OSError
+            The other side is gone; a ``TimeoutError``: the message is not complete in time.
+        ValueError
+            It is too long.
+        """
+        deadline = None if seconds is None else monotonic() + seconds
+        try:
+            head = beginning + self._receive(_LENGTH.size - len(beginning), deadline)
+            (length,) = _LENGTH.unpack_from(head)
+            if not 0 <= length <= longest:
+                raise ValueError(f"a message of {length} bytes; allowed: {longest}")
+            content = head[_LENGTH.size :]
+            return content + self._receive(length - len(content), deadline)
+        finally:
+            if deadline is not None:
+                self.socket.settimeout(seconds)
+
+    def _receive(self, count: int, deadline: float | None) -> bytes:
+        buffer = bytearray(max(count, 0))
+        rest = memoryview(buffer)
+        while rest:
+            if deadline is not None:
+                self.socket.settimeout(max(deadline - monotonic(), 1e-3))
+            received = self.socket.recv_into(rest)
+            if not received:
+                raise EOFError
+            rest = rest[received:]
+        return bytes(buffer)
+
+
+def reply(channel: Channel, call: Callable[[], Any]) -> None:
+    """Send from a worker what a call returns: what JSON can say, and arrays; or the error that it raises."""
+    try:
+        content = json.dumps({"result": call()}, default=_plain)
+    except BaseException as error:  # somebody's code can fail in any way, exit() included
+        reply_error(channel, error)
+    else:
+        channel.send(content.encode())
+
+
+def reply_error(channel: Channel, error: BaseException) -> None:
+    """Send an error: by its class and arguments if it is of this project's family, else in words."""
+    kind, arguments = "", (f"{type(error).__name__}: {error}".removesuffix(": "),)
+    if isinstance(error, CosimError):
+        kind = next(base.__name__ for base in type(error).__mro__ if base.__module__ == errors.__name__)
+        arguments = error.__reduce__()[1]  # type: ignore[assignment]
+    channel.send(json.dumps({"error": kind, "arguments": arguments}, default=str).encode())
+
+
+def result_of(content: bytes) -> Any:
+    """Return what :func:`reply` was given, or raise it.
+
+    Raises
+    ------
+    ValueError
+        It is not a reply.
+    CosimError
+        What was called raised it.
+    UnexpectedError
+        What was called raised something else.
+    """
+    try:
+        answer = json.loads(content, object_hook=_array_or_dict)
+        if "error" not in answer:
+            return answer["result"]
+        kind = getattr(errors, answer["error"]) if answer["error"] else UnexpectedError
+        arguments = [a[:_LONGEST_TEXT] if isinstance(a, str) else a for a in answer["arguments"]]
+        error = kind(*arguments)
+        if not isinstance(error, CosimError | UnexpectedError):
+            raise TypeError(answer["error"])
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as fault:
+        raise ValueError("the reply cannot be read") from fault
+    raise error
+
+
+def _plain(value: Any) -> Any:
+    """Return an array as JSON can say it."""
+    return {"shape": value.shape, "values": value.ravel().tolist()}
+
+
+def _array_or_dict(value: dict[str, Any]) -> Any:
+    if value.keys() != {"shape", "values"}:
+        return value
+    import numpy as np
+
+    return np.array(value["values"], dtype=np.float64).reshape(value["shape"])
+
+
+class Ending(NamedTuple):
+    """How a worker ended: exit code, negative for a signal, None if unknown; and what it printed last."""
+
+    code: int | None
+    output: str = ""
+
+    def __str__(self) -> str:
+        code, printed = self.code, " ".join(self.output.split())[-_OUTPUT_SHOWN:]
+        words = f"; it printed: {printed}" if printed else ""
+        if code is None:
+            return f"its process has gone{words}"
+        if code >= _FIRST_WINDOWS_FAULT:
+            return f"its process ended with exception {code:#x}{words}"
+        if code >= 0:
+            return f"its process ended with exit code {code}{words}"
+        try:
+            number = signal.Signals(-code)
+        except ValueError:
+            return f"signal {-code}{words}"
+        return f"{number.name} ({signal.strsignal(number) or 'unknown'}){words}"
+
+
+def lost(who: str, call: str, time: float, ending: Ending, seconds: float | None = None) -> FMUStepError:
+    """Return the error for a call in a worker that crashed, or did not return within so many seconds."""
+    place = f"in {_PHASES.get(call, call)}" + (f" at t = {time:g} s" if math.isfinite(time) else "")
+    if seconds is None:
+        return FMUStepError(f"{who}: crashed {place}: {ending}", StepStatus.CRASHED, time)
+    return FMUStepError(
+        f"{who}: no return within {seconds:g} s {place}; its process was ended; "
+        "raise step_timeout if it needs longer",
+        StepStatus.TIMED_OUT,
+        time,
+    )
+
+
+class Worker:
+    """A process that runs one function.
+
+    Parameters
+    ----------
+    target : callable
+        What it runs: any function of a module, with its :class:`Channel` as the first argument.
+    arguments : Any
+        The other arguments; pickled.
+    folder : Path
+        Where temporary files of the worker go.
+    preload : sequence of str
+        Modules to be imported before workers are forked, once for all.
+
+    Raises
+    ------
+    CosimError
+        It cannot be started.
+    """
+
+    def __init__(
+        self, target: Callable[..., None], *arguments: Any, folder: Path, preload: Sequence[str] = ()
+    ) -> None:
+        ours, theirs = socket.socketpair()
+        self.channel = Channel(ours)
+        self._owner, self._ending = os.getpid(), Ending(None)
+        self._end: Callable[[], Ending] | None = None
+        try:
+            with theirs:
+                self._end = _start(theirs, preload)
+            # Two pickles: the import path has to be there before the target can be found.
+            place = (sys.path, str(Path.cwd()), dict(os.environ), str(folder))
+            self.channel.send(pickle.dumps(place))
+            self.channel.send(pickle.dumps((target, arguments)))
+        except OSError as error:
+            self.end()
+            raise CosimError(f"a worker process cannot be started: {error}") from error
+        except BaseException:
+            self.end()
+            raise
+
+    def end(self) -> Ending:
+        """End the process and all that it has forked; return how it ended, if it had not been ended before.
+
+        In a forked copy of this process, the worker is left alone.
+        """
+        end, self._end = self._end, None
+        if end is not None and os.getpid() == self._owner:
+            self._ending = end()
+        self.channel.socket.close()
+        return self._ending
+
+
+def _start(connection: socket.socket, preload: Sequence[str]) -> Callable[[], Ending]:
+    """Start a process with the far end of a channel; return what ends it."""
+    if sys.platform != "win32":
+        server = _ForkServer.running()
+        return server.fork(connection, preload)
+    process = _python("ddpc_cosim.worker._run_shared()", stdin=subprocess.PIPE)
+    assert process.stdin is not None
+    with process.stdin as pipe:
+        pipe.write(connection.share(process.pid))
+
+    def end() -> Ending:
+        process.kill()
+        return Ending(process.wait())
+
+    return end
+
+
+def _python(code: str, stdin: int, pass_fds: Sequence[int] = ()) -> "subprocess.Popen[bytes]":
+    """Start this Python away from the terminal and its Ctrl-C.
+
+    Nothing beside a study or a script shadows a library: what this process finds beyond what is installed
+    comes last.
+    """
+    command = [sys.executable, "-P", "-c"]
+    flags = 0
+    if sys.platform == "win32":
+        # In a virtual environment, python.exe only launches this one, and would be ended in its place.
+        command[0] = sys._base_executable
+        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
+    find = "import sys; sys.path += [p for p in sys.argv[1:] if p not in sys.path]; import ddpc_cosim.worker"
+    command += [f"{find}; {code}", *(entry or str(Path.cwd()) for entry in sys.path)]
+    null = subprocess.DEVNULL
+    return subprocess.Popen(
+        command,
+        bufsize=0,
+        stdin=stdin,
+        stdout=null,
+        stderr=null,
+        env=_ONE_THREAD | os.environ,
+        start_new_session=True,
+        creationflags=flags,
+        pass_fds=pass_fds,
+    )
+
+
+class _ForkServer:
+    """The server's other end. Each request has a number that its answer repeats.
+
+    A finalizer may ask in the middle of another request, and an interrupt may leave an answer unread.
+    """
+
+    _current: ClassVar["_ForkServer | None"] = None
+    _lock: ClassVar[threading.RLock] = threading.RLock()
+
+    def __init__(self) -> None:
+        self._owner = os.getpid()
+        self._numbers = itertools.count(1)
+        self._received = b""
+        self._answers: dict[int, dict[str, Any]] = {}
+        self._socket, other = socket.socketpair()
+        with other:
+            descriptor = other.fileno()
+            code = f"ddpc_cosim.worker._Server({descriptor}).serve()"
+            self._process = _python(code, subprocess.DEVNULL, (descriptor,))
+        self._socket.settimeout(_START_SECONDS)
+        atexit.register(self._stop)
+
+    @classmethod
+    def running(cls) -> "_ForkServer":
+        """Return the server of this process, started if there is none; it is kept from then on."""
+        with cls._lock:
+            server = cls._current
+            if server is None or server._owner != os.getpid() or server._process.poll() is not None:
+                server = cls._current = _ForkServer()
+            return server
+
+    def fork(self, connection: socket.socket, preload: Sequence[str]) -> Callable[[], Ending]:
+        """Fork a worker and return what ends it; raises OSError."""
+        pid = self._ask({"preload": [*preload]}, connection.fileno())["pid"]
+
+        def end() -> Ending:
+            try:
+                answer = self._ask({"end": pid})
+            except OSError:  # the server has gone, and its workers with it
+                return Ending(None)
+            return Ending(answer["code"], answer["output"])
+
+        return end
+
+    def _ask(self, request: dict[str, Any], *descriptors: int) -> dict[str, Any]:
+        with self._lock:
+            number = next(self._numbers)
+            line = json.dumps({"number": number, **request}).encode() + b"\n"
+            socket.send_fds(self._socket, [line], descriptors)
+            while number not in self._answers:
+                chunk = self._socket.recv(_CHUNK)
+                if not chunk:
+                    raise ConnectionError(f"the server ended with exit code {self._process.wait()}")
+                self._received += chunk
+                *lines, self._received = self._received.split(b"\n")
+                self._answers |= {(answer := json.loads(line))["number"]: answer for line in lines}
+            answer = self._answers.pop(number)
+        if "error" in answer:
+            raise OSError(answer["error"])
+        return answer
+
+    def _stop(self) -> None:
+        if os.getpid() == self._owner:
+            self._socket.close()  # which is what it waits for
+            self._process.wait()
+
+
+class _Server:
+    """The process from which workers are forked."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._control = socket.socket(fileno=descriptor)
+        self._outputs: dict[int, int] = {}
+        self._printed: dict[int, bytes] = {}
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._control, selectors.EVENT_READ)
+
+    def serve(self) -> NoReturn:
+        """Answer requests until whoever asks is gone; end what is left then."""
+        try:
+            while True:
+                ready = [key.data for key, _ in self._selector.select()]
+                for pid in ready:
+                    if pid is not None:
+                        self._collect(pid)
+                if None in ready:
+                    self._answer()
+        except (EOFError, ConnectionError):
+            for pid in list(self._outputs):
+                self._end(pid)
+        finally:
+            os._exit(0)
+
+    def _answer(self) -> None:
+        line, descriptors, _, _ = socket.recv_fds(self._control, _CHUNK, 1)
+        if not line:
+            raise EOFError
+        request = json.loads(line)
+        answer: dict[str, Any]
+        try:
+            if "end" in request:
+                answer = self._end(request["end"])
+            else:
+                answer = {"pid": self._fork(request["preload"], *descriptors)}
+        except OSError as error:  # no more processes or descriptors
+            answer = {"error": str(error)}
+        self._control.sendall(json.dumps({"number": request["number"], **answer}).encode() + b"\n")
+
+    def _fork(self, preload: Sequence[str], connection: int) -> int:
+        for module in preload:
+            with contextlib.suppress(Exception):  # the worker will say what is wrong with it
+                importlib.import_module(module)
+        gc.freeze()  # what is shared with the workers stays shared
+        output, printing = os.pipe()
+        server, pid = os.getpid(), os.fork()
+        if pid == 0:
+            self._become_worker(connection, printing, server)
+        for descriptor in (connection, printing):
+            os.close(descriptor)
+        os.set_blocking(output, False)
+        self._outputs[pid], self._printed[pid] = output, b""
+        self._selector.register(output, selectors.EVENT_READ, pid)
+        return pid
+
+    def _become_worker(self, connection: int, printing: int, server: int) -> NoReturn:
+        try:
+            os.setsid()
+            _die_with(server)
+            self._selector.close()
+            self._control.close()
+            for output in self._outputs.values():
+                os.close(output)
+            nowhere = os.open(os.devnull, os.O_RDONLY)
+            for source, target in ((nowhere, 0), (printing, 1), (printing, 2)):
+                os.dup2(source, target)
+            os.close(nowhere)
+            os.close(printing)
+            channel = Channel(socket.socket(fileno=connection))  # not closed before the process ends
+            _run(channel)
+        except BaseException:
+            traceback.print_exc()
+            sys.stderr.flush()
+        finally:
+            os._exit(_LEFT_BEHIND)
+
+    def _collect(self, pid: int) -> None:
+        """Read what a worker has printed, of which the end is kept."""
+        with contextlib.suppress(BlockingIOError, KeyError):  # for now, or its output has ended before
+            while chunk := os.read(self._outputs[pid], _CHUNK):
+                self._printed[pid] = (self._printed[pid] + chunk)[-_OUTPUT_KEPT:]
+            self._selector.unregister(self._outputs[pid])
+
+    def _end(self, pid: int) -> dict[str, Any]:
+        for kill in (os.killpg, os.kill):  # it may not have made its group yet
+            with contextlib.suppress(OSError):
+                kill(pid, signal.SIGKILL)
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        self._collect(pid)
+        with contextlib.suppress(KeyError):
+            self._selector.unregister(self._outputs[pid])
+        os.close(self._outputs.pop(pid))
+        return {"code": code, "output": self._printed.pop(pid).decode("utf-8", "replace")}
+
+
+def _die_with(server: int) -> None:
+    """End with the server, where the kernel can be asked for it; leave no core dump, and Ctrl-C to others."""
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() != server:
+            os._exit(_LEFT_BEHIND)
+
+
+def _run(channel: Channel) -> None:
+    """Run what the other side says, in its working directory and environment, with its import path."""
+    with contextlib.suppress(EOFError, ConnectionError):
+        path, here, environment, folder = pickle.loads(channel.receive(sys.maxsize))
+        sys.path += [entry or here for entry in path if entry not in sys.path]
+        os.environ.clear()
+        os.environ.update(_ONE_THREAD | environment | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
+        tempfile.tempdir = folder
+        with contextlib.suppress(OSError):
+            os.chdir(here)
+        target, arguments = pickle.loads(channel.receive(sys.maxsize))
+        target(channel, *arguments)
+
+
+def _run_shared() -> None:
+    """Run as a process of its own (Windows), which ends with whoever started it."""
+    if sys.platform == "win32":
+        threading.Thread(target=_leave_with_parent, daemon=True).start()
+        _run(Channel(socket.fromshare(sys.stdin.buffer.read())))
+
+
+def _leave_with_parent() -> None:
+    """Wait for the parent's end, which a closed socket does not tell while an FMU is busy (Windows)."""
+    if sys.platform == "win32":
+        import _winapi
+
+        synchronize = 0x00100000
+        parent = _winapi.OpenProcess(synchronize, False, os.getppid())
+        _winapi.WaitForSingleObject(parent, _winapi.INFINITE)
+        os._exit(_LEFT_BEHIND)
+
+
+def serve_calls(channel: Channel) -> None:
+    """Call in a worker what it is asked for, one function after the other: the other side of :func:`ask`."""
+    while True:
+        function, arguments = pickle.loads(channel.receive(sys.maxsize))
+        reply(channel, lambda: function(*arguments))  # noqa: B023 - called at once
+
+
+def ask(channel: Channel, function: Callable[..., Any], *arguments: Any) -> None:
+    """Have a worker that serves calls call a function; its reply is to be received."""
+    channel.send(pickle.dumps((function, arguments)))

@@ -1,0 +1,89 @@
+"""The rows of a run in a file: whoever opens it sees how far the run is, and what it has left."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import Action, Constant, Controller, FMUPlant, Loop, Sample, cosimulate, safe_calls
+from ddpc_cosim.rows import RowStore
+
+
+@dataclass(kw_only=True)
+class Looks(Controller):
+    """Looks at the rows of its own run from outside, and says something else at each sample."""
+
+    look: Callable[[], RowStore]
+    seen: list[tuple[object, ...]] = field(default_factory=list)
+
+    def start(self, loop: Loop) -> None:
+        self._note()
+
+    def step(self, sample: Sample) -> Action:
+        self._note()
+        return Action(np.array([0.5]), f"sample {sample.k}")
+
+    def _note(self) -> None:
+        store = self.look()
+        _, who, name, _ = store.call
+        self.seen.append((store.count, who, name, store.written()["status"]))
+
+
+@pytest.fixture
+def announced(tmp_path: Path) -> Iterator[RowStore]:
+    """A store in a file, to which the calls of this process are announced."""
+    before = safe_calls._announce
+    store = RowStore(4, 1, 1, 1, tmp_path / "rows")
+    safe_calls.announce_calls(store.announce)
+    yield store
+    safe_calls.announce_calls(before)
+
+
+def test_a_run_can_be_followed_in_its_file(announced: RowStore, pendulum_fmu: Path, tmp_path: Path) -> None:
+    controller = Looks(look=lambda: RowStore(4, 1, 1, 1, tmp_path / "rows"))
+    with FMUPlant(pendulum_fmu, inputs=["torque"], outputs=["angle"]) as plant:
+        trace = cosimulate(
+            plant,
+            controller,
+            sampling_time=0.1,
+            duration=0.3,
+            reference=Constant(0.2),
+            start_time=1.0,
+            store=announced,
+        )
+    assert controller.seen == [
+        (0, "controller", "start", ()),
+        (1, "controller", "step", ("error",)),
+        (2, "controller", "step", ("sample 0", "error")),
+        (3, "controller", "step", ("sample 0", "sample 1", "error")),
+        (4, "controller", "step", ("sample 0", "sample 1", "sample 2", "error")),
+    ]
+    after = controller.look()
+    assert after.call[1:3] == ("", "")
+    for name, table in after.written().items():
+        np.testing.assert_array_equal(table, getattr(trace, name))
+
+
+def test_calls_tell_their_time(announced: RowStore) -> None:
+    with safe_calls._plant_errors("FMUPlant.step", 0.5):
+        assert announced.call == (1, "plant", "step", 0.5)
+    number, who, name, time = announced.call
+    assert (number, who, name) == (2, "", "")
+    assert math.isnan(time)
+
+
+def test_the_texts_of_statuses_are_limited_in_length(tmp_path: Path) -> None:
+    """In the file; the run itself knows them all."""
+    store = RowStore(40, 1, 0, 1, tmp_path / "rows")
+    texts = [f"{k}{4000 * 'x'}" for k in range(40)]
+    for k, text in enumerate(texts):
+        store.begin(k, np.zeros(1), np.empty(0))
+        store.complete(k, np.ones(1), text, 0.0)
+    assert list(store.written()["status"]) == texts
+    found = RowStore(40, 1, 0, 1, tmp_path / "rows").written()["status"]
+    assert list(found[:16]) == texts[:16]
+    assert set(found[16:]) == {"(not kept: too many different statuses)"}
+    assert (tmp_path / "rows").stat().st_size < 100_000
