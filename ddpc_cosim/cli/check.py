@@ -3,19 +3,15 @@
 Every check runs in a worker process, so that a subject that crashes or hangs fails one check and no more.
 """
 
-import signal
 import tomllib
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import TimeoutError as TimedOut
 from dataclasses import dataclass, field
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import click
-from pebble import ProcessExpired, ProcessPool
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -24,9 +20,13 @@ from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError, did_you_mean
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.plugins import load_plugin, load_target, plugin_names
+from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
 from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
+from ddpc_cosim.worker import LONGEST_REPLY, Ending, UnexpectedError, Worker, ask, result_of, serve_calls
+
+_PRELOAD = (__name__,)
 
 
 class Subject(Protocol):
@@ -157,11 +157,8 @@ def check_command(
     """Check a plant or a controller and print a table; return 1 if a check failed."""
     found = find_subject(subject, settings)
     step = sampling_time or _natural_step(found)
-    results = []
-    with ProcessPool(1, context=get_context("spawn")) as pool:
-        for name in found.check_names():
-            future = pool.schedule(_run, args=[found, name, step], timeout=timeout)
-            results.append(_result(name, future, timeout))
+    with ScratchFolder() as folder, _CheckWorker(folder) as worker:
+        results = [worker.check(found, name, step, timeout) for name in found.check_names()]
     _print(f"{subject}, steps of {step:g} s", results)
     return 1 if any(result.status is CheckStatus.FAILED for result in results) else 0
 
@@ -180,25 +177,52 @@ def _natural_step(subject: Subject) -> float:
     return fixed or experiment.step_size or (experiment.stop_time or 50.0) / 500
 
 
-def _run(subject: Subject, name: str, sampling_time: float) -> CheckResult:
+class _CheckWorker:
+    """A worker that runs checks, and another one after a check that it has not survived.
+
+    Parameters
+    ----------
+    folder : Path
+        Where temporary files go.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._worker: Worker | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def check(self, subject: Subject, name: str, sampling_time: float, timeout: float) -> CheckResult:
+        """Run one check."""
+        if self._worker is None:
+            self._worker = Worker(serve_calls, folder=self._folder, preload=_PRELOAD)
+        try:
+            ask(self._worker.channel, _run, subject, name, sampling_time)
+            status, reason = result_of(self._worker.channel.receive(LONGEST_REPLY, seconds=timeout))
+            return CheckResult(name, CheckStatus(status), reason)
+        except TimeoutError:
+            self._end()
+            reason = f"did not end within {timeout:g} s"
+        except (OSError, EOFError, ValueError, TypeError):
+            reason = f"crashed: {self._end()}"
+        except UnexpectedError as error:
+            reason = f"the check cannot be run: {error}"
+        return CheckResult(name, CheckStatus.FAILED, reason)
+
+    def _end(self) -> Ending:
+        worker, self._worker = self._worker, None
+        return worker.end() if worker is not None else Ending(None)
+
+
+def _run(subject: Subject, name: str, sampling_time: float) -> tuple[str, str]:
+    """Run one check, in a worker, and return its status and reason."""
     warnings.simplefilter("ignore", CosimWarning)  # `inspect` shows them
-    return run_check(name, partial(subject.check, name, sampling_time))
-
-
-def _result(name: str, future: Any, timeout: float) -> CheckResult:
-    try:
-        result: CheckResult = future.result()
-    except TimedOut:
-        return CheckResult(name, CheckStatus.FAILED, f"did not end within {timeout:g} s")
-    except ProcessExpired as error:
-        return CheckResult(name, CheckStatus.FAILED, f"the process died: {_cause(error.exitcode)}")
-    return result
-
-
-def _cause(exit_code: int) -> str:
-    if exit_code < 0 and -exit_code in set(signal.Signals):
-        return signal.Signals(-exit_code).name
-    return f"exit code {exit_code}"
+    result = run_check(name, partial(subject.check, name, sampling_time))
+    return result.status, result.reason
 
 
 def _print(title: str, results: list[CheckResult]) -> None:

@@ -262,7 +262,7 @@ def test_crashes_and_hangs_fail_one_check_each(tmp_path: Path, monkeypatch: pyte
     lines = {line.split("\t")[1]: line.split("\t") for line in result.stdout.splitlines()}
     assert list(lines) == list(PLANT_CHECKS)
     assert lines["declares its signals"][0] == "passed"
-    assert lines["returns finite numbers"][0::2] == ["failed", "the process died: exit code 7"]
+    assert lines["returns finite numbers"][0::2] == ["failed", "crashed: its process ended with exit code 7"]
     assert lines["refuses unknown parameters"][0] == "failed"
 
 
