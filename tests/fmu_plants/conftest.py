@@ -12,7 +12,7 @@ import fmpy.fmi3 as fmi3
 import numpy as np
 import pytest
 
-from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable, export_fmu
+from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable, build_fmu
 from fmu_plants.pendulum import MODEL
 
 
@@ -204,15 +204,26 @@ class Instance3:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_cache_folder(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Iterator[None]:
-    """Leave the user's cache folder alone; zig's own cache serves one run of the tests after the other."""
-    assert pytestconfig.cache is not None
-    zig_cache = str(pytestconfig.cache.mkdir("zig"))
+def zig_cache(own_cache_folder: None, pytestconfig: pytest.Config) -> Iterator[None]:
+    """Keep what zig prepares for each platform from one run of the tests to the next."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("DDPC_COSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
-        patch.setenv("ZIG_GLOBAL_CACHE_DIR", zig_cache)
-        patch.setenv("ZIG_LOCAL_CACHE_DIR", zig_cache)
+        if (cache := getattr(pytestconfig, "cache", None)) is not None:
+            patch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache.mkdir("zig")))
+            patch.setenv("ZIG_LOCAL_CACHE_DIR", str(cache.mkdir("zig")))
         yield
+
+
+@pytest.fixture
+def no_compilation(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """Let FMUs have an empty library; return the list of what would have been compiled."""
+    calls: list[object] = []
+
+    def pretend(*arguments: object) -> bytes:
+        calls.append(arguments)
+        return b""
+
+    monkeypatch.setattr("fmu_plants.export.compile_library", pretend)
+    return calls
 
 
 @pytest.fixture
@@ -227,11 +238,6 @@ def open_fmu(tmp_path: Path) -> Iterator[Callable[..., Instance]]:
     yield open_instance
     for instance in instances:
         instance.free()
-
-
-@pytest.fixture(scope="session")
-def pendulum_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return export_fmu(MODEL, tmp_path_factory.mktemp("fmu") / "pendulum.fmu")
 
 
 @pytest.fixture(scope="session")
@@ -254,8 +260,8 @@ def pendulum(pendulum_library: Library) -> Iterator[Callable[..., Instance]]:
 
 
 @pytest.fixture(scope="session")
-def pendulum3_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return export_fmu(MODEL, tmp_path_factory.mktemp("fmu") / "pendulum.fmu", "3.0")
+def pendulum3_fmu(own_cache_folder: None) -> Path:
+    return build_fmu(MODEL, "3.0")
 
 
 @pytest.fixture(scope="session")
@@ -295,9 +301,8 @@ ESCAPE = PlantModel(
 
 
 @pytest.fixture(scope="session")
-def escape_library(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    folder = tmp_path_factory.mktemp("escape")
-    return Library(export_fmu(ESCAPE, folder / "escape.fmu"), folder / "extracted")
+def escape_library(own_cache_folder: None, tmp_path_factory: pytest.TempPathFactory) -> Library:
+    return Library(build_fmu(ESCAPE), tmp_path_factory.mktemp("escape"))
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """The plants: their FMUs of all four kinds against formulas written here, and what they are known for."""
 
 import importlib
+from functools import cache
 
 import fmpy
 import numpy as np
@@ -84,10 +85,12 @@ def excitation(model, amplitude):
     return starts(model.inputs) + rng.uniform(-amplitude, amplitude, (SAMPLES, len(model.inputs)))
 
 
-def reference(model, formula, inputs):
-    """Return the states at the end of every sample, shape (SAMPLES, n)."""
+@cache
+def reference(formula):
+    """Return the states at the end of every sample of the excitation, shape (SAMPLES, n)."""
+    model = model_of(formula)
     x, rows = starts(model.states), []
-    for u in inputs:
+    for u in excitation(model, AMPLITUDES[formula]):
         x = solve_ivp(
             lambda _, x, u=u: formula(x, u), (0.0, model.step_size), x, "DOP853", rtol=1e-12, atol=1e-13
         ).y[:, -1]
@@ -121,7 +124,7 @@ def test_co_simulation_and_model_exchange_agree_with_the_formula(formula, amplit
     fmu = build_fmu(model, fmi_version)
     assert validate_fmu(str(fmu)) == []
     inputs = excitation(model, amplitude)
-    exact = reference(model, formula, inputs)
+    exact = reference(formula)
     nominal = np.array([state.nominal for state in model.states])
     for kind in ("CoSimulation", "ModelExchange"):
         error = np.abs(simulated(fmu, model, inputs, kind) - exact) / nominal
@@ -140,7 +143,7 @@ def test_they_agree_behind_the_plant_contract_as_well(formula, amplitude, fmi_ve
     with FMUPlant(fmu, inputs=names, outputs=states, fmi_type=fmi_type) as plant:
         plant.reset()
         rows = np.array([plant.step(u, model.step_size) for u in inputs])
-    error = np.abs(rows - reference(model, formula, inputs)) / [state.nominal for state in model.states]
+    error = np.abs(rows - reference(formula)[:10]) / [state.nominal for state in model.states]
     assert error.max() <= 1e-7
 
 

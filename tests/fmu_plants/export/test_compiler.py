@@ -42,13 +42,13 @@ def test_the_c_code_gives_no_warning(compiler, fmi_version):
     assert compile_library(compiler, *c_files(MODEL, fmi_version), STRICT)
 
 
-@pytest.mark.parametrize("fmi_version", FMI_VERSIONS)
-def test_equations_that_leave_variables_unused_give_no_warning(fmi_version):
+def test_equations_that_leave_variables_unused_give_no_warning():
     for equations in ({"angle": 1, "angular_velocity": 0}, {"angle": 1}):
         model = replace(
             MODEL, equations=lambda v, given=equations: Equations({"angular_velocity": v.time} | given)
         )
-        assert compile_library(find_compiler(), *c_files(model, fmi_version), STRICT)
+        files, _ = c_files(model, "2.0")
+        assert compile_library(find_compiler(), {n: files[n] for n in ("model.c", "model.h")}, [], STRICT)
 
 
 def test_zig_is_used_when_there_is_no_other(no_system_compiler, tmp_path, pendulum_fmu, open_fmu):

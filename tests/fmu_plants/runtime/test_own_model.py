@@ -9,7 +9,7 @@ from fmpy.fmi2 import fmi2OK
 from fmpy.validation import validate_fmu
 from scipy.linalg import expm
 
-from fmu_plants import Equations, Parameter, PlantModel, Variable, export_fmu
+from fmu_plants import Equations, Parameter, PlantModel, Variable, build_fmu
 
 A = np.array([[-1.0, 2.0], [-3.0, -0.5]])
 B = np.array([[1.0, 0.2], [0.0, -1.5]])
@@ -40,8 +40,8 @@ LINEAR = PlantModel(
 
 
 @pytest.fixture
-def instance(tmp_path, open_fmu):
-    return open_fmu(export_fmu(LINEAR, tmp_path / "linear.fmu"))
+def instance(open_fmu):
+    return open_fmu(build_fmu(LINEAR))
 
 
 def exact_linear(inputs, size):
@@ -69,8 +69,8 @@ def test_feedthrough_acts_at_once(instance):
     assert instance.get("y1", "y2") - before == pytest.approx([1.5 * 0.3 * 10.0, 0.0])
 
 
-def test_description_of_the_linear_plant(tmp_path):
-    path = export_fmu(LINEAR, tmp_path / "linear.fmu")
+def test_description_of_the_linear_plant():
+    path = build_fmu(LINEAR)
     assert validate_fmu(str(path)) == []
     description = fmpy.read_model_description(str(path))
     variables = {variable.name: variable for variable in description.modelVariables}
@@ -93,7 +93,7 @@ def test_description_of_the_linear_plant(tmp_path):
     assert (units["m/s2"].m, units["m/s2"].s) == (1, -2)
 
 
-def test_functions_mean_in_c_what_they_mean_in_sympy(tmp_path, open_fmu):
+def test_functions_mean_in_c_what_they_mean_in_sympy(open_fmu):
     """Every output is computed by C at a = -1.7, b = 0.6 and compared with Python's own mathematics."""
     import sympy as sp
 
@@ -136,7 +136,7 @@ def test_functions_mean_in_c_what_they_mean_in_sympy(tmp_path, open_fmu):
         inputs=(Variable("a"), Variable("b"), Variable("int"), Variable("t0"), Variable("x")),
         equations=lambda v: Equations({}, {name: case(v) for name, (case, _) in cases.items()}),
     )
-    path = export_fmu(model, tmp_path / "functions.fmu")
+    path = build_fmu(model)
     assert validate_fmu(str(path)) == []
     instance = open_fmu(path).start({"a": a, "b": b, "int": 5.0, "t0": 1.0, "x": 2.0})
     assert instance.step(0.0, 3.0) == fmi2OK
@@ -146,7 +146,7 @@ def test_functions_mean_in_c_what_they_mean_in_sympy(tmp_path, open_fmu):
     )
 
 
-def test_a_plant_that_changes_with_time(tmp_path, open_fmu):
+def test_a_plant_that_changes_with_time(open_fmu):
     from sympy import cos
 
     model = PlantModel(
@@ -155,6 +155,6 @@ def test_a_plant_that_changes_with_time(tmp_path, open_fmu):
         outputs=(Variable("x"),),
         equations=lambda v: Equations({"x": cos(v.time)}),
     )
-    instance = open_fmu(export_fmu(model, tmp_path / "clocked.fmu")).start(start=2.0)
+    instance = open_fmu(build_fmu(model)).start(start=2.0)
     assert instance.step(2.0, 5.0) == fmi2OK
     assert instance.get("x")[0] == pytest.approx(math.sin(7.0) - math.sin(2.0), abs=1e-9)

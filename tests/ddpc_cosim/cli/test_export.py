@@ -30,13 +30,15 @@ class SYSTEM:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty folder to be in, with a plant in a module of its own name."""
+    """An empty folder to be in, with a plant in a module of its own name; libraries are left empty."""
+    monkeypatch.setattr("fmu_plants.export.compile_library", lambda *_: b"")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "plant_of_mine.py").write_text(OWN_PLANT, encoding="utf-8")
     return tmp_path
 
 
-def test_an_installed_plant_by_name(folder, capsys):
+def test_an_installed_plant_by_name(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     export_command("pendulum", "2.0", None)
     assert capsys.readouterr() == ("pendulum.fmu\n", "")
     assert fmpy.read_model_description("pendulum.fmu").fmiVersion == "2.0"
