@@ -1,19 +1,37 @@
 """What holds for all controllers: settings checked at once, runs repeatable, nothing shared."""
 
-import pickle
+from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ddpc_controllers import IPID, MFAC, MFAPC, SPC, SPSA, WKPC, Cascade, DeePC, GammaDDPC
+from ddpc_controllers import (
+    IPID,
+    LQR,
+    MFAC,
+    MFAPC,
+    MPC,
+    PID,
+    SPC,
+    SPSA,
+    WKPC,
+    Cascade,
+    DeePC,
+    Delays,
+    GammaDDPC,
+    KoopmanMPC,
+    OffsetFree,
+    Scaled,
+)
 from ddpc_controllers.published import PublishedDeePC, PublishedWKPC
 from ddpc_cosim import Action, ConfigError, Controller, DataError, Loop, Recording, Sample, declared_settings
+from ddpc_cosim.testing import ControllerConformance
 
 from .loops import ANGLE, close_loop, make_loop, paper_reference, pendulum_loop, quick_pendulum
 
-ALL: list[Any] = [DeePC, SPC, GammaDDPC, WKPC, MFAPC, MFAC, IPID, Cascade, SPSA]
 VARIANTS: list[Any] = [
     DeePC(),
     PublishedDeePC(),
@@ -56,59 +74,58 @@ def loop(state_recording: Recording) -> Loop:
     return pendulum_loop(state_recording, torque=2.5, degrees=170.0)
 
 
-def torques(controller: Controller, loop: Loop, steps: int = 120) -> np.ndarray:
-    """Return the torques of a closed loop."""
-    return close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), steps).u
-
-
 def inputs(answer: Any) -> np.ndarray:
     """Return the inputs of an answer in either form."""
     return answer.u if isinstance(answer, Action) else answer
 
 
-@pytest.mark.parametrize("controller", VARIANTS, ids=IDS)
-def test_a_second_start_forgets_the_first_run(controller: Controller, loop: Loop) -> None:
-    assert np.array_equal(torques(controller, loop), torques(controller, loop))
+MODEL_BASED: dict[str, Controller] = {
+    "mpc": MPC(),
+    "lqr": LQR(),
+    "pid-step-test": PID(tuning="step-test"),
+    "koopman": KoopmanMPC(),
+    "koopman-delays": KoopmanMPC(state="delays", dictionary=Delays(samples=2)),
+    "scaled-koopman": Scaled(controller=KoopmanMPC()),
+    "offset-free-deepc": OffsetFree(controller=DeePC()),
+    "offset-free-mpc": OffsetFree(controller=MPC(disturbance="none")),
+}
+SET_UP = dict(zip(IDS, VARIANTS, strict=True)) | MODEL_BASED
+DEFAULTS = {"deepc", "spc", "gamma-ddpc", "wkpc", "mfapc", "mpc", "lqr", "koopman"}
+"""Those of the default settings, with which test_conformance.py asks the same."""
 
 
-@pytest.mark.parametrize("controller", VARIANTS, ids=IDS)
-def test_the_input_limits_hold_exactly(controller: Controller, loop: Loop) -> None:
-    assert np.abs(torques(controller, loop)).max() <= 2.5
+@pytest.mark.parametrize("name", [name for name in SET_UP if name not in DEFAULTS])
+class TestVariants(ControllerConformance):
+    """The contract holds with other settings than the defaults too."""
+
+    steps = 40
+
+    @pytest.fixture
+    def make_controller(self, name: str) -> Any:
+        return partial(deepcopy, SET_UP[name])
 
 
-@pytest.mark.parametrize("controller", VARIANTS, ids=IDS)
-def test_a_pickled_controller_goes_on_where_it_was(controller: Controller, loop: Loop) -> None:
-    controller.start(loop)
-    reference = np.full((controller.horizon, 1), 0.3)
-    samples = [Sample(k, 0.1 * k, s[:1], s, reference) for k, s in enumerate(loop.recording.measured[:8])]
-    for sample in samples[:4]:
-        controller.step(sample)
-    twin = pickle.loads(pickle.dumps(controller))
-    for sample in samples[4:]:
-        u, same = controller.step(sample), twin.step(sample)
-        assert np.array_equal(inputs(u), inputs(same))
+@pytest.mark.parametrize("name", SET_UP)
+def test_the_input_limits_hold_exactly_and_an_answer_is_the_callers_to_keep(name: str, loop: Loop) -> None:
+    controller, kept = deepcopy(SET_UP[name]), deepcopy(SET_UP[name])
+    reference = paper_reference()
+    u = close_loop(controller, loop, quick_pendulum, ANGLE, reference, 60).u
+    assert np.abs(u).max() <= 2.5
+    kept.start(loop)
+    state = np.zeros(2)
+    for k, expected in enumerate(u):
+        future = reference[k + 1 : k + 1 + kept.horizon]
+        answer = inputs(kept.step(Sample(k, 0.1 * k, state[:1], state, future)))
+        assert np.array_equal(answer, expected)
+        state = quick_pendulum(state, answer)
+        answer[:] = 99.0
 
 
-@pytest.mark.parametrize("kind", ALL)
-def test_two_controllers_do_not_disturb_each_other(kind: Any, loop: Loop) -> None:
-    alone = torques(kind(), loop, 30)
-    one, other = kind(), kind()
-    one.start(loop)
-    state, together = np.zeros(2), []
-    other.start(pendulum_loop(loop.recording, torque=1.0, degrees=170.0))
-    for k in range(30):
-        future = paper_reference()[k + 1 : k + 1 + one.horizon]
-        other.step(Sample(k, 0.1 * k, np.ones(1), np.ones(2), -future))
-        answer = one.step(Sample(k, 0.1 * k, state[:1], state, future))
-        together.append(inputs(answer))
-        state = quick_pendulum(state, together[-1])
-    assert np.array_equal(alone, np.array(together))
-
-
-@pytest.mark.parametrize("kind", ALL)
-def test_every_setting_says_what_it_is(kind: Any) -> None:
-    declared = declared_settings(kind)
-    assert set(declared) == set(kind().settings())
+@pytest.mark.parametrize("name", SET_UP)
+def test_every_setting_says_what_it_is(name: str) -> None:
+    controller = SET_UP[name]
+    declared = declared_settings(type(controller))
+    assert set(declared) == set(controller.settings())
     assert all(info.doc for info in declared.values())
 
 

@@ -88,11 +88,6 @@ def test_a_plant_that_cannot_be_stabilised_is_refused() -> None:
         LQR(model=model).start(make_loop(None, np.ones(1), np.ones(1)))
 
 
-def test_what_is_no_model_is_refused() -> None:
-    with pytest.raises(ConfigError, match="LQR: model = None is not a source of models"):
-        LQR(model=None)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(("inputs", "outputs"), [([1e5, 1e-4], [1e5, 1e-4]), ([1e-4, 1e5], [1e5, 1e-4])])
 def test_mixed_units_are_no_obstacle(inputs: list[float], outputs: list[float]) -> None:
     plant = LinearPlant.random(np.random.default_rng(0), 3, 2, 2)

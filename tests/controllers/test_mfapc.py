@@ -242,25 +242,3 @@ def test_a_lost_measurement_does_not_cost_what_was_learned(form: str) -> None:
         learned.append(controller._model.gradients[0].value)
         y = 0.5 * y + 2.0 * (answer.u if isinstance(answer, Action) else answer)
     assert learned[24] == learned[25] == learned[26] != learned[27]
-
-
-def test_a_measurement_that_is_missing_holds_the_inputs_and_is_counted() -> None:
-    controller = MFAPC()
-    controller.start(make_loop(None, np.array([3.0]), FREE[:1]))
-    reference = np.ones((5, 1))
-    before = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), reference))
-    missing = controller.step(Sample(1, 0.1, np.array([np.nan]), np.zeros(1), reference))
-    assert isinstance(missing, Action)
-    assert np.array_equal(missing.u, before)
-    assert "not finite" in missing.status
-    after = controller.step(Sample(2, 0.2, np.zeros(1), np.zeros(1), reference))
-    assert np.isfinite(after).all()
-
-
-def test_a_reference_that_is_missing_holds_the_inputs_and_is_counted() -> None:
-    controller = MFAPC()
-    controller.start(make_loop(None, np.array([3.0]), FREE[:1]))
-    answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((5, 1), np.nan)))
-    assert isinstance(answer, Action)
-    assert "not finite" in answer.status
-    assert np.array_equal(answer.u, [0.0])

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from ddpc_controllers import SPC, WKPC, DeePC, Identity
+from ddpc_controllers import IPID, MFAC, MFAPC, MPC, PID, SPC, SPSA, WKPC, DeePC, Identity, KoopmanMPC
 from ddpc_controllers.deepc import BehavioralTracking
 from ddpc_controllers.optimisation.limits import PREDICTED
 from ddpc_controllers.published import PublishedWKPC
@@ -152,3 +152,44 @@ def test_the_published_program_survives(lost: int) -> None:
             assert isinstance(answer, Action)
             assert answer.status == PREDICTED
         state = advance(state, u)
+
+
+HOLDING: dict[str, tuple[Callable[[], Controller], str]] = {
+    "PID": (lambda: PID(proportional=0.5, integral=0.1), "either"),
+    "MFAC": (MFAC, "either"),
+    "MFAPC": (MFAPC, "either"),
+    "SPSA": (SPSA, "either"),
+    "i-PID": (IPID, "reference"),
+    "MPC": (MPC, "reference"),
+    "Koopman MPC": (lambda: KoopmanMPC(dictionary=Identity()), "reference"),
+}
+"""Controllers that hold their inputs where either, or the reference alone, is missing."""
+
+
+@pytest.mark.parametrize(
+    ("make", "missing"),
+    [
+        pytest.param(make, missing, id=f"{name}, {missing}")
+        for name, (make, held) in HOLDING.items()
+        for missing in (["measurement", "reference"] if held == "either" else [held])
+    ],
+)
+def test_without_a_measurement_or_a_reference_the_last_inputs_are_held(
+    make: Callable[[], Controller], missing: str
+) -> None:
+    controller = make()
+    loop, state = affine_loop(continues=False)
+    controller.start(loop)
+    nothing, reference = np.full(2, np.nan), np.full((controller.horizon, 2), 51.0)
+    answers = []
+    for k in range(4):
+        y = nothing if k == 2 and missing == "measurement" else state
+        asked = reference + (np.nan if k == 2 and missing == "reference" else 0.0)
+        answer = controller.step(Sample(k, 0.1 * k, y, y, asked))
+        answers.append(answer if isinstance(answer, Action) else Action(answer))
+        state = advance(state, answers[-1].u)
+    held = answers[2]
+    assert "not finite: inputs held" in held.status
+    assert np.array_equal(held.u, answers[1].u)
+    assert np.abs(held.u - REST).max() > 0.0
+    assert (answers[3].status, np.isfinite(answers[3].u).all()) == ("ok", True)

@@ -10,6 +10,7 @@ from scipy.optimize import lsq_linear
 
 from ddpc_controllers import WKPC, DeePC
 from ddpc_controllers.data.dictionaries import Identity
+from ddpc_controllers.lqr import LQR
 from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.models.linear import StateSpace
 from ddpc_controllers.mpc import MPC
@@ -275,10 +276,15 @@ def test_a_lost_measurement_is_bridged_by_the_model(state_recording: Recording) 
     assert np.isfinite(bridged.u).all()
 
 
+@pytest.mark.parametrize("kind", [MPC, LQR])
+def test_a_model_that_is_not_one_is_refused(kind: Any) -> None:
+    with pytest.raises(ConfigError, match=f"{kind.__name__}: model = 3 is not a source of models"):
+        kind(model=3)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"model": 3}, "model = 3 is not a source of models"),
         ({"terminal_length": 7}, "horizon = 5 is shorter than terminal_length = 7"),
         ({"terminal_length": 3, "setpoint": "none"}, "ties the horizon's end to the artificial setpoints"),
         ({"rate_bounds": [1.0, -1.0]}, "rate_bounds"),

@@ -110,16 +110,6 @@ def test_every_gain_of_the_wrong_size_is_named() -> None:
     assert [fault.split()[1] for fault in caught.value.faults] == ["proportional", "integral"]
 
 
-def test_a_lost_measurement_holds_the_input() -> None:
-    controller = PID(proportional=1.0)
-    controller.start(FREE)
-    sample = Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((1, 1), 0.7))
-    controller.step(sample)
-    answer = controller.step(sample._replace(y=np.array([np.nan])))
-    assert isinstance(answer, Action)
-    assert (answer.u.tolist(), answer.status) == ([0.7], "a measurement is not finite: inputs held")
-
-
 def test_a_reference_that_is_missing_holds_the_input_and_is_forgotten() -> None:
     controller = PID(proportional=1.0, integral=1.0)
     controller.start(FREE)

@@ -1,6 +1,5 @@
 """Wrappers: decentralised control, scaled signals, offset-free tracking."""
 
-import pickle
 import tomllib
 from dataclasses import replace
 from typing import Any
@@ -195,27 +194,6 @@ def test_a_lost_measurement_does_not_stop_the_correction(state_recording: Record
     for k, angle in enumerate([np.nan, 0.0, np.nan, 0.01]):
         answer = controller.step(Sample(k, 0.1 * k, np.array([angle]), np.zeros(2), np.full((5, 1), 0.2)))
         assert np.isfinite(answer.u if isinstance(answer, Action) else answer).all()
-
-
-@pytest.mark.parametrize(
-    "controller",
-    [
-        Scaled(controller=MPC()),
-        OffsetFree(controller=DeePC()),
-        Decentralised(groups=[Group(inputs=["u0"], outputs=["y0"], controller=WKPC())]),
-    ],
-    ids=["scaled", "offset-free", "decentralised"],
-)
-def test_a_second_start_and_a_pickled_copy_repeat_the_run(
-    controller: Controller, state_recording: Recording
-) -> None:
-    loop = pendulum_loop(state_recording, torque=2.5, degrees=170.0)
-    first = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 40).u
-    again = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 40).u
-    twin = pickle.loads(pickle.dumps(controller))
-    copied = close_loop(twin, loop, quick_pendulum, ANGLE, paper_reference(), 40).u
-    assert np.array_equal(first, again)
-    assert np.array_equal(first, copied)
 
 
 STUDY_SETTINGS = """
