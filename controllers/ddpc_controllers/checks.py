@@ -66,8 +66,8 @@ def all_finite(values: FloatArray) -> bool:
     return isfinite(sum(values.tolist()))
 
 
-def stand_in(values: FloatArray, expected: FloatArray) -> FloatArray:
-    """Return values, shape (n,), with those expected in the place of those that are lost."""
+def fill_missing(values: FloatArray, expected: FloatArray) -> FloatArray:
+    """Return values, shape (n,), with those expected in place of missing measurements."""
     return np.asarray(np.where(np.isfinite(values), values, expected))
 
 
@@ -93,8 +93,8 @@ class LastMeasurement:
         return measured
 
     def complete(self, measured: FloatArray, y: FloatArray | None = None) -> FloatArray:
-        """Return the signals, shape (q,), those lost as the outputs y, shape (p,), or as they were."""
+        """Return the signals, shape (q,), missing ones as the outputs y, shape (p,), or as they were."""
         if y is not None:
             self._newest[self._signals] = y[self._outputs]
-        self._newest[...] = stand_in(measured, self._newest)
+        self._newest[...] = fill_missing(measured, self._newest)
         return self._newest

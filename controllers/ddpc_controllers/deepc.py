@@ -1,6 +1,6 @@
 """Data-enabled predictive control, equation (8), with the regularisers and the data updates of its family.
 
-Sources beside the paper's [8] and [9]: the projection regulariser is that of F. Doerfler, J. Coulson and
+Sources besides the paper's [8] and [9]: the projection regulariser is that of F. Doerfler, J. Coulson and
 I. Markovsky, *Bridging direct and indirect data-driven control formulations via regularizations and
 relaxations*, IEEE TAC 68(2), 2023, doi:10.1109/TAC.2022.3148374 (arXiv:2101.01273).
 """
@@ -14,7 +14,7 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_controllers.checks import all_finite, check_settings_and, stand_in
+from ddpc_controllers.checks import all_finite, check_settings_and, fill_missing
 from ddpc_controllers.data.hankel import diagnose, least_samples, require_excitation, require_length
 from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.windows import ONE, WindowLayout, matching_recording, resting_input
@@ -96,21 +96,21 @@ class BehavioralTracking(ScaledSignals):
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the optimal input for this sample, of the present plan or of a new one."""
         parameters, learner, y = self._parameters, self._learner, sample.y
-        lost = "" if all_finite(y) else PREDICTED
+        missing = "" if all_finite(y) else PREDICTED
         if self._resting:
-            if lost:
-                return Action(parameters.window("u_ini")[-1].copy(), lost)
+            if missing:
+                return Action(parameters.window("u_ini")[-1].copy(), missing)
             parameters.fill("y_ini", y)
             self._resting = False
         elif self.use_current_output:
-            parameters.append("y_ini", self._known(y) if lost else y)
+            parameters.append("y_ini", self._known(y) if missing else y)
         u, fault = self._continue_plan() if self._pending else self._plan(sample.reference)
         parameters.append("u_ini", u)
         if not self.use_current_output:
-            parameters.append("y_ini", self._known(y) if lost else y)
+            parameters.append("y_ini", self._known(y) if missing else y)
         if learner:
             learner.learn(u=u, y=y)
-        fault = fault or lost
+        fault = fault or missing
         return Action(u, fault) if fault else u
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
@@ -119,7 +119,7 @@ class BehavioralTracking(ScaledSignals):
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
-        return self._diagnostics.as_dict() | (dict(self._learner.data.figures()) if self._learner else {})
+        return self._diagnostics.as_dict() | (dict(self._learner.data.counts()) if self._learner else {})
 
     @abstractmethod
     def _write_down(self, loop: Loop) -> Problem:
@@ -259,8 +259,8 @@ class BehavioralTracking(ScaledSignals):
         return self._pending.pop(0), ""
 
     def _known(self, y: FloatArray) -> FloatArray:
-        """Return outputs, shape (p,), with what the plan predicted in the place of those that are lost."""
-        return stand_in(y, self._forecast[: self._outputs])
+        """Return outputs, shape (p,), with what the plan predicted in place of missing measurements."""
+        return fill_missing(y, self._forecast[: self._outputs])
 
     def _fill_past(self, loop: Loop, recording: Recording) -> None:
         """Fill the past: with the recording's tail, or with rest as far as it is known yet."""

@@ -93,9 +93,9 @@ class LiftedState:
 
     Attributes
     ----------
-    recorded : array, shape (T - lost, n_z)
+    recorded : array, shape (T - skipped, n_z)
         The lifted recording, time along axis 0.
-    lost : int
+    skipped : int
         Number of first samples of the recording that have no past.
     """
 
@@ -122,7 +122,7 @@ class LiftedState:
         embedded = embed(states, memory)
         self._observables = dictionary.draw(embedded, rng)
         self.recorded = self._lift(embedded)
-        self.lost = delays + memory
+        self.skipped = delays + memory
 
     def rest(self, y: FloatArray, measured: FloatArray, u: FloatArray) -> FloatArray:
         """Suppose that y, shape (p,), measured, (q,), and u, (m,), have always been so; return z."""
@@ -206,7 +206,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
     )
     ridge: float = setting(1e-8, low=0.0, doc="weight of the squared coefficients in the least squares")
     disturbance_gain: float = setting(
-        0.5, low=0.0, high=1.0, doc="share of a new one-step error that is believed; 0: no disturbance"
+        0.5, low=0.0, high=1.0, doc="share of a new one-step error that counts as a disturbance; 0: none"
     )
 
     def __post_init__(self) -> None:
@@ -219,7 +219,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         # A copy of the stream: another start draws the same centres.
         rng = copy.deepcopy(loop.rng)
         self._lifted = LiftedState(self.state, self.delays, self.dictionary, recording, rng)
-        z, used = self._lifted.recorded, slice(self._lifted.lost, None)
+        z, used = self._lifted.recorded, slice(self._lifted.skipped, None)
         n_z, m = z.shape[1], len(loop.inputs)
         require_samples(len(z) - 1, n_z + m, "KoopmanMPC")
         self._model = model = fit_lifted_model(z, recording.u[used], recording.y[used], self.ridge)
@@ -237,21 +237,21 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal inputs of the horizon."""
         lifted = sample.y if self.state == "delays" else sample.measured
-        lost = "" if np.isfinite(lifted).all() else PREDICTED
-        if lost and self._predicted is None:
-            return Action(self._u.copy(), lost)
-        z = self._state(sample, bool(lost))
+        missing = "" if np.isfinite(lifted).all() else PREDICTED
+        if missing and self._predicted is None:
+            return Action(self._u.copy(), missing)
+        z = self._state(sample, bool(missing))
         u, fault = self._predictor.solve(np.concatenate([z, self._disturbance]), self._u, sample.reference)
         self._predicted = self._model.a @ z + self._model.b @ u + self._disturbance
         self._u = u.copy()
-        return Action(u, fault or lost) if fault or lost else u
+        return Action(u, fault or missing) if fault or missing else u
 
-    def _state(self, sample: Sample, lost: bool) -> FloatArray:
+    def _state(self, sample: Sample, missing: bool) -> FloatArray:
         """Return z, and learn from what was predicted of it."""
         predicted = self._predicted
         if predicted is None:
             return self._lifted.rest(sample.y, sample.measured, self._u)
-        if lost:
+        if missing:
             return self._lifted.follow(self._model.c @ predicted, predicted[: len(sample.measured)], self._u)
         z = self._lifted.follow(sample.y, sample.measured, self._u)
         self._disturbance += self.disturbance_gain * (z - predicted)
@@ -259,11 +259,11 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the samples at which there are as many equations as coefficients."""
-        size, lost = measurements, 0
+        size, skipped = measurements, 0
         if self.state == "delays":
-            size, lost = (self.delays + 1) * outputs + self.delays * inputs, self.delays
+            size, skipped = (self.delays + 1) * outputs + self.delays * inputs, self.delays
         lifted = size + self.dictionary.functions(size)
-        return lost + memory_of(self.dictionary) + lifted + inputs + 1
+        return skipped + memory_of(self.dictionary) + lifted + inputs + 1
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, its slowest or most unstable pole, and its worst one-step error."""

@@ -2,7 +2,7 @@
 
 Cost, horizon and limits are those of the data-driven methods, so that what differs is the model alone: with
 the true model of a linear plant it does what DeePC (8) does with its noise-free recording. A constant
-disturbance, estimated beside the states, removes the offset (G. Pannocchia, J. B. Rawlings, AIChE J. 49(2),
+disturbance, estimated with the states, removes the offset (G. Pannocchia, J. B. Rawlings, AIChE J. 49(2),
 2003, doi:10.1002/aic.690490213).
 
 A model's trajectories over the horizon are all ``h = (x, u, y) = M (x, u)``: what the Hankel matrices are to

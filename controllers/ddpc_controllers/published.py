@@ -4,6 +4,7 @@ Subclasses, so that no setting of a method serves only them. Their trajectories 
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -77,7 +78,7 @@ class PublishedWKPC(WKPC):
         return faults
 
     def _draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
-        return _RedrawnFunctions(self.dictionary, rng)
+        return partial(_redrawn, plates=self.dictionary, rng=rng)
 
     def _stack(self, recording: Recording, lifted: FloatArray) -> FloatArray:
         return super()._stack(padded_with_zeros(recording, self.initial_length), lifted)
@@ -115,16 +116,8 @@ class PublishedWKPC(WKPC):
         self._parameters.fill("z_ini", self._lifted[-past:])
 
 
-@dataclass(frozen=True, eq=False)
-class _RedrawnFunctions:
-    """One centre for all functions, drawn anew for every state."""
-
-    printed: ThinPlate
-    rng: np.random.Generator
-
-    def __call__(self, states: FloatArray) -> FloatArray:
-        """Return the equal values ``d^2 log10(d)`` of all functions for states of shape (..., q)."""
-        centres = self.rng.uniform(self.printed.low, self.printed.high, states.shape)
-        distance = np.sqrt(np.square(states - centres).sum(axis=-1))
-        logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)
-        return np.repeat((distance**2 * logarithm)[..., np.newaxis], self.printed.count, axis=-1)
+def _redrawn(states: FloatArray, plates: ThinPlate, rng: np.random.Generator) -> FloatArray:
+    """Return ``d^2 log10(d)`` for all functions, d the distance to one centre drawn anew for every state."""
+    distance = np.sqrt(np.square(states - rng.uniform(plates.low, plates.high, states.shape)).sum(axis=-1))
+    logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)
+    return np.repeat((distance**2 * logarithm)[..., np.newaxis], plates.count, axis=-1)

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, stand_in
+from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, fill_missing
 from ddpc_controllers.data.dictionaries import Dictionary, Lift, ThinPlate, embed, memory_of
 from ddpc_controllers.data.hankel import diagnose, least_samples, require_excitation, require_length
 from ddpc_controllers.data.online import Learner, OnlineSettings
@@ -101,22 +101,22 @@ class WKPC(OnlineSettings, ScaledSignals):
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the first optimal input of the horizon."""
         parameters, y, measured = self._parameters, sample.y, sample.measured
-        lost = "" if all_finite(y) and all_finite(measured) else PREDICTED
+        missing = "" if all_finite(y) and all_finite(measured) else PREDICTED
         if self._resting:
-            if lost:
-                return Action(parameters.window("u_ini")[-1].copy(), lost)
+            if missing:
+                return Action(parameters.window("u_ini")[-1].copy(), missing)
             self._rest(sample)
         parameters.fill("r", sample.reference)
         u, forecast, fault = self._solve()
-        if lost:
-            y = stand_in(y, forecast)
+        if missing:
+            y = fill_missing(y, forecast)
             measured = self._last.complete(measured, y)
         parameters.append("u_ini", u)
         parameters.append("y_ini", y)
         self._append_state(self._last.take(measured))
         if self._learner:
-            self._learn(self._learner, u, y, bool(lost))
-        fault = fault or lost
+            self._learn(self._learner, u, y, bool(missing))
+        fault = fault or missing
         return Action(u, fault) if fault else u
 
     def _solve(self) -> tuple[FloatArray, FloatArray, str]:
@@ -135,9 +135,9 @@ class WKPC(OnlineSettings, ScaledSignals):
         """Append the lifted state to the past window."""
         self._parameters.append("z_ini", self._lift(self._states.append(state)))
 
-    def _learn(self, learner: Learner, u: FloatArray, y: FloatArray, lost: bool) -> None:
+    def _learn(self, learner: Learner, u: FloatArray, y: FloatArray, missing: bool) -> None:
         """Learn a sample, unless what it holds stands in for a measurement, also as the past of its state."""
-        self._unlearned = self._memory + 1 if lost else max(self._unlearned - 1, 0)
+        self._unlearned = self._memory + 1 if missing else max(self._unlearned - 1, 0)
         z = self._parameters.window("z_ini")[-1]
         learner.learn(z=z, u=u, y=np.full(len(y), np.nan) if self._unlearned else y)
 
@@ -148,7 +148,7 @@ class WKPC(OnlineSettings, ScaledSignals):
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
-        online = self._learner.data.figures() if self._learner else {}
+        online = self._learner.data.counts() if self._learner else {}
         return {**self._diagnostics.as_dict(), **online}
 
     def _faults_between_settings(self) -> list[str]:

@@ -100,7 +100,7 @@ def test_the_lifted_state_online_is_that_of_the_recording(kind: Any) -> None:
     online = LiftedState(kind, 3, dictionary, first, rng)
     for k in range(cut, 160):
         z = online.follow(whole.y[k], whole.measured[k], whole.u[k - 1])
-        assert np.array_equal(z, every.recorded[k - every.lost])
+        assert np.array_equal(z, every.recorded[k - every.skipped])
 
 
 def test_on_a_linear_plant_it_is_linear_mpc_with_the_true_model() -> None:

@@ -8,6 +8,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations_with_replacement
 from math import comb
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -101,7 +102,7 @@ class Dictionary(Protocol):
 
 
 def memory_of(dictionary: Dictionary) -> int:
-    """Return how many past samples a dictionary needs beside the newest."""
+    """Return how many past samples a dictionary needs besides the newest."""
     return int(getattr(dictionary, "memory", 0))
 
 
@@ -120,7 +121,7 @@ def require_dictionary(value: Any, what: str) -> None:
 
 
 def embed(samples: FloatArray, memory: int) -> FloatArray:
-    """Return samples, shape (T, q), with their past beside them: shape (T - memory, (memory + 1) q)."""
+    """Return samples, shape (T, q), with their past next to them: shape (T - memory, (memory + 1) q)."""
     rows = len(samples) - memory
     if rows < 1:
         raise DataError(
@@ -172,27 +173,14 @@ class ThinPlate(_Radial):
     centres: Centres = setting("box", choices=CENTRES, doc="where centres come from")
 
     def _about(self, centres: FloatArray) -> Lift:
-        return ThinPlateFunctions(centres)
+        return partial(_thin_plate, centres=centres)
 
 
-@dataclass(frozen=True, eq=False)
-class ThinPlateFunctions:
-    """Thin-plate functions about given centres.
-
-    Parameters
-    ----------
-    centres : array, shape (n_p, q)
-        The centres c_i.
-    """
-
-    centres: FloatArray
-
-    def __call__(self, states: FloatArray) -> FloatArray:
-        """Return psi_1 ... psi_np for states of shape (..., q); 0 at the centres."""
-        distance = np.sqrt(np.square(states[..., np.newaxis, :] - self.centres).sum(axis=-1))
-        logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)
-        values: FloatArray = distance * logarithm
-        return values
+def _thin_plate(states: FloatArray, centres: FloatArray) -> FloatArray:
+    distance = np.sqrt(np.square(states[..., np.newaxis, :] - centres).sum(axis=-1))
+    logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)  # 0 at the centres
+    values: FloatArray = distance * logarithm
+    return values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,18 +194,13 @@ class Gaussian(_Radial):
     centres: Centres = setting("box", choices=CENTRES, doc="where centres come from")
 
     def _about(self, centres: FloatArray) -> Lift:
-        return _GaussianFunctions(centres, self.width)
+        return partial(_gaussian, centres=centres, width=self.width)
 
 
-@dataclass(frozen=True, eq=False)
-class _GaussianFunctions:
-    centres: FloatArray
-    width: float
-
-    def __call__(self, states: FloatArray) -> FloatArray:
-        squares = np.square(states[..., np.newaxis, :] - self.centres).sum(axis=-1)
-        values: FloatArray = np.exp(-squares / (2.0 * self.width**2))
-        return values
+def _gaussian(states: FloatArray, centres: FloatArray, width: float) -> FloatArray:
+    squares = np.square(states[..., np.newaxis, :] - centres).sum(axis=-1)
+    values: FloatArray = np.exp(-squares / (2.0 * width**2))
+    return values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,15 +224,11 @@ class Polynomials:
             for degree in range(2, self.degree + 1)
             for factors in combinations_with_replacement(range(size), degree)
         ]
-        return _Monomials(factors)
+        return partial(_monomials, factors=factors)
 
 
-@dataclass(frozen=True, eq=False)
-class _Monomials:
-    factors: list[list[int]]
-
-    def __call__(self, states: FloatArray) -> FloatArray:
-        return np.stack([states[..., chosen].prod(axis=-1) for chosen in self.factors], axis=-1)
+def _monomials(states: FloatArray, factors: list[list[int]]) -> FloatArray:
+    return np.stack([states[..., chosen].prod(axis=-1) for chosen in factors], axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -347,16 +326,11 @@ class Delays:
     def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
         """Draw the inner dictionary; see :class:`Dictionary`."""
         size = states.shape[-1] // (self.samples + 1)
-        return _Delayed(size, self.dictionary.draw(states, rng))
+        return partial(_delayed, size=size, inner=self.dictionary.draw(states, rng))
 
 
-@dataclass(frozen=True, eq=False)
-class _Delayed:
-    size: int
-    inner: Lift
-
-    def __call__(self, states: FloatArray) -> FloatArray:
-        return np.concatenate([states[..., self.size :], self.inner(states)], axis=-1)
+def _delayed(states: FloatArray, size: int, inner: Lift) -> FloatArray:
+    return np.concatenate([states[..., size:], inner(states)], axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -386,14 +360,9 @@ class Combined:
         size = states.shape[-1] // (self.memory + 1)
         widths = [(memory_of(dictionary) + 1) * size for dictionary in self.dictionaries]
         lifts = [d.draw(states[:, :width], rng) for d, width in zip(self.dictionaries, widths, strict=True)]
-        return _SideBySide(lifts, widths)
+        return partial(_side_by_side, lifts=lifts, widths=widths)
 
 
-@dataclass(frozen=True, eq=False)
-class _SideBySide:
-    lifts: list[Lift]
-    widths: list[int]
-
-    def __call__(self, states: FloatArray) -> FloatArray:
-        parts = [lift(states[..., :width]) for lift, width in zip(self.lifts, self.widths, strict=True)]
-        return np.concatenate(parts, axis=-1)
+def _side_by_side(states: FloatArray, lifts: list[Lift], widths: list[int]) -> FloatArray:
+    parts = [lift(states[..., :width]) for lift, width in zip(lifts, widths, strict=True)]
+    return np.concatenate(parts, axis=-1)

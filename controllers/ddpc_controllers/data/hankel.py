@@ -42,7 +42,7 @@ class DataDiagnostics:
     condition: float
 
     def as_dict(self) -> dict[str, float]:
-        """Return the figures by name."""
+        """Return the values by name."""
         return {name: float(value) for name, value in asdict(self).items()}
 
 
@@ -208,7 +208,7 @@ def require_informative(u: FloatArray, known: FloatArray, who: str) -> None:
     u : array, shape (N, m)
         Inputs, time along axis 0.
     known : array, shape (N, k)
-        What the model explains beside them: outputs measured before each of them, and the inputs before it.
+        What the model explains besides them: outputs measured before each of them, and the inputs before it.
     who : str
         Who asks.
 

@@ -136,7 +136,7 @@ class OnlineData:
         """Factorise the data anew: K has become singular in the present coordinates."""
         self._factorise(self._equivalent_data())
 
-    def figures(self) -> Mapping[str, float]:
+    def counts(self) -> Mapping[str, float]:
         """Return what happened so far, for diagnostics."""
         return {
             "online_windows_taken": float(self._taken),

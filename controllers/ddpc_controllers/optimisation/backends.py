@@ -4,6 +4,7 @@ The former are asked for the active set first: its exact law has more digits tha
 none can find an optimum, :func:`contradiction` finds what contradicts what.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, Literal, NamedTuple, Protocol, get_args
@@ -76,8 +77,8 @@ class _ScaledProblems:
         return distance / unit, unit
 
 
-class PIQPBackend:
-    """PIQP's dense interior-point method."""
+class _DenseBackend(ABC):
+    """What the dense solvers share: they are set up anew for a new gain, and after they were pickled."""
 
     def __init__(self) -> None:
         self._solver: Any = None
@@ -85,24 +86,34 @@ class PIQPBackend:
     def load(self, gain: FloatArray) -> None:
         """See :class:`Backend`."""
         self._problems = _ScaledProblems(gain)
-        self._set_up()
+        self._solver = self._set_up(self._problems.gain)
 
     def solve(self, excess: FloatArray) -> Answer:
         """See :class:`Backend`."""
         if self._solver is None:
-            self._set_up()
-        excess, unit = self._problems.scale(excess)
-        solver = self._solver
-        solver.update(h_u=-excess)
-        status = solver.solve()
-        result = solver.result
-        active = tuple(np.flatnonzero(result.z_u > result.s_u).tolist())
-        t = unit * (self._directions @ result.x)
-        return Answer(t, active, "" if status == piqp.PIQP_SOLVED else status.name)
+            self._solver = self._set_up(self._problems.gain)
+        scaled, unit = self._problems.scale(excess)
+        t, active, failure = self._answer(scaled)
+        return Answer(unit * t, tuple(np.flatnonzero(active).tolist()), failure)
 
-    def _set_up(self) -> None:
+    @abstractmethod
+    def _set_up(self, gain: FloatArray) -> Any:
+        """Return the solver, set up for a gain."""
+
+    @abstractmethod
+    def _answer(self, excess: FloatArray) -> tuple[FloatArray, FloatArray, str]:
+        """Return t, which bounds are active, and why t is not the optimum, if so."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the solver's workspace behind."""
+        return {**self.__dict__, "_solver": None}
+
+
+class PIQPBackend(_DenseBackend):
+    """PIQP's dense interior-point method."""
+
+    def _set_up(self, gain: FloatArray) -> Any:
         """Set the solver up over the independent directions of t."""
-        gain = self._problems.gain
         _, values, right = np.linalg.svd(gain, full_matrices=False)
         self._directions = right[values > np.finfo(float).eps * len(right) * values[0]].T
         bounds, size = len(gain), self._directions.shape[1]
@@ -110,14 +121,16 @@ class PIQPBackend:
         _ask_for(solver, PIQP_TOLERANCE)
         gain = np.asfortranarray(gain @ self._directions)
         solver.setup(np.eye(size), np.zeros(size), G=gain, h_u=np.zeros(bounds))
-        self._solver = solver
+        return solver
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave PIQP's workspace behind: it is set up again when it is needed."""
-        return {**self.__dict__, "_solver": None}
+    def _answer(self, excess: FloatArray) -> tuple[FloatArray, FloatArray, str]:
+        self._solver.update(h_u=-excess)
+        status, result = self._solver.solve(), self._solver.result
+        failure = "" if status == piqp.PIQP_SOLVED else status.name
+        return self._directions @ result.x, result.z_u > result.s_u, failure
 
 
-class DAQPBackend:
+class DAQPBackend(_DenseBackend):
     """DAQP's dual active-set method, an optional dependency.
 
     Raises
@@ -127,43 +140,29 @@ class DAQPBackend:
     """
 
     def __init__(self) -> None:
+        super().__init__()
         try:
             import_module("daqp")
         except ImportError as error:
             raise ConfigError(
                 "backend = 'daqp' needs the package daqp: install ddpc-cosim[daqp], or use backend = 'piqp'"
             ) from error
-        self._model: Any = None
 
-    def load(self, gain: FloatArray) -> None:
-        """See :class:`Backend`."""
-        self._problems = _ScaledProblems(gain)
-        self._set_up()
+    def _set_up(self, gain: FloatArray) -> Any:
+        """Set the solver up at no excess: it refuses to be set up with bounds that no t meets."""
+        bounds, size = gain.shape
+        solver = import_module("daqp").Model()
+        solver.settings = {"primal_tol": _DAQP_TOLERANCE}
+        solver.setup(np.eye(size), np.zeros(size), np.ascontiguousarray(gain), np.zeros(bounds))
+        return solver
 
-    def solve(self, excess: FloatArray) -> Answer:
-        """See :class:`Backend`."""
-        if self._model is None:
-            self._set_up()
-        excess, unit = self._problems.scale(excess)
-        self._model.update(bupper=-excess)
-        t, _, flag, info = self._model.solve()
-        active = tuple(np.flatnonzero(info["lam"] > 0.0).tolist())
+    def _answer(self, excess: FloatArray) -> tuple[FloatArray, FloatArray, str]:
+        self._solver.update(bupper=-excess)
+        t, _, flag, info = self._solver.solve()
         # It passes over bounds that no t moves.
         if flag > 0 and not (excess + self._problems.gain @ t).max() <= _EXCEEDED:
             flag = _DAQP_INFEASIBLE
-        return Answer(unit * t, active, "" if flag > 0 else f"DAQP_EXIT_{flag}")
-
-    def _set_up(self) -> None:
-        """Set the solver up at no excess: it refuses to be set up with bounds that no t meets."""
-        gain = np.ascontiguousarray(self._problems.gain)
-        bounds, size = gain.shape
-        self._model = import_module("daqp").Model()
-        self._model.settings = {"primal_tol": _DAQP_TOLERANCE}
-        self._model.setup(np.eye(size), np.zeros(size), gain, np.zeros(bounds))
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave DAQP's workspace behind: it is set up again when it is needed."""
-        return {**self.__dict__, "_model": None}
+        return t, info["lam"] > 0.0, "" if flag > 0 else f"DAQP_EXIT_{flag}"
 
 
 def _ask_for(solver: Any, tolerance: float) -> None:

@@ -17,7 +17,8 @@ variables w at the parameters p is
 One triangular solution, one product and one factorisation give its optimum.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -63,7 +64,38 @@ class Law(Protocol):
         """Return the optimal move, or the documented fallback with its reason."""
 
 
-class ParametricQP:
+class _BoundedLaw:
+    """What the laws share: how the unconstrained optimum is admitted, corrected or refused."""
+
+    def __init__(self, limits: InputLimits, backend: Backend) -> None:
+        self._limits, self._backend = limits, backend
+        self._active: ActiveSet = ()
+
+    def _take(self, bounds: int, conflict_law: FloatArray) -> None:
+        """Take the number of bounds, and what must vanish, of new matrices."""
+        self._bounds, self._conflict_law = bounds, conflict_law
+        self._watches_conflict = conflict_law.size > 0
+        # Where nothing else would hold it back, an input that is not finite would pass.
+        self._checks_inputs = self._limits.endless or not bounds
+
+    def _move(
+        self, answer: FloatArray, parameters: FloatArray, correct: Callable[[FloatArray, FloatArray], str]
+    ) -> Move:
+        """Return the move, given the excess over the bounds and the inputs of the unconstrained optimum."""
+        excess, u = answer[: self._bounds], answer[self._bounds :]
+        fault = find_conflict(self._conflict_law, parameters) if self._watches_conflict else ""
+        if self._bounds and not max(excess.tolist()) <= 0.0:
+            if not all_finite(excess):
+                return Move(None, HELD)
+            fault = correct(excess, u) or fault
+            self._limits.reach(u)
+        elif self._checks_inputs and not np.isfinite(u).all():
+            return Move(None, HELD)
+        self._limits.hold(u)
+        return Move(u, fault)
+
+
+class ParametricQP(_BoundedLaw):
     """A condensed problem, solved for one parameter vector after another.
 
     Parameters
@@ -79,20 +111,16 @@ class ParametricQP:
     def __init__(
         self, problem: CondensedProblem, limits: InputLimits, backend: Backend | None = None
     ) -> None:
-        self._limits, self._backend = limits, backend or PIQPBackend()
-        self._active: ActiveSet = ()
+        super().__init__(limits, backend or PIQPBackend())
         self._active_sets: dict[ActiveSet, ActiveSet] = {}
         self.replace(problem)
 
     def replace(self, problem: CondensedProblem) -> None:
         """Take new matrices; active sets seen before stay the first guesses."""
         self._problem = problem
-        self._watches_conflict = problem.conflict_law.size > 0
-        self._bounds = len(problem.excess_law)
+        self._take(len(problem.excess_law), problem.conflict_law)
         self._law = np.vstack([problem.excess_law, problem.move_law])
         self._laws: dict[ActiveSet, FloatArray | None] = {}
-        # Where nothing else would hold it back, an input that is not finite would pass.
-        self._checks_inputs = self._limits.endless or not self._bounds
         if self._bounds:
             self._backend.load(problem.excess_gain)
 
@@ -104,18 +132,7 @@ class ParametricQP:
         parameters : array, shape (parameters,)
             The parameter vector p; its last entry is 1.
         """
-        answer = np.dot(self._law, parameters)
-        excess, u = answer[: self._bounds], answer[self._bounds :]
-        fault = find_conflict(self._problem.conflict_law, parameters) if self._watches_conflict else ""
-        if self._bounds and not max(excess.tolist()) <= 0.0:
-            if not all_finite(excess):
-                return Move(None, HELD)
-            fault = self._respect_bounds(excess, u) or fault
-            self._limits.reach(u)
-        elif self._checks_inputs and not np.isfinite(u).all():
-            return Move(None, HELD)
-        self._limits.hold(u)
-        return Move(u, fault)
+        return self._move(np.dot(self._law, parameters), parameters, self._respect_bounds)
 
     def _respect_bounds(self, excess: FloatArray, u: FloatArray) -> str:
         """Correct the unconstrained optimum ``u`` in place."""
@@ -206,7 +223,7 @@ def _make_room(store: dict[ActiveSet, Any]) -> None:
         del store[next(iter(store))]
 
 
-class AdaptiveQP:
+class AdaptiveQP(_BoundedLaw):
     """A tracking problem, solved on the present data for one parameter vector after another.
 
     Parameters
@@ -222,8 +239,8 @@ class AdaptiveQP:
     """
 
     def __init__(self, problem: Problem, data: OnlineData, limits: InputLimits, backend: Backend) -> None:
-        self._problem, self._data, self._limits, self._backend = problem, data, limits, backend
-        self._active: ActiveSet = ()
+        super().__init__(limits, backend)
+        self._problem, self._data = problem, data
         self._adopt_factor()
 
     def solve(self, parameters: FloatArray) -> Move:
@@ -238,18 +255,7 @@ class AdaptiveQP:
         affine = np.dot(self._laws, parameters)
         triangular, w = self._unconstrained_optimum(gram_factor, affine[: self._split], parameters)
         answer = affine[self._split :] + np.dot(self._gains, w)
-        excess, u = answer[: self._bounds], answer[self._bounds :]
-        conflict = self._reduced.conflict_law
-        fault = find_conflict(conflict, parameters) if conflict.size else ""
-        if self._bounds and not max(excess.tolist()) <= 0.0:
-            if not all_finite(excess):
-                return Move(None, HELD)
-            fault = self._respect_bounds(excess, u, triangular) or fault
-            self._limits.reach(u)
-        elif (self._limits.endless or not self._bounds) and not np.isfinite(u).all():
-            return Move(None, HELD)
-        self._limits.hold(u)
-        return Move(u, fault)
+        return self._move(answer, parameters, partial(self._respect_bounds, triangular))
 
     def _gram_factor(self) -> FloatArray:
         """Return L, in new coordinates where K has become singular in the old ones."""
@@ -268,7 +274,8 @@ class AdaptiveQP:
         self._factor = self._data.factor
         reduced = self._reduced = reduce(self._problem, self._factor)
         rank, size = reduced.own_gain.shape
-        self._bounds, self._split = len(reduced.excess_law), size + rank
+        self._take(len(reduced.excess_law), reduced.conflict_law)
+        self._split = size + rank
         linear = reduced.residual.T @ reduced.offset
         self._laws = np.vstack([linear, reduced.own_law, reduced.excess_law, reduced.move_law])
         self._gains = np.vstack([reduced.excess_gain, reduced.move_gain])
@@ -304,7 +311,7 @@ class AdaptiveQP:
         triangular = np.asfortranarray(factor[:, :size])
         return triangular, -dtrtrs(triangular, factor[:, size])[0]
 
-    def _respect_bounds(self, excess: FloatArray, u: FloatArray, triangular: FloatArray) -> str:
+    def _respect_bounds(self, triangular: FloatArray, excess: FloatArray, u: FloatArray) -> str:
         """Correct the unconstrained optimum ``u`` in place; t = R (w - optimum) is the deviation."""
         gains = dtrsm(1.0, triangular, self._gains, side=1)
         gain, move_gain = gains[: self._bounds], gains[self._bounds :]
