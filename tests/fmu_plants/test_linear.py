@@ -108,7 +108,7 @@ def test_any_text_becomes_an_identifier(text, name):
         ),
     ],
 )
-def test_matrices_that_make_no_plant_are_refused(changes, messages):
+def test_matrices_that_do_not_make_a_plant_are_refused(changes, messages):
     with pytest.raises(ModelError) as error:
         state_space_model(replace(StateSpace(), **changes), "p")
     for message in messages:
@@ -120,7 +120,7 @@ def test_variables_that_do_not_fit_the_matrices_are_refused():
         state_space_model(StateSpace(), "p", inputs=[Variable("u")])
 
 
-def test_what_is_no_plant_at_all_is_refused(tmp_path):
+def test_anything_but_a_plant_is_refused(tmp_path):
     with pytest.raises(ModelError, match="str is neither a PlantModel nor a state-space model"):
         export_fmu("pendulum", tmp_path / "pendulum.fmu")
 

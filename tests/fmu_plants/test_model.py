@@ -77,7 +77,7 @@ def test_a_computed_output_needs_no_start_value_in_its_range():
     assert [output.name for output in model.computed_outputs] == ["y"]
 
 
-def test_states_are_no_computed_outputs():
+def test_states_are_not_computed_outputs():
     assert [output.name for output in MODEL.outputs] == ["angle", "angular_velocity"]
     assert MODEL.computed_outputs == ()
 

@@ -70,7 +70,7 @@ def test_other_units_are_converted(text, value, in_si):
         ("./s", "unknown unit symbol '.'"),
     ],
 )
-def test_what_is_no_unit_is_refused(text, message):
+def test_what_is_not_a_unit_is_refused(text, message):
     with pytest.raises(ValueError) as error:  # noqa: PT011 (the message is what is tested)
         parse_unit(text)
     assert message in str(error.value)

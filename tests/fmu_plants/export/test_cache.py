@@ -24,7 +24,6 @@ def test_a_second_build_compiles_nothing(cache, no_compilation):
     path = build_fmu(MODEL)
     assert path.name == "pendulum.fmu"
     assert cache in path.parents
-    assert validate_fmu(str(path)) == []
     content = path.read_bytes()
     assert build_fmu(MODEL) == path
     assert len(no_compilation) == 1

@@ -80,7 +80,7 @@ def test_the_environment_chooses_the_compiler(monkeypatch):
     assert find_compiler().identity != compiler.identity
 
 
-def test_a_compiler_that_is_not_there_is_named(monkeypatch):
+def test_a_missing_compiler_is_named(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler -m64")
     with pytest.raises(ExportError, match="CC was not found: 'no-such-compiler -m64'"):
         find_compiler()

@@ -175,7 +175,7 @@ def test_a_foreign_library_that_lacks_a_function_is_refused(platform):
         (b"\xcf\xfa\xed\xfe" + bytes(12) + b"\1\0\0\0" + bytes(12), "damaged"),
     ],
 )
-def test_files_that_are_no_libraries_are_refused(content, message):
+def test_files_that_are_not_libraries_are_refused(content, message):
     with pytest.raises(ValueError, match=message):
         exported_symbols(content)
 

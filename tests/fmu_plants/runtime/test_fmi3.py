@@ -2,14 +2,10 @@
 
 import ctypes
 import math
-import zipfile
-from xml.etree import ElementTree as ET
 
-import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi3 import fmi3Discard, fmi3Error, fmi3OK
-from fmpy.validation import validate_fmu
 
 NONE, ONE, TWO = (ctypes.c_size_t(n) for n in range(3))
 INTEGERS = [f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)]
@@ -23,55 +19,6 @@ def assert_refused(instance, status, *words):
     assert (logged, category) == (fmi3Error, "logStatusError")
     for word in words:
         assert word in message
-
-
-def test_fmpy_finds_nothing_to_complain_about(pendulum3_fmu):
-    assert validate_fmu(str(pendulum3_fmu)) == []
-    assert set(fmpy.supported_platforms(str(pendulum3_fmu))) == {"c-code", fmpy.platform}
-
-
-def test_both_versions_describe_the_same_variables(pendulum_fmu, pendulum3_fmu):
-    def described(path):
-        return {
-            v.name: (v.valueReference, v.causality, v.variability, v.unit, v.displayUnit, v.min, v.start)
-            for v in fmpy.read_model_description(str(path)).modelVariables
-        }
-
-    assert described(pendulum3_fmu) == described(pendulum_fmu)
-
-
-def test_both_versions_describe_the_same_structure(pendulum_fmu, pendulum3_fmu):
-    def structure(path):
-        description = fmpy.read_model_description(str(path))
-        return {
-            (group, unknown.variable.name): [known.name for known in unknown.dependencies]
-            for group in ("outputs", "derivatives", "initialUnknowns")
-            for unknown in getattr(description, group)
-        }
-
-    assert structure(pendulum3_fmu) == structure(pendulum_fmu)
-    assert structure(pendulum3_fmu)["derivatives", "der(angular_velocity)"] == [
-        "angle",
-        "angular_velocity",
-        "torque",
-    ]
-
-
-def test_capabilities(pendulum3_fmu):
-    with zipfile.ZipFile(pendulum3_fmu) as archive:
-        root = ET.fromstring(archive.read("modelDescription.xml"))
-    for interface in ("CoSimulation", "ModelExchange"):
-        attributes = root.find(interface).attrib
-        assert attributes["modelIdentifier"] == "pendulum"
-        for capability in (
-            "canGetAndSetFMUState",
-            "canSerializeFMUState",
-            "providesDirectionalDerivatives",
-            "providesAdjointDerivatives",
-        ):
-            assert attributes[capability] == "true"
-        assert "hasEventMode" not in attributes
-        assert "needsCompletedIntegratorStep" not in attributes
 
 
 def test_life_of_an_instance(pendulum3):

@@ -173,7 +173,7 @@ def test_a_derivative_that_is_not_finite_asks_for_a_smaller_step(escape_exchange
     assert "the derivative of x is not finite" in instance.messages[-1][2]
 
 
-def test_co_simulation_knows_no_continuous_time(pendulum):
+def test_co_simulation_does_not_have_continuous_time(pendulum):
     instance = pendulum().start()
     for name, arguments in [
         ("fmi2EnterEventMode", []),
