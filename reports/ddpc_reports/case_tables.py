@@ -20,13 +20,22 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.numbers import MISSING, as_given, integer, time_scale, with_unit
 from ddpc_reports.settings_tables import compact_seeds, facts_table
-from ddpc_reports.table import Cell, Column, Heading, Row, Table, controller_table, number_cells
+from ddpc_reports.table import (
+    Cell,
+    Column,
+    Heading,
+    Row,
+    Table,
+    controller_table,
+    number_cells,
+    text_headings,
+)
 
 _OK = "ok"
 _READ = 20
 """Cases of a controller whose samples are read: the first ones tell the reasons."""
 _REASONS_SHOWN = 6
-"""Reasons listed for a controller."""
+"""Reasons shown of a controller."""
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
@@ -59,7 +68,7 @@ def step_time_table(condition: Condition, prefix: str) -> Table:
 
 
 def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], prefix: str) -> Table:
-    """Return every case with its outcome and main figures, in the study's order."""
+    """Return every case with its outcome and main metrics, in the study's order."""
     keys = _case_keys(condition_of_all)
     scales = [shown_as(key, (case.metrics.get(key, math.nan) for case in results.cases)) for key in keys]
     columns = [
@@ -91,7 +100,7 @@ def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], 
         tuple(headings),
         tuple(rows),
         (
-            "All metrics of every case are in the file metrics.csv beside the results. "
+            "All metrics of every case are in the file metrics.csv next to the results. "
             "Values of cases that did not complete cover their samples up to the fault.",
         ),
         sortable=True,
@@ -133,11 +142,9 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
         for case in failed
     )
     headings = (
-        Heading("Controller", numeric=False),
-        Heading("scenario", numeric=False),
+        *text_headings("Controller", "scenario"),
         Heading("seed"),
-        Heading("outcome", numeric=False),
-        Heading("reason", numeric=False),
+        *text_headings("outcome", "reason"),
     )
     return Table(
         f"{prefix}failures", f"Cases that did not complete ({len(failed)})", headings, rows, kind="failures"
@@ -185,7 +192,7 @@ def fallbacks_table(conditions: Sequence[Condition], prefix: str) -> Table | Non
         Row(one.label, (*([Cell(condition.label)] if several else []), *cells), one.key, one.index)
         for condition in conditions
         for one in condition.controllers
-        for cells in _told(one)
+        for cells in _reason_cells(one)
     )
     if not rows:
         return None
@@ -217,7 +224,7 @@ def _failing(one: ControllerResults) -> list[CaseResult]:
     return [case for case in one.cases if case.metrics.get("failures [1]", 0.0) > 0]
 
 
-def _told(one: ControllerResults) -> Iterator[tuple[Cell, ...]]:
+def _reason_cells(one: ControllerResults) -> Iterator[tuple[Cell, ...]]:
     """Yield the cells of each reason, the most frequent first."""
     order = sorted(_reasons(_failing(one)[:_READ]), key=lambda reason: -reason.samples)
     for reason in order[:_REASONS_SHOWN]:
@@ -241,7 +248,7 @@ def _reasons(cases: Sequence[CaseResult]) -> list[_Reason]:
     for case in cases:
         trace = case.trace()
         pairs = list(zip(trace.time.tolist(), trace.status, strict=True))
-        # The fault that ended a case is no fallback: it stands among the cases that did not complete.
+        # The fault that ended a case is not a fallback: it is listed with the cases that did not complete.
         for time, status in pairs[:-1] if case.outcome is Outcome.CONTROLLER_ERROR else pairs:
             if status == _OK:
                 continue

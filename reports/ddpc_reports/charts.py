@@ -294,7 +294,7 @@ def log_ticks(low: float, high: float) -> list[float]:
 
 
 def heat_chart(rows: list[dict[str, Any]], titles: Sequence[str]) -> Any:
-    """Return a map of a figure over one or two settings, the value written into each cell.
+    """Return a map of a metric over one or two settings, the value written into each cell.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ TRACKING = "sum_abs_error"
 
 
 class Spread(NamedTuple):
-    """Median and range of a figure over the cases that have it; NaN if none has."""
+    """Median and range of a metric over the cases that have it; NaN if none has."""
 
     median: float
     low: float
@@ -29,7 +29,7 @@ class Spread(NamedTuple):
 
 
 def spread(values: Iterable[float]) -> Spread:
-    """Sum up a figure over cases; values that do not exist are left out."""
+    """Sum up a metric over cases; missing values are left out."""
     known = [value for value in values if not math.isnan(value)]
     if not known:
         return Spread(math.nan, math.nan, math.nan, 0)
@@ -72,8 +72,8 @@ class ControllerResults:
 
     def by_seed(self, key: str) -> dict[int, float]:
         """Return a metric of the completed cases that have it, by seed."""
-        figures = {case.seed: case.metrics.get(key, math.nan) for case in self.completed}
-        return {seed: value for seed, value in figures.items() if not math.isnan(value)}
+        values = {case.seed: case.metrics.get(key, math.nan) for case in self.completed}
+        return {seed: value for seed, value in values.items() if not math.isnan(value)}
 
     def at_first(self, key: str) -> float:
         """Return a metric of the first seed; NaN where that case did not complete."""
@@ -182,7 +182,7 @@ def labels(results: StudyResults) -> dict[str, str]:
 def indices(results: StudyResults) -> dict[str, int]:
     """Return a number for every controller, from which it gets its colour.
 
-    Variants of a sweep are drawn in no figure over time: they share the number of their controller, so that
+    Variants of a sweep are not drawn in figures over time: they share the number of their controller, so that
     the colours are left to those who need them.
     """
     sections = results.study.controllers
@@ -202,7 +202,7 @@ def _controllers_in(results: StudyResults, scenario: str) -> tuple[ControllerRes
 
 
 def shown_metrics() -> dict[str, Metric[Any]]:
-    """Return the metrics that stand in tables, by name."""
+    """Return the metrics that tables show, by name."""
     return {name: metric for name, metric in METRICS.items() if metric.title}
 
 
@@ -225,7 +225,7 @@ def shown_as(key: str, values: Iterable[float]) -> Scale:
 
 
 def metric_signal(key: str) -> str:
-    """Return the signal that a metric is about, in words; empty for figures of the whole run."""
+    """Return the signal that a metric is about, in words; empty for metrics of the whole run."""
     return split_key(key)[1].replace("_", " ")
 
 

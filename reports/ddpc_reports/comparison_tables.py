@@ -1,4 +1,4 @@
-"""Controllers compared: in one scenario, from scenario to scenario, and with published figures."""
+"""Controllers compared: in one scenario, from scenario to scenario, and with published values."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,17 @@ from ddpc_reports.comparison import (
     shown_metrics,
 )
 from ddpc_reports.numbers import MINUS, MISSING, as_given, like, percent, significant, time_scale, unit_symbol
-from ddpc_reports.table import Cell, Column, Heading, Row, Table, controller_table, number_cells, range_texts
+from ddpc_reports.table import (
+    Cell,
+    Column,
+    Heading,
+    Row,
+    Table,
+    controller_table,
+    number_cells,
+    range_texts,
+    text_headings,
+)
 
 if TYPE_CHECKING:
     from ddpc_cosim.study.sections import PublishedMethod, Reproduction
@@ -33,7 +43,7 @@ def verdict_table(condition: Condition, prefix: str) -> Table:
     columns = [column for columns in by_name.values() for column in columns]
     return controller_table(
         f"{prefix}verdict",
-        "Verdict in figures, per controller",
+        "Verdict in numbers, per controller",
         condition.controllers,
         [*columns, (Heading("cases completed"), completed)],
         _notes(condition, list(by_name)),
@@ -117,7 +127,7 @@ def _summing_words(condition: Condition, metrics: Sequence[Metric[Any]]) -> str:
 
 
 def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
-    """Return medians of the main figures, a row per controller and a column per scenario; None for one."""
+    """Return medians of the main metrics, a row per controller and a column per scenario; None for one."""
     if len(conditions) < 2:
         return None
     rows = [
@@ -136,7 +146,7 @@ def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
     )
     return Table(
         f"{prefix}across",
-        "Scenarios beside each other",
+        "Scenarios side by side",
         headings,
         tuple(rows),
         notes,
@@ -164,8 +174,7 @@ def _across_column(members: Sequence[ControllerResults | None], key: str) -> lis
 
 
 _HEADINGS = (
-    Heading("Method and metric", numeric=False),
-    Heading("unit", numeric=False),
+    *text_headings("Method and metric", "unit"),
     Heading("published"),
     Heading("published-code variant", group="here, first seed"),
     Heading("as printed", group="here, first seed"),
@@ -177,7 +186,7 @@ _HEADINGS = (
 
 
 class _Compared(NamedTuple):
-    """One published value and what stands for it here."""
+    """One published value and what corresponds to it here."""
 
     published: float
     code: float

@@ -65,7 +65,7 @@ def _hash_source(script: str) -> str:
 
 
 def json_for_script(data: Mapping[str, Any]) -> str:
-    """Return JSON that cannot end the script element it stands in, whatever the strings in it."""
+    """Return JSON that cannot end the script element around it, whatever the strings in it."""
     text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     for letter in "<>&\u2028\u2029":
         text = text.replace(letter, f"\\u{ord(letter):04x}")

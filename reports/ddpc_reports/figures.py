@@ -119,8 +119,8 @@ def dash_numbers(panels: Sequence[Sequence[str]], names: Sequence[str]) -> dict[
     """Give every name the first dash pattern that no earlier name in a panel of its own has."""
     numbers: dict[str, int] = {}
     for name in names:
-        rivals = {other for panel in panels if name in panel for other in panel}
-        taken = {numbers[other] for other in rivals if other in numbers}
+        neighbours = {other for panel in panels if name in panel for other in panel}
+        taken = {numbers[other] for other in neighbours if other in numbers}
         numbers[name] = next(number for number in range(len(names)) if number not in taken)
     return numbers
 
@@ -195,7 +195,7 @@ def _time_view(
     chart = time_chart(signal, order, dashes, sampling_time, last).properties(height=_PANEL_HEIGHT)
     who = ", ".join(one.label for one in panel.members)
     description = f"{signal.title} over time of {who}"
-    spec = specification(chart)
+    spec = _specification(chart)
     svg = static_svg(spec, identifier, description, {signal.id: signal.columns})
     scaled_by = signal.scaling(names)
     return View(
@@ -240,9 +240,7 @@ def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure:
     )
     if not rows:
         return Figure(identifier, "Spread over seeds", f"{caption} No case completed.", ())
-    spec = specification(spread_chart(rows, axis, logarithmic))
-    view = View(identifier + "-1", "", caption, spec, static_svg(spec, identifier + "-1", caption))
-    return Figure(identifier, "Spread over seeds", caption, (view,))
+    return one_chart(identifier, "Spread over seeds", caption, spread_chart(rows, axis, logarithmic))
 
 
 def _done(condition: Condition) -> list[tuple[ControllerResults, CaseResult]]:
@@ -277,10 +275,7 @@ def step_time_figure(condition: Condition, prefix: str) -> Figure | None:
         "Time of one controller step: median (circle), 95 % (triangle), 99 % (diamond) and longest (cross). "
         f"Dashed line: the sampling time, {given_duration(sampling_time)}. Logarithmic axis."
     )
-    identifier = f"{prefix}step-time"
-    spec = specification(step_time_chart(rows, sampling_time))
-    view = View(identifier + "-1", "", caption, spec, static_svg(spec, identifier + "-1", caption))
-    return Figure(identifier, "Step time", caption, (view,))
+    return one_chart(f"{prefix}step-time", "Step time", caption, step_time_chart(rows, sampling_time))
 
 
 def _step_time_row(one: ControllerResults, words: str, seconds: float) -> dict[str, Any]:
@@ -293,7 +288,14 @@ def _step_time_row(one: ControllerResults, words: str, seconds: float) -> dict[s
     }
 
 
-def specification(chart: Any) -> dict[str, Any]:
+def one_chart(identifier: str, title: str, caption: str, chart: Any, panel: str = "") -> Figure:
+    """Return a figure of one chart that needs no legend; the caption describes it."""
+    name, spec = f"{identifier}-1", _specification(chart)
+    view = View(name, panel, caption, spec, static_svg(spec, name, caption))
+    return Figure(identifier, title, caption, (view,))
+
+
+def _specification(chart: Any) -> dict[str, Any]:
     """Return a chart without what the page sets for all of them."""
     # Checking against the schema takes longer than drawing; drawing fails on a faulty chart too.
     spec: dict[str, Any] = chart.to_dict(validate=False)

@@ -137,7 +137,7 @@ def duration(seconds: float, digits: int = 3) -> str:
 
 
 def column(values: Sequence[float], digits: int = 4) -> list[str]:
-    """Write a column of numbers with the same decimals, padded so that decimal points stand in line.
+    """Write a column of numbers with the same decimals, padded with decimal points in line.
 
     The typical value gets ``digits`` significant digits. A value left with too few gets two.
     """
@@ -157,7 +157,7 @@ def _in_column(value: float, decimals: int) -> str:
 
 
 def align(numbers: Sequence[str]) -> list[str]:
-    """Pad numbers on the right so that their points stand in line, flush right in tabular figures."""
+    """Pad numbers on the right so that their points are in line, flush right in tabular figures."""
     tails = ["" if _stands_alone(number) else number.partition(".")[2] for number in numbers]
     longest = max(map(len, tails), default=0)
     return [_pad(number, len(tail), longest) for number, tail in zip(numbers, tails, strict=True)]
@@ -171,7 +171,7 @@ def _pad(number: str, decimals: int, longest: int) -> str:
 
 
 def _stands_alone(number: str) -> bool:
-    """Whether a cell has no decimal point to stand in line with the others."""
+    """Whether a cell has no decimal point to line up with the others."""
     return TIMES in number or number == MISSING
 
 

@@ -1,8 +1,8 @@
 """The page: studies gathered, tables and figures made, templates filled."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -30,33 +30,27 @@ from ddpc_reports.figures import Figure, spread_figures, step_time_figure, time_
 from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.samples import Column
 from ddpc_reports.sensitivity import sensitivity_figures, sweep_statements
-from ddpc_reports.settings_tables import (
-    compact_seeds,
-    diagnostics_table,
-    family_tables,
-    settings_tables,
-)
+from ddpc_reports.settings_tables import compact_seeds, diagnostics_table, family_tables, settings_tables
 from ddpc_reports.table import Table
 from ddpc_reports.verdict import Statement, across_statements, limitations, verdict
+
+if TYPE_CHECKING:
+    from ddpc_cosim.study.sections import Reproduction
 
 _MOST_DRAWN = 4
 """Scenarios of a study with figures over time: each costs some 300 kB of page."""
 
+Block = tuple[str, Any]
+"""A part of a section: its kind, which chooses how the template sets it, and what it is."""
+
 
 @dataclass(frozen=True)
-class ConditionPart:
-    """What the page shows of one condition."""
+class Section:
+    """One section of the page."""
 
-    id: str
-    label: str
-    statements: list[Statement]
-    verdict: Table | None
-    time_figures: list[Figure]
-    spread_figures: list[Figure]
-    sensitivity_figures: list[Figure]
-    step_time_figure: Figure | None
-    step_times: Table | None
-    diagnostics: Table | None
+    anchor: str
+    title: str
+    blocks: list[Block]
 
 
 @dataclass(frozen=True)
@@ -68,38 +62,7 @@ class StudyPart:
     results: StudyResults
     title: str
     facts: dict[str, str]
-    conditions: list[ConditionPart]
-    across_statements: list[Statement]
-    across: Table | None
-    fallbacks: Table | None
-    reproduction: Table | None
-    families: list[Table]
-    settings: list[Table]
-    limitations: list[str]
-    failures: Table | None
-    cases: Table
-    provenance: Table
-
-    @property
-    def sections(self) -> dict[str, str]:
-        """The contents: titles by anchor."""
-        titles = {
-            "verdict": "Verdict",
-            "reproduction": "Reproduction" if self.reproduction else "",
-            "figures": "Figures" if self._has("time_figures") else "",
-            "spread": "Spread over seeds" if self._has("spread_figures") else "",
-            "sensitivity": "Sensitivity" if self._has("sensitivity_figures") else "",
-            "time": "Computation time",
-            "data": "Data diagnostics" if self._has("diagnostics") else "",
-            "settings": "Settings",
-            "limitations": "Known limitations",
-            "cases": "Every case",
-            "provenance": "Provenance",
-        }
-        return {f"{self.id}{anchor}": title for anchor, title in titles.items() if title}
-
-    def _has(self, what: str) -> bool:
-        return any(getattr(part, what) for part in self.conditions)
+    sections: list[Section]
 
 
 def render_page(results: Sequence[StudyResults]) -> str:
@@ -137,53 +100,86 @@ def render_page(results: Sequence[StudyResults]) -> str:
 def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Column]]) -> StudyPart:
     prefix = f"s{number}-"
     seen = conditions(results)
-    study = results.study
-    parts = [
-        _condition_part(condition, f"{prefix}{place}-", data, drawn=place <= _MOST_DRAWN)
-        for place, condition in enumerate(seen, start=1)
-    ]
-    reproduction = study.report.reproduction
-    families = family_tables(seen[0], prefix) if seen else []
     first = seen[0] if seen else None
-    return StudyPart(
-        id=prefix,
-        number=number,
-        results=results,
-        title=study.title or study.name,
-        facts=_facts(results),
-        conditions=parts,
-        across_statements=across_statements(seen),
-        across=across_table(seen, prefix),
-        fallbacks=fallbacks_table(seen, prefix),
-        reproduction=reproduction_table(seen[0], reproduction, prefix) if reproduction and seen else None,
-        families=families,
-        settings=settings_tables(results, first, prefix),
-        limitations=limitations(seen, _MOST_DRAWN),
-        failures=failures_table(results, prefix),
-        cases=cases_table(results, seen, prefix),
-        provenance=provenance_table(results, prefix),
-    )
+    reproduction = results.study.report.reproduction if seen else None
+    families = family_tables(first, prefix) if first else []
+
+    def each(blocks_of: Callable[[Condition, str], list[Block]]) -> list[Block]:
+        """Return the blocks of every condition that has any, below its label where there are several."""
+        found: list[Block] = []
+        for place, condition in enumerate(seen, start=1):
+            if blocks := blocks_of(condition, f"{prefix}{place}-"):
+                found += [("condition", condition.label)] if len(seen) > 1 else []
+                found += blocks
+        return found
+
+    def time_blocks(condition: Condition, place: str) -> list[Block]:
+        if not condition.controllers or condition not in seen[:_MOST_DRAWN]:
+            return []
+        figures, samples = time_figures(condition, place)
+        data.update(samples)
+        return _figures(figures, place)
+
+    overview = [*_statements(across_statements(seen)), *_tables(across_table(seen, prefix))]
+    lost = _tables(fallbacks_table(seen, prefix), failures_table(results, prefix))
+    drawn = each(time_blocks)
+    parameters = [("see parameters", reproduction.parameters)] if reproduction else _tables(*families)
+    sections = [
+        Section("verdict", "Verdict", [*overview, *each(_verdict_blocks), *lost]),
+        Section("reproduction", "Reproduction", _reproduction_blocks(first, reproduction, families, prefix)),
+        Section("figures", "Figures", [("help", ""), *drawn] if drawn else []),
+        Section("spread", "Spread over seeds", each(lambda *one: _figures(spread_figures(*one), one[1]))),
+        Section("sensitivity", "Sensitivity", each(lambda *one: _figures(sensitivity_figures(*one), one[1]))),
+        Section("time", "Computation time", each(_step_time_blocks)),
+        Section("data", "Data diagnostics", each(lambda *one: _tables(diagnostics_table(*one)))),
+        Section("settings", "Settings", [*_tables(*settings_tables(results, first, prefix)), *parameters]),
+        Section("limitations", "Known limitations", [("notes", limitations(seen, _MOST_DRAWN))]),
+        Section("cases", "Every case", _tables(cases_table(results, seen, prefix))),
+        Section("provenance", "Provenance", _tables(provenance_table(results, prefix))),
+    ]
+    title = results.study.title or results.study.name
+    shown = [section for section in sections if section.blocks]
+    return StudyPart(prefix, number, results, title, _facts(results), shown)
 
 
-def _condition_part(
-    condition: Condition, prefix: str, data: dict[str, dict[str, Column]], *, drawn: bool
-) -> ConditionPart:
+def _tables(*tables: Table | None) -> list[Block]:
+    return [("table", table) for table in tables if table]
+
+
+def _statements(statements: list[Statement]) -> list[Block]:
+    return [("statements", statements)] if statements else []
+
+
+def _figures(figures: Iterable[Figure | None], group: str) -> list[Block]:
+    return [("figure", (figure, group)) for figure in figures if figure]
+
+
+def _verdict_blocks(condition: Condition, prefix: str) -> list[Block]:
     # With `run --only` there may be variants of a sweep alone.
-    rivals = bool(condition.controllers)
-    figures, samples = time_figures(condition, prefix) if drawn and rivals else ([], {})
-    data.update(samples)
-    return ConditionPart(
-        id=prefix,
-        label=condition.label,
-        statements=(verdict(condition) if rivals else []) + sweep_statements(condition),
-        verdict=verdict_table(condition, prefix) if rivals else None,
-        time_figures=figures,
-        spread_figures=spread_figures(condition, prefix),
-        sensitivity_figures=sensitivity_figures(condition, prefix),
-        step_time_figure=step_time_figure(condition, prefix),
-        step_times=step_time_table(condition, prefix) if rivals else None,
-        diagnostics=diagnostics_table(condition, prefix),
-    )
+    if not condition.controllers:
+        return _statements(sweep_statements(condition))
+    statements = verdict(condition) + sweep_statements(condition)
+    return [*_statements(statements), *_tables(verdict_table(condition, prefix))]
+
+
+def _step_time_blocks(condition: Condition, prefix: str) -> list[Block]:
+    if not condition.controllers:
+        return []
+    table = step_time_table(condition, prefix)
+    return [*_tables(table), *_figures([step_time_figure(condition, prefix)], prefix)]
+
+
+def _reproduction_blocks(
+    first: Condition | None, reproduction: "Reproduction | None", families: list[Table], prefix: str
+) -> list[Block]:
+    if not reproduction or not first:
+        return []
+    return [
+        *_tables(reproduction_table(first, reproduction, prefix)),
+        *([("notes", reproduction.notes)] if reproduction.notes else []),
+        ("parameters", reproduction.parameters),
+        *_tables(*families),
+    ]
 
 
 def _facts(results: StudyResults) -> dict[str, str]:
@@ -215,22 +211,20 @@ def _controllers_words(results: StudyResults) -> str:
 
 def _data(studies: Sequence[StudyPart], data: dict[str, dict[str, Column]]) -> dict[str, Any]:
     """Return what the script draws from: samples once, and a specification for each chart."""
+    blocks = [block for study in studies for section in study.sections for block in section.blocks]
     views = {}
-    for study in studies:
-        for part in study.conditions:
-            single = [part.step_time_figure] if part.step_time_figure else []
-            for figure in (*part.time_figures, *part.spread_figures, *part.sensitivity_figures, *single):
-                labels = {entry.name: entry.label for entry in figure.legend}
-                for view in figure.views:
-                    views[view.id] = {
-                        "group": part.id,
-                        "figure": figure.id,
-                        "spec": view.spec,
-                        "data": view.data,
-                        "lines": {name: labels[name] for name in view.names},
-                        "unit": view.unit,
-                        "scaled": list(view.scaled_by),
-                        "limits": list(view.limits),
-                    }
+    for figure, group in (content for kind, content in blocks if kind == "figure"):
+        labels = {entry.name: entry.label for entry in figure.legend}
+        for view in figure.views:
+            views[view.id] = {
+                "group": group,
+                "figure": figure.id,
+                "spec": view.spec,
+                "data": view.data,
+                "lines": {name: labels[name] for name in view.names},
+                "unit": view.unit,
+                "scaled": list(view.scaled_by),
+                "limits": list(view.limits),
+            }
     packed = {name: {key: pack(column) for key, column in columns.items()} for name, columns in data.items()}
     return {"config": CONFIG, "colours": COLOURS, "data": packed, "views": views}

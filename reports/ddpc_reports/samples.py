@@ -98,8 +98,8 @@ def first_seed(condition: Condition, prefix: str) -> FirstSeed:
         return FirstSeed()
     runs = _Runs(traces, max(traces.values(), key=len), trusted(traces))
     return FirstSeed(
-        [_output(runs, i, f"{prefix}y{i}") for i in range(len(runs.longest.outputs))],
-        [_input(runs, i, f"{prefix}u{i}") for i in range(len(runs.longest.inputs))],
+        [_level(runs, i, f"{prefix}y{i}", is_input=False) for i in range(len(runs.longest.outputs))],
+        [_level(runs, i, f"{prefix}u{i}", is_input=True) for i in range(len(runs.longest.inputs))],
         [_change(runs, i, f"{prefix}d{i}") for i in range(len(runs.longest.inputs))],
     )
 
@@ -139,22 +139,20 @@ def _within_limits(trace: Trace, i: int) -> bool:
     return bool(bounded and (trace.y[:, i] >= low).all() and (trace.y[:, i] <= high).all())
 
 
-def _output(runs: _Runs, i: int, name: str) -> Signal:
-    longest, variable = runs.longest, runs.longest.outputs[i]
-    columns = {"t": _rounded(longest.time), "r": _shown(variable, longest.reference[:, i])}
-    columns |= {key: _shown(variable, trace.y[:, i]) for key, trace in runs.traces.items()}
-    limits = _near(runs, columns, variable, (longest.bounds.y_min[i], longest.bounds.y_max[i]))
-    unit = unit_symbol(variable.shown_in.name)
-    return Signal(name, _title(_words(variable), unit), unit, columns, runs.trusted, limits)
-
-
-def _input(runs: _Runs, i: int, name: str) -> Signal:
-    longest, variable = runs.longest, runs.longest.inputs[i]
+def _level(runs: _Runs, i: int, name: str, *, is_input: bool) -> Signal:
+    """Return a controlled output with its reference, or an input."""
+    longest, bounds = runs.longest, runs.longest.bounds
+    variable = (longest.inputs if is_input else longest.outputs)[i]
+    ends = (bounds.u_min, bounds.u_max) if is_input else (bounds.y_min, bounds.y_max)
     columns = {"t": _rounded(longest.time)}
-    columns |= {key: _shown(variable, trace.u[:, i]) for key, trace in runs.traces.items()}
-    limits = _near(runs, columns, variable, (longest.bounds.u_min[i], longest.bounds.u_max[i]))
+    if not is_input:
+        columns["r"] = _shown(variable, longest.reference[:, i])
+    for key, trace in runs.traces.items():
+        columns[key] = _shown(variable, (trace.u if is_input else trace.y)[:, i])
+    limits = _near(runs, columns, variable, [end[i] for end in ends])
     unit = unit_symbol(variable.shown_in.name)
-    return Signal(name, _title(_words(variable), unit), unit, columns, runs.trusted, limits, held=True)
+    title = _title(_words(variable), unit)
+    return Signal(name, title, unit, columns, runs.trusted, limits, held=is_input)
 
 
 def _change(runs: _Runs, i: int, name: str) -> Signal:

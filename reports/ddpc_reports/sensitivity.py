@@ -18,8 +18,7 @@ from ddpc_reports.comparison import (
     metric_unit,
     spread as summed_up,
 )
-from ddpc_reports.embedding import static_svg
-from ddpc_reports.figures import Figure, View, specification
+from ddpc_reports.figures import Figure, one_chart
 from ddpc_reports.numbers import as_given, significant, with_unit
 from ddpc_reports.verdict import Statement, by_signal, formatter
 
@@ -85,7 +84,7 @@ def sweeps(condition: Condition) -> list[Sweep]:
 
 
 def sweep_statements(condition: Condition) -> list[Statement]:
-    """Return for each controller that was swept its best and worst settings beside its own."""
+    """Return for each controller that was swept its best and worst settings and its own."""
     groups: dict[str, list[Sweep]] = {}
     for sweep in sweeps(condition):
         groups.setdefault(sweep.base, []).append(sweep)
@@ -101,7 +100,7 @@ def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
     members = [(sweep, one) for sweep in group for one in sweep.variants]
     lost = sum(not one.completed_all for _, one in members)
     order = sorted(
-        ((figure, sweep, one) for sweep, one in members if not math.isnan(figure := _median([one], key))),
+        ((value, sweep, one) for sweep, one in members if not math.isnan(value := _median([one], key))),
         key=lambda entry: entry[0],
     )
     text = Markup("{} settings of <b>{}</b>").format(len(members), group[0].label)
@@ -138,9 +137,7 @@ def _figure(sweep: Sweep, key: str, identifier: str) -> Figure:
         caption += " Starred: of the completed cases; others of this setting did not complete."
     # A map with one setting needs no second axis.
     titles = sweep.axes if len(sweep.axes) > 1 else ("", *sweep.axes)
-    spec = specification(heat_chart(rows, titles))
-    view = View(identifier + "-1", sweep.label, caption, spec, static_svg(spec, identifier + "-1", caption))
-    return Figure(identifier, "Sensitivity", caption, (view,))
+    return one_chart(identifier, "Sensitivity", caption, heat_chart(rows, titles), sweep.label)
 
 
 def _summed_words(sweep: Sweep) -> str:

@@ -13,7 +13,7 @@ from ddpc_cosim import CosimError, StudyResults, Trace, Variable, declared_setti
 from ddpc_cosim.plugins import load_plugin
 from ddpc_reports.comparison import Condition, ControllerResults, Spread, indices, labels, spread
 from ddpc_reports.numbers import MISSING, as_given, integer, significant, unit_symbol, with_unit
-from ddpc_reports.table import Cell, Heading, Row, Table
+from ddpc_reports.table import Cell, Heading, Row, Table, text_headings
 
 if TYPE_CHECKING:
     from ddpc_cosim.study.sections import (
@@ -124,7 +124,7 @@ def _controllers_table(results: StudyResults, units: Mapping[str, str], prefix: 
         Row(label, tuple(Cell(texts[i] or MISSING) for texts in shown.values()), key, numbers[key])
         for i, (key, (label, _)) in enumerate(own.items())
     )
-    headings = tuple(Heading(title, numeric=False) for title in ("Controller", *shown))
+    headings = text_headings("Controller", *shown)
     return Table(
         f"{prefix}controllers", "Controllers", headings, rows, download="controllers.csv", kind="facts"
     )
@@ -159,7 +159,7 @@ def _variants_table(results: StudyResults, prefix: str) -> Table | None:
         )
         for key, (label, base) in variants.items()
     )
-    headings = tuple(Heading(title, numeric=False) for title in ("Variant", "name", "settings that differ"))
+    headings = text_headings("Variant", "name", "settings that differ")
     caption = f"Variants in sweeps ({len(rows)})"
     return Table(f"{prefix}variants", caption, headings, rows, kind="grouped", download="variants.csv")
 
@@ -191,7 +191,7 @@ def _bounds_table(condition: Condition, prefix: str) -> Table | None:
         for one in condition.controllers
         if one.key in traces
     )
-    headings = (Heading("Controller", numeric=False), *(Heading(name, numeric=False) for name in names))
+    headings = text_headings("Controller", *names)
     caption = "Limits of inputs and outputs, per controller"
     return Table(f"{prefix}bounds", caption, headings, rows, download="limits.csv")
 
@@ -282,7 +282,7 @@ def _others(section: BaseModel, said: Container[str]) -> Iterator[tuple[str, str
 def facts_table(identifier: str, caption: str, facts: Iterable[tuple[str, str]], download: str) -> Table:
     """Return a table of two columns, names and values."""
     rows = tuple(Row(name, (Cell(value or MISSING),)) for name, value in facts)
-    headings = (Heading("What", numeric=False), Heading("Value", numeric=False))
+    headings = text_headings("What", "Value")
     return Table(identifier, caption, headings, rows, kind="facts", download=download)
 
 
@@ -385,8 +385,8 @@ _TITLES = {
 
 def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
     """Return what the controllers say about their data, first seed and range; None if they say nothing."""
-    talkers = [one for one in condition.controllers if any(case.diagnostics for case in one.cases)]
-    if not talkers:
+    reporting = [one for one in condition.controllers if any(case.diagnostics for case in one.cases)]
+    if not reporting:
         return None
     several = len(condition.seeds) > 1
     headings = (
@@ -398,7 +398,7 @@ def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
         f"{prefix}diagnostics",
         "Data that the controllers learned from",
         headings,
-        tuple(row for one in talkers for row in _rows(one, several=several)),
+        tuple(row for one in reporting for row in _rows(one, several=several)),
         (
             "PE order: order of persistent excitation of the recorded inputs. "
             "Rank and singular value: of the stacked data.",

@@ -1,4 +1,4 @@
-"""A table of the page: what stands in its cells, which are best, and the same as CSV."""
+"""A table of the page: its cells, which of them are best, and the same as CSV."""
 
 import csv
 import io
@@ -21,11 +21,11 @@ class Heading:
     Parameters
     ----------
     title : str
-        What stands below.
+        What the column shows.
     detail : str
         A second line in small print.
     numeric : bool
-        Whether numbers stand below.
+        Whether the column shows numbers.
     group : str
         Title above this column and its neighbours of the same group.
     """
@@ -41,9 +41,14 @@ class Heading:
         return " ".join(filter(None, (self.group, self.title, self.detail and f"({self.detail})")))
 
 
+def text_headings(*titles: str) -> tuple[Heading, ...]:
+    """Return the heads of columns of text."""
+    return tuple(Heading(title, numeric=False) for title in titles)
+
+
 @dataclass(frozen=True)
 class Cell:
-    """One cell: the text to show, the value behind it, and how it stands out."""
+    """One cell: the text to show, the value behind it, and how it is marked."""
 
     text: str
     raw: Raw = ""

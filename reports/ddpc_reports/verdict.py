@@ -22,7 +22,7 @@ from ddpc_reports.comparison import (
 from ddpc_reports.numbers import duration, given_duration, integer, significant, with_unit
 
 _POOR = 3.0
-"""From this many times the best tracking error on, little actuator travel is no merit."""
+"""From this many times the best tracking error on, little actuator travel is not a merit."""
 
 
 class Statement(NamedTuple):
@@ -61,7 +61,7 @@ def _completeness(condition: Condition) -> Markup:
     head = f"{done} of {total} cases completed" if done else "No case completed, so nothing is ranked"
     text = Markup("{}; not completed: {}.").format(head, who)
     return (
-        text + " Figures of cases that did not complete are not compared with those that did."
+        text + " Values of cases that did not complete are not compared with those that did."
         if done
         else text
     )
@@ -236,10 +236,10 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
     if not order:
         return Markup("No controller completed every seed, so medians over the seeds are not compared.")
     winner, rest = order[0][1], [one for _, one in order[1:]]
-    figure = median_and_range(winner.over_seeds(key), key)
+    shown = median_and_range(winner.over_seeds(key), key)
     if not rest:
         return Markup("Only <b>{}</b> completed every seed: median {}; nothing to compare with.").format(
-            winner.label, figure
+            winner.label, shown
         )
     alike = [one for value, one in order if formatter(key)(value) == formatter(key)(order[0][0])]
     if len(alike) > 1:
@@ -247,17 +247,22 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
             len(condition.seeds), join_words(names(alike)), formatter(key)(order[0][0])
         )
     text = Markup("Over {} seeds, <b>{}</b> has the smallest median: {}.").format(
-        len(condition.seeds), winner.label, figure
+        len(condition.seeds), winner.label, shown
     )
-    return text + _duel(winner, rest[0], key) + _overlap(winner, rest, key) + _constant([winner, *rest], key)
+    return (
+        text
+        + _seed_by_seed(winner, rest[0], key)
+        + _overlap(winner, rest, key)
+        + _constant([winner, *rest], key)
+    )
 
 
-def _duel(winner: ControllerResults, rival: ControllerResults, key: str) -> Markup:
-    mine, theirs = winner.by_seed(key), rival.by_seed(key)
+def _seed_by_seed(winner: ControllerResults, second: ControllerResults, key: str) -> Markup:
+    mine, theirs = winner.by_seed(key), second.by_seed(key)
     shared = mine.keys() & theirs.keys()
     wins = sum(mine[seed] < theirs[seed] for seed in shared)
     return Markup(" Seed by seed it is ahead of the next, <i>{}</i> ({}), on {} of {}.").format(
-        rival.label, median_and_range(rival.over_seeds(key), key), wins, len(shared)
+        second.label, median_and_range(second.over_seeds(key), key), wins, len(shared)
     )
 
 
@@ -329,12 +334,12 @@ def counted(count: float, noun: str) -> str:
     return f"{integer(count)} {noun}" if count == 1 else f"{integer(count)} {noun}s"
 
 
-def median_and_range(figure: Spread, key: str) -> str:
+def median_and_range(values: Spread, key: str) -> str:
     """Write a median and, where the cases differ, their range in brackets."""
     show = formatter(key)
-    if not figure.varies:
-        return show(figure.median)
-    return f"{show(figure.median)} [{significant(figure.low)} … {significant(figure.high)}]"
+    if not values.varies:
+        return show(values.median)
+    return f"{show(values.median)} [{significant(values.low)} … {significant(values.high)}]"
 
 
 def formatter(key: str, digits: int = 4) -> Callable[[float], str]:
@@ -403,7 +408,7 @@ def _of_cases(conditions: tuple[Condition, ...]) -> list[str]:
 def _of_seeds(conditions: tuple[Condition, ...]) -> list[str]:
     if any(len(condition.seeds) > 1 for condition in conditions):
         return ["The figures over time show the first seed only; the spread over seeds is shown on its own."]
-    return ["One seed only: how much the figures depend on it is not known."] if conditions else []
+    return ["One seed only: how much the results depend on it is not known."] if conditions else []
 
 
 def _of_drawing(conditions: tuple[Condition, ...], drawn: int) -> list[str]:

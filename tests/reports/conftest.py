@@ -1,7 +1,7 @@
 """Results for the report, and the browser that reads it."""
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -41,25 +41,19 @@ def make_results(tmp_path: Path) -> MakeResults:
 
 
 @pytest.fixture(scope="session")
-def start_browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], webdriver.Chrome]]:
-    """Return a function that starts a headless Chromium with a profile of its own."""
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
+    """Return a headless Chromium with a profile of its own, started once for all tests."""
     browser = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chrome")
     driver = shutil.which("chromedriver")
     if not browser or not driver:
         pytest.fail(
             "the tests of the report need Chromium and ChromeDriver: install chromium and chromium-driver"
         )
-    started: list[webdriver.Chrome] = []
-
-    def start() -> webdriver.Chrome:
-        options = webdriver.ChromeOptions()
-        options.binary_location = browser
-        for option in (*_OPTIONS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-            options.add_argument(option)
-        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-        started.append(webdriver.Chrome(options=options, service=Service(driver)))
-        return started[-1]
-
-    yield start
-    for one in started:
-        one.quit()
+    options = webdriver.ChromeOptions()
+    options.binary_location = browser
+    for option in (*_OPTIONS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(option)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    started = webdriver.Chrome(options=options, service=Service(driver))
+    yield started
+    started.quit()

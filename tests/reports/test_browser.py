@@ -19,8 +19,6 @@ from ddpc_reports import write_report
 
 from .synthetic import make_results_in, make_trace
 
-StartBrowser = Callable[[], webdriver.Chrome]
-
 
 def trace_of(key: str, seed: int) -> Trace:
     if key == "lost":
@@ -37,18 +35,13 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
     return write_report([results], folder / "report.html").as_uri()
 
 
-@pytest.fixture(scope="module")
-def shared_browser(start_browser: StartBrowser) -> webdriver.Chrome:
-    return start_browser()
-
-
 @pytest.fixture
-def browser(shared_browser: webdriver.Chrome, page: str) -> Iterator[webdriver.Chrome]:
+def browser(chromium: webdriver.Chrome, page: str) -> Iterator[webdriver.Chrome]:
     """Return a browser that has opened the report and drawn its charts."""
-    open_page(shared_browser, page)
-    yield shared_browser
-    shared_browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-    shared_browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+    open_page(chromium, page)
+    yield chromium
+    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
 
 
 def open_page(browser: webdriver.Chrome, page: str) -> None:
@@ -148,7 +141,7 @@ def value_labels(browser: webdriver.Chrome) -> list[float]:
 
 
 def test_a_run_that_falls_over_sets_the_range_only_where_it_is_alone(
-    shared_browser: webdriver.Chrome, tmp_path: Path
+    chromium: webdriver.Chrome, tmp_path: Path
 ) -> None:
     def far(key: str, seed: int) -> Trace:
         trace = trace_of("quick" if key == "falls" else key, seed)
@@ -156,11 +149,11 @@ def test_a_run_that_falls_over_sets_the_range_only_where_it_is_alone(
 
     controllers: dict[str, dict[str, Any]] = {name: {"type": "a"} for name in ("quick", "falls", "slow")}
     results = make_results_in(tmp_path / "results", far, controllers)
-    open_page(shared_browser, write_report([results], tmp_path / "report.html").as_uri())
-    assert max(value_labels(shared_browser)) <= 25.0
+    open_page(chromium, write_report([results], tmp_path / "report.html").as_uri())
+    assert max(value_labels(chromium)) <= 25.0
     for name in ("c0", "c2"):
-        one(shared_browser, f"button.entry[data-name={name}]").click()
-    wait(shared_browser, lambda: max(value_labels(shared_browser)) >= 600.0)
+        one(chromium, f"button.entry[data-name={name}]").click()
+    wait(chromium, lambda: max(value_labels(chromium)) >= 600.0)
 
 
 def test_a_drag_zooms_every_chart_and_a_double_click_resets(browser: webdriver.Chrome) -> None:
@@ -259,11 +252,13 @@ def test_the_theme_can_be_chosen(browser: webdriver.Chrome) -> None:
     )
 
 
-def test_without_javascript_the_static_figures_are_there(start_browser: StartBrowser, page: str) -> None:
-    browser = start_browser()
-    browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
-    browser.get(page)
-    drawings = browser.find_elements(By.CSS_SELECTOR, ".chart svg.static")
-    assert len(drawings) == 5
-    assert all(drawing.is_displayed() and drawing.size["height"] > 100 for drawing in drawings)
-    assert not browser.find_elements(By.CSS_SELECTOR, ".live")
+def test_without_javascript_the_static_figures_are_there(chromium: webdriver.Chrome, page: str) -> None:
+    chromium.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
+    try:
+        chromium.get(page)
+        drawings = chromium.find_elements(By.CSS_SELECTOR, ".chart svg.static")
+        assert len(drawings) == 5
+        assert all(drawing.is_displayed() and drawing.size["height"] > 100 for drawing in drawings)
+        assert not chromium.find_elements(By.CSS_SELECTOR, ".live")
+    finally:
+        chromium.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})

@@ -52,7 +52,7 @@ def test_one_scenario_has_nothing_beside_it(make_results: MakeResults) -> None:
     results = make_results()
     assert across_table(conditions(results), "x-") is None
     assert across_statements(conditions(results)) == []
-    assert "Scenarios beside each other" not in render_page([results])
+    assert "Scenarios side by side" not in render_page([results])
 
 
 def test_different_winners_are_named_with_their_scenarios(make_results: MakeResults) -> None:
