@@ -49,7 +49,7 @@ NO_LIBRARY = Kind(
 BAD_SOURCES = Kind(
     "bad-sources", _WARNING, "the description of the C sources cannot be used", "they are not compiled"
 )
-NO_SOURCE_FILE = Kind("no-source-file", _WARNING, "source files that are listed and not there")
+NO_SOURCE_FILE = Kind("no-source-file", _WARNING, "source files that are listed but missing")
 
 _MAGIC = {"linux": b"\x7fELF", "win32": b"MZ", "darwin": b"\xcf\xfa\xed\xfe"}
 _UNIVERSAL_MAGIC = b"\xca\xfe\xba\xbe"

@@ -254,7 +254,7 @@ def _on_what_is_left_out(about: Circumstances, left_out: Sequence[str]) -> Itera
     if others:
         yield f"Outputs not controlled: {_join_words(others)}."
     if left_out:
-        yield f"Not tried, there being so many: {_join_words(left_out)}."
+        yield f"Not tried, as there are so many: {_join_words(left_out)}."
     if about.tested.fault:
         yield f"A run of the step test ended early: {about.tested.fault}"
 

@@ -1,7 +1,7 @@
 """Defects of an FMU: what was found, how much it matters, where, and what to do about it.
 
 The kinds at the end are those that reading a model description meets; those that only ``inspect`` looks for
-stand beside its checks.
+stand with its checks.
 """
 
 from collections.abc import Iterator

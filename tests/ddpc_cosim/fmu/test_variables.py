@@ -3,11 +3,17 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import fmpy.fmi1
+import fmpy.fmi2
+import fmpy.fmi3
 import numpy as np
 import pytest
 from fmus.builder import LAG, V, describe, model_fmu, model_library, write_fmu
 
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
+from ddpc_cosim.fmu.description import FMUDescription
+from ddpc_cosim.fmu.description.reader import read_description
+from ddpc_cosim.fmu.description.variable_types import TYPES
 from ddpc_cosim.fmu.plant import FMUPlant
 
 VERSIONS = ("1.0", "2.0", "3.0")
@@ -275,3 +281,57 @@ def test_arrays_that_would_not_fit_into_memory_are_refused(tmp_path: Path) -> No
     text = describe("3.0", "lag", [*LAG, V("field", 30, more={"nested": huge})])
     with pytest.raises(FMUImportError, match="the array field has 4294967296 elements; allowed: 1000000"):
         FMUPlant(write_fmu(tmp_path / "lag.fmu", text, model_library("3.0")))
+
+
+@pytest.mark.parametrize(("major", "name"), [(major, name) for major in TYPES for name in TYPES[major]])
+def test_the_table_of_types_agrees_with_fmpy_and_numpy(major: int, name: str) -> None:
+    row = TYPES[major][name]
+    functions = {1: fmpy.fmi1.FMU1Slave, 2: fmpy.fmi2.FMU2Slave, 3: fmpy.fmi3.FMU3Slave}[major]
+    if row.function:
+        assert hasattr(functions, f"fmi{major}Get{row.function}")
+        assert hasattr(functions, f"fmi{major}Set{row.function}")
+    if "Int" in name and name != "Integer":
+        limits = np.iinfo(np.dtype(row.c_type))
+        assert (row.min, row.max) == (float(limits.min), float(limits.max))
+
+
+def read(tmp_path: Path, version: str, variables: Sequence[V], head: str = "") -> FMUDescription:
+    (tmp_path / "modelDescription.xml").write_text(describe(version, "lag", variables, head=head))
+    return read_description(tmp_path, "lag.fmu")
+
+
+def test_limits_of_unsigned_integers_count(tmp_path: Path) -> None:
+    n = V("n", 30, "UInt8", "parameter", "fixed", "2", more={"min": "1", "max": "5"})
+    variable = read(tmp_path, "3.0", [*LAG, n]).variables["n"].variable
+    assert (variable.min, variable.max) == (1.0, 5.0)
+
+
+def test_display_units_of_the_reciprocal_value_are_left_out(tmp_path: Path) -> None:
+    """They would need another formula than the others: 1/(factor * value) (FMI 3.0, section 2.4.3.1)."""
+    unit = (
+        '<UnitDefinitions><Unit name="km/l"><BaseUnit/><DisplayUnit name="l/100km" factor="0.01" '
+        'inverse="true"/><DisplayUnit name="m/l" factor="1000"/></Unit></UnitDefinitions>'
+    )
+    assert [shown.name for shown in read(tmp_path, "3.0", LAG, unit).display_units["km/l"]] == ["m/l"]
+
+
+def test_places_count_after_a_variable_that_cannot_be_used(tmp_path: Path) -> None:
+    """The model structure of FMI 2.0 counts all variables, also those without a type."""
+    description = read(tmp_path, "2.0", [V("odd", 40, "Complex"), *LAG])
+    assert "odd" not in description.variables
+    assert description.derivatives == ("der(x)",)
+    assert description.states == ("x",)
+    assert list(description.dependencies) == ["x"]
+
+
+def test_defaults_that_follow_the_causality(tmp_path: Path) -> None:
+    """FMI 3.0, section 2.4.7.4: a parameter is fixed, an integer discrete."""
+    text = describe("3.0", "lag", [*LAG, V("n", 30, "Int32"), V("p", 31, causality="parameter", start="1")])
+    text = text.replace(' variability="continuous"', "")
+    (tmp_path / "modelDescription.xml").write_text(text)
+    description = read_description(tmp_path, "lag.fmu")
+    kinds = {name: (v.variability, v.initial) for name, v in description.variables.items()}
+    assert kinds["p"] == ("fixed", "exact")
+    assert kinds["n"] == ("discrete", "calculated")
+    assert kinds["u"] == ("continuous", "exact")
+    assert not description.warnings

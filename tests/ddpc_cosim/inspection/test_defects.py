@@ -19,6 +19,20 @@ TORQUE_3 = 'causality="input" variability="continuous" unit="N.m" start="0.0" />
 DESCRIPTIONS = [
     ("duplicate-name", "mass (2 times)", FMI2, ('name="radius"', 'name="mass"')),
     ("duplicate-name", "mass (2 times)", FMI3, ('name="radius"', 'name="mass"')),
+    ("no-type", "torque", FMI2, (TORQUE_2, '<Float64 unit="N.m" start="0.0" />')),
+    ("no-variables", "in the terms of FMI 3.0", FMI2, ('fmiVersion="2.0"', 'fmiVersion="3.0"')),
+    (
+        "bad-dimension",
+        "torque",
+        FMI3,
+        (TORQUE_3, TORQUE_3.replace("/>", '><Dimension valueReference="999"/></Float64>')),
+    ),
+    (
+        "huge-array",
+        "the array torque has 9000000 elements",
+        FMI3,
+        (TORQUE_3, TORQUE_3.replace("/>", '><Dimension start="9000000"/></Float64>')),
+    ),
     ("no-name", "1 of them", FMI2, ('name="radius"', 'name=""')),
     ("illegal-name", "' radius'", FMI2, ('name="radius"', 'name=" radius"')),
     ("bad-reference", 'torque: "five"', FMI2, ('valueReference="5"', 'valueReference="five"')),
