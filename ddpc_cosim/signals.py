@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Integral
 
 import numpy as np
@@ -118,6 +118,10 @@ class Excitation(ABC):
             It is made for another number of inputs.
         """
 
+    def with_seed(self, seed: int) -> "Excitation":
+        """Return the excitation with the random numbers of another seed; itself where it has none."""
+        return self
+
 
 @dataclass(frozen=True, slots=True)
 class UniformRandom(Excitation):
@@ -155,6 +159,10 @@ class UniformRandom(Excitation):
             faults.append(f"low ({self.low}) must be below high ({self.high})")
         if faults:
             raise ConfigError([f"uniform excitation: {fault}" for fault in faults])
+
+    def with_seed(self, seed: int) -> "UniformRandom":
+        """Return the excitation with the random numbers of another seed."""
+        return replace(self, seed=seed)
 
     def draw(self, inputs: int) -> FloatArray:
         """Return the excitation of all inputs, shape (samples, inputs), time along axis 0.

@@ -19,7 +19,7 @@ from ddpc_cosim.plugins import code_version, types_in
 from ddpc_cosim.rows import RowStore
 from ddpc_cosim.safe_calls import announce_calls, close_plant
 from ddpc_cosim.settings import PLANT, hashes_of_files, map_files
-from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference, UniformRandom
+from ddpc_cosim.signals import Excitation, GaussianNoise, ParameterChange, Ramp, Reference
 from ddpc_cosim.study.controllers import make_controller
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.resolve import ResolvedStudy
@@ -56,7 +56,7 @@ class Case:
         Of each controlled output, in its own unit.
     bounds : dict of str to (float, float)
         Limits in the variables' own units.
-    excitation : UniformRandom or None
+    excitation : Excitation or None
         The experiment.
     stabiliser : dict or None
         Type and settings of the controller that keeps the plant during the experiment.
@@ -85,7 +85,7 @@ class Case:
     continue_recording: bool
     reference: dict[str, Reference]
     bounds: dict[str, tuple[float, float]]
-    excitation: UniformRandom | None
+    excitation: Excitation | None
     stabiliser: dict[str, Any] | None
     parameters: dict[str, ParameterValue]
     noise: dict[str, float]
@@ -142,6 +142,7 @@ def _identifier(case: Case) -> str:
     decisive["plant"] = case.plant.content
     decisive |= {key: names(getattr(case, key)) for key in ("inputs", "outputs", "measurements")}
     decisive["reference"] = {name: repr(reference) for name, reference in case.reference.items()}
+    decisive["excitation"] = repr(case.excitation)
     text = json.dumps(decisive, sort_keys=True, default=repr)
     return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
 
@@ -278,7 +279,7 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
                     continue_recording=study.loop.start == "recording-end",
                     reference=resolved.reference,
                     bounds=resolved.bounds[controller],
-                    excitation=None if excitation is None else replace(excitation, seed=seed),
+                    excitation=None if excitation is None else excitation.with_seed(seed),
                     stabiliser=None if stabiliser is None else _type_and_settings(stabiliser),
                     parameters={**study.plant.parameters, **scenario.parameters},
                     noise=dict(scenario.noise),

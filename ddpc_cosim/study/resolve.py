@@ -9,7 +9,7 @@ from ddpc_cosim.errors import ConfigError, CosimError, Place
 from ddpc_cosim.loop_setup import late_error, limits_error
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.settings import PLANT
-from ddpc_cosim.signals import Reference, UniformRandom
+from ddpc_cosim.signals import Excitation, Reference
 from ddpc_cosim.study.controllers import ResolvedController, Variant, resolve_controller, variants_of
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables
 from ddpc_cosim.study.sections import BoundsSection, DriftSection, EventSection, RecordingSection, Study
@@ -40,7 +40,7 @@ class ResolvedStudy:
         Of each controlled output, in its own unit.
     bounds : dict of str to dict of str to (float, float)
         For each controller the limits of inputs and controlled outputs, in their own units.
-    excitation : UniformRandom or None
+    excitation : Excitation or None
         The experiment; each case draws it with its own seed.
     """
 
@@ -51,7 +51,7 @@ class ResolvedStudy:
     measurements: tuple[Variable, ...]
     reference: dict[str, Reference]
     bounds: dict[str, Limits]
-    excitation: UniformRandom | None
+    excitation: Excitation | None
 
 
 def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStudy | None:
@@ -441,7 +441,7 @@ def _check_length(recording: RecordingSection, name: str, needed: int, errors: V
 
 
 @independent
-def _excitation(study: Study, signals: Signals, errors: ValidationErrors) -> UniformRandom | None:
+def _excitation(study: Study, signals: Signals, errors: ValidationErrors) -> Excitation | None:
     """Return the experiment on all inputs, in their units."""
     if study.recording is None:
         return None
@@ -457,13 +457,9 @@ def _excitation(study: Study, signals: Signals, errors: ValidationErrors) -> Uni
     }
     if errors.found or not signals.inputs.names:
         return None
-    ranges = [
-        (convert(sections[name].low), convert(sections[name].high))
-        for name in signals.inputs.names
-        if (convert := converters[name])
-    ]
-    low, high = zip(*ranges, strict=True)
-    return UniformRandom(low, high, study.recording.samples)
+    return study.recording.build(
+        {name: convert for name in signals.inputs.names if (convert := converters[name])}
+    )
 
 
 def _written_out(

@@ -1,14 +1,14 @@
 """The study file: its sections, keys and ranges. Read by :mod:`ddpc_cosim.study.reading`."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.loop_setup import end_time, limits_error, whole_steps
-from ddpc_cosim.signals import Constant, Ramp, Reference, Sine, Steps, UniformRandom
+from ddpc_cosim.signals import Constant, Excitation, Ramp, Reference, Sine, Steps, UniformRandom
 from ddpc_cosim.study.validation_errors import Section
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
@@ -209,6 +209,13 @@ class RecordingSection(Section):
     controller: StabiliserSection | None = Field(
         None, description="stabilises the plant meanwhile, on the study's references; none: open loop"
     )
+
+    def build(self, converters: Mapping[str, Callable[[float], float]]) -> Excitation:
+        """Return the excitation of the inputs that there are converters for, in their order and units."""
+        sections = {name: self.excitation[name] for name in converters}
+        low = tuple(convert(sections[name].low) for name, convert in converters.items())
+        high = tuple(convert(sections[name].high) for name, convert in converters.items())
+        return UniformRandom(low, high, self.samples)
 
 
 class EventSection(Section):

@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from hypothesis import example, given, strategies as st
 
-from ddpc_cosim import ConfigError, Constant, GaussianNoise, Ramp, Sine, Steps, UniformRandom
+from ddpc_cosim import (
+    ConfigError,
+    Constant,
+    Excitation,
+    FloatArray,
+    GaussianNoise,
+    Ramp,
+    Sine,
+    Steps,
+    UniformRandom,
+)
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -51,6 +61,19 @@ def test_excitation_is_uniform_between_its_limits(samples: int, inputs: int, see
     stream = np.random.RandomState(seed).random_sample((samples, inputs))
     assert drawn.shape == (samples, inputs)
     assert np.allclose(drawn, -1.0 + 4.0 * stream, rtol=0, atol=1e-14)
+
+
+def test_another_seed_changes_nothing_else() -> None:
+    assert UniformRandom(-1.0, 3.0, 20, 1).with_seed(7) == UniformRandom(-1.0, 3.0, 20, 7)
+
+
+def test_an_excitation_without_random_numbers_is_the_same_for_all_seeds() -> None:
+    class Alternating(Excitation):
+        def draw(self, inputs: int) -> FloatArray:
+            return np.tile([[1.0], [-1.0]], (4, inputs))
+
+    excitation = Alternating()
+    assert excitation.with_seed(7) is excitation
 
 
 def test_each_input_has_its_own_range() -> None:
