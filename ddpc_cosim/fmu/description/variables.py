@@ -160,7 +160,7 @@ class VariableReader:
         if "declaredType" in own and declared not in self.types:
             self.note(defects.UNKNOWN_TYPE, f'{name}: "{declared}"')
         start = own.get("start")
-        if self.major == 3 and inner.tag in ("String", "Binary"):
+        if self.major == 3 and not types[inner.tag].is_number:  # texts and bytes have an element for it
             first = inner.find("Start")
             start = None if first is None else first.get("value", "")
         return _Entry(name, reference, inner.tag, start, own, self.types.get(declared, _UNDECLARED), element)
@@ -233,19 +233,20 @@ class VariableReader:
         shape: list[int] = []
         for dimension in entry.element.iterfind("Dimension") if self.major == 3 else ():
             fixed = dimension.get("start")
-            parameter = self.targets.get(integer(dimension.get("valueReference")))
-            size = integer(fixed if fixed is not None or parameter is None else parameter.start)
+            parameter = None
+            if fixed is None:
+                parameter = self.targets.get(integer(dimension.get("valueReference")))
+            size = integer(fixed if parameter is None else parameter.start)
             if size is None or size < 0:
                 self.note(defects.BAD_DIMENSION, entry.name)
                 return (), None
-            dimensions.append(size if fixed is not None or parameter is None else parameter.name)
+            dimensions.append(size if parameter is None else parameter.name)
             shape.append(size)
-        count = math.prod(shape)
-        if count > _MOST_ELEMENTS:
-            self.note(
-                defects.HUGE_ARRAY, f"the array {entry.name} has {count} elements; allowed: {_MOST_ELEMENTS}"
-            )
-            return (), None
+            count = math.prod(shape)
+            if count > _MOST_ELEMENTS:  # at once: a product of many sizes takes long, and cannot be shown
+                what = f"the array {entry.name} has {count} elements; allowed: {_MOST_ELEMENTS}"
+                self.note(defects.HUGE_ARRAY, what)
+                return (), None
         return tuple(dimensions), tuple(shape)
 
     def _start(self, entry: _Entry, causality: str) -> float:
@@ -263,7 +264,7 @@ class VariableReader:
 
     def _bound(self, entry: _Entry, which: str, none: float) -> float:
         """Return a limit; many tools write the largest number that they know where there is none."""
-        if TYPES[self.major][entry.type].values not in ("real", "integer"):
+        if TYPES[self.major][entry.type].values not in ("real", "integer"):  # which have no limits to write
             return none
         bound = noted_number(self.note, entry.name, which, entry.get(which), none)
         return none if abs(bound) >= _AS_GOOD_AS_INFINITE else bound
