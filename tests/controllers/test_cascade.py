@@ -86,7 +86,7 @@ def test_a_controller_that_learns_from_a_recording_is_refused() -> None:
         Cascade(outer=DeePC())
 
 
-def test_what_is_no_controller_is_refused() -> None:
+def test_what_is_not_a_controller_is_refused() -> None:
     with pytest.raises(ConfigError, match="inner = 7 is not a controller"):
         Cascade(inner=7)  # type: ignore[arg-type]
 

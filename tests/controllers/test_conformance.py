@@ -47,5 +47,5 @@ class TestOnlineData(ControllerConformance):
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-def test_every_installed_controller_survives_a_lost_measurement(name: str) -> None:
+def test_every_installed_controller_survives_a_missing_measurement(name: str) -> None:
     assert WRAPPERS.get(name, CONTROLLERS[name])().accepts_missing

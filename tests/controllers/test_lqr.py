@@ -67,7 +67,7 @@ def test_the_loop_closes_without_a_bump(state_recording: Recording) -> None:
     assert np.abs(run.u).max() < 0.2
 
 
-def test_a_lost_measurement_is_bridged_by_the_model(state_recording: Recording) -> None:
+def test_a_missing_measurement_is_bridged_by_the_model(state_recording: Recording) -> None:
     controller = LQR()
     controller.start(pendulum_loop(state_recording))
     for k, angle in enumerate([np.nan, 0.0, np.nan, 0.01]):

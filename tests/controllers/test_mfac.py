@@ -282,13 +282,13 @@ def test_the_order_of_the_channels_does_not_matter(seed: int) -> None:
 
 def test_a_channel_at_rest_leaves_the_other_as_if_it_were_alone() -> None:
     rng = np.random.default_rng(7)
-    alone, beside = MFAPC(), MFAPC()
+    alone, together = MFAPC(), MFAPC()
     alone.start(make_loop(None, np.array([3.0]), FREE[:1]))
-    beside.start(make_loop(None, np.array([3.0, 3.0]), FREE))
+    together.start(make_loop(None, np.array([3.0, 3.0]), FREE))
     for k, y in enumerate(rng.standard_normal(30)):
         u = alone.step(Sample(k, 0.1 * k, np.array([y]), np.array([y]), np.ones((5, 1))))
         both = np.array([y, 0.0])
-        u_both = beside.step(Sample(k, 0.1 * k, both, both, np.tile([1.0, 0.0], (5, 1))))
+        u_both = together.step(Sample(k, 0.1 * k, both, both, np.tile([1.0, 0.0], (5, 1))))
         assert u_both == pytest.approx([u[0], 0.0], abs=1e-9)
 
 

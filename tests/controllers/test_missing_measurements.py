@@ -1,4 +1,4 @@
-"""A lost measurement: what the plan predicted stands in for it, and nothing is learned from it."""
+"""A missing measurement: what the plan predicted stands in for it, and nothing is learned from it."""
 
 from collections.abc import Callable
 
@@ -62,15 +62,15 @@ def advance(state: FloatArray, u: FloatArray) -> FloatArray:
 
 
 def run(
-    controller: Controller, lost: dict[int, FloatArray], continues: bool = True
+    controller: Controller, missing: dict[int, FloatArray], continues: bool = True
 ) -> tuple[FloatArray, list[str]]:
-    """Close the loop for 30 samples; ``lost`` is added to the measurements of some."""
+    """Close the loop for 30 samples; ``missing`` is added to the measurements of some."""
     loop, state = affine_loop(continues)
     controller.start(loop)
     state = state if continues else REST
     applied, said = [], []
     for k in range(30):
-        y = state + lost.get(k, 0.0)
+        y = state + missing.get(k, 0.0)
         reference = np.full((controller.horizon, 2), 52.0 if k < 15 else 48.0)
         answer = controller.step(Sample(k, 0.1 * k, y, y, reference))
         action = answer if isinstance(answer, Action) else Action(answer)
@@ -81,13 +81,13 @@ def run(
 
 
 @pytest.mark.parametrize("make", CONTROLLERS.values(), ids=CONTROLLERS)
-@pytest.mark.parametrize("lost", [np.full(2, np.nan), np.array([0.0, np.nan]), np.array([np.inf, 0.0])])
+@pytest.mark.parametrize("missing", [np.full(2, np.nan), np.array([0.0, np.nan]), np.array([np.inf, 0.0])])
 def test_what_was_predicted_stands_in_channel_by_channel(
-    make: Callable[[], Controller], lost: FloatArray
+    make: Callable[[], Controller], missing: FloatArray
 ) -> None:
     undisturbed, said = run(make(), {})
     assert set(said) == {"ok"}
-    u, said = run(make(), {7: lost, 17: lost, 18: lost})
+    u, said = run(make(), {7: missing, 17: missing, 18: missing})
     # Without noise the prediction is what would have been measured.
     assert u == pytest.approx(undisturbed, abs=1e-3)
     assert {k for k, status in enumerate(said) if status != "ok"} == {7, 17, 18}
@@ -138,17 +138,17 @@ def test_wkpc_learns_no_window_with_a_stand_in(online_data: str, signal: int) ->
     assert refused == [0.0] * 10 + [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0] + [7.0] * 8
 
 
-@pytest.mark.parametrize("lost", [0, 3])
-def test_the_published_program_survives(lost: int) -> None:
+@pytest.mark.parametrize("missing", [0, 3])
+def test_the_published_program_survives(missing: int) -> None:
     controller = PublishedWKPC()
     loop, state = affine_loop(continues=False)
     controller.start(loop)
     for k in range(12):
-        y = state + (np.nan if k == lost else 0.0)
+        y = state + (np.nan if k == missing else 0.0)
         answer = controller.step(Sample(k, 0.1 * k, y, y, np.full((5, 2), 51.0)))
         u = answer.u if isinstance(answer, Action) else answer
         assert np.isfinite(u).all()
-        if k == lost:
+        if k == missing:
             assert isinstance(answer, Action)
             assert answer.status == PREDICTED
         state = advance(state, u)

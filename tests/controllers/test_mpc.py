@@ -207,9 +207,9 @@ def test_a_dead_time_is_found_in_the_recording(noise: float) -> None:
     controller = MPC(horizon=15)
     outputs = disturbed(controller, plant, noise)
     assert abs(outputs[-80:] - 0.5).max() < 1e-6 + 10.0 * noise
-    figures = controller.diagnostics()
-    assert figures["lags"] == 6.0 if noise == 0.0 else figures["lags"] > 6.0
-    assert 0.8 * noise <= figures["one_step_error"] < 1.5 * noise + 1e-9
+    found = controller.diagnostics()
+    assert found["lags"] == 6.0 if noise == 0.0 else found["lags"] > 6.0
+    assert 0.8 * noise <= found["one_step_error"] < 1.5 * noise + 1e-9
 
 
 def test_units_do_not_decide_whether_a_disturbance_is_seen() -> None:
@@ -262,15 +262,15 @@ def test_a_loop_can_go_on_where_the_recording_ended(state_recording: Recording) 
     assert abs(predicted[0] - arrived[0]) < 2.0 * DEGREE
 
 
-def test_a_lost_measurement_is_bridged_by_the_model(state_recording: Recording) -> None:
+def test_a_missing_measurement_is_bridged_by_the_model(state_recording: Recording) -> None:
     controller = MPC()
     controller.start(pendulum_loop(state_recording))
-    reference, lost = np.full((5, 1), 0.2), np.array([np.nan])
-    first = controller.step(Sample(0, 0.0, lost, np.full(2, np.nan), reference))
+    reference, missing = np.full((5, 1), 0.2), np.array([np.nan])
+    first = controller.step(Sample(0, 0.0, missing, np.full(2, np.nan), reference))
     assert isinstance(first, Action)
     assert first.u.tolist() == [0.0]
     controller.step(Sample(1, 0.1, np.zeros(1), np.zeros(2), reference))
-    bridged = controller.step(Sample(2, 0.2, lost, np.full(2, np.nan), reference))
+    bridged = controller.step(Sample(2, 0.2, missing, np.full(2, np.nan), reference))
     assert isinstance(bridged, Action)
     assert "prediction stands in" in bridged.status
     assert np.isfinite(bridged.u).all()

@@ -87,7 +87,7 @@ def test_a_slower_back_calculation_leaves_the_limit_later() -> None:
     assert integral_after(0.0) < integral_after(0.5) < integral_after(2.0)
 
 
-def test_loops_are_paired_as_told() -> None:
+def test_loops_are_paired_as_given() -> None:
     loop = make_loop(None, np.full(3, 9.0), np.full(2, 9.0))
     controller = PID(proportional=[1.0, -2.0], pairing=[2, 0])
     controller.start(loop)
@@ -115,12 +115,12 @@ def test_a_reference_that_is_missing_holds_the_input_and_is_forgotten() -> None:
     controller.start(FREE)
     y, reference = np.zeros((4, 1)), np.array([[1.0], [np.nan], [1.0], [1.0]])
     assert inputs(controller, y, reference)[:, 0] == pytest.approx([1.1, 1.1, 1.2, 1.3])
-    lost = controller.step(Sample(4, 0.4, y[0], y[0], np.full((1, 1), np.nan)))
-    assert isinstance(lost, Action)
-    assert lost.status == "a reference is not finite: inputs held"
+    missing = controller.step(Sample(4, 0.4, y[0], y[0], np.full((1, 1), np.nan)))
+    assert isinstance(missing, Action)
+    assert missing.status == "a reference is not finite: inputs held"
 
 
-def test_the_derivative_knows_how_long_the_output_was_lost() -> None:
+def test_the_derivative_knows_how_long_the_output_was_missing() -> None:
     controller = PID(proportional=0.0, derivative=1.0)
     controller.start(FREE)
     ramp = 0.1 * np.arange(12.0)[:, np.newaxis]

@@ -190,7 +190,7 @@ def test_gains_in_units_are_not_scaled() -> None:
 
 
 @pytest.mark.parametrize("nominal", [0.0, np.nan, np.inf])
-def test_a_nominal_value_that_is_no_scale_is_named(nominal: float) -> None:
+def test_a_nominal_value_that_cannot_be_a_scale_is_named(nominal: float) -> None:
     ones = np.ones(2)
     loop = loop_in(ones, ones)
     bad = replace(

@@ -23,7 +23,7 @@ from .loops import ANGLE, DEGREE, close_loop, make_loop, paper_reference, pendul
 
 
 class Complaining(Controller):
-    """Returns its number with a status and a figure."""
+    """Returns its number with a status and a value."""
 
     def __init__(self, number: float) -> None:
         self.number = number
@@ -32,7 +32,7 @@ class Complaining(Controller):
         self.loop = loop
 
     def step(self, sample: Sample) -> Action:
-        return Action(np.array([self.number]), f"complaint {self.number:g}", {"figure": self.number})
+        return Action(np.array([self.number]), f"complaint {self.number:g}", {"value": self.number})
 
     def diagnostics(self) -> dict[str, float]:
         return {"inputs": float(len(self.loop.inputs))}
@@ -71,14 +71,14 @@ def test_each_group_gets_its_signals_and_keeps_to_its_inputs() -> None:
     assert controller.diagnostics()["y1.proportional[0]"] == 1.0
 
 
-def test_statuses_and_figures_say_whose_they_are() -> None:
+def test_statuses_and_values_say_whose_they_are() -> None:
     controller = grouped(Complaining(1.0), Complaining(2.0))
     controller.start(loop_of_two())
     answer = controller.step(Sample(0, 0.0, np.zeros(2), np.zeros(2), np.zeros((1, 2))))
     assert isinstance(answer, Action)
     assert answer.u.tolist() == [2.0, 1.0]
     assert answer.status == "y0: complaint 1; y1: complaint 2"
-    assert answer.info == {"y0.figure": 1.0, "y1.figure": 2.0}
+    assert answer.info == {"y0.value": 1.0, "y1.value": 2.0}
     assert controller.diagnostics() == {"y0.inputs": 1.0, "y1.inputs": 1.0}
 
 
@@ -188,7 +188,7 @@ def test_the_estimate_is_held_while_an_input_is_at_its_limit(state_recording: Re
     assert abs(run.y[130, 0] - 5.0 * DEGREE) < 1.0 * DEGREE
 
 
-def test_a_lost_measurement_does_not_stop_the_correction(state_recording: Recording) -> None:
+def test_a_missing_measurement_does_not_stop_the_correction(state_recording: Recording) -> None:
     controller = OffsetFree(controller=MPC(disturbance="none"))
     controller.start(pendulum_loop(state_recording))
     for k, angle in enumerate([np.nan, 0.0, np.nan, 0.01]):
@@ -238,8 +238,8 @@ dictionary = { type = "ddpc_controllers.data.dictionaries:Combined", dictionarie
 )
 def test_a_study_file_can_say_it_and_says_it_again(kind: Any, expected: Any) -> None:
     section = {Decentralised: "decentralised", Scaled: "scaled", KoopmanMPC: "koopman"}[kind]
-    told = tomllib.loads(STUDY_SETTINGS)[section]
-    for settings in (told, expected.settings()):
+    written = tomllib.loads(STUDY_SETTINGS)[section]
+    for settings in (written, expected.settings()):
         made = kind(**{name: from_plain(kind, name, value) for name, value in settings.items()})
         assert made.settings() == expected.settings()
 
