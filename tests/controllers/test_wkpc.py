@@ -98,10 +98,8 @@ def test_the_published_program_step_by_step(state_recording: Recording) -> None:
 
 
 def test_the_papers_figure_lies_within_the_spread_of_the_published_program() -> None:
-    figures = [
-        run(PublishedWKPC(), pendulum_experiment(seed), seed=seed).absolute_error for seed in range(30)
-    ]
-    assert min(figures) < 456.3552 < max(figures)
+    errors = [run(PublishedWKPC(), pendulum_experiment(seed), seed=seed).absolute_error for seed in range(4)]
+    assert min(errors) < 456.3552 < max(errors)
 
 
 @pytest.mark.parametrize("departure", ["_draw", "_stack", "_shift"])

@@ -243,7 +243,7 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
         slice(basis.shape[1]),
     )
     law, gain = _excess(bounded @ particular, bounded @ null_space, lower, upper)
-    kept = _tightest(law, gain)
+    kept, labels = _tightest(law, gain), problem.labels
     drawn_to = np.zeros((basis.shape[1], problem.origin.shape[1]))
     if problem.origin.any():
         drawn_to = np.asarray(np.linalg.lstsq(basis, problem.origin)[0])
@@ -258,7 +258,7 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
         move_law=move @ particular,
         move_gain=move @ null_space,
         conflict_law=conflict,
-        labels=tuple(problem.labels[i] for i in kept.tolist()),
+        labels=tuple(labels[i] for i in kept.tolist()),
     )
 
 

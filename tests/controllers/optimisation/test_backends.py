@@ -95,9 +95,8 @@ def test_a_contradiction_does_not_depend_on_the_size_of_the_gain(size: float) ->
 
 @pytest.mark.parametrize("name", BACKENDS)
 @pytest.mark.parametrize("kind", [DeePC, MPC])
-@pytest.mark.parametrize("factor", [1e-8, 1e8, 1e12])
 def test_a_common_factor_of_all_weights_changes_nothing(
-    paper_recording: Recording, name: str, kind: Callable[..., Controller], factor: float
+    paper_recording: Recording, name: str, kind: Callable[..., Controller]
 ) -> None:
     def weighed(factor: float) -> FloatArray:
         weights = {"output_weight": 100.0, "input_weight": 0.1, "setpoint_weight": 300.0}
@@ -110,7 +109,9 @@ def test_a_common_factor_of_all_weights_changes_nothing(
         assert set(run.status) == {"ok"}
         return run.u
 
-    assert weighed(factor) == pytest.approx(weighed(1.0), abs=1e-8)
+    expected = pytest.approx(weighed(1.0), abs=1e-8)
+    for factor in (1e-8, 1e8, 1e12):
+        assert weighed(factor) == expected
 
 
 @pytest.mark.parametrize("name", BACKENDS)
