@@ -2,12 +2,11 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any
 
 import sympy
 
-from fmu_plants.model import TIME, Equations, ModelError, PlantModel, derivative_name
+from fmu_plants.model import TIME, Equations, ModelError, PlantModel, derivative_name, did_you_mean
 
 
 class UnknownNameError(ModelError, AttributeError):
@@ -25,9 +24,7 @@ class _SymbolTable:
     def __getitem__(self, name: str) -> sympy.Symbol:
         if name in self._symbols:
             return self._symbols[name]
-        close = get_close_matches(name, self._symbols, n=1)
-        hint = f" (did you mean {close[0]!r}?)" if close else ""
-        known = ", ".join(sorted(self._symbols))
+        hint, known = did_you_mean([name], self._symbols), ", ".join(sorted(self._symbols))
         raise UnknownNameError(
             f"model {self._model!r}: the equations use {name!r}{hint}; they can use: {known}"
         )
@@ -73,7 +70,7 @@ class SymbolicModel:
         }
 
     def partials(self) -> list[Partial]:
-        """Return the derivatives of everything that is computed, by whatever it is a function of.
+        """Return the derivatives of everything that is computed, by everything that it is a function of.
 
         Functions with jumps count as constant between their jumps; at a corner of a minimum, maximum or
         absolute value, the mean of both sides is taken.

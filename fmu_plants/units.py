@@ -91,7 +91,7 @@ _PLAIN = {
     "%": SIUnit({}, 1e-2),
 }
 
-# In what people like to see values of a unit.
+# The display units that are usual for a unit.
 _USUALLY_SHOWN_IN = {
     "rad": ("deg", "rev"),
     "rad/s": ("deg/s", "rpm"),

@@ -179,7 +179,7 @@ def find_compiler() -> Compiler:
 
 
 def zig_identity() -> str:
-    """Return what tells versions of zig apart."""
+    """Return name and version of the ziglang package."""
     return f"ziglang {importlib.metadata.version('ziglang')}"
 
 

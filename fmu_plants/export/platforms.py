@@ -4,10 +4,9 @@ import platform as machine
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 from fmu_plants.export.binaries import universal_binary
-from fmu_plants.model import ExportError
+from fmu_plants.model import ExportError, did_you_mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +86,8 @@ def parse_platforms(names: str | Sequence[str]) -> tuple[Platform, ...]:
     known = ", ".join([ALL, *by_name])
     unknown = [word for word in words if word not in by_name]
     if unknown or not words:
-        close = [match for word in unknown for match in get_close_matches(word, [ALL, *by_name], n=1)]
-        hint = f" (did you mean {', '.join(close)}?)" if close else ""
         wrong = ", ".join(map(repr, unknown)) or "none"
+        hint = did_you_mean(unknown, [ALL, *by_name])
         raise ExportError(f"unknown platforms: {wrong}{hint}; known: {known}")
     return tuple(platform for platform in PLATFORMS if platform.name in words)
 

@@ -193,7 +193,9 @@ def test_unknown_platforms_are_refused(names):
 
 
 def test_a_misspelt_platform_is_recognised():
-    with pytest.raises(ExportError, match=r"unknown platforms: 'linux-x86-64' \(did you mean linux-x86_64\?"):
+    with pytest.raises(
+        ExportError, match=r"unknown platforms: 'linux-x86-64' \(did you mean 'linux-x86_64'\?"
+    ):
         parse_platforms("linux-x86-64")
 
 
