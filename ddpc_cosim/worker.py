@@ -27,6 +27,7 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from time import monotonic
 from typing import Any, ClassVar, NamedTuple, NoReturn
@@ -35,7 +36,6 @@ from ddpc_cosim import errors
 from ddpc_cosim.errors import CosimError, FMUStepError, StepStatus
 
 LONGEST_REPLY = 1 << 27
-_LONGEST_TEXT = 10_000
 _PHASES = {"reset": "initialisation", "close": "terminate"}
 _LENGTH = struct.Struct("=q")
 
@@ -134,8 +134,7 @@ def result_of(content: bytes) -> Any:
         if "error" not in answer:
             return answer["result"]
         kind = getattr(errors, answer["error"]) if answer["error"] else UnexpectedError
-        arguments = [a[:_LONGEST_TEXT] if isinstance(a, str) else a for a in answer["arguments"]]
-        error = kind(*arguments)
+        error = kind(*answer["arguments"])
         if not isinstance(error, CosimError | UnexpectedError):
             raise TypeError(answer["error"])
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as fault:
@@ -144,7 +143,9 @@ def result_of(content: bytes) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return an array as JSON can say it."""
+    """Return an array or a dataclass as JSON can say it."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
     return {"shape": value.shape, "values": value.ravel().tolist()}
 
 
@@ -247,8 +248,7 @@ class Worker:
 def _start(connection: socket.socket, preload: Sequence[str]) -> Callable[[], Ending]:
     """Start a process with the far end of a channel; return what ends it."""
     if sys.platform != "win32":
-        server = _ForkServer.running()
-        return server.fork(connection, preload)
+        return _ForkServer.running().fork(connection, preload)
     process = _python("ddpc_cosim.worker._run_shared()", stdin=subprocess.PIPE)
     assert process.stdin is not None
     with process.stdin as pipe:
@@ -375,24 +375,24 @@ class _Server:
                     if pid is not None:
                         self._collect(pid)
                 if None in ready:
-                    self._answer()
+                    lines, descriptors, _, _ = socket.recv_fds(self._control, _CHUNK, 8)
+                    if not lines:
+                        raise EOFError
+                    for line in lines.splitlines():  # a finalizer may have asked meanwhile
+                        self._answer(json.loads(line), descriptors)
         except (EOFError, ConnectionError):
             for pid in list(self._outputs):
                 self._end(pid)
         finally:
             os._exit(0)
 
-    def _answer(self) -> None:
-        line, descriptors, _, _ = socket.recv_fds(self._control, _CHUNK, 1)
-        if not line:
-            raise EOFError
-        request = json.loads(line)
+    def _answer(self, request: dict[str, Any], descriptors: list[int]) -> None:
         answer: dict[str, Any]
         try:
             if "end" in request:
                 answer = self._end(request["end"])
             else:
-                answer = {"pid": self._fork(request["preload"], *descriptors)}
+                answer = {"pid": self._fork(request["preload"], descriptors.pop(0))}
         except OSError as error:  # no more processes or descriptors
             answer = {"error": str(error)}
         self._control.sendall(json.dumps({"number": request["number"], **answer}).encode() + b"\n")

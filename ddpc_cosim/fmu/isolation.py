@@ -8,7 +8,6 @@ import pickle
 import sys
 import weakref
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -97,13 +96,7 @@ class IsolatedSession:
         return y
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
-        """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,).
-
-        Raises
-        ------
-        FMUStepError
-            The FMU did not get there, crashed, or did not return in time.
-        """
+        """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
         worker, request, answer = self._worker, self._request, self._reply
         if worker is None:
             raise ConfigError(f"{self.fmu.label}: step before reset")
@@ -139,13 +132,7 @@ class IsolatedSession:
         self._call("restore_state", state.number)
 
     def close(self) -> None:
-        """Terminate and free the FMU, and end its process.
-
-        Raises
-        ------
-        FMUStepError
-            The FMU crashes, or does not return; its process has been ended nevertheless.
-        """
+        """Terminate and free the FMU, and end its process, also if the FMU crashes or does not return."""
         if self._worker is not None:
             try:
                 self._call("close")
@@ -184,13 +171,7 @@ class IsolatedSession:
         return result
 
     def _end_unless_told(self, method: str, error: BaseException) -> None:
-        """End a worker that cannot be talked to any more, as an answer is still to come.
-
-        Raises
-        ------
-        FMUStepError
-            The worker crashed, or did not answer in time.
-        """
+        """End a worker that cannot be talked to any more; raise FMUStepError if that is its own fault."""
         if isinstance(error, CosimError):
             return
         ending = self._end()
@@ -220,7 +201,7 @@ def serve_session(channel: Channel, fmu: UnpackedFMU) -> None:
         received = request.receive(channel)
         if received < len(request.memory) or request.mark[0] != _STEP:
             method, arguments = pickle.loads(channel.receive(sys.maxsize, bytes(request.memory[:received])))
-            reply(channel, lambda: (getattr(session, method)(*arguments), session.time))  # noqa: B023 - at once
+            reply(channel, lambda: [getattr(session, method)(*arguments), session.time])  # noqa: B023 - at once
             continue
         try:
             answer.values[:] = session.step(request.values, request.scalars[1])
@@ -238,10 +219,6 @@ class _Service(FMUSession):
         super().__init__(fmu)
         self._states: dict[int, object] = {}
         self._numbers = itertools.count()
-
-    def linearise(self, *arguments: Any) -> Any:
-        """Return the linear model as a dictionary."""
-        return asdict(super().linearise(*arguments))
 
     def save_state(self, freed: Sequence[int] = ()) -> int:
         """Keep a copy of the state, free others, and return its number."""

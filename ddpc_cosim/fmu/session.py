@@ -132,7 +132,7 @@ def unpack_fmu(
 
 
 class FMUSession:
-    """One FMU in this process.
+    """One FMU in this process: what is behind the methods of :class:`FMUPlant`, which say what they raise.
 
     Parameters
     ----------
@@ -155,15 +155,6 @@ class FMUSession:
 
         Structural parameters are set first, then the other start values, in the state that the standard
         wants.
-
-        Raises
-        ------
-        ConfigError
-            A parameter is unknown or its value impossible; all faults at once.
-        FMUImportError
-            The FMU cannot be instantiated.
-        FMUStepError
-            It cannot be initialised, or refuses a value.
         """
         fmu = self.fmu
         values = StartValues(fmu.description, fmu.label, parameters, fmu.inputs)
@@ -185,13 +176,7 @@ class FMUSession:
             return self._run.outputs()
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
-        """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,).
-
-        Raises
-        ------
-        FMUStepError
-            The FMU did not get there.
-        """
+        """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
         run = self._run
         if run is None:
             raise ConfigError(f"{self.fmu.label}: step before reset")
@@ -201,30 +186,14 @@ class FMUSession:
             raise self._failure(error) from error
 
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
-        """Change tunable parameters, and inputs that are not driven, from the next step on.
-
-        Raises
-        ------
-        ConfigError
-            The FMU has no such variable, or it cannot change during a run.
-        FMUStepError
-            The FMU refuses a value.
-        """
+        """Change tunable parameters, and inputs that are not driven, from the next step on."""
         run, fmu = self._started("set_parameters"), self.fmu
         values = StartValues(fmu.description, fmu.label, parameters, fmu.inputs, tunable_only=True)
         with self._told():
             run.change(values.set_during_run)
 
     def linearise(self, u: FloatArray | None, derivatives: Derivatives) -> LinearModel:
-        """Return the linear model about where the run is, with the inputs u, shape (m,), held from now on.
-
-        Raises
-        ------
-        ConfigError
-            The FMU cannot be linearised, or not in this way; all faults at once.
-        FMUStepError
-            The FMU fails beside the point, or a derivative there is not finite.
-        """
+        """Return the linear model about where the run is, with the inputs u, shape (m,), held from now on."""
         run, fmu = self._started("linearise"), self.fmu
         faults = linearisation_faults(fmu.description, fmu.inputs, fmu.outputs)
         if not faults and not isinstance(run, ModelExchangeRun):
@@ -251,15 +220,7 @@ class FMUSession:
             )
 
     def save_state(self) -> object:
-        """Return a copy of the FMU's state, for :meth:`restore_state` of the same run.
-
-        Raises
-        ------
-        ConfigError
-            The FMU cannot.
-        FMUStepError
-            It fails to.
-        """
+        """Return a copy of the FMU's state, for :meth:`restore_state` of the same run."""
         run = self._started("save_state")
         if not self.fmu.interface.can_save_state:
             reason = "the FMU cannot save its state (canGetAndSetFMUstate is false)"
@@ -268,15 +229,7 @@ class FMUSession:
             return run.save_state()
 
     def restore_state(self, state: object) -> None:
-        """Go back to a saved state of this run.
-
-        Raises
-        ------
-        ConfigError
-            The state is not of this run.
-        FMUStepError
-            The FMU fails to.
-        """
+        """Go back to a saved state of this run."""
         run = self._started("restore_state")
         with self._told():
             run.restore_state(state)
