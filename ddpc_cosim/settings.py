@@ -325,53 +325,49 @@ PLANT = "{plant}"
 """Stands for the FMU of the study's plant."""
 
 
-def map_files(controller: str, settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
-    """Return a controller's plain settings with every path changed, those of objects inside included.
+def map_files(plugin: type[Any], settings: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
+    """Return the plain settings of a plug-in class with every path changed, those of objects inside included.
 
     Parameters
     ----------
-    controller : str
-        Type of the controller.
+    plugin : type
+        The class that declares the settings.
     settings : mapping
-        Its settings as :func:`to_plain` gives them.
+        Settings as :func:`to_plain` gives them.
     change : callable
         Called with each path, or ``PLANT``; returns what takes its place.
     """
-    return _map_files(load_plugin("controllers", controller), settings, change)
+    declared = declared_settings(plugin)
+    return {
+        name: _entry(value, change, is_file=name in declared and declared[name].file)
+        for name, value in settings.items()
+    }
 
 
-def hashes_of_files(controller: str, settings: Mapping[str, Any]) -> list[str]:
-    """Return a hash of each file that a controller's plain settings name; empty for one that is not there."""
-    hashes: list[str] = []
+def files_of(plugin: type[Any], settings: Mapping[str, Any]) -> list[str]:
+    """Return the paths that the plain settings of a plug-in class name, ``PLANT`` among them."""
+    found: list[str] = []
 
     def note(path: str) -> str:
-        if path != PLANT:
-            hashes.append(_hash(path, *_stamp(path)) if Path(path).is_file() else "")
+        found.append(path)
         return path
 
-    map_files(controller, settings, note)
-    return hashes
+    map_files(plugin, settings, note)
+    return found
 
 
-def _stamp(path: str) -> tuple[int, int]:
+def hash_of_file(path: str) -> str:
+    """Return a hash of a file's content; empty if it is not there."""
+    if not Path(path).is_file():
+        return ""
     status = Path(path).stat()
-    return status.st_size, status.st_mtime_ns
+    return _hash(path, status.st_size, status.st_mtime_ns)
 
 
 @lru_cache(maxsize=64)
 def _hash(path: str, size: int, changed: int) -> str:
     """Return a hash of a file of this size that was last changed then: one reading serves all cases."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-
-
-def _map_files(
-    plugin: type[Any], settings: Mapping[str, Any], change: Callable[[str], str]
-) -> dict[str, Any]:
-    declared = declared_settings(plugin)
-    return {
-        name: _entry(value, change, is_file=name in declared and declared[name].file)
-        for name, value in settings.items()
-    }
 
 
 def _entry(value: Any, change: Callable[[str], str], *, is_file: bool) -> Any:
@@ -381,5 +377,5 @@ def _entry(value: Any, change: Callable[[str], str], *, is_file: bool) -> Any:
         return [_entry(item, change, is_file=is_file) for item in value]
     if isinstance(value, dict) and "type" in value:
         entries = {name: entry for name, entry in value.items() if name != "type"}
-        return {"type": value["type"], **_map_files(load_class(value["type"]), entries, change)}
+        return {"type": value["type"], **map_files(load_class(value["type"]), entries, change)}
     return value

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,9 @@ from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, types_in
 from ddpc_cosim.rows import RowStore
 from ddpc_cosim.safe_calls import announce_calls, close_plant
-from ddpc_cosim.settings import PLANT, hashes_of_files, map_files
+from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files
 from ddpc_cosim.signals import Excitation, GaussianNoise, ParameterChange, Ramp, Reference
-from ddpc_cosim.study.controllers import make_controller
+from ddpc_cosim.study.controllers import controller_class, make_controller
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.sections import ControllerSection, LoopSection, ScenarioSection, StabiliserSection
@@ -131,18 +131,27 @@ def cases_of(
         listed = ", ".join(case.name for case in cases[:_MOST_LISTED])
         more = f" and {len(cases) - _MOST_LISTED} more" if len(cases) > _MOST_LISTED else ""
         raise ConfigError(f"--only {only}: no case matches; there are {listed}{more}")
-    return [replace(case, id=_identifier(case)) for case in chosen]
+    by_controller = {case.controller: case for case in chosen}
+    contents = {name: _code_and_files(case) for name, case in by_controller.items()}
+    return [replace(case, id=_identifier(case, contents[case.controller])) for case in chosen]
 
 
-def _identifier(case: Case) -> str:
-    controllers = (case.section, case.stabiliser) if case.stabiliser else (case.section,)
-    decisive = asdict(case) | {"code": [code_version(kind) for kind in types_in([*controllers])]}
-    decisive["files"] = [hashes_of_files(section["type"], section["settings"]) for section in controllers]
+def _code_and_files(case: Case) -> dict[str, Any]:
+    """Return what decides the result of all cases of a controller beside its settings."""
+    sections = [case.section, case.stabiliser] if case.stabiliser else [case.section]
+    files = [files_of(controller_class(section["type"]), section["settings"]) for section in sections]
+    return {
+        "code": [code_version(kind) for kind in types_in(sections)],
+        "files": [[hash_of_file(path) for path in paths if path != PLANT] for paths in files],
+    }
+
+
+def _identifier(case: Case, content: Mapping[str, Any]) -> str:
+    """Return a case's name and a hash of everything that decides its result."""
+    decisive = {field.name: getattr(case, field.name) for field in fields(case)}
+    decisive |= {**content, "plant": case.plant.content}
+    decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements")}
     del decisive["label"], decisive["id"]
-    decisive["plant"] = case.plant.content
-    decisive |= {key: names(getattr(case, key)) for key in ("inputs", "outputs", "measurements")}
-    decisive["reference"] = {name: repr(reference) for name, reference in case.reference.items()}
-    decisive["excitation"] = repr(case.excitation)
     text = json.dumps(decisive, sort_keys=True, default=repr)
     return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
 
@@ -201,8 +210,11 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
 
 def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller:
     """Return a controller that finds the plant's FMU where its settings ask for it."""
-    kind, settings = section["type"], section["settings"]
-    return make_controller(kind, map_files(kind, settings, lambda path: plant.fmu if path == PLANT else path))
+    kind = section["type"]
+    settings = map_files(
+        controller_class(kind), section["settings"], lambda path: plant.fmu if path == PLANT else path
+    )
+    return make_controller(kind, settings)
 
 
 def row_store(case: Case, path: Path | None = None) -> RowStore:

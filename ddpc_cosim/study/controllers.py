@@ -1,42 +1,32 @@
 """From the controller sections of a study to controllers: sweeps written out, each one built once."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ddpc_cosim.controller import Controller
-from ddpc_cosim.errors import ConfigError, Place, PluginError, did_you_mean
+from ddpc_cosim.errors import ConfigError, ControllerError, Place, PluginError, did_you_mean
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.safe_calls import controller_settings
-from ddpc_cosim.settings import PLANT, SettingsError, declared_settings, from_plain, is_plain, map_files
-from ddpc_cosim.study.sections import ControllerSection
-from ddpc_cosim.study.validation_errors import ValidationErrors
+from ddpc_cosim.settings import (
+    PLANT,
+    SettingsError,
+    declared_settings,
+    files_of,
+    from_plain,
+    is_plain,
+    map_files,
+)
+from ddpc_cosim.study.sections import ControllerSection, StabiliserSection, Study
+from ddpc_cosim.study.validation_errors import ValidationErrors, independent
 
 _LONGEST_NAME = 60
 
 
-class ResolvedController(NamedTuple):
-    """A controller of a study that has been built.
-
-    Parameters
-    ----------
-    controller : Controller
-        To be asked what it needs; where it runs, another one is built.
-    settings : dict
-        Its settings in plain values, every default filled in, paths absolute.
-    files : list of str
-        The paths among them.
-    """
-
-    controller: Controller
-    settings: dict[str, Any]
-    files: list[str]
-
-
-class Variant(NamedTuple):
-    """A controller section, or one combination of its sweeps.
+class StudyController(NamedTuple):
+    """A controller of a study: a section of the file, or one combination of the values of its sweeps.
 
     Parameters
     ----------
@@ -44,95 +34,124 @@ class Variant(NamedTuple):
         Its name in the study.
     of : str
         Name of the section.
-    settings : dict
-        What the file says about its settings.
     varied : dict
-        Those of them that are from a sweep; empty for the section itself.
-    sweep : Place
-        Where the sweep stands in the file.
+        The settings from a sweep; empty for the section itself.
+    place : Place
+        Where its settings stand in the file.
+    settings : dict
+        Its settings in plain values, every default filled in, paths absolute.
+    controller : Controller or None
+        To be asked what it needs; where it runs, another one is built. None if it has errors.
     """
 
     name: str
     of: str
-    settings: dict[str, Any]
     varied: dict[str, Any]
-    sweep: Place
+    place: Place
+    settings: dict[str, Any]
+    controller: Controller | None
 
-    def place(self, setting: Place) -> Place:
-        """Return where the file says a setting of this variant."""
-        in_sweep = bool(setting) and setting[0] in self.varied
-        return (*(self.sweep if in_sweep else ("controllers", self.of, "settings")), *setting)
-
-    def section(self, section: ControllerSection, settings: dict[str, Any]) -> ControllerSection:
-        """Return the section of this variant in a study without sweeps, with all its settings."""
-        label = section.label or self.of
-        changes: dict[str, Any] = {"settings": settings, "label": label, "sweep": []}
+    def section(self, section: ControllerSection) -> ControllerSection:
+        """Return its section in a study without sweeps, with all its settings."""
+        changes: dict[str, Any] = {"settings": self.settings, "label": section.label or self.of, "sweep": []}
         if self.varied:
-            words = ", ".join(f"{setting} = {_words(value)}" for setting, value in self.varied.items())
-            changes |= {"label": f"{label}, {words}", "variant_of": self.of, "varied": list(self.varied)}
+            words = (f"{setting} = {_words(value)}" for setting, value in self.varied.items())
+            changes["label"] = ", ".join([changes["label"], *words])
+            changes |= {"variant_of": self.of, "varied": list(self.varied)}
         return section.model_copy(update=changes)
 
 
-def variants_of(name: str, section: ControllerSection, *, with_sweeps: bool = True) -> Iterator[Variant]:
-    """Yield a controller section, then every combination of each of its sweeps.
+@independent
+def resolve_controllers(study: Study, folder: Path, errors: ValidationErrors) -> list[StudyController]:
+    """Return the controllers of a study; paths among their settings are relative to a folder."""
+    controllers: list[StudyController] = []
+    taken = set(study.controllers)
+    for of, section in study.controllers.items():
+        place: Place = ("controllers", of)
+        for name, varied, sweep in _variants(of, section, with_sweeps=(*place, "sweep") not in errors.found):
+            if varied and name in taken:
+                errors.add((*place, "sweep"), f'two controllers are called "{name}"; change a value')
+            taken.add(name)
+            built = _build(section, varied, folder, errors, place, sweep) or (None, {})
+            controller, settings = built
+            controllers.append(StudyController(name, of, varied, (*place, "settings"), settings, controller))
+    return controllers
 
-    Variants are called after what they vary (``deepc-lambda_g-5``).
-    """
-    yield Variant(name, name, section.settings, {}, ())
+
+@independent
+def resolve_stabiliser(study: Study, folder: Path, errors: ValidationErrors) -> StudyController | None:
+    """Return the controller that keeps the plant while it is recorded, if there is one."""
+    section = study.recording.controller if study.recording is not None else None
+    if section is None:
+        return None
+    place = ("recording", "controller")
+    controller, settings = _build(section, {}, folder, errors, place) or (None, {})
+    if controller is not None and controller.uses_recording:
+        errors.add(place, "learns from a recording itself; needed: one that controls without")
+    return StudyController("", "", {}, (*place, "settings"), settings, controller)
+
+
+def _variants(
+    name: str, section: ControllerSection, *, with_sweeps: bool
+) -> Iterator[tuple[str, dict[str, Any], Place]]:
+    """Yield the name of a section, then each variant's (``deepc-lambda_g-5``), what it varies, and where."""
+    yield name, {}, ()
     combinations = (
         (("controllers", name, "sweep", i), dict(zip(table, values, strict=True)))
         for i, table in enumerate(section.sweep if with_sweeps else ())
         for values in product(*table.values())
     )
     for number, (place, varied) in enumerate(combinations, start=1):
-        yield Variant(_name(name, varied, number), name, {**section.settings, **varied}, varied, place)
+        yield _name(name, varied, number), varied, place
 
 
-def resolve_controller(
-    kind: str,
-    settings: Mapping[str, Any],
+@independent
+def _build(
+    section: ControllerSection | StabiliserSection,
+    varied: Mapping[str, Any],
     folder: Path,
     errors: ValidationErrors,
-    place: Callable[[Place], Place],
-) -> ResolvedController | None:
-    """Build a controller and return it with all its settings; None if it has errors, which are reported.
+    place: Place,
+    sweep: Place = (),
+) -> tuple[Controller, dict[str, Any]] | None:
+    """Return a controller and all its settings; None if it has errors, which are reported."""
 
-    Parameters
-    ----------
-    kind : str
-        Its type: a plug-in's name, or ``module:Class``.
-    settings : mapping
-        What the file says.
-    folder : Path
-        Paths among the settings are relative to it.
-    errors : ValidationErrors
-        What is found is added.
-    place : callable
-        Returns where the file says a setting.
-    """
+    def absolute(path: str) -> str:
+        return path if path == PLANT else str((folder / path).resolve())
+
+    given = {**section.settings, **varied}
     try:
-        controller = make_controller(kind, settings)
+        controller = make_controller(section.type, given)
         # What a file cannot say is a default, or what the controller has made of what the file says.
         own = {name: value for name, value in controller_settings(controller).items() if is_plain(value)}
-        return ResolvedController(controller, *_with_absolute_paths(kind, dict(settings) | own, folder))
+        settings = map_files(type(controller), given | own, absolute)
+        for path in files_of(type(controller), settings):
+            if path != PLANT and not Path(path).is_file():
+                errors.add((*place, "settings"), f"{path}: no such file")
+        return controller, settings
     except SettingsError as error:
         for setting, fault in error.found:
-            errors.add(place(setting), fault)
+            in_sweep = bool(setting) and setting[0] in varied
+            errors.add((*(sweep if in_sweep else (*place, "settings")), *setting), fault)
     except PluginError as error:
-        errors.add((*place(())[:-1], "type"), str(error))
+        errors.add((*place, "type"), str(error))
+    except ControllerError as error:
+        errors.add(place, str(error))
     return None
 
 
-def _with_absolute_paths(
-    kind: str, settings: Mapping[str, Any], folder: Path
-) -> tuple[dict[str, Any], list[str]]:
-    files: list[str] = []
+def controller_class(kind: str) -> type[Controller]:
+    """Return the class that a study file names.
 
-    def absolute(path: str) -> str:
-        files.append(path if path == PLANT else str((folder / path).resolve()))
-        return files[-1]
-
-    return map_files(kind, settings, absolute), files
+    Raises
+    ------
+    PluginError
+        There is no such controller, or it cannot be loaded.
+    """
+    plugin = load_plugin("controllers", kind)
+    if not (isinstance(plugin, type) and issubclass(plugin, Controller)):
+        raise PluginError(f'controller "{kind}" is not a class derived from ddpc_cosim.Controller')
+    return plugin
 
 
 def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
@@ -145,9 +164,7 @@ def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
     PluginError
         There is no such controller, or it cannot be loaded.
     """
-    plugin = load_plugin("controllers", kind)
-    if not (isinstance(plugin, type) and issubclass(plugin, Controller)):
-        raise PluginError(f'controller "{kind}" is not a class derived from ddpc_cosim.Controller')
+    plugin = controller_class(kind)
     found: list[tuple[Place, str]] = []
     known = declared_settings(plugin)
     arguments = {}
@@ -160,7 +177,7 @@ def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
         except SettingsError as error:
             found += error.found
     try:
-        controller: Controller = plugin(**arguments)
+        controller = plugin(**arguments)
     except SettingsError as error:
         found += error.found
     except ConfigError as error:

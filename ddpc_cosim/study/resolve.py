@@ -3,14 +3,14 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ddpc_cosim.errors import ConfigError, CosimError, Place
 from ddpc_cosim.loop_setup import late_error, limits_error
 from ddpc_cosim.plant import ParameterValue
-from ddpc_cosim.settings import PLANT
+from ddpc_cosim.settings import PLANT, files_of
 from ddpc_cosim.signals import Excitation, Reference
-from ddpc_cosim.study.controllers import ResolvedController, Variant, resolve_controller, variants_of
+from ddpc_cosim.study.controllers import resolve_controllers, resolve_stabiliser
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables
 from ddpc_cosim.study.sections import BoundsSection, DriftSection, EventSection, RecordingSection, Study
 from ddpc_cosim.study.validation_errors import Section, ValidationErrors, independent
@@ -18,10 +18,10 @@ from ddpc_cosim.variables import Variable, conversions
 
 Limits = dict[str, tuple[float, float]]
 
-_INPUTS, _OUTPUTS, _MEASUREMENTS = (("plant", key) for key in ("inputs", "outputs", "measurements"))
+_PLANT, _INPUTS, _OUTPUTS, _MEASUREMENTS = (
+    ("plant", *key) for key in ((), ("inputs",), ("outputs",), ("measurements",))
+)
 _RECORDING: Place = ("recording",)
-_EXCITATION: Place = ("recording", "excitation")
-_STABILISER: Place = ("recording", "controller")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,60 +71,7 @@ def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStu
     resolved : ResolvedStudy or None
         None if there are errors.
     """
-    variants = _variants(study, errors) or []
-    controllers = _controllers(study, variants, folder, errors)
-    stabiliser = _stabiliser(study, folder, errors)
-    _check_report(study, variants, errors)
-    _check_files(variants, controllers, errors)
-    plant = _plant(study, folder, errors)
-    if plant is None:
-        return None
-    spec, variables = plant
-    signals = _signals(study, variables, errors)
-    if not spec.is_fmu:
-        _check_placeholders(variants, controllers, errors)
-    _check_scenarios(study, signals, errors)
-    _check_recording(study, signals, controllers, errors)
-    references = _references(study, signals, errors)
-    bounds = _bounds(study, signals, errors)
-    excitation = _excitation(study, signals, errors)
-    if errors.found or references is None or bounds is None:
-        return None
-    return ResolvedStudy(
-        study=_written_out(study, spec, signals, variants, controllers, stabiliser),
-        plant=spec,
-        inputs=signals.inputs.variables,
-        outputs=signals.outputs.variables,
-        measurements=signals.measurements.variables,
-        reference=references,
-        bounds={variant.name: bounds[variant.of] for variant in variants},
-        excitation=excitation,
-    )
-
-
-class Selection(NamedTuple):
-    """The signals of one kind that take part.
-
-    Where it is not known which, they are all that could, and ``size`` is the number of names given (0: none).
-    """
-
-    variables: tuple[Variable, ...]
-    is_known: bool
-    size: int
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Their names."""
-        return tuple(variable.name for variable in self.variables)
-
-
-class Signals(NamedTuple):
-    """The plant's variables, and those that take part."""
-
-    variables: PlantVariables
-    inputs: Selection
-    outputs: Selection
-    measurements: Selection
+    return _Resolution(study, folder, errors).result()
 
 
 def converter(variable: Variable, unit: str) -> Callable[[float], float]:
@@ -147,349 +94,288 @@ def converter(variable: Variable, unit: str) -> Callable[[float], float]:
     return lambda value: (value - shown.offset) / shown.factor
 
 
-def _converter(
-    place: Place, variable: Variable | None, unit: str, errors: ValidationErrors
-) -> Callable[[float], float] | None:
-    """Return the conversion of the values of a section; None if there is none, which is reported."""
-    if variable is None:
-        return None
-    try:
-        return converter(variable, unit)
-    except ConfigError as error:
-        errors.add((*place, "unit"), str(error))
-        return None
+class _Selection(NamedTuple):
+    """The signals of one kind that take part.
+
+    Where it is not known which, they are all that could, and ``size`` is the number of names given (0: none).
+    """
+
+    variables: tuple[Variable, ...]
+    is_known: bool
+    size: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(variable.name for variable in self.variables)
 
 
-@independent
-def _variants(study: Study, errors: ValidationErrors) -> list[Variant]:
-    variants: list[Variant] = []
-    taken = set(study.controllers)
-    for name, section in study.controllers.items():
-        place: Place = ("controllers", name, "sweep")
-        for variant in variants_of(name, section, with_sweeps=place not in errors.found):
-            if variant.varied and variant.name in taken:
-                errors.add(place, f'two controllers are called "{variant.name}"; change a value')
-            taken.add(variant.name)
-            variants.append(variant)
-    return variants
+class _Resolution:
+    """The way of one study; what does not fit is reported, and what depends on it is left out."""
 
+    def __init__(self, study: Study, folder: Path, errors: ValidationErrors) -> None:
+        self.study, self.errors = study, errors
+        self.controllers = resolve_controllers(study, folder, errors) or []
+        self.stabiliser = resolve_stabiliser(study, folder, errors)
+        self._check_report()
+        plant = self._plant(folder)
+        self.is_complete = plant is not None
+        if plant is None:
+            return
+        self.plant, self.variables = plant
+        self._check_plant()
+        self._select_signals()
+        self._check_scenarios()
+        self._check_recording()
+        self.references = self._references()
+        self.bounds = self._bounds()
+        self.excitation = self._excitation()
 
-def _controllers(
-    study: Study, variants: Iterable[Variant], folder: Path, errors: ValidationErrors
-) -> dict[str, ResolvedController]:
-    """Return the controllers that could be built."""
+    def result(self) -> ResolvedStudy | None:
+        """Return the resolved study, None if there are errors."""
+        if self.errors.found or not self.is_complete or self.references is None or self.bounds is None:
+            return None
+        return ResolvedStudy(
+            study=self._written_out(),
+            plant=self.plant,
+            inputs=self.inputs.variables,
+            outputs=self.outputs.variables,
+            measurements=self.measurements.variables,
+            reference=self.references,
+            bounds={controller.name: self.bounds[controller.of] for controller in self.controllers},
+            excitation=self.excitation,
+        )
+
+    def _written_out(self) -> Study:
+        """Return the study with every default filled in, every sweep written out and every path absolute."""
+        study, recording = self.study, self.study.recording
+        plant = {
+            "fmu": self.plant.fmu,
+            "inputs": list(self.inputs.names),
+            "outputs": list(self.outputs.names),
+            "measurements": list(self.measurements.names),
+        }
+        if recording is not None and recording.controller is not None and self.stabiliser is not None:
+            controller = recording.controller.model_copy(update={"settings": self.stabiliser.settings})
+            recording = recording.model_copy(update={"controller": controller})
+        return study.model_copy(
+            update={
+                "plant": study.plant.model_copy(update=plant),
+                "controllers": {c.name: c.section(study.controllers[c.of]) for c in self.controllers},
+                "recording": recording,
+            }
+        )
 
     @independent
-    def build(variant: Variant) -> ResolvedController | None:
-        kind = study.controllers[variant.of].type
-        return resolve_controller(kind, variant.settings, folder, errors, variant.place)
-
-    built = {variant.name: build(variant) for variant in variants}
-    return {name: controller for name, controller in built.items() if controller is not None}
-
-
-@independent
-def _stabiliser(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedController | None:
-    if study.recording is None or study.recording.controller is None:
-        return None
-    section = study.recording.controller
-    resolved = resolve_controller(
-        section.type, section.settings, folder, errors, lambda setting: (*_STABILISER, "settings", *setting)
-    )
-    if resolved is not None and resolved.controller.uses_recording:
-        errors.add(_STABILISER, "learns from a recording itself; needed: one that controls without")
-    return resolved
-
-
-@independent
-def _check_report(study: Study, variants: Iterable[Variant], errors: ValidationErrors) -> None:
-    known = [*study.controllers, *(variant.name for variant in variants)]
+    def _check_report(self) -> None:
+        report = self.study.report
+        for i, panel in enumerate(report.panels):
+            self._require_controllers(("report", "panels", i), panel, "controllers")
+        for i, method in enumerate(report.reproduction.methods if report.reproduction else ()):
+            for key in ("printed", "published_code"):
+                self._require_controllers(("report", "reproduction", "methods", i), method, key)
 
     @independent
-    def require(place: Place, section: Section, key: str) -> None:
+    def _require_controllers(self, place: Place, section: Section, key: str) -> None:
         named = getattr(section, key)
         given = [named] if isinstance(named, str) else named
+        known = [*self.study.controllers, *(controller.name for controller in self.controllers)]
         # A controller whose section has errors is there all the same.
-        doubtful = [name for name in given if errors.in_doubt(("controllers", name))]
-        errors.require_known((*place, key), "controller", filter(None, given), [*known, *doubtful])
+        known += [name for name in given if self.errors.in_doubt(("controllers", name))]
+        self.errors.require_known((*place, key), "controller", filter(None, given), known)
 
-    for i, panel in enumerate(study.report.panels):
-        require(("report", "panels", i), panel, "controllers")
-    for i, method in enumerate(study.report.reproduction.methods if study.report.reproduction else ()):
-        for key in ("printed", "published_code"):
-            require(("report", "reproduction", "methods", i), method, key)
+    @independent
+    def _plant(self, folder: Path) -> tuple[PlantSpec, PlantVariables] | None:
+        """Return the plant and its variables; None if there is none to check the study against."""
+        section = self.study.plant
+        doubtful = any(self.errors.in_doubt((*_PLANT, key)) for key in ("name", "fmu"))
+        if doubtful or _PLANT in self.errors.found:
+            return None
+        try:
+            spec = PlantSpec.of(section, folder)
+            return spec, spec.variables()
+        except CosimError as error:
+            self.errors.add((*_PLANT, "fmu" if section.fmu else "name"), str(error))
+            return None
 
+    def _check_plant(self) -> None:
+        section, errors = self.study.plant, self.errors
+        known = (*self.variables.inputs, *self.variables.outputs)
+        for key in ("display_units", "nominal"):
+            errors.require_known((*_PLANT, key), "input or output", getattr(section, key), known)
+        try:
+            self.variables = self.variables.shown(section.display_units, section.nominal)
+        except ConfigError as error:
+            for fault in error.faults:
+                errors.add((*_PLANT, "display_units"), fault)
+        parameters = self.variables.parameters
+        self._check_parameters((*_PLANT, "parameters"), "parameter", section.parameters, parameters)
+        for controller in self.controllers if not self.plant.is_fmu else ():
+            if PLANT in files_of(type(controller.controller), controller.settings):
+                what = f'"{PLANT}" stands for the FMU of the plant, which is a Python class'
+                errors.add(controller.place, what)
 
-def _check_files(
-    variants: Iterable[Variant], controllers: Mapping[str, ResolvedController], errors: ValidationErrors
-) -> None:
-    """Check that there are the files that controllers name."""
-    for variant in variants:
-        for path in controllers[variant.name].files if variant.name in controllers else ():
-            if path != PLANT and not Path(path).is_file():
-                errors.add(variant.place(()), f"{path}: no such file")
+    def _select_signals(self) -> None:
+        plant, known = self.study.plant, self.variables
+        self.inputs = self._select(_INPUTS, "input", plant.inputs, known.inputs, known.default_inputs)
+        self.outputs = self._select(_OUTPUTS, "output", plant.outputs, known.outputs, known.default_outputs)
+        self.measurements = self._select(_MEASUREMENTS, "output", plant.measurements, known.outputs, ())
+        if not plant.measurements and not self.errors.in_doubt(_MEASUREMENTS):
+            self.measurements = self.outputs
 
+    def _select(
+        self,
+        place: Place,
+        what: str,
+        given: list[str],
+        known: Mapping[str, Variable],
+        default: tuple[str, ...],
+    ) -> _Selection:
+        self.errors.require_known(place, what, given, known)
+        for name in sorted({name for name in given if given.count(name) > 1}):
+            self.errors.add(place, f'"{name}" is listed more than once')
+        if self.errors.in_doubt(place):
+            return _Selection(tuple(known.values()), False, len(given))
+        chosen = tuple(known[name] for name in given or default or known)
+        return _Selection(chosen, True, len(chosen))
 
-def _check_placeholders(
-    variants: Iterable[Variant], controllers: Mapping[str, ResolvedController], errors: ValidationErrors
-) -> None:
-    """Check that no controller asks for the FMU of a plant that is none."""
-    for variant in variants:
-        if variant.name in controllers and PLANT in controllers[variant.name].files:
-            what = f'"{PLANT}" stands for the FMU of the plant, which is a Python class'
-            errors.add(variant.place(()), what)
+    def _check_parameters(
+        self, place: Place, what: str, values: Mapping[str, ParameterValue], known: Mapping[str, Variable]
+    ) -> None:
+        self.errors.require_known(place, what, values, known)
+        for name, value in values.items():
+            if not isinstance(value, str):  # a string, or the name of an enumeration's value: the plant knows
+                self._check_value((*place, name), value, known.get(name))
 
+    def _check_value(self, place: Place, value: float, parameter: Variable | None) -> None:
+        if parameter is not None and not parameter.min <= value <= parameter.max:
+            self.errors.add(place, f"{value:g} is outside [{parameter.min:g}, {parameter.max:g}]")
 
-@independent
-def _plant(study: Study, folder: Path, errors: ValidationErrors) -> tuple[PlantSpec, PlantVariables] | None:
-    """Return the plant and its variables; None if there is none to check the study against."""
-    section, chosen = study.plant, (("plant", "name"), ("plant", "fmu"))
-    if ("plant",) in errors.found or any(map(errors.in_doubt, chosen)):
-        return None
-    try:
-        spec = PlantSpec.of(section, folder)
-        variables = spec.variables()
-    except CosimError as error:
-        errors.add(("plant", "fmu" if section.fmu else "name"), str(error))
-        return None
-    known = (*variables.inputs, *variables.outputs)
-    for key in ("display_units", "nominal"):
-        errors.require_known(("plant", key), "input or output", getattr(section, key), known)
-    try:
-        variables = variables.shown(section.display_units, section.nominal)
-    except ConfigError as error:
-        for fault in error.faults:
-            errors.add(("plant", "display_units"), fault)
-    _check_parameters(("plant", "parameters"), section.parameters, variables.parameters, errors)
-    return spec, variables
+    def _check_scenarios(self) -> None:
+        parameters = self.variables.parameters
+        tunable = {name: v for name, v in parameters.items() if name in self.variables.tunable}
+        for name, scenario in self.study.scenarios.items():
+            place = ("scenarios", name)
+            self._check_parameters((*place, "parameters"), "parameter", scenario.parameters, parameters)
+            noisy = (*place, "noise")
+            self.errors.require_known(noisy, "measurement", scenario.noise, self.measurements.names)
+            for i, event in enumerate(scenario.events):
+                self._check_in_run((*place, "events", i), event, "time")
+                self._check_event((*place, "events", i), event, tunable)
+            for i, drift in enumerate(scenario.drifts):
+                self._check_in_run((*place, "drifts", i), drift, "from_time")
+                for key in ("parameter", "from_value", "to_value", "to_time"):
+                    self._check_drift((*place, "drifts", i), drift, key, tunable)
 
+    @independent
+    def _check_in_run(self, place: Place, change: Section, key: str) -> None:
+        """Report a change that would never act on the plant; the scenario would not be what it says."""
+        late = late_error(getattr(change, key), self.study.loop.start_time + self.study.loop.duration)
+        if late:
+            self.errors.add((*place, key), late, ("loop", "start_time"))
 
-def _signals(study: Study, variables: PlantVariables, errors: ValidationErrors) -> Signals:
-    plant = study.plant
-    inputs = _select(_INPUTS, "input", plant.inputs, variables.inputs, variables.default_inputs, errors)
-    outputs = _select(_OUTPUTS, "output", plant.outputs, variables.outputs, variables.default_outputs, errors)
-    measurements = _select(_MEASUREMENTS, "output", plant.measurements, variables.outputs, (), errors)
-    if not plant.measurements and not errors.in_doubt(_MEASUREMENTS):
-        measurements = outputs
-    return Signals(variables, inputs, outputs, measurements)
+    @independent
+    def _check_event(self, place: Place, event: EventSection, tunable: Mapping[str, Variable]) -> None:
+        self._check_parameters((*place, "parameters"), "tunable parameter", event.parameters, tunable)
 
+    @independent
+    def _check_drift(
+        self, place: Place, drift: DriftSection, key: str, tunable: Mapping[str, Variable]
+    ) -> None:
+        value, at = getattr(drift, key), (*place, key)
+        if key == "parameter":
+            self.errors.require_known(at, "tunable parameter", [value], tunable)
+        elif key != "to_time":
+            self._check_value(at, value, tunable.get(drift.parameter))
+        elif value <= self.study.loop.start_time:
+            start = f"t = {self.study.loop.start_time:g} s"
+            over = f"it would be over when the run starts at {start}; use the scenario's parameters"
+            self.errors.add(at, over, ("loop", "start_time"))
 
-def _select(
-    place: Place,
-    what: str,
-    given: list[str],
-    known: Mapping[str, Variable],
-    default: tuple[str, ...],
-    errors: ValidationErrors,
-) -> Selection:
-    errors.require_known(place, what, given, known)
-    for name in sorted({name for name in given if given.count(name) > 1}):
-        errors.add(place, f'"{name}" is listed more than once')
-    if errors.in_doubt(place):
-        return Selection(tuple(known.values()), False, len(given))
-    chosen = tuple(known[name] for name in given or default or known)
-    return Selection(chosen, True, len(chosen))
-
-
-def _check_parameters(
-    place: Place,
-    values: Mapping[str, ParameterValue],
-    known: Mapping[str, Variable],
-    errors: ValidationErrors,
-    what: str = "parameter",
-) -> None:
-    errors.require_known(place, what, values, known)
-    for name, value in values.items():
-        if not isinstance(value, str):  # a string, or the name of an enumeration's value: the plant knows
-            _check_value((*place, name), value, known.get(name), errors)
-
-
-def _check_value(place: Place, value: float, parameter: Variable | None, errors: ValidationErrors) -> None:
-    if parameter is not None and not parameter.min <= value <= parameter.max:
-        errors.add(place, f"{value:g} is outside [{parameter.min:g}, {parameter.max:g}]")
-
-
-@independent
-def _references(study: Study, signals: Signals, errors: ValidationErrors) -> dict[str, Reference] | None:
-    place: Place = ("reference",)
-    errors.require_known(place, "controlled output", study.reference, signals.outputs.names)
-    for name in signals.outputs.names if signals.outputs.is_known else ():
-        if name not in study.reference:
-            errors.add(place, f"none for the controlled output {name}", (*place, name))
-    converters = {
-        name: _converter((*place, name), signals.variables.outputs.get(name), section.unit, errors)
-        for name, section in study.reference.items()
-    }
-    if errors.found:
-        return None
-    return {name: study.reference[name].build(convert) for name, convert in converters.items() if convert}
-
-
-@independent
-def _bounds(study: Study, signals: Signals, errors: ValidationErrors) -> dict[str, Limits]:
-    """Return the limits of each controller section: its own, else the study's, else the plant's."""
-    variables = (*signals.inputs.variables, *signals.outputs.variables)
-    common = {v.name: (v.min, v.max) for v in variables} | _limits(("bounds",), study.bounds, signals, errors)
-    return {
-        name: common | _limits(("controllers", name, "bounds"), section.bounds, signals, errors)
-        for name, section in study.controllers.items()
-    }
-
-
-def _limits(
-    place: Place, bounds: Mapping[str, BoundsSection], signals: Signals, errors: ValidationErrors
-) -> Limits:
-    """Return the limits of a table in the variables' own units; a side left out is the plant's."""
-    known = (*signals.inputs.names, *signals.outputs.names)
-    errors.require_known(place, "input or controlled output", bounds, known)
-    variables = {**signals.variables.outputs, **signals.variables.inputs}
-    table = {}
-    for name, section in bounds.items():
-        at = (*place, name)
-        convert = _converter(at, variables.get(name), section.unit, errors)
-        if convert is None:
-            continue
-        low = variables[name].min if section.min is None else convert(section.min)
-        high = variables[name].max if section.max is None else convert(section.max)
-        if limits_error((low, high)) and at not in errors.found:
-            errors.add(at, f"leaves no room: [{low:g}, {high:g}] with the plant's own limits", at)
-        table[name] = (low, high)
-    return table
-
-
-def _check_scenarios(study: Study, signals: Signals, errors: ValidationErrors) -> None:
-    parameters = signals.variables.parameters
-    tunable = {name: v for name, v in parameters.items() if name in signals.variables.tunable}
-    for name, scenario in study.scenarios.items():
-        place = ("scenarios", name)
-        _check_parameters((*place, "parameters"), scenario.parameters, parameters, errors)
-        noisy = (*place, "noise")
-        errors.require_known(noisy, "measurement", scenario.noise, signals.measurements.names)
-        for i, event in enumerate(scenario.events):
-            _check_in_run((*place, "events", i), event, "time", study, errors)
-            _check_event((*place, "events", i), event, tunable, errors)
-        for i, drift in enumerate(scenario.drifts):
-            _check_in_run((*place, "drifts", i), drift, "from_time", study, errors)
-            _check_drift_acts((*place, "drifts", i), drift, study, errors)
-            _check_drift((*place, "drifts", i), drift, tunable, errors)
-
-
-@independent
-def _check_in_run(place: Place, change: Section, key: str, study: Study, errors: ValidationErrors) -> None:
-    """Report a change that would never act on the plant; the scenario would not be what it says."""
-    error = late_error(getattr(change, key), study.loop.start_time + study.loop.duration)
-    if error:
-        errors.add((*place, key), error, ("loop", "start_time"))
-
-
-@independent
-def _check_drift_acts(place: Place, drift: DriftSection, study: Study, errors: ValidationErrors) -> None:
-    start = study.loop.start_time
-    if drift.to_time <= start:
-        over = f"it would be over when the run starts at t = {start:g} s; use the scenario's parameters"
-        errors.add((*place, "to_time"), over, ("loop", "start_time"))
-
-
-@independent
-def _check_event(
-    place: Place, event: EventSection, tunable: Mapping[str, Variable], errors: ValidationErrors
-) -> None:
-    _check_parameters((*place, "parameters"), event.parameters, tunable, errors, "tunable parameter")
-
-
-@independent
-def _check_drift(
-    place: Place, drift: DriftSection, tunable: Mapping[str, Variable], errors: ValidationErrors
-) -> None:
-    errors.require_known((*place, "parameter"), "tunable parameter", [drift.parameter], tunable)
-    parameter = tunable.get(drift.parameter)
-    _check_value((*place, "from_value"), drift.from_value, parameter, errors)
-    _check_value((*place, "to_value"), drift.to_value, parameter, errors)
-
-
-def _check_recording(
-    study: Study,
-    signals: Signals,
-    controllers: Mapping[str, ResolvedController],
-    errors: ValidationErrors,
-) -> None:
-    """Check that there is a recording, and a long one, where something learns from it."""
-    recording = study.recording
-    if recording is None:
-        _check_start(study, errors)
-        for name, resolved in controllers.items():
-            if resolved.controller.uses_recording:
+    @independent
+    def _check_recording(self) -> None:
+        """Check that there is a recording, and a long one, where something learns from it."""
+        recording = self.study.recording
+        sizes = [selection.size for selection in (self.inputs, self.outputs, self.measurements)]
+        for name, controller in ((one.name, one.controller) for one in self.controllers):
+            if recording is None and controller is not None and controller.uses_recording:
                 lacking = "learns from a recording, and the study has no recording section"
-                errors.add(("controllers", name), lacking, _RECORDING)
-        return
-    sizes = [selection.size for selection in (signals.inputs, signals.outputs, signals.measurements)]
-    for name, resolved in controllers.items() if all(sizes) else ():
-        _check_length(recording, name, resolved.controller.recording_length(*sizes), errors)
+                self.errors.add(("controllers", name), lacking, _RECORDING)
+            elif recording is not None and controller is not None and all(sizes):
+                self._check_length(recording, name, controller.recording_length(*sizes))
+        if recording is None and self.study.loop.start == "recording-end":
+            self.errors.add(("loop", "start"), '"recording-end" needs a recording section', _RECORDING)
 
+    @independent
+    def _check_length(self, recording: RecordingSection, name: str, needed: int) -> None:
+        if recording.samples < needed:
+            short = f"{recording.samples} is too short for {name}, which needs {needed}"
+            self.errors.add((*_RECORDING, "samples"), short)
 
-@independent
-def _check_start(study: Study, errors: ValidationErrors) -> None:
-    if study.loop.start == "recording-end":
-        errors.add(("loop", "start"), '"recording-end" needs a recording section', _RECORDING)
+    @independent
+    def _references(self) -> dict[str, Reference] | None:
+        sections = self.study.reference
+        self._require_each(("reference",), "controlled output", sections, self.outputs)
+        converters = self._converters(("reference",), sections, self.variables.outputs)
+        if self.errors.found:
+            return None
+        return {name: sections[name].build(convert) for name, convert in converters.items()}
 
-
-@independent
-def _check_length(recording: RecordingSection, name: str, needed: int, errors: ValidationErrors) -> None:
-    if recording.samples < needed:
-        short = f"{recording.samples} is too short for {name}, which needs {needed}"
-        errors.add((*_RECORDING, "samples"), short)
-
-
-@independent
-def _excitation(study: Study, signals: Signals, errors: ValidationErrors) -> Excitation | None:
-    """Return the experiment on all inputs, in their units."""
-    if study.recording is None:
-        return None
-    sections = study.recording.excitation
-    errors.require_known(_EXCITATION, "input", sections, signals.inputs.names)
-    for name in signals.inputs.names if signals.inputs.is_known else ():
-        if name not in sections:
-            errors.add(_EXCITATION, f"none for the input {name}", (*_EXCITATION, name))
-    inputs = signals.variables.inputs
-    converters = {
-        name: _converter((*_EXCITATION, name), inputs.get(name), section.unit, errors)
-        for name, section in sections.items()
-    }
-    if errors.found or not signals.inputs.names:
-        return None
-    return study.recording.build(
-        {name: convert for name in signals.inputs.names if (convert := converters[name])}
-    )
-
-
-def _written_out(
-    study: Study,
-    spec: PlantSpec,
-    signals: Signals,
-    variants: Iterable[Variant],
-    controllers: Mapping[str, ResolvedController],
-    stabiliser: ResolvedController | None,
-) -> Study:
-    """Return the study with every default filled in, every sweep written out and every path absolute."""
-    plant = {
-        "fmu": spec.fmu,
-        "inputs": list(signals.inputs.names),
-        "outputs": list(signals.outputs.names),
-        "measurements": list(signals.measurements.names),
-    }
-    sections = {
-        variant.name: variant.section(study.controllers[variant.of], controllers[variant.name].settings)
-        for variant in variants
-    }
-    recording = study.recording
-    if recording is not None and recording.controller is not None and stabiliser is not None:
-        settings = {"settings": stabiliser.settings}
-        controller = recording.controller.model_copy(update=settings)
-        recording = recording.model_copy(update={"controller": controller})
-    return study.model_copy(
-        update={
-            "plant": study.plant.model_copy(update=plant),
-            "controllers": sections,
-            "recording": recording,
+    @independent
+    def _bounds(self) -> dict[str, Limits]:
+        """Return the limits of each controller section: its own, else the study's, else the plant's."""
+        variables = (*self.inputs.variables, *self.outputs.variables)
+        common = {v.name: (v.min, v.max) for v in variables} | self._limits(("bounds",), self.study.bounds)
+        return {
+            name: common | self._limits(("controllers", name, "bounds"), section.bounds)
+            for name, section in self.study.controllers.items()
         }
-    )
+
+    def _limits(self, place: Place, bounds: Mapping[str, BoundsSection]) -> Limits:
+        """Return the limits of a table in the variables' own units; a side left out is the plant's."""
+        known = (*self.inputs.names, *self.outputs.names)
+        self.errors.require_known(place, "input or controlled output", bounds, known)
+        variables = {**self.variables.outputs, **self.variables.inputs}
+        limits = {}
+        for name, convert in self._converters(place, bounds, variables).items():
+            low, high = bounds[name].min, bounds[name].max
+            low = variables[name].min if low is None else convert(low)
+            high = variables[name].max if high is None else convert(high)
+            if limits_error((low, high)) and (*place, name) not in self.errors.found:
+                room = f"leaves no room: [{low:g}, {high:g}] with the plant's own limits"
+                self.errors.add((*place, name), room, (*place, name))
+            limits[name] = (low, high)
+        return limits
+
+    @independent
+    def _excitation(self) -> Excitation | None:
+        """Return the experiment on all inputs, in their units."""
+        recording, place = self.study.recording, (*_RECORDING, "excitation")
+        if recording is None:
+            return None
+        sections = recording.excitation
+        self._require_each(place, "input", sections, self.inputs)
+        converters = self._converters(place, sections, self.variables.inputs)
+        if self.errors.found or not self.inputs.names:
+            return None
+        return recording.build({name: converters[name] for name in self.inputs.names})
+
+    def _require_each(self, place: Place, what: str, given: Iterable[str], wanted: _Selection) -> None:
+        """Check that a table has an entry for each signal, and no others."""
+        self.errors.require_known(place, what, given, wanted.names)
+        for name in wanted.names if wanted.is_known else ():
+            if name not in given:
+                self.errors.add(place, f"none for the {what} {name}", (*place, name))
+
+    def _converters(
+        self, place: Place, sections: Mapping[str, Any], variables: Mapping[str, Variable]
+    ) -> dict[str, Callable[[float], float]]:
+        """Return the conversion of each section's values to its variable's unit, where there is one."""
+        converters = {}
+        for name, section in sections.items():
+            try:
+                if name in variables:
+                    converters[name] = converter(variables[name], section.unit)
+            except ConfigError as error:
+                self.errors.add((*place, name, "unit"), str(error))
+        return converters
