@@ -4,8 +4,10 @@ import ast
 import hashlib
 import importlib
 import importlib.metadata
+import inspect
 import sys
 import sysconfig
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -58,6 +60,23 @@ def installed(kind: str) -> list[Plugin]:
     ]
 
 
+def describe(plugin: Plugin) -> tuple[str, bool]:
+    """Return one line about a plug-in, or why it is broken; and whether it works."""
+    try:
+        return (f"broken: {plugin.error}", False) if plugin.error else (_describe(plugin.value), True)
+    except Exception as error:  # a third party's object can be anything
+        return f"broken: {type(error).__name__}: {error}", False
+
+
+def _describe(value: Any) -> str:
+    """Return a description, the first line of the documentation, or the title of a study file."""
+    if isinstance(value, type):
+        return (inspect.getdoc(value) or "").partition("\n")[0]
+    if description := getattr(value, "description", ""):
+        return str(description)
+    return str(tomllib.loads(Path(value).read_text(encoding="utf-8-sig")).get("title", ""))
+
+
 def plugin_names(kind: str) -> list[str]:
     """Return the names of the installed plug-ins of a kind, without loading them."""
     return sorted({entry.name for entry in _entry_points(kind)})
@@ -94,7 +113,7 @@ def load_plugin(kind: str, name: str) -> Any:
 def _entry_points(kind: str) -> list[EntryPoint]:
     if kind not in KINDS:
         raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
-    # An editable installation beside a wheel lists an entry point twice.
+    # An editable installation next to a wheel lists an entry point twice.
     found = entry_points(group=f"ddpc_cosim.{kind}")
     return list({(entry.name, entry.value): entry for entry in found}.values())
 
@@ -171,8 +190,8 @@ def types_in(section: Any) -> Iterator[str]:
 def source_hash(module_name: str) -> str:
     """Return a hash of the source of the top-level package that an imported module belongs to.
 
-    To a module that is a file of its own, outside of what is installed, belong the modules beside it that it
-    imports.
+    To a module that is a file of its own, outside of what is installed, belong the modules in the same folder
+    that it imports.
     """
     module = sys.modules[module_name.split(".")[0]]
     digest = hashlib.sha256()
@@ -219,7 +238,7 @@ def _is_installed(file: Path) -> bool:
 
 
 def _imported_names(file: Path) -> set[str]:
-    """Return the top-level modules that a file imports; none if it is no Python source."""
+    """Return the top-level modules that a file imports; none if it is not Python source."""
     try:
         nodes = list(ast.walk(ast.parse(file.read_bytes())))
     except (SyntaxError, ValueError):

@@ -28,9 +28,9 @@ class SettingsError(ConfigError):
     Parameters
     ----------
     found : sequence of (Place, str)
-        Each setting at fault, by the keys that lead to it, and what is wrong with its value.
+        Each invalid setting, by the keys that lead to it, and what is wrong with its value.
     faults : sequence of str, optional
-        The same for somebody who does not see the keys.
+        The same for readers who do not see the keys.
     """
 
     def __init__(self, found: Sequence[tuple[Place, str]], faults: Sequence[str] = ()) -> None:

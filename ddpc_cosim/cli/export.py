@@ -78,10 +78,10 @@ def _load(target: str) -> Any:
 
 def _load_from_file(path: Path, attribute: str) -> Any:
     if not path.is_file():
-        raise ConfigError(f'there is no file "{path}"')
+        raise ConfigError(f'"{path}": no such file')
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
-        raise PluginError(f'"{path}" is no Python file')
+        raise PluginError(f'"{path}" is not a Python file')
     module = importlib.util.module_from_spec(spec)
     with _importable(path.parent.resolve()):
         try:

@@ -15,6 +15,7 @@ from types import FrameType
 import click
 
 FAILED, MISUSED, INTERRUPTED, TERMINATED = 1, 2, 130, 143
+_LISTED = ("plants", "controllers", "studies")
 _GOES_ON = "finished cases are kept; the same command goes on from there"
 
 
@@ -87,7 +88,7 @@ def main() -> None:
 @click.option("--jobs", type=click.IntRange(min=1), help="Worker processes [one per processor].")
 @click.option("--only", default="*", metavar="GLOB", help="Only cases or controllers of this name.")
 @click.option("--seeds", metavar="0:30", help="Seeds in place of the study's: 7, 0:30 or 5489,0:30.")
-@click.option("--fresh", is_flag=True, help="Run cases again that are there already.")
+@click.option("--fresh", is_flag=True, help="Run cases again that already exist.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 def run(
     study: str, out: Path | None, jobs: int | None, only: str, seeds: str | None, fresh: bool, no_report: bool
@@ -110,12 +111,27 @@ def report(folders: tuple[Path, ...], out: Path | None) -> None:
 
 
 @main.command("list")
-@click.argument("kind", required=False, type=click.Choice(["plants", "controllers", "studies"]))
+@click.argument("kind", required=False, type=click.Choice(_LISTED))
 def list_(kind: str | None) -> None:
     """List what is installed, built-in and third-party; a broken plug-in is shown with its error."""
-    from ddpc_cosim.cli.list import list_command
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
 
-    sys.exit(list_command(kind))
+    from ddpc_cosim.plugins import describe, installed
+
+    console, broken = Console(), False
+    for each in (kind,) if kind else _LISTED:
+        table = Table(title=each, title_justify="left", title_style="bold", box=None, pad_edge=False)
+        for column in ("name", "what", "from"):
+            table.add_column(column, overflow="fold")
+        for plugin in installed(each):
+            what, works = describe(plugin)
+            broken = broken or not works
+            origin = f"{plugin.package} ({plugin.target})"
+            table.add_row(plugin.name, Text(what, "" if works else "red"), origin)
+        console.print(table, "")
+    sys.exit(FAILED if broken else 0)
 
 
 _FMU = click.argument("fmu", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="FILE.fmu")

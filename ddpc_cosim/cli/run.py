@@ -49,7 +49,7 @@ def run_command(
     progress = TerminalProgress(console) if console.is_terminal else LineProgress(sys.stderr)
     with _warnings_in_one_line(), progress:
         results = run_study(resolved, folder, selection, progress)
-    # Where nobody's window limits it, the table takes the width it needs.
+    # Where no window limits it, the table takes the width it needs.
     screen = Console(width=None if sys.stdout.isatty() else _WIDE)
     screen.print(summary_table(results, screen))
     if report:
@@ -125,7 +125,7 @@ class TerminalProgress:
 
     def start(self, total: int, kept: int) -> None:
         """Show how many cases there are."""
-        note = f"{kept} cases are there already" if kept else "starting"
+        note = f"{kept} finished cases are kept" if kept else "starting"
         self._progress.update(self._task, total=total, description=note)
 
     def update(self, update: Update) -> None:
@@ -162,7 +162,7 @@ class LineProgress:
         """Say how many cases there are."""
         self._total = total
         noun = "case" if total == 1 else "cases"
-        self._say(f"{total} {noun} to run" + (f", {kept} there already" if kept else ""))
+        self._say(f"{total} {noun} to run" + (f", {kept} kept" if kept else ""))
 
     def update(self, update: Update) -> None:
         """Say how far a long case is."""

@@ -32,7 +32,7 @@ class _Row:
 def summary_table(results: StudyResults, console: Console) -> Table:
     """Return one row per controller and scenario, of a sweep the best settings, to fit the console.
 
-    Each row has the figures of the first seed, and median and range over all.
+    Each row has the values of the first seed, and median and range over all.
     """
     unlimited = console.options.update(width=_UNLIMITED)
     several_seeds = len({case.seed for case in results.cases}) > 1
@@ -69,7 +69,7 @@ def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
     table.add_column("cases\ndone", justify="right", no_wrap=True)
     for row in rows:
         names = [Text(row.name), *([Text(row.scenario)] if several else [])]
-        table.add_row(*names, *(_figures(row.cases, keys, left_out) if row.cases else ()))
+        table.add_row(*names, *(_values(row.cases, keys, left_out) if row.cases else ()))
     hidden = sum(not row.cases for row in rows)
     if hidden:
         table.caption = Text(f"every setting: {results.folder / METRICS_FILE}")
@@ -114,12 +114,12 @@ def _completed_values(cases: Sequence[CaseResult], key: str) -> list[float]:
     return [value for value in values if not math.isnan(value)]
 
 
-def _figures(cases: Sequence[CaseResult], keys: Sequence[str], left_out: Sequence[str]) -> list[str]:
+def _values(cases: Sequence[CaseResult], keys: Sequence[str], left_out: Sequence[str]) -> list[str]:
     shown = cases[0].metrics if cases[0].outcome is Outcome.COMPLETED else {}
-    figures = [_number(shown.get(key, math.nan)) for key in keys]
+    values = [_number(shown.get(key, math.nan)) for key in keys]
     if keys and _RANGE not in left_out:
-        figures.insert(1, _spread(cases, keys[0]))
-    return [*figures, _micro(cases[0].metrics.get("solve_time_median [s]", math.nan)), _completed(cases)]
+        values.insert(1, _spread(cases, keys[0]))
+    return [*values, _micro(cases[0].metrics.get("solve_time_median [s]", math.nan)), _completed(cases)]
 
 
 def _title(results: StudyResults) -> Text:

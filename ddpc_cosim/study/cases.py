@@ -137,7 +137,7 @@ def cases_of(
 
 
 def _code_and_files(case: Case) -> dict[str, Any]:
-    """Return what decides the result of all cases of a controller beside its settings."""
+    """Return what decides the result of all cases of a controller besides its settings."""
     sections = [case.section, case.stabiliser] if case.stabiliser else [case.section]
     files = [files_of(controller_class(section["type"]), section["settings"]) for section in sections]
     return {
@@ -171,7 +171,7 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
     try:
         trace = _run(case, plant, store)
     except BaseException:
-        with suppress(CosimError):  # the first fault counts
+        with suppress(CosimError):  # the first error counts
             close_plant(plant)
         raise
     try:
@@ -310,7 +310,7 @@ def _events(scenario: ScenarioSection, loop: LoopSection) -> tuple[ParameterChan
     early = 1e-6 * loop.sampling_time
     for drift in scenario.drifts:
         path = Ramp(drift.from_value, drift.to_value, drift.from_time, drift.to_time)
-        # A sample time can lie a rounding error beside the instant it stands for.
+        # A sample time can lie a rounding error off the instant it stands for.
         moving = (time > drift.from_time - early) & (time < drift.to_time + loop.sampling_time - early)
         changes += [
             ParameterChange(float(t), {drift.parameter: float(value)})

@@ -63,11 +63,6 @@ def find_study(name: str) -> Path:
         raise ConfigError(f"{error}; or give the path of a study file") from error
 
 
-def study_title(path: Path) -> str:
-    """Return the title of a study file, for lists."""
-    return str(tomllib.loads(path.read_text(encoding="utf-8-sig")).get("title", ""))
-
-
 def _as_name(stem: str) -> str:
     """Return the name of a study whose file gives none: the file's, as far as names may have its letters."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip("._-")[:60] or "study"

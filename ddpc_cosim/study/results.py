@@ -30,13 +30,13 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
 )
 
 
-# What reading a file raises that somebody has cut off or changed.
+# What reading a file raises that has been cut off or changed.
 _DAMAGED = (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration)
 
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
-    """One case: what it was, how it ended, and its figures.
+    """One case: what it was, how it ended, and its metrics.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class CaseResult:
     reason : str
         Why it ended early; empty if completed.
     metrics, diagnostics : dict of str to float
-        Figures of the run, and of the controller's data or model.
+        Values of the run, and of the controller's data or model.
     settings : dict
         The controller's settings, defaults filled in.
     folder : Path
@@ -156,8 +156,8 @@ def load_case(folder: Path) -> CaseResult:
     try:
         run = read_run(folder)
         head = {key: run[key] for key in ("id", "controller", "label", "scenario", "seed", "reason")}
-        figures = {key: run[key] for key in ("metrics", "diagnostics", "settings")}
-        return CaseResult(**head, **figures, outcome=Outcome(run["outcome"]), folder=folder)
+        values = {key: run[key] for key in ("metrics", "diagnostics", "settings")}
+        return CaseResult(**head, **values, outcome=Outcome(run["outcome"]), folder=folder)
     except _DAMAGED as error:
         raise ConfigError(f"{folder}: this case cannot be read ({error!r}); run the study again") from error
 
@@ -170,7 +170,7 @@ def study_hash(study: Study) -> str:
 def write_results(
     folder: Path, study: Study, cases: Sequence[CaseResult], provenance: dict[str, str]
 ) -> None:
-    """Write ``study.toml``, ``metrics.csv`` and ``provenance.json`` beside the cases.
+    """Write ``study.toml``, ``metrics.csv`` and ``provenance.json`` next to the cases.
 
     Raises
     ------
@@ -217,7 +217,7 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any], drafts: Path | 
     head : dict
         What the case is: id, controller, scenario, seed, ...
     drafts : Path, optional
-        Where it stands until it is complete, on the same disk; default: beside the folder.
+        Where it stands until it is complete, on the same disk; default: next to the folder.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Running a whole study: prepare the plant, run what is not there yet, write what is known of all cases."""
+"""Running a study: prepare the plant, run what is not there yet, write what is known of all cases."""
 
 import os
 import platform
@@ -61,7 +61,7 @@ class Selection:
     only : str
         Glob pattern of case or controller names.
     fresh : bool
-        Run cases again that are there already.
+        Run cases again that already exist.
     """
 
     jobs: int = 1

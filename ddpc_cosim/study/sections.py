@@ -46,7 +46,7 @@ class PlantSection(Section):
     )
     nominal: dict[str, Positive] = Field(
         {},
-        description="sizes that controllers scale variables by, in their units; empty: the plant's own",
+        description="nominal values, which controllers scale by, in the variables' units; empty: the plant's",
     )
     fmi_type: Literal["auto", "co-simulation", "model-exchange"] = Field(
         "auto", description="how the FMU is run; auto: Co-Simulation if it has it"
@@ -256,11 +256,11 @@ def _as_list(tables: Any) -> Any:
 
 
 class ControllerSection(Section):
-    """One competitor."""
+    """One controller of the study."""
 
     type: str = Field(description="a controller of `ddpc-cosim list controllers`, or module:Class")
     label: str = Field("", description="name in reports; empty: the key of the section")
-    note: str = Field("", description="one line about this competitor for the report")
+    note: str = Field("", description="one line about this controller for the report")
     settings: dict[str, Any] = Field({}, description="settings that differ from the controller's defaults")
     bounds: dict[str, BoundsSection] = Field(
         {}, description="limits that replace the study's for this controller"
@@ -281,7 +281,7 @@ class ControllerSection(Section):
 
 
 class PublishedMethod(Section):
-    """Published figures of one method, and the controllers here that stand for it."""
+    """Published results of one method, and the controllers here that stand for it."""
 
     label: str
     printed: str = Field(description="the controller that follows the publication")
@@ -309,10 +309,10 @@ class Panel(Section):
 
 
 class ReportSection(Section):
-    """What the report shows beside what every report shows."""
+    """What the report shows besides what every report shows."""
 
     panels: list[Panel] = Field([], description="panels of the figures; empty: one with all controllers")
-    limitations: list[str] = Field([], description="what a reader must know to judge the figures fairly")
+    limitations: list[str] = Field([], description="what a reader must know to judge the results fairly")
     reproduction: Reproduction | None = None
 
 
@@ -349,7 +349,7 @@ Seeds = Annotated[list[int], BeforeValidator(expand_seeds)]
 
 
 class Study(Section):
-    """A study file: one plant, competitors, conditions and seeds."""
+    """A study file: one plant, controllers, conditions and seeds."""
 
     name: Name = Field("study", description="short name; the folder of results is called after it")
     title: str = ""

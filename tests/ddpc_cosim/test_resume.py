@@ -202,7 +202,7 @@ def test_a_worker_that_dies_costs_one_case(write_study: WriteStudy, tmp_path: Pa
     assert list(scratch.iterdir()) == []
 
     again = run_program(*arguments)
-    assert "3 cases to run, 2 there already" in again.stderr
+    assert "3 cases to run, 2 kept" in again.stderr
 
 
 LEAVING = """
@@ -401,7 +401,7 @@ def test_settings_that_a_study_file_cannot_say_keep_their_defaults(
     (controller,) = load_results(tmp_path / "out").study.controllers.values()
     assert controller.settings == {"said": {"weights": [[1, 0], [0, 1]], "pair": [1, 2.0]}, "path": "y"}
     again = run_program("run", "out/study.toml", "--jobs", "1", "--no-report", "--out", "out")
-    assert "0 cases to run, 1 there already" in again.stderr
+    assert "0 cases to run, 1 kept" in again.stderr
 
 
 @pytest.mark.parametrize("out", ["file", "file/below"])

@@ -171,7 +171,7 @@ def test_fresh_runs_everything_again(folder: Path, write_study: WriteStudy) -> N
     write_study("mfapc")
     arguments = ("run", "study.toml", "--no-report")
     assert "1 case to run" in invoke(*arguments).stderr
-    assert "0 cases to run, 1 there already" in invoke(*arguments).stderr
+    assert "0 cases to run, 1 kept" in invoke(*arguments).stderr
     assert "1 case to run\n" in invoke(*arguments, "--fresh").stderr
 
 
