@@ -16,13 +16,12 @@ from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice, choose
 from ddpc_cosim.suggestion.design import (
     Bounds,
-    Proposal,
     ScaledGains,
     recording_length,
     suggested_controllers,
 )
 from ddpc_cosim.suggestion.step_test import ResponseType, Resting, StepTest, Timing, step_test
-from ddpc_cosim.suggestion.writing import Circumstances, comments, study_text
+from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, study_text
 from ddpc_cosim.variables import FloatArray, Variable, names
 
 _MOST_INPUT_CANDIDATES, _MOST_OUTPUT_CANDIDATES = 12, 50

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -39,49 +39,6 @@ class SuggestedController:
     label: str
     settings: Mapping[str, Any]
     comment: str
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """A suggested study.
-
-    Parameters
-    ----------
-    plant : str
-        Name of the plant, for the title.
-    inputs, outputs, measurements : tuple of Variable
-        What is driven, controlled and measured.
-    nominal : mapping of str to float
-        Sizes of inputs and controlled outputs, in their units: what controllers scale them by.
-    bounds : mapping of str to Bounds
-        By input.
-    setpoints : mapping of str to Setpoints
-        By output.
-    sampling_time, duration : float
-        In s.
-    excitation : mapping of str to (float, float)
-        Range of the recording's random inputs; empty for no recording.
-    samples : int
-        Length of the recording.
-    controllers : mapping of str to SuggestedController
-        The controllers by key.
-    comments : mapping of str to tuple of str
-        What to know, by section of the study: findings, guesses and warnings.
-    """
-
-    plant: str
-    inputs: tuple[Variable, ...]
-    outputs: tuple[Variable, ...]
-    measurements: tuple[Variable, ...]
-    nominal: Mapping[str, float]
-    bounds: Mapping[str, Bounds]
-    setpoints: Mapping[str, Setpoints]
-    sampling_time: float
-    duration: float
-    excitation: Mapping[str, tuple[float, float]]
-    samples: int
-    controllers: Mapping[str, SuggestedController]
-    comments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 _EXCITED = 0.3  # share of an input's range that experiment and setpoints use, to either side of its rest

@@ -1,17 +1,60 @@
 """A suggested study as a commented file."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import tomli_w
 
 from ddpc_cosim.suggestion.choice import Choice
-from ddpc_cosim.suggestion.design import Proposal, SuggestedController, drifting
+from ddpc_cosim.suggestion.design import Bounds, Setpoints, SuggestedController, drifting
 from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
 from ddpc_cosim.variables import Variable
 
 _WIDTH = 110
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A suggested study.
+
+    Parameters
+    ----------
+    plant : str
+        Name of the plant, for the title.
+    inputs, outputs, measurements : tuple of Variable
+        What is driven, controlled and measured.
+    nominal : mapping of str to float
+        Sizes of inputs and controlled outputs, in their units: what controllers scale them by.
+    bounds : mapping of str to Bounds
+        By input.
+    setpoints : mapping of str to Setpoints
+        By output.
+    sampling_time, duration : float
+        In s.
+    excitation : mapping of str to (float, float)
+        Range of the recording's random inputs; empty for no recording.
+    samples : int
+        Length of the recording.
+    controllers : mapping of str to SuggestedController
+        The controllers by key.
+    comments : mapping of str to tuple of str
+        What to know, by section of the study: findings, guesses and warnings.
+    """
+
+    plant: str
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    measurements: tuple[Variable, ...]
+    nominal: Mapping[str, float]
+    bounds: Mapping[str, Bounds]
+    setpoints: Mapping[str, Setpoints]
+    sampling_time: float
+    duration: float
+    excitation: Mapping[str, tuple[float, float]]
+    samples: int
+    controllers: Mapping[str, SuggestedController]
+    comments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def study_text(proposal: Proposal, fmu: str) -> str:
