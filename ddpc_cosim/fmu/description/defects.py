@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 _PLACES_SHOWN = 3
+_LETTERS_SHOWN = 500  # a description may hold names and texts of any length
 
 
 class Severity(StrEnum):
@@ -68,6 +69,8 @@ class Defect:
         """Return the first places on one line, and how many more there are."""
         hidden = len(self.places) - most
         shown = "; ".join(self.places[:most])
+        if len(shown) > _LETTERS_SHOWN:
+            shown = f"{shown[:_LETTERS_SHOWN]} ..."
         return f"{shown}; and {hidden} more" if hidden > 0 else shown
 
     def __str__(self) -> str:

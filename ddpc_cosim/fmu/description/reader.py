@@ -89,7 +89,9 @@ def read_tolerantly(folder: Path, label: str, findings: Findings) -> FMUDescript
         for element in root.iter():
             element.tag = element.tag.rpartition("}")[2]
     if "fmiVersion" not in root.attrib:
-        raise FMUImportError(f"{label}: {MODEL_DESCRIPTION} cannot be read: <{root.tag}> has no fmiVersion")
+        raise FMUImportError(
+            f"{label}: {MODEL_DESCRIPTION} cannot be read: <{root.tag[:100]}> has no fmiVersion"
+        )
     version = _version(root.get("fmiVersion"), findings)
     return _Reading(root, version, findings).description() if version else None
 

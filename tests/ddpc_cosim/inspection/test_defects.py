@@ -173,6 +173,12 @@ def test_many_occurrences_are_one_defect(model_fmu, mutate) -> None:
     assert "and 1 more" in str(defect)
 
 
+def test_texts_of_any_length_do_not_fill_a_message(pendulum_fmu, mutate) -> None:
+    inspection = inspect_fmu(mutate(pendulum_fmu, ('causality="input"', f'causality="{"x" * 100_000}"')))
+    (defect,) = [d for d in inspection.defects if d.kind.name == "unknown-causality"]
+    assert len(str(defect)) < 1000
+
+
 def binary_of(fmu: Path) -> str:
     with zipfile.ZipFile(fmu) as archive:
         return next(name for name in archive.namelist() if name.startswith("binaries/"))
