@@ -340,6 +340,8 @@ def map_files(plugin: type[Any], settings: Mapping[str, Any], change: Callable[[
     declared = declared_settings(plugin)
     return {
         name: _entry(value, change, is_file=name in declared and declared[name].file)
+        if isinstance(value, str | list | dict)
+        else value
         for name, value in settings.items()
     }
 

@@ -14,7 +14,6 @@ from ddpc_cosim.settings import (
     PLANT,
     SettingsError,
     declared_settings,
-    files_of,
     from_plain,
     is_plain,
     map_files,
@@ -117,18 +116,19 @@ def _build(
     """Return a controller and all its settings; None if it has errors, which are reported."""
 
     def absolute(path: str) -> str:
-        return path if path == PLANT else str((folder / path).resolve())
+        if path == PLANT:
+            return path
+        file = (folder / path).resolve()
+        if not file.is_file():
+            errors.add((*place, "settings"), f"{file}: no such file")
+        return str(file)
 
     given = {**section.settings, **varied}
     try:
         controller = make_controller(section.type, given)
         # What a file cannot say is a default, or what the controller has made of what the file says.
         own = {name: value for name, value in controller_settings(controller).items() if is_plain(value)}
-        settings = map_files(type(controller), given | own, absolute)
-        for path in files_of(type(controller), settings):
-            if path != PLANT and not Path(path).is_file():
-                errors.add((*place, "settings"), f"{path}: no such file")
-        return controller, settings
+        return controller, map_files(type(controller), given | own, absolute)
     except SettingsError as error:
         for setting, fault in error.found:
             in_sweep = bool(setting) and setting[0] in varied

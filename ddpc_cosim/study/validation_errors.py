@@ -211,7 +211,8 @@ def _collect(place: Place, value: Any, errors: ValidationErrors) -> None:
     if isinstance(value, dict | list):
         entries: Iterable[Any] = value.items() if isinstance(value, dict) else enumerate(value)
         for key, item in entries:
-            _collect((*place, key), item, errors)
+            if isinstance(item, Section | dict | list):
+                _collect((*place, key), item, errors)
 
 
 def _without(value: Any, found: Sequence[Any]) -> Any:
