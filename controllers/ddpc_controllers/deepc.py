@@ -27,6 +27,8 @@ from ddpc_controllers.optimisation.uncondensed import UncondensedLaw
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, Weight, setting
 
+Regulariser = Literal["ridge", "shifted-ridge", "projection", "l1"]
+
 
 @dataclass(kw_only=True)
 class BehavioralTracking(ScaledSignals):
@@ -84,7 +86,13 @@ class BehavioralTracking(ScaledSignals):
         self._resting: bool = not loop.continues_recording
         self._pending: list[FloatArray] = []
         data = self._stack(recording)
-        self._parameters = self._make_parameters(m, p, len(data))
+        windows = {
+            "u_ini": (self.initial_length, m),
+            "y_ini": (self._past_outputs, p),
+            "r": (self.horizon, p),
+        }
+        previous = {"h_previous": (1, len(data))} if self._remembers_plan else {}
+        self._parameters = ParameterVector(windows | previous)
         problem = self._write_down(loop)
         problem.ask(u=steps * m, y=steps * p)
         self._learner = self._make_learner(problem, data, loop, recording)
@@ -199,14 +207,6 @@ class BehavioralTracking(ScaledSignals):
         """Return the number of the row that sums g, if there is one."""
         return self._layout.rows_of(ONE, {"u": recording.u.shape[1], "y": recording.y.shape[1]})
 
-    def _make_parameters(self, m: int, p: int, rows: int) -> ParameterVector:
-        windows = {
-            "u_ini": (self.initial_length, m),
-            "y_ini": (self._past_outputs, p),
-            "r": (self.horizon, p),
-        }
-        return ParameterVector(windows | ({"h_previous": (1, rows)} if self._remembers_plan else {}))
-
     def _tracking_problem(self, loop: Loop, prefer_rest: bool = False) -> Problem:
         """Write down the cost, the terminal condition and the bounds; the past outputs are the subclass's."""
         settings = TrackingSettings(
@@ -267,9 +267,6 @@ class BehavioralTracking(ScaledSignals):
         past = slice(-self.initial_length, None)
         self._parameters.fill("u_ini", resting_input(loop) if self._resting else recording.u[past])
         self._parameters.fill("y_ini", recording.y[-self._past_outputs :])
-
-
-Regulariser = Literal["ridge", "shifted-ridge", "projection", "l1"]
 
 
 @dataclass(kw_only=True)

@@ -20,7 +20,7 @@ BACKENDS: tuple[str, ...] = get_args(BackendName)
 ActiveSet = tuple[int, ...]
 """Numbers of the bounds that hold with equality."""
 
-PIQP_TOLERANCE = 1e-12
+_PIQP_TOLERANCE = 1e-12
 """Tolerances of PIQP, all of them: its defaults leave errors of 3e-4 in the input."""
 
 _DAQP_TOLERANCE = 1e-10
@@ -118,7 +118,7 @@ class PIQPBackend(_DenseBackend):
         self._directions = right[values > np.finfo(float).eps * len(right) * values[0]].T
         bounds, size = len(gain), self._directions.shape[1]
         solver = piqp.DenseSolver()
-        _ask_for(solver, PIQP_TOLERANCE)
+        _ask_for(solver, _PIQP_TOLERANCE)
         gain = np.asfortranarray(gain @ self._directions)
         solver.setup(np.eye(size), np.zeros(size), G=gain, h_u=np.zeros(bounds))
         return solver

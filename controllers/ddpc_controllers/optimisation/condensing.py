@@ -29,6 +29,12 @@ from scipy.linalg.blas import dtrsm
 from ddpc_controllers.optimisation.problem import Problem
 from ddpc_cosim import ConfigError, FloatArray
 
+_EQUALITY_TOLERANCE = 1e-10
+"""An equality that others repeat to within this fraction is redundant."""
+
+_INSIGNIFICANT = 1e-12
+_SAME_DIRECTION = 1e-14
+
 
 @dataclass(frozen=True, slots=True)
 class RowFactor:
@@ -94,13 +100,6 @@ def _row_space_factor(data: FloatArray) -> tuple[FloatArray, float]:
     basis = np.empty((len(data), rank))
     basis[order] = factor[:rank].T
     return basis, significant
-
-
-EQUALITY_TOLERANCE = 1e-10
-"""An equality that others repeat to within this fraction is redundant."""
-
-_INSIGNIFICANT = 1e-12
-_SAME_DIRECTION = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +278,7 @@ def _eliminate(equality: FloatArray, target: FloatArray) -> tuple[FloatArray, Fl
     scale = np.linalg.norm(equality, axis=1, keepdims=True)
     scale[scale == 0.0] = 1.0
     left, values, right = np.linalg.svd(equality / scale)
-    rank = int(np.count_nonzero(values > EQUALITY_TOLERANCE * values[:1]))
+    rank = int(np.count_nonzero(values > _EQUALITY_TOLERANCE * values[:1]))
     rotated = left.T @ (target / scale)
     particular = right[:rank].T @ (rotated[:rank] / values[:rank, np.newaxis])
     conflict = rotated[rank:]
