@@ -59,6 +59,16 @@ class Channel:
     def __init__(self, connection: socket.socket) -> None:
         self.socket = connection
 
+    def limit(self, seconds: float) -> None:
+        """Limit the time for what is sent and received directly; beyond it ``BlockingIOError`` is raised."""
+        if sys.platform == "win32":
+            self.socket.settimeout(seconds)
+            return
+        # The system does it without further calls, which would be a tenth of an isolated step.
+        interval = struct.pack("@ll", int(seconds), int(seconds % 1 * 1e6) or 1)
+        for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
+            self.socket.setsockopt(socket.SOL_SOCKET, option, interval)
+
     def send(self, content: bytes) -> None:
         """Send a message."""
         self.socket.sendall(_LENGTH.pack(len(content)) + content)
@@ -74,6 +84,7 @@ class Channel:
             It is too long.
         """
         deadline = None if seconds is None else monotonic() + seconds
+        before = self.socket.gettimeout()
         try:
             head = beginning + self._receive(_LENGTH.size - len(beginning), deadline)
             (length,) = _LENGTH.unpack_from(head)
@@ -82,8 +93,7 @@ class Channel:
             content = head[_LENGTH.size :]
             return content + self._receive(length - len(content), deadline)
         finally:
-            if deadline is not None:
-                self.socket.settimeout(seconds)
+            self.socket.settimeout(before)
 
     def _receive(self, count: int, deadline: float | None) -> bytes:
         buffer = bytearray(max(count, 0))

@@ -44,18 +44,18 @@ class Frame:
     """
 
     def __init__(self, count: int) -> None:
-        self.memory = memoryview(bytearray(8 * (2 + count)))
+        self.size = 8 * (2 + count)
+        self.memory = memoryview(bytearray(self.size))
         self.mark = self.memory.cast("q")
         self.scalars = self.memory.cast("d")
         self.values: FloatArray = np.frombuffer(self.memory, dtype=np.float64)[2:]
 
     def receive(self, channel: Channel) -> int:
         """Receive a step, or the beginning of another message; return how many bytes."""
-        memory = self.memory
-        received = channel.socket.recv_into(memory)
-        while 8 <= received < len(memory) and self.mark[0] == _STEP:
-            more = channel.socket.recv_into(memory[received:])
-            received += more or len(memory)
+        received = channel.socket.recv_into(self.memory)
+        while 8 <= received < self.size and self.mark[0] == _STEP:
+            more = channel.socket.recv_into(self.memory[received:])
+            received += more or self.size
         return received
 
 
@@ -106,7 +106,7 @@ class IsolatedSession:
         try:
             worker.channel.socket.sendall(request.memory)
             received = answer.receive(worker.channel)
-            if received == len(answer.memory) and answer.mark[0] == _STEP:
+            if received == answer.size and answer.mark[0] == _STEP:
                 self.time = answer.scalars[1]
                 return answer.values.copy()
             y: FloatArray = self._received(worker, bytes(answer.memory[:received]))
@@ -141,7 +141,7 @@ class IsolatedSession:
 
     def _start(self) -> Worker:
         worker = Worker(serve_session, self.fmu, folder=self._folder, preload=_PRELOAD)
-        worker.channel.socket.settimeout(self._timeout)
+        worker.channel.limit(self._timeout)
         weakref.finalize(self, worker.end)
         self._freed_states = []  # those of an earlier worker went with it
         return worker
@@ -176,7 +176,7 @@ class IsolatedSession:
             return
         ending = self._end()
         if isinstance(error, OSError | EOFError | ValueError):
-            seconds = self._timeout if isinstance(error, TimeoutError) else None
+            seconds = self._timeout if isinstance(error, TimeoutError | BlockingIOError) else None
             raise lost(self.fmu.label, method, self.time, ending, seconds) from error
 
     def _end(self) -> Ending:
@@ -199,7 +199,7 @@ def serve_session(channel: Channel, fmu: UnpackedFMU) -> None:
     answer.mark[0] = _STEP
     while True:
         received = request.receive(channel)
-        if received < len(request.memory) or request.mark[0] != _STEP:
+        if received < request.size or request.mark[0] != _STEP:
             method, arguments = pickle.loads(channel.receive(sys.maxsize, bytes(request.memory[:received])))
             reply(channel, lambda: [getattr(session, method)(*arguments), session.time])  # noqa: B023 - at once
             continue
