@@ -1,4 +1,4 @@
-"""Tables of the cases: computation time, every case, those that failed, fallbacks, provenance."""
+"""Tables of the cases: computation time, outcomes, fallbacks, diagnostics of the data, provenance."""
 
 import math
 import re
@@ -11,14 +11,16 @@ from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
     ControllerResults,
+    Spread,
     indices,
     labels,
     metric_keys,
     metric_signal,
     shown_as,
     shown_metrics,
+    spread,
 )
-from ddpc_reports.numbers import MISSING, as_given, integer, time_scale, with_unit
+from ddpc_reports.numbers import MISSING, as_given, integer, significant, time_scale, with_unit
 from ddpc_reports.settings_tables import compact_seeds, facts_table
 from ddpc_reports.table import (
     Cell,
@@ -260,3 +262,62 @@ def _reasons(cases: Sequence[CaseResult]) -> list[_Reason]:
             reason.cases.add(case.id)
             reason.first = min(reason.first, (time, case.seed))
     return list(found.values())
+
+
+_DIAGNOSTICS = {
+    "pe_order": "PE order reached",
+    "pe_order_needed": "PE order needed",
+    "data_rows": "data rows",
+    "data_columns": "data columns",
+    "data_rank": "rank",
+    "smallest_singular_value": "smallest singular value",
+}
+
+
+def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
+    """Return what the controllers say about their data, first seed and range; None if they say nothing."""
+    reporting = [one for one in condition.controllers if any(case.diagnostics for case in one.cases)]
+    if not reporting:
+        return None
+    several = len(condition.seeds) > 1
+    headings = (
+        Heading("Diagnostic", numeric=False),
+        Heading(f"seed {condition.seeds[0]}"),
+        *([Heading("range over the seeds")] if several else []),
+    )
+    return Table(
+        f"{prefix}diagnostics",
+        "Data that the controllers learned from",
+        headings,
+        tuple(row for one in reporting for row in _diagnostic_rows(one, several=several)),
+        (
+            "PE order: order of persistent excitation of the recorded inputs. "
+            "Rank and singular value: of the stacked data.",
+        ),
+        kind="grouped facts",
+        download="diagnostics.csv",
+    )
+
+
+def _diagnostic_rows(one: ControllerResults, *, several: bool) -> list[Row]:
+    given = dict.fromkeys(name for case in one.cases for name in case.diagnostics)
+    ordered = [name for name in _DIAGNOSTICS if name in given] + [
+        name for name in given if name not in _DIAGNOSTICS
+    ]
+    rows = []
+    for name in ordered:
+        values = [case.diagnostics.get(name, math.nan) for case in one.cases]
+        first = one.cases[0].diagnostics.get(name, math.nan)
+        cells = [Cell(_written(first), first)]
+        if several:
+            cells.append(Cell(_range(spread(values))))
+        rows.append(Row(_DIAGNOSTICS.get(name, name.replace("_", " ")), tuple(cells), group=one.label))
+    return rows
+
+
+def _range(figure: Spread) -> str:
+    return f"{_written(figure.low)} … {_written(figure.high)}" if figure.varies else MISSING
+
+
+def _written(value: float) -> str:
+    return integer(value) if value.is_integer() and abs(value) < 1e6 else significant(value)

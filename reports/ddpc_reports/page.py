@@ -10,6 +10,7 @@ from markupsafe import Markup
 from ddpc_cosim import Outcome, StudyResults
 from ddpc_reports.case_tables import (
     cases_table,
+    diagnostics_table,
     failures_table,
     fallbacks_table,
     provenance_table,
@@ -30,7 +31,7 @@ from ddpc_reports.figures import Figure, spread_figures, step_time_figure, time_
 from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.samples import Column
 from ddpc_reports.sensitivity import sensitivity_figures, sweep_statements
-from ddpc_reports.settings_tables import compact_seeds, diagnostics_table, family_tables, settings_tables
+from ddpc_reports.settings_tables import compact_seeds, family_tables, settings_tables
 from ddpc_reports.table import Table
 from ddpc_reports.verdict import Statement, across_statements, limitations, verdict
 

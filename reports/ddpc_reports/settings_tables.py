@@ -1,4 +1,4 @@
-"""What was run: settings of every controller, limits, the loop, and diagnostics of the data."""
+"""What was run: settings of every controller, limits, and the loop."""
 
 import json
 import math
@@ -11,8 +11,8 @@ from pydantic import BaseModel
 
 from ddpc_cosim import CosimError, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.plugins import load_plugin
-from ddpc_reports.comparison import Condition, ControllerResults, Spread, indices, labels, spread
-from ddpc_reports.numbers import MISSING, as_given, integer, significant, unit_symbol, with_unit
+from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
+from ddpc_reports.numbers import MISSING, as_given, unit_symbol, with_unit
 from ddpc_reports.table import Cell, Heading, Row, Table, text_headings
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def settings_tables(results: StudyResults, condition: Condition | None, prefix: str) -> list[Table]:
-    """Return the loop, the controllers, the variants of sweeps, and the limits at the first seed.
+    """Return the loop, the controllers, their limits at the first seed, and the variants of sweeps.
 
     With the tables of :func:`family_tables`, studies that differ in anything that they set read differently.
     """
@@ -37,8 +37,8 @@ def settings_tables(results: StudyResults, condition: Condition | None, prefix: 
     tables = [
         _loop_table(results, units, prefix),
         _controllers_table(results, units, prefix),
-        _variants_table(results, prefix),
         _bounds_table(condition, prefix) if condition else None,
+        _variants_table(results, prefix),
     ]
     return [table for table in tables if table]
 
@@ -65,8 +65,8 @@ def _family_table(
     ]
     given = dict.fromkeys(name for own in settings for name in own)
     names = [name for name in docs if name in given] + [name for name in given if name not in docs]
-    several = len(members) > 1
     rows = tuple(Row(name, (*_values(name, settings), Cell(docs.get(name, MISSING)))) for name in names)
+    differing = any(cell.differs for row in rows for cell in row.cells)
     return Table(
         f"{prefix}settings-{_slug(family)}",
         f"Settings of type {family}",
@@ -76,7 +76,7 @@ def _family_table(
             Heading("meaning", numeric=False),
         ),
         rows,
-        ("Marked: differs from the first column.",) if several and _differences(names, settings) else (),
+        ("Marked: differs from the first column.",) if differing else (),
         kind="settings",
         download=f"settings-{_slug(family)}.csv",
     )
@@ -85,10 +85,6 @@ def _family_table(
 def _values(name: str, settings: Sequence[Mapping[str, Any]]) -> list[Cell]:
     texts = [value_text(own[name]) if name in own else MISSING for own in settings]
     return [Cell(text, text, differs=text != texts[0]) for text in texts]
-
-
-def _differences(names: Iterable[str], settings: Sequence[Mapping[str, Any]]) -> bool:
-    return any(cell.differs for name in names for cell in _values(name, settings))
 
 
 def _setting_docs(family: str) -> dict[str, str]:
@@ -371,60 +367,3 @@ def _plain(text: str) -> str:
 
 def _slug(text: str) -> str:
     return "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in text.lower())
-
-
-_TITLES = {
-    "pe_order": "PE order reached",
-    "pe_order_needed": "PE order needed",
-    "data_rows": "data rows",
-    "data_columns": "data columns",
-    "data_rank": "rank",
-    "smallest_singular_value": "smallest singular value",
-}
-
-
-def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
-    """Return what the controllers say about their data, first seed and range; None if they say nothing."""
-    reporting = [one for one in condition.controllers if any(case.diagnostics for case in one.cases)]
-    if not reporting:
-        return None
-    several = len(condition.seeds) > 1
-    headings = (
-        Heading("Diagnostic", numeric=False),
-        Heading(f"seed {condition.seeds[0]}"),
-        *([Heading("range over the seeds")] if several else []),
-    )
-    return Table(
-        f"{prefix}diagnostics",
-        "Data that the controllers learned from",
-        headings,
-        tuple(row for one in reporting for row in _rows(one, several=several)),
-        (
-            "PE order: order of persistent excitation of the recorded inputs. "
-            "Rank and singular value: of the stacked data.",
-        ),
-        kind="grouped facts",
-        download="diagnostics.csv",
-    )
-
-
-def _rows(one: ControllerResults, *, several: bool) -> list[Row]:
-    given = dict.fromkeys(name for case in one.cases for name in case.diagnostics)
-    ordered = [name for name in _TITLES if name in given] + [name for name in given if name not in _TITLES]
-    rows = []
-    for name in ordered:
-        values = [case.diagnostics.get(name, math.nan) for case in one.cases]
-        first = one.cases[0].diagnostics.get(name, math.nan)
-        cells = [Cell(_written(first), first)]
-        if several:
-            cells.append(Cell(_range(spread(values))))
-        rows.append(Row(_TITLES.get(name, name.replace("_", " ")), tuple(cells), group=one.label))
-    return rows
-
-
-def _range(figure: Spread) -> str:
-    return f"{_written(figure.low)} … {_written(figure.high)}" if figure.varies else MISSING
-
-
-def _written(value: float) -> str:
-    return integer(value) if value.is_integer() and abs(value) < 1e6 else significant(value)

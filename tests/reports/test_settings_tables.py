@@ -6,6 +6,7 @@ from copy import deepcopy
 from dataclasses import replace
 from typing import Any, get_args
 
+import altair as alt
 import pytest
 from hypothesis import given, strategies as st
 from markupsafe import Markup
@@ -13,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.study.sections import ReportSection, Study
-from ddpc_reports import figures
+from ddpc_reports import figures, settings_tables as settings_module
 from ddpc_reports.comparison import conditions
 from ddpc_reports.page import render_page
 from ddpc_reports.settings_tables import family_tables, settings_tables, value_text
@@ -124,7 +125,9 @@ Path = tuple[str | int, ...]
 
 
 @pytest.fixture
-def results(make_results: MakeResults) -> StudyResults:
+def results(make_results: MakeResults, monkeypatch: pytest.MonkeyPatch) -> StudyResults:
+    # Looking for the plug-ins of types that there are not takes most of the time.
+    monkeypatch.setattr(settings_module, "_setting_docs", lambda family: {})
     return make_results(**{key: value for key, value in CONTENT.items() if key != "name"} | {"name": "every"})
 
 
@@ -286,6 +289,8 @@ def test_every_kind_of_reference_is_named(results: StudyResults) -> None:
 def test_what_the_study_says_of_itself_is_in_the_page(
     make_results: MakeResults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Drawing takes most of the time, and what is drawn does not follow from these texts.
+    monkeypatch.setattr(figures, "time_chart", lambda *given: alt.Chart(alt.NamedData("none")).mark_point())
     monkeypatch.setattr(figures, "static_svg", lambda *drawing: Markup(""))
     content = {key: CONTENT[key] for key in sorted(TEXTS)}
     results = make_results(**content)
