@@ -11,6 +11,7 @@ from ddpc_cosim import ConfigError, FMUPlant, Plant, Variable
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.plugins import installed
 from ddpc_cosim.testing import PLANT_CHECKS, CheckStatus, PlantConformance, check_plant
+from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS
 from fmu_plants import PlantModel, build_fmu
 
 MODELS = {plugin.name: plugin.value for plugin in installed("plants") if isinstance(plugin.value, PlantModel)}
@@ -264,6 +265,31 @@ def test_crashes_and_hangs_fail_one_check_each(tmp_path: Path, monkeypatch: pyte
     assert lines["declares its signals"][0] == "passed"
     assert lines["returns finite numbers"][0::2] == ["failed", "crashed: its process ended with exit code 7"]
     assert lines["refuses unknown parameters"][0] == "failed"
+
+
+CONTROLLERS = """
+import threading
+from ddpc_cosim import Controller
+
+class Hanging(Controller):
+    def start(self, loop):
+        threading.Event().wait()
+    def step(self, sample):
+        raise AssertionError
+"""
+
+
+def test_a_controller_that_never_returns_ends_its_checks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "bad_controllers.py").write_text(CONTROLLERS, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    result = ddpc_check("bad_controllers:Hanging", "--timeout", "0.3")
+    assert result.exit_code == 1
+    lines = {line.split("\t")[1]: line.split("\t") for line in result.stdout.splitlines()}
+    assert list(lines) == list(CONTROLLER_CHECKS)
+    late = ["failed", "did not end within 0.3 s"]
+    assert lines["returns one input for one output"][0::2] == late
 
 
 def test_an_unknown_plant_is_a_usage_error() -> None:
