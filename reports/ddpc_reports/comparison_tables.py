@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from ddpc_cosim.metrics import METRICS, Metric, split_key
+from ddpc_cosim.study.sections import PublishedMethod, Reproduction
 from ddpc_reports.comparison import (
     TRACKING,
     Condition,
@@ -28,9 +29,6 @@ from ddpc_reports.table import (
     range_texts,
     text_headings,
 )
-
-if TYPE_CHECKING:
-    from ddpc_cosim.study.sections import PublishedMethod, Reproduction
 
 
 def verdict_table(condition: Condition, prefix: str) -> Table:
@@ -207,7 +205,7 @@ class _Compared(NamedTuple):
         return "yes" if self.seeds.low <= self.published <= self.seeds.high else "no"
 
 
-def reproduction_table(condition: Condition, reproduction: "Reproduction", prefix: str) -> Table:
+def reproduction_table(condition: Condition, reproduction: Reproduction, prefix: str) -> Table:
     """Return published values, both variants of each method here, spread over seeds, and deviation."""
     controllers = {one.key: one for one in condition.controllers}
     rows = [
@@ -231,7 +229,7 @@ def reproduction_table(condition: Condition, reproduction: "Reproduction", prefi
     )
 
 
-def _row(title: str, key: str, method: "PublishedMethod", controllers: dict[str, ControllerResults]) -> Row:
+def _row(title: str, key: str, method: PublishedMethod, controllers: dict[str, ControllerResults]) -> Row:
     compared = _compare(key, method, controllers)
     scale, unit = 1.0, metric_unit(key)
     if unit == "s":
@@ -252,7 +250,7 @@ def _row(title: str, key: str, method: "PublishedMethod", controllers: dict[str,
     return Row(title, cells, group=method.label)
 
 
-def _compare(key: str, method: "PublishedMethod", controllers: dict[str, ControllerResults]) -> _Compared:
+def _compare(key: str, method: PublishedMethod, controllers: dict[str, ControllerResults]) -> _Compared:
     code, printed = controllers.get(method.published_code), controllers.get(method.printed)
     stand_in = code or printed
     return _Compared(

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults
+from ddpc_cosim.study.sections import Reproduction
 from ddpc_reports.case_tables import (
     cases_table,
     diagnostics_table,
@@ -34,9 +35,6 @@ from ddpc_reports.sensitivity import sensitivity_figures, sweep_statements
 from ddpc_reports.settings_tables import compact_seeds, family_tables, settings_tables
 from ddpc_reports.table import Table
 from ddpc_reports.verdict import Statement, across_statements, limitations, verdict
-
-if TYPE_CHECKING:
-    from ddpc_cosim.study.sections import Reproduction
 
 _MOST_DRAWN = 4
 """Scenarios of a study with figures over time: each costs some 300 kB of page."""
@@ -171,7 +169,7 @@ def _step_time_blocks(condition: Condition, prefix: str) -> list[Block]:
 
 
 def _reproduction_blocks(
-    first: Condition | None, reproduction: "Reproduction | None", families: list[Table], prefix: str
+    first: Condition | None, reproduction: Reproduction | None, families: list[Table], prefix: str
 ) -> list[Block]:
     if not reproduction or not first:
         return []

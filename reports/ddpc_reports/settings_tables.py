@@ -4,26 +4,24 @@ import json
 import math
 import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from pydantic import BaseModel
 
 from ddpc_cosim import CosimError, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.study.sections import (
+    ControllerSection,
+    DriftSection,
+    LoopSection,
+    PlantSection,
+    RecordingSection,
+    ScenarioSection,
+)
 from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
 from ddpc_reports.numbers import MISSING, as_given, unit_symbol, with_unit
 from ddpc_reports.table import Cell, Heading, Row, Table, text_headings
-
-if TYPE_CHECKING:
-    from ddpc_cosim.study.sections import (
-        ControllerSection,
-        DriftSection,
-        LoopSection,
-        PlantSection,
-        RecordingSection,
-        ScenarioSection,
-    )
 
 
 def settings_tables(results: StudyResults, condition: Condition | None, prefix: str) -> list[Table]:
@@ -56,7 +54,7 @@ def family_tables(condition: Condition, prefix: str) -> list[Table]:
 def _family_table(
     family: str,
     members: Sequence[ControllerResults],
-    sections: Mapping[str, "ControllerSection"],
+    sections: Mapping[str, ControllerSection],
     prefix: str,
 ) -> Table:
     docs = _setting_docs(family)
@@ -126,7 +124,7 @@ def _controllers_table(results: StudyResults, units: Mapping[str, str], prefix: 
     )
 
 
-def _own_words(section: "ControllerSection", units: Mapping[str, str]) -> str:
+def _own_words(section: ControllerSection, units: Mapping[str, str]) -> str:
     """Return the limits that replace the study's, and whatever else the study says of a controller."""
     limits = [
         f"limits of {name}: {_signal(one, units.get(name, ''))}" for name, one in section.bounds.items()
@@ -160,7 +158,7 @@ def _variants_table(results: StudyResults, prefix: str) -> Table | None:
     return Table(f"{prefix}variants", caption, headings, rows, kind="grouped", download="variants.csv")
 
 
-def _difference(variant: "ControllerSection", base: "ControllerSection | None") -> str:
+def _difference(variant: ControllerSection, base: ControllerSection | None) -> str:
     """Return the settings that were varied, and whatever else differs from the controller."""
     own, theirs = variant.settings, base.settings if base else {}
     varied = {name: own.get(name) for name in variant.varied}
@@ -230,7 +228,7 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
     return facts_table(f"{prefix}loop", "The loop, the same for all controllers", facts, "loop.csv")
 
 
-def _plant_facts(plant: "PlantSection") -> list[tuple[str, str]]:
+def _plant_facts(plant: PlantSection) -> list[tuple[str, str]]:
     said = {"name", "fmu", "inputs", "outputs", "measurements", "parameters"}
     return [
         ("plant", plant.name) if plant.name else ("FMU", plant.fmu),
@@ -242,7 +240,7 @@ def _plant_facts(plant: "PlantSection") -> list[tuple[str, str]]:
     ]
 
 
-def _timing_facts(loop: "LoopSection") -> list[tuple[str, str]]:
+def _timing_facts(loop: LoopSection) -> list[tuple[str, str]]:
     starts = {"rest": "from rest", "recording-end": "where the recording ended"}
     said = {"sampling_time", "duration", "start"}
     return [
@@ -253,7 +251,7 @@ def _timing_facts(loop: "LoopSection") -> list[tuple[str, str]]:
     ]
 
 
-def _recording_facts(recording: "RecordingSection", units: Mapping[str, str]) -> list[tuple[str, str]]:
+def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> list[tuple[str, str]]:
     facts = [("recording", f"{recording.samples} samples")]
     if recording.controller:
         section = recording.controller
@@ -303,7 +301,7 @@ def _signal(section: Any, own_unit: str) -> str:
     return f"{kind}{words or 'none'} (values in {unit or own})"
 
 
-def _scenario_text(section: "ScenarioSection") -> str:
+def _scenario_text(section: ScenarioSection) -> str:
     parts = [
         f"parameters {mapping_text(section.parameters)}" if section.parameters else "",
         f"noise, standard deviation {mapping_text(section.noise)}" if section.noise else "",
@@ -317,7 +315,7 @@ def _scenario_text(section: "ScenarioSection") -> str:
     return "; ".join(filter(None, parts)) or "nothing changed"
 
 
-def _drift_text(drift: "DriftSection") -> str:
+def _drift_text(drift: DriftSection) -> str:
     first, last = as_given(drift.from_time), as_given(drift.to_time)
     values = f"from {as_given(drift.from_value)} to {as_given(drift.to_value)}"
     return f"{_plain(drift.parameter)} {values} between {first} s and {last} s"
