@@ -80,14 +80,8 @@ class SettingInfo:
         """The allowed values in words."""
         if self.choices:
             return "one of " + ", ".join(map(repr, self.choices))
-        limits = []
-        if self.above > -math.inf:
-            limits.append(f"> {self.above:g}")
-        if self.low > -math.inf:
-            limits.append(f">= {self.low:g}")
-        if self.high < math.inf:
-            limits.append(f"<= {self.high:g}")
-        return " and ".join(limits) or "any"
+        limits = ((">", self.above), (">=", self.low), ("<=", self.high))
+        return " and ".join(f"{sign} {limit:g}" for sign, limit in limits if math.isfinite(limit)) or "any"
 
     def admits(self, number: float) -> bool:
         """Whether a number is finite and in range."""
@@ -118,9 +112,7 @@ def setting(
         See :class:`SettingInfo`.
     """
     info = SettingInfo(doc, low, high, above, tuple(choices), unit, kind, file)
-    if default_factory is not dataclasses.MISSING:
-        return dataclasses.field(default_factory=default_factory, metadata={"setting": info})
-    return dataclasses.field(default=default, metadata={"setting": info})
+    return dataclasses.field(default=default, default_factory=default_factory, metadata={"setting": info})
 
 
 def declared_settings(plugin: type[Any]) -> dict[str, SettingInfo]:
@@ -219,7 +211,7 @@ def _from_table(place: Place, value: Any, kind: Any) -> Any:
     entries = dict(value)
     if "type" in entries:
         try:
-            kind = load_class(str(entries.pop("type")))
+            kind = _load_class(str(entries.pop("type")))
         except PluginError as error:
             raise SettingsError([((*place, "type"), str(error))]) from error
     if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
@@ -274,14 +266,8 @@ def weight_matrix(weight: Weight, size: int, name: str) -> FloatArray:
     return matrix
 
 
-def load_class(target: str) -> Any:
-    """Return the class that the key ``type`` of a setting's table names.
-
-    Raises
-    ------
-    PluginError
-        There is none.
-    """
+def _load_class(target: str) -> Any:
+    """Return the class that the key ``type`` of a setting's table names."""
     return load_target(target, "class") if ":" in target else load_plugin("controllers", target)
 
 
@@ -379,5 +365,5 @@ def _entry(value: Any, change: Callable[[str], str], *, is_file: bool) -> Any:
         return [_entry(item, change, is_file=is_file) for item in value]
     if isinstance(value, dict) and "type" in value:
         entries = {name: entry for name, entry in value.items() if name != "type"}
-        return {"type": value["type"], **map_files(load_class(value["type"]), entries, change)}
+        return {"type": value["type"], **map_files(_load_class(value["type"]), entries, change)}
     return value
