@@ -15,9 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_controllers.checks import all_finite, check_settings_and, fill_missing
-from ddpc_controllers.data.hankel import diagnose, least_samples, require_excitation, require_length
+from ddpc_controllers.data.hankel import (
+    ONE,
+    WindowLayout,
+    diagnose,
+    least_samples,
+    matching_recording,
+    require_excitation,
+    require_length,
+    resting_input,
+)
 from ddpc_controllers.data.online import Learner, OnlineSettings
-from ddpc_controllers.data.windows import ONE, WindowLayout, matching_recording, resting_input
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem

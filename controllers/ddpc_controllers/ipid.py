@@ -23,7 +23,7 @@ from typing import ClassVar
 import numpy as np
 
 from ddpc_controllers.checks import check_settings_and, per_signal
-from ddpc_controllers.data.windows import resting_input
+from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.optimisation.limits import AT_REST, EXPECTED, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, Weight, setting
 

@@ -25,8 +25,7 @@ import numpy as np
 
 from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.data.dictionaries import Dictionary, ThinPlate, embed, memory_of, require_dictionary
-from ddpc_controllers.data.hankel import require_informative
-from ddpc_controllers.data.windows import StateWindow, matching_recording, resting_input
+from ddpc_controllers.data.hankel import StateWindow, matching_recording, require_informative, resting_input
 from ddpc_controllers.models.linear import SampledModel
 from ddpc_controllers.mpc import Predictor
 from ddpc_controllers.optimisation.limits import PREDICTED

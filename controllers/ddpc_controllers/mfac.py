@@ -25,9 +25,9 @@ from typing import ClassVar
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from ddpc_controllers.data.windows import resting_input
-from ddpc_controllers.data_model import DataModel, Estimation, Form
-from ddpc_controllers.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
+from ddpc_controllers.data.hankel import resting_input
+from ddpc_controllers.models.data_model import DataModel, Estimation, Form
+from ddpc_controllers.models.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
 from ddpc_controllers.optimisation.limits import HELD, ChangeLimits, rate_limits
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, Weight, setting

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddpc_controllers.data.windows import resting_input
+from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import make_backend
 from ddpc_controllers.optimisation.condensing import condense

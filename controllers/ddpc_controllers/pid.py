@@ -24,7 +24,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from ddpc_controllers.data.windows import matching_recording, resting_input
+from ddpc_controllers.data.hankel import matching_recording, resting_input
 from ddpc_controllers.models.identification import fit_arx
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_MEASUREMENT, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import (

@@ -19,7 +19,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.data.windows import resting_input
+from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.optimisation.limits import HELD
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, setting
 

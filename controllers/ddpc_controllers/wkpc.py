@@ -9,15 +9,18 @@ import numpy as np
 
 from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, fill_missing
 from ddpc_controllers.data.dictionaries import Dictionary, Lift, ThinPlate, embed, memory_of
-from ddpc_controllers.data.hankel import diagnose, least_samples, require_excitation, require_length
-from ddpc_controllers.data.online import Learner, OnlineSettings
-from ddpc_controllers.data.windows import (
+from ddpc_controllers.data.hankel import (
     StateWindow,
     WindowLayout,
+    diagnose,
+    least_samples,
     matching_recording,
+    require_excitation,
+    require_length,
     resting_input,
     without_first,
 )
+from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from ddpc_controllers.checks import per_signal
-from ddpc_controllers.data.windows import WindowBuffer, WindowLayout
+from ddpc_controllers.data.hankel import WindowBuffer, WindowLayout
 from ddpc_controllers.optimisation.condensing import RowFactor, factorise
 from ddpc_controllers.optimisation.problem import Problem
 from ddpc_cosim import FloatArray, Weight, setting

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ddpc_controllers.data.hankel import require_informative
-from ddpc_controllers.data.windows import matching_recording
+from ddpc_controllers.data.hankel import matching_recording, require_informative
 from ddpc_controllers.models.control_api import realise
 from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_cosim import DataError, FloatArray, Loop, Recording, check_settings, setting

@@ -16,8 +16,7 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 
 from ddpc_controllers.checks import check_settings_and
-from ddpc_controllers.data.hankel import numerical_rank
-from ddpc_controllers.data.windows import resting_input
+from ddpc_controllers.data.hankel import numerical_rank, resting_input
 from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.models.linear import ModelSource, SampledModel

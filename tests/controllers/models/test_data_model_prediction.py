@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from ddpc_controllers.data_model import Form
-from ddpc_controllers.data_model_prediction import LinearisedPrediction
+from ddpc_controllers.models.data_model import Form
+from ddpc_controllers.models.data_model_prediction import LinearisedPrediction
 from ddpc_cosim import FloatArray
 
 forms = st.builds(

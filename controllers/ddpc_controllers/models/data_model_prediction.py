@@ -24,7 +24,7 @@ from operator import mul
 import numpy as np
 from scipy.linalg.blas import dtrsm
 
-from ddpc_controllers.data_model import PseudoGradient, Regressor, dot
+from ddpc_controllers.models.data_model import PseudoGradient, Regressor, dot
 from ddpc_cosim import FloatArray
 
 

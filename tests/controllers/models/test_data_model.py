@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from ddpc_controllers.data_model import DataModel, Estimation, Form, PseudoGradient, Regressor
-from ddpc_controllers.data_model_prediction import Forecast, GradientForecast
+from ddpc_controllers.models.data_model import DataModel, Estimation, Form, PseudoGradient, Regressor
+from ddpc_controllers.models.data_model_prediction import Forecast, GradientForecast
 from ddpc_cosim import ConfigError, FloatArray, Recording
 
 TABLE_2 = Estimation(eta=1.0, mu=1.0, epsilon=1e-5)
