@@ -12,6 +12,7 @@ from ddpc_cosim.study.reading import read_study
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+ROOMS = ("fmu_plants", "ddpc_cosim", "controllers", "reports", "tests", "docs", "benchmarks")
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -43,6 +44,18 @@ def test_studies_run(text: str, empty_folder: Path) -> None:
     assert read_study(str(study)).study.controllers
     result = CliRunner().invoke(main, ["run", str(study), "--jobs", "1", "--no-report", "--seeds", "0"])
     assert result.exit_code == 0, result.output
+
+
+def test_every_file_that_the_house_on_one_page_names_exists() -> None:
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = re.findall(r"`([\w/-]+\.(?:py|pyi|toml|md|jinja)|[\w/]+/)`", page)
+    tree = [path.relative_to(ROOT).as_posix() for folder in ROOMS for path in (ROOT / folder).rglob("*")]
+    tree += [path.name for path in ROOT.iterdir()]
+    missing = [
+        name for name in named if not any(f"/{path}/".endswith(f"/{name.strip('/')}/") for path in tree)
+    ]
+    assert len(named) > 30
+    assert missing == []
 
 
 def test_every_command_that_the_readme_shows_exists() -> None:
