@@ -31,7 +31,8 @@ from ddpc_cosim.worker import (
 )
 
 _STEP = -1  # where a message has its length
-_PRELOAD = (__name__,)
+# What NumPy and zipfile would import when they are first used there.
+_PRELOAD = (__name__, "encodings.cp437", "numpy.ctypeslib")
 
 
 class Frame:
