@@ -131,8 +131,12 @@ def _build(
         return controller, map_files(type(controller), given | own, absolute)
     except SettingsError as error:
         for setting, fault in error.found:
-            in_sweep = bool(setting) and setting[0] in varied
-            errors.add((*(sweep if in_sweep else (*place, "settings")), *setting), fault)
+            at = (*place, "settings", *setting)
+            # What concerns several settings at once is the sweep's, unless the section itself has it.
+            in_sweep = (
+                setting[0] in varied if setting else bool(varied) and fault not in errors.found.get(at, ())
+            )
+            errors.add((*sweep, *setting) if in_sweep else at, fault)
     except PluginError as error:
         errors.add((*place, "type"), str(error))
     except ControllerError as error:

@@ -13,6 +13,8 @@ from ddpc_cosim.study.resolve import ResolvedStudy, resolve
 from ddpc_cosim.study.sections import Study
 from ddpc_cosim.study.validation_errors import ValidationErrors, parse
 
+_MAY_END = re.compile(r"""[\]}]|"{3}|'{3}""")  # a value over several lines
+
 
 def read_study(name: str) -> ResolvedStudy:
     """Read a study file, or a built-in or plug-in study by name, and resolve it.
@@ -77,15 +79,21 @@ def key_lines(text: str) -> dict[Place, int]:
     lengths: dict[Place, int] = {}  # of the arrays of tables, so far
     table: Place = ()
     statement, begins = "", 1
-    for number, line in enumerate(text.splitlines(), start=1):
-        statement, begins = (f"{statement}\n{line}", begins) if statement else (line, number)
+    for number, line in enumerate(
+        text.split("\n"), start=1
+    ):  # other separators of lines may stand in a comment
+        goes_on = bool(statement)
+        statement, begins = (f"{statement}\n{line}", begins) if goes_on else (line, number)
+        if goes_on and not _MAY_END.search(line):
+            continue
         try:
             content = tomllib.loads(statement)
         except tomllib.TOMLDecodeError:  # a value that goes on
             continue
         if statement.lstrip().startswith("["):
             table = _header_place(content, lengths)
-            lines.setdefault(table, begins)
+            for n in range(1, len(table) + 1):  # what a header implies above its table too
+                lines.setdefault(table[:n], begins)
         else:
             for place in _places(content, table):
                 lines.setdefault(place, begins)

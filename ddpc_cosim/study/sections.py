@@ -325,6 +325,7 @@ def expand_seeds(seeds: Any) -> list[int]:
         Something is neither a seed nor a range.
     """
     expanded: list[int] = []
+    wrong = []
     for seed in seeds if isinstance(seeds, list) else [seeds]:
         first, _, last = seed.partition(":") if isinstance(seed, str) else ("", "", "")
         if type(seed) is int and 0 <= seed < _SEEDS:
@@ -338,10 +339,12 @@ def expand_seeds(seeds: Any) -> list[int]:
         ):
             expanded.extend(range(int(first), int(last)))
         else:
-            raise ValueError(
-                f"{seed!r} is not a seed; allowed: integers from 0 to {_SEEDS - 1}, "
-                "or ranges as first:last with first < last, e.g. 0:30"
-            )
+            wrong.append(repr(seed))
+    if wrong:
+        raise ValueError(
+            f"{', '.join(wrong)} {'is not a seed' if len(wrong) == 1 else 'are not seeds'}; "
+            f"allowed: integers from 0 to {_SEEDS - 1}, or ranges as first:last with first < last, e.g. 0:30"
+        )
     return list(dict.fromkeys(expanded))
 
 

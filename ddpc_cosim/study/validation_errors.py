@@ -252,7 +252,8 @@ def _message(errors: Sequence[Any]) -> str:
         allowed = context.get("expected") or context.get("expected_tags")
         return f"must be one of {allowed}, got {_shown(context.get('tag', value))}"
     if kind == "union_tag_not_found":
-        return 'required key "kind" is missing'
+        missing = 'required key "kind" is missing'
+        return missing if isinstance(value, dict) else f"must be a table, got {_shown(value)}"
     if kind == "too_short":
         return "must not be empty"
     if kind == "string_pattern_mismatch":
@@ -260,7 +261,10 @@ def _message(errors: Sequence[Any]) -> str:
     expected = [_EXPECTED.get(error["type"].split("_")[0], "") for error in errors]
     if all(expected) and kind.endswith(("_type", "_parsing", "_from_float")):
         return f"must be {' or '.join(expected)}, got {_shown(value)}"
-    return f"must {re.sub(r'^[A-Z][a-z]+ should ', '', errors[0]['msg'])}, got {_shown(value)}"
+    # Of alternatives, the one whose type fits and whose value does not: infinity is a number.
+    message = next((error["msg"] for error, words in zip(errors, expected, strict=True) if not words), None)
+    message = re.sub(r"^[A-Z][a-z]+ should ", "", message or errors[0]["msg"])
+    return f"must {message}, got {_shown(value)}"
 
 
 def _shown(value: Any) -> str:

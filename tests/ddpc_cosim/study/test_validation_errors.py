@@ -1,6 +1,7 @@
 """Errors of study files: all of them at once, each with line, key and what to do, and none that follows."""
 
 import copy
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -97,7 +98,7 @@ controllers = ["z", "b"]
 
 FAULTS = """
 summry: unknown key; did you mean "summary"?
-seeds: '5:2' is not a seed; allowed: integers from 0 to 4294967295, or ranges as first:last with first < last
+seeds: '5:2', -1 are not seeds; allowed: integers from 0 to 4294967295, or ranges as first:last
 loop.sampling_time: must be greater than 0, got -0.1
 loop.duration: must be a number, got 'long'
 loop.start: must be one of 'rest' or 'recording-end', got 'recording'
@@ -196,6 +197,7 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     ({"reference": {}}, "reference: must not be empty"),
     ({"reference__angle": None}, "reference: must not be empty"),
     ({"reference__angle__kind": None}, 'reference.angle: required key "kind" is missing'),
+    ({"reference__angle": 3.0}, "reference.angle: must be a table, got 3.0"),
     ({"reference__angle__kind": "stairs"}, "reference.angle: must be one of 'constant', 'steps', 'ramp'"),
     ({"reference__angle__times": None}, "reference.angle.times: required key is missing"),
     ({"reference__angle__values": []}, "reference.angle.values: must not be empty"),
@@ -212,6 +214,7 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     ({"seeds": []}, "seeds: must not be empty"),
     ({"seeds": [2**32]}, "seeds: 4294967296 is not a seed; allowed: integers from 0 to 4294967295"),
     ({"seeds": "all"}, "seeds: 'all' is not a seed; allowed"),
+    ({"seeds": [-1, 2, "x"]}, "seeds: -1, 'x' are not seeds; allowed: integers from 0 to 4294967295"),
     ({"seeds": [1, True]}, "seeds: True is not a seed; allowed"),
     ({"name": "../up"}, "name: must be letters, digits, dots"),
     ({"name": "x" * 99}, "name: must have at most 60 characters"),
@@ -243,6 +246,11 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     (
         {"controllers__wkpc__settings__dictionary": {"count": 0}},
         "controllers.wkpc.settings.dictionary.count: 0 is not possible",
+    ),
+    ({"plant__parameters": {"mass": math.inf}}, "plant.parameters.mass: must be a finite number, got inf"),
+    (
+        {"controllers__deepc__sweep": {"horizon": [3, 5], "initial_length": [3]}},
+        "controllers.deepc.sweep[0]: DeePC: horizon = 3 is not longer than initial_length = 3",
     ),
     ({"scenarios": {"s": {"parameters": {"mas": 1.0}}}}, 'scenarios.s.parameters: no parameter "mas"; did'),
     (
@@ -393,8 +401,13 @@ def test_every_key_of_a_file_has_its_line() -> None:
         ("plant", "parameters"): 13,
         ("plant", "parameters", "mass"): 13,
         ("plant", "parameters", "x = y"): 13,
+        ("controllers",): 14,
+        ("controllers", "a"): 14,
         ("controllers", "a", "settings"): 14,
         ("controllers", "a", "settings", "horizon"): 15,
+        ("scenarios",): 16,
+        ("scenarios", "s"): 16,
+        ("scenarios", "s", "events"): 16,
         ("scenarios", "s", "events", 0): 16,
         ("scenarios", "s", "events", 0, "time"): 17,
         ("scenarios", "s", "events", 0, "parameters"): 18,
@@ -402,6 +415,28 @@ def test_every_key_of_a_file_has_its_line() -> None:
         ("scenarios", "s", "events", 1): 20,
         ("scenarios", "s", "events", 1, "time"): 21,
     }
+
+
+@pytest.mark.parametrize("separator", ["\x85", "\u2028", "\u2029"])
+def test_only_newlines_are_counted_as_lines(separator: str) -> None:
+    assert key_lines(f"# a{separator}b [\nx = 1\ny = 'a{separator}b'\nz = 1") == {
+        ("x",): 2,
+        ("y",): 3,
+        ("z",): 4,
+    }
+
+
+def test_a_value_of_many_lines_is_parsed_few_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed = []
+    loads = tomllib.loads
+
+    def counted(text: str) -> dict[str, Any]:
+        parsed.append(text)
+        return loads(text)
+
+    monkeypatch.setattr("ddpc_cosim.study.reading.tomllib.loads", counted)
+    assert key_lines("times = [\n" + "1.0,\n" * 1000 + "]\nlast = 1")[("last",)] == 1003
+    assert len(parsed) == 3
 
 
 def test_a_line_of_a_built_in_study_shows_the_key_that_it_is_named_for() -> None:
@@ -424,6 +459,7 @@ def test_a_line_of_a_built_in_study_shows_the_key_that_it_is_named_for() -> None
         ("duration = 40.0", "durations = 40.0", ':19: loop.durations: unknown key; did you mean "duration"?'),
         ("duration = 40.0", "", ":17: loop.duration: required key is missing"),
         ("[loop]", "[lop]", ':17: lop: unknown key; did you mean "loop"?'),
+        ("[reference.angle]", "[reference.angel]", ':22: reference: no controlled output "angel"'),
         ("samples = 200", "samples = 1", ":33: recording.samples: 1 is too short for deepc"),
     ],
 )
