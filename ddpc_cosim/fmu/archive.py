@@ -38,6 +38,7 @@ _UNIX, _DARWIN = 3, 19
 _EXECUTABLE = 0o111
 _DEVICE_NAME = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 # An identifier names a library file; this is stricter than what a file system takes, laxer than C.
+_LONGEST_NAME = 240  # bytes; file systems take 255, extension included
 _FORBIDDEN_IN_NAMES = re.compile(r'[/\\:<>"|?*\x00-\x1f]')
 # What stands before the root element, up to the letter after the name of a document type.
 _DOCTYPE = re.compile(rb"(?:\s++|<\?.*?\?>|<!--.*?-->)*+<!DOCTYPE\s+[^\s>\[]+\s*(?P<after>.)", re.DOTALL)
@@ -165,7 +166,8 @@ def _document_type(label: str) -> FMUImportError:
 
 def is_file_name(name: str) -> bool:
     """Whether a name from a model description names a file in a given folder, and nothing elsewhere."""
-    return bool(name) and name not in (".", "..") and not _FORBIDDEN_IN_NAMES.search(name)
+    fits = 0 < len(name.encode()) <= _LONGEST_NAME
+    return fits and name not in (".", "..") and not _FORBIDDEN_IN_NAMES.search(name)
 
 
 def _unpack_entries(archive: zipfile.ZipFile, folder: Path, limits: UnpackLimits, label: str) -> None:

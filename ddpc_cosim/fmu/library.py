@@ -265,7 +265,7 @@ def find_library(
     """
     name = interface.model_identifier
     if not is_file_name(name):
-        reason = f"the modelIdentifier {name!r} is not a file name"
+        reason = f"the modelIdentifier {name[:100]!r} is not a file name"
         raise FMUImportError(f"{label}: modelDescription.xml: {reason}")
     folders = platform_folders(description.major)
     proper = f"{_BINARIES}/{folders[0]}/{name}{library_extension()}"
@@ -300,7 +300,7 @@ def listed(folder: Path) -> str:
 def library_in(folder: Path, name: str, major: int) -> Path | None:
     """Return the library of a name; else the only one there is, or the only one with functions of FMI."""
     library = folder / f"{name}{library_extension()}"
-    if library.is_file():
+    if is_file_name(name) and library.is_file():
         return library
     others = sorted(p for p in folder.glob(f"*{library_extension()}") if p.is_file())
     if len(others) > 1:

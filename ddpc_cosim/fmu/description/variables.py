@@ -1,6 +1,7 @@
 """Reading the variables of a model description: as written, and what they mean."""
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -42,7 +43,7 @@ _FMI1_VARIABILITIES = ("continuous", "discrete", "constant", "parameter")
 
 _LARGEST_REFERENCE = 2**32 - 1
 _MOST_ELEMENTS = 1_000_000
-_MOST_DIGITS = 20
+_INTEGER = re.compile(r"\s*[+-]?\d{1,20}\s*")  # more digits are no reference or size, and take long
 _AS_GOOD_AS_INFINITE = 1e30
 
 
@@ -308,8 +309,7 @@ def noted_number(note: Note, where: str, attribute: str, written: str | None, de
 
 def integer(text: str | None) -> int | None:
     """Return the integer that a text stands for; None if it does not stand for one."""
-    digits = (text or "").strip().removeprefix("-")
-    return int(text or "") if digits.isdecimal() and len(digits) <= _MOST_DIGITS else None
+    return int(text) if text is not None and _INTEGER.fullmatch(text) else None
 
 
 def is_true(text: str | None) -> bool:

@@ -79,6 +79,7 @@ def lag_description(
             'valueReference="nine"',
             'not integers: name_length: "nine"',
         ),
+        ('name="x" valueReference="1"', 'name="x" valueReference=" +1 "', ""),
         ('numberOfEventIndicators="0"', 'numberOfEventIndicators="many"', 'numberOfEventIndicators = "many"'),
         ("<fmiModelDescription ", '<fmiModelDescription xmlns="http://example.org/fmi" ', "namespaces"),
         ('<Real start="1" min="-10" max="10"/>', '<Real min="-10" max="10"/>', "without a start value: rate"),

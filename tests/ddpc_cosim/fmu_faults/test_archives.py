@@ -247,7 +247,9 @@ class TestDocumentTypes:
 
 
 class TestModelIdentifier:
-    @pytest.mark.parametrize("name", ["../../../../x", "/x", "a/b", "a\\b", "..", ".", "", "C:x", "a\0b"])
+    @pytest.mark.parametrize(
+        "name", ["../../../../x", "/x", "a/b", "a\\b", "..", ".", "", "C:x", "a\0b", "x" * 300]
+    )
     def test_what_is_no_file_name(self, name: str) -> None:
         assert not is_file_name(name)
 
@@ -255,7 +257,7 @@ class TestModelIdentifier:
     def test_what_is_a_file_name(self, name: str) -> None:
         assert is_file_name(name)
 
-    @pytest.mark.parametrize("name", ["../../../../x", "/tmp/x", "a\\b", "sub/x"])
+    @pytest.mark.parametrize("name", ["../../../../x", "/tmp/x", "a\\b", "sub/x", "x" * 5000])
     @pytest.mark.usefixtures("nothing_left")
     def test_a_path_is_refused(self, name: str, files: Files, tmp_path: Path) -> None:
         text = files["modelDescription.xml"].replace(

@@ -72,6 +72,7 @@ DESCRIPTIONS = [
     ("needless-start", "der(angle)", FMI2, ('derivative="2"', 'derivative="2" start="1"')),
     ("unknown-version", 'fmiVersion = "4.0"', FMI2, ('fmiVersion="2.0"', 'fmiVersion="4.0"')),
     ("no-file-name", 'CoSimulation: ""', FMI2, ('modelIdentifier="pendulum"', 'modelIdentifier=""')),
+    ("no-file-name", 'CoSimulation: "xxx', FMI2, ('Identifier="pendulum"', f'Identifier="{"x" * 5000}"')),
     ("no-file-name", 'CoSimulation: "../p"', FMI2, ('Identifier="pendulum"', 'Identifier="../p"')),
     (
         "illegal-identifier",
