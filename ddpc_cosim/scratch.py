@@ -61,13 +61,12 @@ def remove_left_behind(parent: Path, prefix: str = "ddpc-cosim-") -> None:
             lock = os.open(lock_file, os.O_RDWR)
             try:
                 if sys.platform != "win32" and _holds(lock):
-                    lock_file.unlink()
+                    _remove_folder(lock_file.parent)
             finally:
                 os.close(lock)
             if sys.platform == "win32":
                 lock_file.unlink()  # which cannot be done while a process has it open
-            if not lock_file.exists():
-                shutil.rmtree(lock_file.parent, ignore_errors=True)
+                _remove_folder(lock_file.parent)
 
 
 _remove_left_behind_once = cache(remove_left_behind)
@@ -88,5 +87,15 @@ def _holds(lock: int) -> bool:
 
 def _remove(path: Path, lock: int, owner: int) -> None:
     if os.getpid() == owner:  # not in a forked copy
-        os.close(lock)
-        shutil.rmtree(path, ignore_errors=True)
+        os.close(lock)  # an open file cannot be removed everywhere
+        _remove_folder(path)
+
+
+def _remove_folder(path: Path) -> None:
+    """Remove a folder, its lock last: if this process is killed meanwhile, the next one goes on."""
+    with suppress(OSError):  # another one removes it too
+        for entry in path.iterdir():
+            if entry.name != _LOCK:
+                shutil.rmtree(entry, ignore_errors=True)
+                entry.unlink(missing_ok=True)
+    shutil.rmtree(path, ignore_errors=True)
