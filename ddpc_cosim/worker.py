@@ -233,7 +233,7 @@ class Worker:
             with theirs:
                 self._end = _start(theirs, preload)
             # Two pickles: the import path has to be there before the target can be found.
-            place = (sys.path, str(Path.cwd()), dict(os.environ), str(folder))
+            place = (sys.path, _here(), dict(os.environ), str(folder))
             self.channel.send(pickle.dumps(place))
             self.channel.send(pickle.dumps((target, arguments)))
         except OSError as error:
@@ -284,7 +284,7 @@ def _python(code: str, stdin: int, pass_fds: Sequence[int] = ()) -> "subprocess.
         command[0] = sys._base_executable
         flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
     find = "import sys; sys.path += [p for p in sys.argv[1:] if p not in sys.path]; import ddpc_cosim.worker"
-    command += [f"{find}; {code}", *(entry or str(Path.cwd()) for entry in sys.path)]
+    command += [f"{find}; {code}", *(entry or _here() for entry in sys.path)]
     null = subprocess.DEVNULL
     return subprocess.Popen(
         command,
@@ -297,6 +297,14 @@ def _python(code: str, stdin: int, pass_fds: Sequence[int] = ()) -> "subprocess.
         creationflags=flags,
         pass_fds=pass_fds,
     )
+
+
+def _here() -> str:
+    """Return the working directory; empty: it has been removed."""
+    try:
+        return str(Path.cwd())
+    except OSError:
+        return ""
 
 
 class _ForkServer:
@@ -486,7 +494,7 @@ def _run(channel: Channel) -> None:
         os.environ.update(_ONE_THREAD | environment | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
         tempfile.tempdir = folder
         with contextlib.suppress(OSError):
-            os.chdir(here)
+            os.chdir(here or folder)
         target, arguments = pickle.loads(channel.receive(sys.maxsize))
         target(channel, *arguments)
 

@@ -120,6 +120,20 @@ def test_nothing_beside_a_script_shadows_a_library(
     assert path.index(str(tmp_path)) > max(path.index(folder) for folder in installed)
 
 
+def test_a_working_directory_that_has_been_removed(
+    faulty_fmus: dict[int, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An interactive session finds what is installed all the same."""
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    monkeypatch.syspath_prepend("")
+    gone.rmdir()
+    _ForkServer.running()._stop()
+    with FMUPlant(faulty_fmus[2], isolated=True) as plant:
+        np.testing.assert_allclose(plant.reset(), [0.0])
+
+
 FORKED = """
 import os, sys
 import numpy as np
@@ -174,6 +188,21 @@ input()
             process.communicate("\n")
         assert folder.exists() == (how == "killed")
         remove_left_behind(scratch)
+        assert list(scratch.iterdir()) == []
+
+    def test_the_lock_goes_last(self, scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Whenever a removal is cut short, the next process can tell what is left to remove."""
+        folder, locked, remove = ScratchFolder(), [], os.rmdir
+
+        def note(path: Any, **place: Any) -> None:
+            locked.append((folder.path / ".lock").exists())
+            remove(path, **place)
+
+        for number in range(20):
+            (folder.path / str(number)).mkdir()
+        monkeypatch.setattr(os, "rmdir", note)
+        folder.remove()
+        assert locked == [True] * 20 + [False]
         assert list(scratch.iterdir()) == []
 
     def test_removed_once(self, scratch: Path) -> None:
