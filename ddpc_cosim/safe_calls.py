@@ -94,7 +94,8 @@ def set_plant_parameters(plant: Plant, parameters: Mapping[str, ParameterValue],
 def plant_provenance(plant: Plant) -> dict[str, str]:
     """Return the identifiers of a plant; a failure to tell them does not prevent the run."""
     try:
-        return {str(name): str(value) for name, value in plant.provenance().items()}
+        with _plant_errors("provenance", own=_ANY_FAULT):
+            return {str(name): str(value) for name, value in plant.provenance().items()}
     except _ANY_FAULT as error:
         return {"class": type(plant).__qualname__, "provenance": _raised(error)}
 
@@ -106,11 +107,18 @@ def require_finite(y_plant: FloatArray, plant: Plant) -> None:
         raise NotFiniteError(f"output {plant.outputs[bad].name} is {y_plant[bad]}")
 
 
+def make_controller(make: Callable[[], Controller], name: str) -> Controller:
+    """Make a controller, which may raise any CosimError itself."""
+    with _controller_errors(name, "constructor", own=CosimError):
+        return make()
+
+
 def start_controller(controller: Controller, loop: Loop) -> None:
     """Start a controller, which may raise any CosimError itself, and check its horizon."""
     with _controller_errors(controller, "start", own=CosimError):
         controller.start(loop)
-    horizon = controller.horizon
+    with _controller_errors(controller, "horizon", own=CosimError):
+        horizon = controller.horizon
     if not isinstance(horizon, int | np.integer) or isinstance(horizon, bool) or horizon < 0:
         what = f"{type(controller).__name__}.horizon = {horizon!r}"
         raise ControllerError(f"{what} is not possible; allowed: a whole number >= 0")
@@ -156,7 +164,7 @@ def controller_diagnostics(controller: Controller) -> dict[str, float]:
         return {str(name): float(value) for name, value in controller.diagnostics().items()}
 
 
-_Own = type[Exception] | tuple[type[Exception], ...]
+_Own = type[BaseException] | tuple[type[BaseException], ...]
 
 
 @contextmanager
@@ -175,7 +183,7 @@ def _plant_errors(call: str, time: float = math.nan, own: _Own = FMUStepError) -
 
 
 @contextmanager
-def _controller_errors(controller: Controller, call: str, own: _Own = ()) -> Iterator[None]:
+def _controller_errors(controller: Controller | str, call: str, own: _Own = ()) -> Iterator[None]:
     """Raise a ControllerError for anything that a controller raises, except its ``own`` errors."""
     _announce("controller", call, math.nan)
     try:
@@ -183,7 +191,8 @@ def _controller_errors(controller: Controller, call: str, own: _Own = ()) -> Ite
     except own:
         raise
     except _ANY_FAULT as error:
-        raise ControllerError(f"{type(controller).__name__}.{call} {_raised(error)}") from error
+        name = controller if isinstance(controller, str) else type(controller).__name__
+        raise ControllerError(f"{name}.{call} {_raised(error)}") from error
     finally:
         _announce("", "", math.nan)
 

@@ -6,18 +6,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ddpc_cosim import safe_calls
 from ddpc_cosim.controller import Bounds, Controller
 from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImportError, FMUStepError
 from ddpc_cosim.master import OUTCOME_OF, cosimulate
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, types_in
 from ddpc_cosim.rows import RowStore
-from ddpc_cosim.safe_calls import announce_calls, close_plant
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files
 from ddpc_cosim.signals import Excitation, GaussianNoise, ParameterChange, Ramp, Reference
 from ddpc_cosim.study.controllers import controller_class, make_controller
@@ -162,7 +163,7 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
     Its rows, and what it is in, are written to a store, by default in memory.
     """
     store = store or row_store(case)
-    announce_calls(store.announce)
+    safe_calls.announce_calls(store.announce)
     read = (*names(case.outputs), *names(case.measurements))
     try:
         plant = case.plant.open(names(case.inputs), tuple(dict.fromkeys(read)))
@@ -172,10 +173,10 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
         trace = _run(case, plant, store)
     except BaseException:
         with suppress(CosimError):  # the first error counts
-            close_plant(plant)
+            safe_calls.close_plant(plant)
         raise
     try:
-        close_plant(plant)
+        safe_calls.close_plant(plant)
     except FMUStepError as error:
         if trace.outcome is Outcome.COMPLETED:
             return replace(trace, outcome=_outcome_of(error), reason=f"after the last sample: {error}")
@@ -214,7 +215,7 @@ def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller:
     settings = map_files(
         controller_class(kind), section["settings"], lambda path: plant.fmu if path == PLANT else path
     )
-    return make_controller(kind, settings)
+    return safe_calls.make_controller(partial(make_controller, kind, settings), kind)
 
 
 def row_store(case: Case, path: Path | None = None) -> RowStore:

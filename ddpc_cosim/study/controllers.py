@@ -189,6 +189,8 @@ def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
     except Exception as error:  # a third party's constructor can fail in any way
         if not found:  # what was left out above may be all that it misses
             found.append(((), str(error)))
+    except SystemExit as error:
+        found.append(((), f"SystemExit: {error}"))
     if found:
         raise SettingsError(found)
     return controller

@@ -158,8 +158,10 @@ class _Run:
         """End a worker that has died or is to die, and write what it has left."""
         call, case, count = self._store.call, self.case, self._store.count
         ending = self.worker.end()
-        who, time = Path(case.plant.fmu).name or case.plant.name, call.time
-        if call.who == "controller":
+        who, time = "the run", math.nan
+        if call.who == "plant":
+            who, time = Path(case.plant.fmu).name or case.plant.name, call.time
+        elif call.who == "controller":
             who = f"controller {case.section['type']}"
             time = case.start_time + (count - 1) * case.sampling_time if count else math.nan
         error = lost(who, call.name or "between two calls", time, ending, seconds)

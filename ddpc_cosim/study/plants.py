@@ -158,7 +158,7 @@ class PlantSpec:
             return _model_variables(plugin)
         try:
             plant: Plant = plugin()
-        except Exception as error:  # a third party's constructor can fail in any way
+        except (Exception, SystemExit) as error:  # a third party's constructor can fail in any way
             raise ConfigError(f'plant "{self.name}": {type(error).__name__}: {error}') from error
         try:
             inputs, outputs = ({v.name: v for v in group} for group in (plant.inputs, plant.outputs))

@@ -261,9 +261,32 @@ def test_whatever_a_controller_raises_costs_its_case_and_no_other(
     }
 
 
+@pytest.mark.parametrize(("what", "place"), [("controller", "controllers.quits"), ("plant", "plant")])
+def test_a_constructor_that_exits_is_an_error_and_no_success(
+    what: str, place: str, write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    code = f"""
+import ddpc_cosim
+
+class Quits(ddpc_cosim.{what.title()}):
+    def __new__(cls):
+        raise SystemExit(0)
+"""
+    (tmp_path / "leaving.py").write_text(code, encoding="utf-8")
+    study = write_study("leaving:Quits" if what == "controller" else "mfapc")
+    if what == "plant":
+        _, _, rest = study.read_text(encoding="utf-8").partition("[loop]")
+        study.write_text(f'[plant]\nname = "leaving:Quits"\n[loop]{rest}', encoding="utf-8")
+    done = run_program("run", "study.toml", "--no-report", "--out", "out")
+    assert done.returncode == 2
+    assert place in done.stderr
+    assert "SystemExit: 0" in done.stderr
+
+
 HANGING = """
 import threading
 from dataclasses import dataclass
+from pathlib import Path
 import numpy as np
 from ddpc_cosim import Action, Controller
 
@@ -280,6 +303,20 @@ class Hangs(Controller):
 class HangsAtOnce(Hangs):
     def start(self, loop):
         threading.Event().wait()
+
+@dataclass(kw_only=True)
+class HangsWhenItIsBuiltToRun(Hangs):
+    def __post_init__(self):
+        checked = Path("checked")
+        if checked.exists():
+            threading.Event().wait()
+        checked.touch()
+
+@dataclass(kw_only=True)
+class HangsWhenAsked(Hangs):
+    @property
+    def horizon(self):
+        threading.Event().wait()
 """
 
 
@@ -287,21 +324,22 @@ def test_a_controller_that_never_returns_costs_its_case_and_no_other(
     write_study: WriteStudy, tmp_path: Path, run_program: Run
 ) -> None:
     (tmp_path / "hanging.py").write_text(HANGING, encoding="utf-8")
-    study = write_study("hanging:Hangs", "hanging:HangsAtOnce", "mfapc")
+    kinds = ("Hangs", "HangsAtOnce", "HangsWhenItIsBuiltToRun", "HangsWhenAsked")
+    study = write_study(*(f"hanging:{kind}" for kind in kinds), "mfapc")
     text = study.read_text(encoding="utf-8").replace("[plant]", "[plant]\nstep_timeout = 2.0")
     study.write_text(text, encoding="utf-8")
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
     assert done.returncode == 1
     cases = {case.controller: case for case in load_results(tmp_path / "out").cases}
     assert {name: case.outcome for name, case in cases.items()} == {
-        "hangs": "timed-out",
-        "hangsatonce": "timed-out",
+        **dict.fromkeys(map(str.lower, kinds), "timed-out"),
         "mfapc": "completed",
     }
     late = "no return within 2 s in"
     assert cases["hangs"].reason.startswith(f"controller hanging:Hangs: {late} step at t = 0.3 s; ")
-    start = f"before the first sample: controller hanging:HangsAtOnce: {late} start; "
-    assert cases["hangsatonce"].reason.startswith(start)
+    for kind, call in zip(kinds[1:], ("start", "constructor", "horizon"), strict=True):
+        early = f"before the first sample: controller hanging:{kind}: {late} {call}; "
+        assert cases[kind.lower()].reason.startswith(early)
     assert cases["hangs"].trace().status == ("ok", "as well as it can", "ok", "error")
 
 
