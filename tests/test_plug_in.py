@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+# What its fixtures run or build is run and built in one process.
+pytestmark = pytest.mark.xdist_group("plug-in")
+
 PAGE = Path(__file__).parents[1] / "docs" / "write-a-controller-plug-in.md"
 FILE = re.compile(r"^```\w+ (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = "from ddpc_cosim.cli.main import main; main()"

@@ -12,6 +12,9 @@ import pytest
 
 from ddpc_cosim import StudyResults, load_results
 
+# What its fixtures run or build is run and built in one process.
+pytestmark = pytest.mark.xdist_group("paper")
+
 DATA = Path(__file__).parents[1] / "data"
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

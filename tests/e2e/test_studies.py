@@ -13,6 +13,9 @@ from ddpc_cosim.study.runner import Selection, run_study
 from fmu_plants import cstr
 from fmu_plants.linear import linearise
 
+# What its fixtures run or build is run and built in one process.
+pytestmark = pytest.mark.xdist_group("studies")
+
 STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 SEED = {"direction-change": 1, "time-varying": 1, "tuning": 5489}
 BUILT_IN = sorted(path.stem for path in STUDIES.glob("*.toml") if path.stem != "paper")

@@ -19,6 +19,9 @@ from ddpc_reports import write_report
 
 from .synthetic import make_results_in, make_trace
 
+# What its fixtures run or build is run and built in one process.
+pytestmark = pytest.mark.xdist_group("browser")
+
 
 def trace_of(key: str, seed: int) -> Trace:
     if key == "lost":

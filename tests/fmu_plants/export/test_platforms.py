@@ -28,6 +28,9 @@ from fmu_plants.export.platforms import (
 )
 from fmu_plants.pendulum import MODEL
 
+# What its fixtures run or build is run and built in one process.
+pytestmark = pytest.mark.xdist_group("platforms")
+
 FOLDERS = {
     "2.0": {
         "linux64/pendulum.so",
