@@ -57,6 +57,14 @@ def has_sources(folder: Path) -> bool:
     return any((folder / "sources").glob("**/*.c*"))
 
 
+def is_source(sources: Path, name: str) -> bool:
+    """Whether a described source is there; a name that is too long for a file is not."""
+    try:
+        return (sources / name).is_file()
+    except OSError:
+        return False
+
+
 def described_sources(folder: Path, description: FMUDescription, label: str) -> list[SourceSet]:
     """Return what is to be compiled according to the model description or, in FMI 3.0, the build description.
 
@@ -145,9 +153,9 @@ def _source_sets(sources: Path, sets: list[SourceSet], label: str) -> list[Sourc
             if not (sources / name).resolve().is_relative_to(sources.resolve()):
                 raise FMUImportError(f"{label}: the source {name!r} is outside the FMU")
         for name in source_set.files:
-            if not (sources / name).is_file():
+            if not is_source(sources, name):
                 raise FMUImportError(
-                    f"{label}: no binary for this platform, and the source {name} is missing"
+                    f"{label}: no binary for this platform, and the source {name[:100]} is missing"
                 )
     return sets
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from ddpc_cosim.errors import FMUImportError
-from ddpc_cosim.fmu.build import described_sources, has_sources
+from ddpc_cosim.fmu.build import described_sources, has_sources, is_source
 from ddpc_cosim.fmu.description import FMUDescription, Interface, InterfaceKind
 from ddpc_cosim.fmu.description.defects import Findings, Kind, Severity
 from ddpc_cosim.fmu.library import library_extension, library_in, listed, platform_folders, platforms
@@ -222,7 +222,7 @@ def _check_sources(folder: Path, description: FMUDescription, label: str, findin
         findings.add(BAD_SOURCES, str(error))
         return False
     for name in dict.fromkeys(name for source_set in described for name in source_set.files):
-        if not (folder / "sources" / name).is_file():
+        if not is_source(folder / "sources", name):
             findings.add(NO_SOURCE_FILE, f"sources/{name}")
     return has_sources(folder)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ddpc_cosim import CosimError, CosimWarning, FMUPlant
+from ddpc_cosim import CosimError, CosimWarning, FMUImportError, FMUPlant
 from ddpc_cosim.fmu.description.defects import Severity
 from ddpc_cosim.inspection import inspect_fmu
 
@@ -260,6 +260,15 @@ def test_missing_source_files(pendulum_fmu, pendulum_fmi3, mutate) -> None:
         (defect,) = inspect_fmu(mutate(fmu, renamed={"sources/model.c": None})).defects
         assert defect.kind.name == "no-source-file"
         assert defect.places == ("sources/model.c",)
+
+
+def test_a_source_whose_name_no_file_can_have_is_missing(pendulum_fmu, mutate) -> None:
+    fmu = mutate(pendulum_fmu, ('<File name="model.c"', f'<File name="{"x" * 5000}"'))
+    defects = {defect.kind.name: defect.places for defect in inspect_fmu(fmu).defects}
+    assert defects == {"no-source-file": (f"sources/{'x' * 5000}",)}
+    without_library = mutate(fmu, renamed={binary_of(fmu): None})
+    with pytest.raises(FMUImportError, match=r"the source x+ is missing$"):
+        FMUPlant(without_library)
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 half an archive"])
