@@ -87,8 +87,8 @@ class RowStore:
 
     @property
     def count(self) -> int:
-        """How many rows have been begun."""
-        return self._numbers_of[_ROWS]
+        """How many rows have been begun, whatever a faulty process has written over its memory."""
+        return max(0, min(self._numbers_of[_ROWS], len(self.y)))
 
     @property
     def call(self) -> Call:

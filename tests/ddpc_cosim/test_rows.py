@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,3 +89,19 @@ def test_the_texts_of_statuses_are_limited_in_length(tmp_path: Path) -> None:
     assert list(found[:16]) == texts[:16]
     assert set(found[16:]) == {"(not kept: too many different statuses)"}
     assert (tmp_path / "rows").stat().st_size < 100_000
+
+
+def test_provenance_is_a_call_too(announced: RowStore) -> None:
+    plant: Any = SimpleNamespace(provenance=lambda: {"announced": announced.call.name})
+    assert safe_calls.plant_provenance(plant) == {"announced": "provenance"}
+
+
+@pytest.mark.parametrize(("written", "count"), [(-1, 0), (1 << 60, 4)])
+def test_a_damaged_file_has_no_more_rows_than_it_can_have(written: int, count: int, tmp_path: Path) -> None:
+    """An FMU that writes where it should not costs its case; the process that reads its rows goes on."""
+    path = tmp_path / "rows"
+    size = RowStore(4, 1, 1, 1, path)._memory.size()
+    path.write_bytes(np.int64(written).tobytes().ljust(size, b"\xff"))
+    store = RowStore(4, 1, 1, 1, path)
+    assert store.count == count
+    assert [len(table) for table in store.written().values()] == [count] * 6
