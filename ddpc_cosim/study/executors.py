@@ -12,6 +12,7 @@ from typing import NamedTuple
 from ddpc_cosim.errors import CosimError
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.rows import Call
 from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.study.cases import Case, partial_trace, row_store, run_case
 from ddpc_cosim.study.results import write_case
@@ -20,6 +21,9 @@ from ddpc_cosim.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, lost,
 
 _POLL_SECONDS = 0.1
 _REPLY_SECONDS = 60.0
+# Opening a plant, computing metrics and writing take no longer. Without a limit, a process that a dead worker
+# has forked could hold its channel open for ever.
+_BETWEEN_CALLS_SECONDS = 600.0
 _DRAFTS = ".drafts-"
 _AT_THE_END = ("diagnostics", "close")
 _PRELOAD = (__name__, "ddpc_cosim.fmu.plant")
@@ -141,18 +145,22 @@ class _Run:
             except (OSError, EOFError, ValueError):
                 self._end_worker()
         elif self._hangs():
-            self._end_worker(self.case.plant.step_timeout)
+            self._end_worker(self._limit(self._store.call))
         else:
             return False
         self._rows.unlink(missing_ok=True)
         return True
 
     def _hangs(self) -> bool:
-        """Whether the plant or the controller has kept the run waiting for too long."""
+        """Whether the run has been waiting for too long, mostly for the plant or the controller."""
         call, now = self._store.call, monotonic()
-        if call.number != self._call or not call.name:
+        if call.number != self._call:
             self._call, self._since = call.number, now
-        return now - self._since > self.case.plant.step_timeout
+        return now - self._since > self._limit(call)
+
+    def _limit(self, call: Call) -> float:
+        longest = self.case.plant.step_timeout
+        return longest if call.name else max(longest, _BETWEEN_CALLS_SECONDS)
 
     def _end_worker(self, seconds: float | None = None) -> None:
         """End a worker that has died or is to die, and write what it has left."""

@@ -343,6 +343,37 @@ def test_a_controller_that_never_returns_costs_its_case_and_no_other(
     assert cases["hangs"].trace().status == ("ok", "as well as it can", "ok", "error")
 
 
+LINGERING = """
+import threading
+import numpy as np
+from ddpc_cosim import Controller
+
+class Lingers(Controller):
+    def start(self, loop):
+        self.started = True
+    def step(self, sample):
+        return np.ones(1)
+    def __del__(self):
+        if hasattr(self, "started"):
+            threading.Event().wait()
+"""
+
+
+def test_a_run_that_hangs_between_two_calls_is_ended_too(
+    write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "lingering.py").write_text(LINGERING, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("ddpc_cosim.study.executors._BETWEEN_CALLS_SECONDS", 5.0)
+    study = write_study("lingering:Lingers")
+    text = study.read_text(encoding="utf-8").replace("[plant]", "[plant]\nstep_timeout = 2.0")
+    study.write_text(text, encoding="utf-8")
+    results, _ = run(study)
+    (case,) = results.cases
+    assert case.outcome == "timed-out"
+    assert case.reason.startswith("the run: no return within 5 s in between two calls; ")
+
+
 def test_a_disk_that_is_full_ends_the_run_and_what_is_done_is_kept(
     write_study: WriteStudy, tmp_path: Path, run_program: Run
 ) -> None:
