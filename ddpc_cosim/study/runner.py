@@ -1,20 +1,30 @@
-"""Running a study: prepare the plant, run what is not there yet, write what is known of all cases."""
+"""Running a study: prepare the plant, run what is not there yet, write what is known of all cases.
 
+Cases run in local workers: a crash or a hang costs one case and nothing else.
+"""
+
+import math
 import os
 import platform
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
+from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Protocol
+from time import monotonic
+from typing import NamedTuple, Protocol
 
-from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.plugins import package_version
-from ddpc_cosim.study.cases import Case, cases_of
-from ddpc_cosim.study.executors import Update, run_cases
+from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.master import OUTCOME_OF
+from ddpc_cosim.plugins import load_plugin, package_version
+from ddpc_cosim.rows import Call
+from ddpc_cosim.scratch import ScratchFolder
+from ddpc_cosim.study.cases import Case, cases_of, partial_trace, row_store, run_case
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import (
@@ -25,14 +35,35 @@ from ddpc_cosim.study.results import (
     load_cases,
     read_run,
     study_hash,
+    write_case,
     write_results,
 )
 from ddpc_cosim.study.sections import Study
 from ddpc_cosim.trace import Outcome
+from ddpc_cosim.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, lost, result_of, serve_calls
 
+_POLL_SECONDS = 0.1
+_REPLY_SECONDS = 60.0
+# Opening a plant, computing metrics and writing take no longer. Without a limit, a process that a dead worker
+# has forked could hold its channel open for ever.
+_BETWEEN_CALLS_SECONDS = 600.0
+_DRAFTS = ".drafts-"
+_AT_THE_END = ("diagnostics", "close")
+_PRELOAD = (__name__, "ddpc_cosim.fmu.plant")
 _VERSIONS_OF = ("numpy", "scipy", "FMPy", "piqp", "sympy")
 # These may end differently next time: only a result that would come out the same is kept.
 _TRANSIENT = (Outcome.CRASHED, Outcome.TIMED_OUT)
+
+
+class Update(NamedTuple):
+    """How far a running case is."""
+
+    case: str
+    samples: int
+    planned: int
+
+
+Watcher = Callable[[Update], None]
 
 
 class Progress(Protocol):
@@ -139,3 +170,154 @@ def _cpu() -> str:
         lines = info.read_text(encoding="utf-8", errors="replace").splitlines()
         name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), name)
     return f"{name or 'unknown'}, {os.cpu_count()} logical processors"
+
+
+def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | None = None) -> Iterator[Case]:
+    """Run cases in ``jobs`` worker processes and yield each one when its files are written.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        What to run.
+    folder : Path
+        Each case is written to ``folder / case.id``.
+    jobs : int
+        Number of workers.
+    watch : callable, optional
+        Called with the progress of running cases.
+
+    Raises
+    ------
+    CosimError
+        A case cannot be written.
+    """
+    with ScratchFolder() as temporary, _drafts(folder) as drafts:
+        preload = [*_PRELOAD, *_plugin_modules(cases)]
+        waiting, idle, running = deque(cases), list[Worker](), list[_Run]()
+        try:
+            while waiting or running:
+                while waiting and len(running) < jobs:
+                    case = waiting.popleft()
+                    reused = None if case.plant.isolated or not idle else idle.pop()
+                    worker = reused or Worker(serve_calls, folder=temporary, preload=preload)
+                    running.append(_Run(case, worker, folder, drafts, temporary))
+                ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
+                for run in list(running):
+                    ended = run.has_ended(run.worker.channel.socket in ready)
+                    if watch is not None:
+                        watch(Update(run.case.name, *run.progress))
+                    if ended:
+                        running.remove(run)
+                        if run.can_be_reused:
+                            idle.append(run.worker)
+                        else:
+                            run.worker.end()
+                        yield run.case
+        finally:
+            for worker in (*idle, *(run.worker for run in running)):
+                worker.end()
+
+
+def _drafts(folder: Path) -> ScratchFolder:
+    """Make a folder for the drafts of this run's cases, on the same disk."""
+    try:
+        return ScratchFolder(folder, _DRAFTS)
+    except OSError as error:
+        raise CosimError(f"{folder}: cannot be written to: {error.strerror}") from error
+
+
+def _plugin_modules(cases: Sequence[Case]) -> list[str]:
+    """Return the modules of the installed controllers; those beside a study may change between two runs."""
+    installed = {case.section["type"] for case in cases if ":" not in case.section["type"]}
+    return sorted({load_plugin("controllers", name).__module__ for name in installed})
+
+
+class _Run:
+    """A case in a worker.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    worker : Worker
+        Serves calls.
+    folder, drafts : Path
+        Where the case's folder is to be, and to stand until it is complete.
+    temporary : Path
+        Where the file of rows lies.
+    """
+
+    def __init__(self, case: Case, worker: Worker, folder: Path, drafts: Path, temporary: Path) -> None:
+        self.case, self.worker, self.can_be_reused = case, worker, not case.plant.isolated
+        self._folder, self._drafts = folder / case.id, drafts
+        self._rows = temporary / f"rows-{case.id}"
+        self._store = row_store(case, self._rows)
+        self._call, self._since = 0, monotonic()
+        with suppress(OSError):  # it has died meanwhile, which the next look at it will show
+            ask(worker.channel, run_and_write, case, self._rows, self._folder, drafts)
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Samples begun, and planned."""
+        return self._store.count, len(self._store.y)
+
+    def has_ended(self, has_replied: bool) -> bool:
+        """Whether the case is over, and then all that is known of it written.
+
+        Raises
+        ------
+        CosimError
+            The worker could not write the case, and so nobody can.
+        """
+        if has_replied:
+            try:
+                result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=_REPLY_SECONDS))
+            except UnexpectedError as error:  # a fault of ours, or of the interpreter, must not cost others
+                self._give_up(Outcome.CRASHED, str(error))
+            except (OSError, EOFError, ValueError):
+                self._end_worker()
+        elif self._hangs():
+            self._end_worker(self._limit(self._store.call))
+        else:
+            return False
+        self._rows.unlink(missing_ok=True)
+        return True
+
+    def _hangs(self) -> bool:
+        """Whether the run has been waiting for too long, mostly for the plant or the controller."""
+        call, now = self._store.call, monotonic()
+        if call.number != self._call:
+            self._call, self._since = call.number, now
+        return now - self._since > self._limit(call)
+
+    def _limit(self, call: Call) -> float:
+        longest = self.case.plant.step_timeout
+        return longest if call.name else max(longest, _BETWEEN_CALLS_SECONDS)
+
+    def _end_worker(self, seconds: float | None = None) -> None:
+        """End a worker that has died or is to die, and write what it has left."""
+        call, case, count = self._store.call, self.case, self._store.count
+        ending = self.worker.end()
+        who, time = "the run", math.nan
+        if call.who == "plant":
+            who, time = Path(case.plant.fmu).name or case.plant.name, call.time
+        elif call.who == "controller":
+            who = f"controller {case.section['type']}"
+            time = case.start_time + (count - 1) * case.sampling_time if count else math.nan
+        error = lost(who, call.name or "between two calls", time, ending, seconds)
+        when = "" if count else "before the first sample: "
+        if call.name in _AT_THE_END:
+            when = "after the last sample: "
+        self._give_up(OUTCOME_OF[error.status], f"{when}{error}")
+
+    def _give_up(self, outcome: Outcome, reason: str) -> None:
+        """Write a case that its worker has not written."""
+        self.can_be_reused = False
+        store = row_store(self.case, self._rows)  # opened anew, for the texts that have been added
+        trace = partial_trace(self.case, store, outcome, reason)
+        write_case(self._folder, trace, self.case.head(), self._drafts)
+
+
+def run_and_write(case: Case, rows: Path, folder: Path, drafts: Path) -> None:
+    """Run a case, in a worker, and write its folder."""
+    write_case(folder, run_case(case, row_store(case, rows)), case.head(), drafts)

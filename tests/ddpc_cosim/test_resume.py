@@ -14,10 +14,9 @@ from fmus.builder import Fault
 
 from ddpc_cosim import ConfigError, CosimError, load_results
 from ddpc_cosim.study.cases import Case
-from ddpc_cosim.study.executors import Update
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import CaseResult, StudyResults
-from ddpc_cosim.study.runner import Selection, run_study
+from ddpc_cosim.study.runner import Selection, Update, run_study
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 WriteStudy = Callable[..., Path]
@@ -364,7 +363,7 @@ def test_a_run_that_hangs_between_two_calls_is_ended_too(
 ) -> None:
     (tmp_path / "lingering.py").write_text(LINGERING, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr("ddpc_cosim.study.executors._BETWEEN_CALLS_SECONDS", 5.0)
+    monkeypatch.setattr("ddpc_cosim.study.runner._BETWEEN_CALLS_SECONDS", 5.0)
     study = write_study("lingering:Lingers")
     text = study.read_text(encoding="utf-8").replace("[plant]", "[plant]\nstep_timeout = 2.0")
     study.write_text(text, encoding="utf-8")
