@@ -30,7 +30,7 @@ def whole_steps(duration: float, sampling_time: float) -> int:
     Raises
     ------
     ConfigError
-        It is not a whole number, or too large.
+        It is not an integer, or too large.
     """
     check_sampling_time(sampling_time)
     if not _is_finite(duration):
@@ -66,7 +66,7 @@ def end_time(start_time: float, steps: int, sampling_time: float) -> float:
 def check_seed(seed: int) -> None:
     """Raise ConfigError if this seed is not possible."""
     if not isinstance(seed, Integral) or seed < 0:
-        raise ConfigError(f"seed = {seed!r} is not possible; allowed: a whole number >= 0")
+        raise ConfigError(f"seed = {seed!r} is not possible; allowed: an integer >= 0")
 
 
 def check_events(events: Sequence[ParameterChange], end: float) -> None:

@@ -121,7 +121,7 @@ def start_controller(controller: Controller, loop: Loop) -> None:
         horizon = controller.horizon
     if not isinstance(horizon, int | np.integer) or isinstance(horizon, bool) or horizon < 0:
         what = f"{type(controller).__name__}.horizon = {horizon!r}"
-        raise ControllerError(f"{what} is not possible; allowed: a whole number >= 0")
+        raise ControllerError(f"{what} is not possible; allowed: an integer >= 0")
 
 
 def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decision:

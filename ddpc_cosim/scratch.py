@@ -1,7 +1,7 @@
 """Temporary folders that do not outlive the next run, however the process ends.
 
 A process that is killed, or brought down by an FMU, cannot tidy up. So each folder holds a file that is
-locked as long as its process lives; whoever makes such a folder first removes those that nobody holds.
+locked as long as its process lives; whoever makes such a folder first removes those that no one holds.
 """
 
 import os
@@ -24,7 +24,7 @@ class ScratchFolder:
     within : Path, optional
         Where it is made; default: the folder of temporary files.
     prefix : str
-        What its name begins with; folders of this prefix that nobody holds are removed.
+        What its name begins with; folders of this prefix that no one holds are removed.
 
     Raises
     ------
@@ -38,7 +38,7 @@ class ScratchFolder:
         while True:
             self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
             lock = os.open(self.path / _LOCK, os.O_CREAT | os.O_RDWR)
-            if _holds(lock) and (self.path / _LOCK).exists():  # nobody has taken it for one left behind
+            if _holds(lock) and (self.path / _LOCK).exists():  # no one has taken it for one left behind
                 break
             os.close(lock)
         self._finalizer = weakref.finalize(self, _remove, self.path, lock, os.getpid())
@@ -73,7 +73,7 @@ _remove_left_behind_once = cache(remove_left_behind)
 
 
 def _holds(lock: int) -> bool:
-    """Lock a file unless somebody else has; return whether it is locked now."""
+    """Lock a file unless someone else has; return whether it is locked now."""
     if sys.platform == "win32":
         return True
     import fcntl

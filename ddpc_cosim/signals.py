@@ -148,9 +148,9 @@ class UniformRandom(Excitation):
     def __post_init__(self) -> None:
         faults = []
         if not isinstance(self.samples, Integral) or self.samples < 1:
-            faults.append(f"samples = {self.samples} is not possible; allowed: a whole number >= 1")
+            faults.append(f"samples = {self.samples} is not possible; allowed: an integer >= 1")
         if not isinstance(self.seed, Integral) or not 0 <= self.seed < 2**32:
-            faults.append(f"seed = {self.seed} is not possible; allowed: a whole number from 0 to 2**32 - 1")
+            faults.append(f"seed = {self.seed} is not possible; allowed: an integer from 0 to 2**32 - 1")
         if not np.all(np.isfinite(self.low)) or not np.all(np.isfinite(self.high)):
             faults.append(f"low ({self.low}) and high ({self.high}) must be finite")
         elif np.ndim(self.low) == np.ndim(self.high) == 1 and np.shape(self.low) != np.shape(self.high):

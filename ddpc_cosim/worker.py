@@ -112,7 +112,7 @@ def reply(channel: Channel, call: Callable[[], Any]) -> None:
     """Send from a worker what a call returns: what JSON can say, and arrays; or the error that it raises."""
     try:
         content = json.dumps({"result": call()}, default=_plain)
-    except BaseException as error:  # somebody's code can fail in any way, exit() included
+    except BaseException as error:  # anyone's code can fail in any way, exit() included
         reply_error(channel, error)
     else:
         channel.send(content.encode())

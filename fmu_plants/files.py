@@ -35,12 +35,12 @@ def write_atomically(path: Path, content: bytes) -> None:
     OSError
         The folder does not exist or cannot be written to.
     """
-    draft = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    staged = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     try:
-        draft.write_bytes(content)
-        draft.replace(path)
+        staged.write_bytes(content)
+        staged.replace(path)
     finally:
-        draft.unlink(missing_ok=True)
+        staged.unlink(missing_ok=True)
 
 
 def cache_dir() -> Path:

@@ -112,7 +112,7 @@ def unpack_fmu(
     unpack(path, folder, limits)
     description = read_description(folder, label)
     interface = choose_interface(description, fmi_type, label)
-    library, remarks = find_library(folder, description, interface, label)
+    library, library_warnings = find_library(folder, description, interface, label)
     driven, read = choose_signals(description, label, inputs, outputs)
     tool = f"the FMU needs the tool that made it: {description.generation_tool}"
     origin = Origin(
@@ -124,7 +124,7 @@ def unpack_fmu(
         model_name=description.model_name or label,
     )
     warnings = dict.fromkeys(
-        (*description.warnings, *remarks, *([tool] if interface.needs_execution_tool else []))
+        (*description.warnings, *library_warnings, *([tool] if interface.needs_execution_tool else []))
     )
     return UnpackedFMU(
         label, description, interface, tuple(driven), tuple(read), origin, tuple(warnings), tolerance

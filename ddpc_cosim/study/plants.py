@@ -186,9 +186,9 @@ class PlantSpec:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", CosimWarning)
             with FMUPlant(self.fmu, fmi_type=self.fmi_type) as plant:
-                remarks = [text for text in plant.warnings if text not in plant.description.warnings]
-        for remark in remarks:  # the others were told when the study was read
-            warnings.warn(f"{Path(self.fmu).name}: {remark}", CosimWarning, stacklevel=3)
+                library_warnings = [text for text in plant.warnings if text not in plant.description.warnings]
+        for text in library_warnings:  # the others were told when the study was read
+            warnings.warn(f"{Path(self.fmu).name}: {text}", CosimWarning, stacklevel=3)
 
     def _shown(self) -> str:
         """Return what the study says of display units and nominal values, which decide metrics too."""

@@ -205,7 +205,7 @@ def _metrics_table(study: Study, cases: Sequence[CaseResult]) -> str:
     return file.getvalue()
 
 
-def write_case(folder: Path, trace: Trace, head: dict[str, Any], drafts: Path | None = None) -> None:
+def write_case(folder: Path, trace: Trace, head: dict[str, Any], staging: Path | None = None) -> None:
     """Write a case's folder in one move, replacing an older one.
 
     Parameters
@@ -216,7 +216,7 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any], drafts: Path | 
         What the run left behind.
     head : dict
         What the case is: id, controller, scenario, seed, ...
-    drafts : Path, optional
+    staging : Path, optional
         Where it stands until it is complete, on the same disk; default: next to the folder.
 
     Raises
@@ -240,27 +240,27 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any], drafts: Path | 
         },
         "provenance": trace.provenance,
     }
-    draft = (drafts or folder.parent) / f".{folder.name}.{os.getpid()}"
-    shutil.rmtree(draft, ignore_errors=True)  # of a process of the same number that died here
+    staged = (staging or folder.parent) / f".{folder.name}.{os.getpid()}"
+    shutil.rmtree(staged, ignore_errors=True)  # of a process of the same number that died here
     try:
-        draft.mkdir(parents=True)
-        (draft / "run.json").write_text(json.dumps(_finite(run), indent=1) + "\n", encoding="utf-8")
-        _write_signals(draft / "signals.csv", trace)
-        _move_into_place(draft, folder)
+        staged.mkdir(parents=True)
+        (staged / "run.json").write_text(json.dumps(_finite(run), indent=1) + "\n", encoding="utf-8")
+        _write_signals(staged / "signals.csv", trace)
+        _move_into_place(staged, folder)
     except OSError as error:
         reason = error.strerror or str(error)
         raise CosimError(f"{folder}: cannot be written: {reason}; finished cases are kept") from error
     finally:
-        shutil.rmtree(draft, ignore_errors=True)
+        shutil.rmtree(staged, ignore_errors=True)
 
 
-def _move_into_place(draft: Path, folder: Path) -> None:
-    """Put a complete draft in the place of its folder, while other runs may do the same."""
-    older = draft.with_name(f"{draft.name}.older")
+def _move_into_place(staged: Path, folder: Path) -> None:
+    """Put a completely written folder in its place, while other runs may do the same."""
+    older = staged.with_name(f"{staged.name}.older")
     with suppress(FileNotFoundError):
         folder.replace(older)  # quicker than removing it: hardly a moment without a case
     try:
-        draft.replace(folder)
+        staged.replace(folder)
     except OSError:
         if not (folder / "run.json").is_file():
             with suppress(FileNotFoundError):

@@ -47,7 +47,7 @@ _REPLY_SECONDS = 60.0
 # Opening a plant, computing metrics and writing take no longer. Without a limit, a process that a dead worker
 # has forked could hold its channel open for ever.
 _BETWEEN_CALLS_SECONDS = 600.0
-_DRAFTS = ".drafts-"
+_STAGING = ".staging-"
 _AT_THE_END = ("diagnostics", "close")
 _PRELOAD = (__name__, "ddpc_cosim.fmu.plant")
 _VERSIONS_OF = ("numpy", "scipy", "FMPy", "piqp", "sympy")
@@ -191,7 +191,7 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
     CosimError
         A case cannot be written.
     """
-    with ScratchFolder() as temporary, _drafts(folder) as drafts:
+    with ScratchFolder() as temporary, _staging(folder) as staging:
         preload = [*_PRELOAD, *_plugin_modules(cases)]
         waiting, idle, running = deque(cases), list[Worker](), list[_Run]()
         try:
@@ -200,7 +200,7 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
                     case = waiting.popleft()
                     reused = None if case.plant.isolated or not idle else idle.pop()
                     worker = reused or Worker(serve_calls, folder=temporary, preload=preload)
-                    running.append(_Run(case, worker, folder, drafts, temporary))
+                    running.append(_Run(case, worker, folder, staging, temporary))
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
                 for run in list(running):
                     ended = run.has_ended(run.worker.channel.socket in ready)
@@ -218,10 +218,10 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
                 worker.end()
 
 
-def _drafts(folder: Path) -> ScratchFolder:
-    """Make a folder for the drafts of this run's cases, on the same disk."""
+def _staging(folder: Path) -> ScratchFolder:
+    """Make the staging folder of this run's cases, on the same disk."""
     try:
-        return ScratchFolder(folder, _DRAFTS)
+        return ScratchFolder(folder, _STAGING)
     except OSError as error:
         raise CosimError(f"{folder}: cannot be written to: {error.strerror}") from error
 
@@ -241,20 +241,20 @@ class _Run:
         The case.
     worker : Worker
         Serves calls.
-    folder, drafts : Path
+    folder, staging : Path
         Where the case's folder is to be, and to stand until it is complete.
     temporary : Path
         Where the file of rows lies.
     """
 
-    def __init__(self, case: Case, worker: Worker, folder: Path, drafts: Path, temporary: Path) -> None:
+    def __init__(self, case: Case, worker: Worker, folder: Path, staging: Path, temporary: Path) -> None:
         self.case, self.worker, self.can_be_reused = case, worker, not case.plant.isolated
-        self._folder, self._drafts = folder / case.id, drafts
+        self._folder, self._staging = folder / case.id, staging
         self._rows = temporary / f"rows-{case.id}"
         self._store = row_store(case, self._rows)
         self._call, self._since = 0, monotonic()
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
-            ask(worker.channel, run_and_write, case, self._rows, self._folder, drafts)
+            ask(worker.channel, run_and_write, case, self._rows, self._folder, staging)
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -267,7 +267,7 @@ class _Run:
         Raises
         ------
         CosimError
-            The worker could not write the case, and so nobody can.
+            The worker could not write the case, and so no one can.
         """
         if has_replied:
             try:
@@ -315,9 +315,9 @@ class _Run:
         self.can_be_reused = False
         store = row_store(self.case, self._rows)  # opened anew, for the texts that have been added
         trace = partial_trace(self.case, store, outcome, reason)
-        write_case(self._folder, trace, self.case.head(), self._drafts)
+        write_case(self._folder, trace, self.case.head(), self._staging)
 
 
-def run_and_write(case: Case, rows: Path, folder: Path, drafts: Path) -> None:
+def run_and_write(case: Case, rows: Path, folder: Path, staging: Path) -> None:
     """Run a case, in a worker, and write its folder."""
-    write_case(folder, run_case(case, row_store(case, rows)), case.head(), drafts)
+    write_case(folder, run_case(case, row_store(case, rows)), case.head(), staging)

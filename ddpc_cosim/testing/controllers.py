@@ -235,7 +235,7 @@ def respects_the_input_limits(subject: ControllerUnderTest) -> None:
 
 
 def reports_a_failure_as_a_status(subject: ControllerUnderTest) -> None:
-    """Require finite inputs within their limits where no plan keeps the outputs in theirs."""
+    """Require finite inputs within their limits where no inputs keep the outputs in theirs."""
     plant = subject.plant()
     test_loop = TestLoop(plant, subject.started(plant), start=_OUT_OF_REACH)
     for _ in range(subject.steps):

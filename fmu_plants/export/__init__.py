@@ -193,8 +193,8 @@ def fmu_source(
         description = Description(fmi_version, model, uses, guid, relative_tolerance, listed)
         return FMUSource(model.name, guid, fmi_version, description.files(), all_sources, with_sources)
 
-    draft = described(guid="")
-    texts = {**draft.descriptions, **draft.sources}
+    without_guid = described(guid="")
+    texts = {**without_guid.descriptions, **without_guid.sources}
     digest = _digest([text for item in sorted(texts.items()) for text in item])
     return described(guid=f"{{{uuid.UUID(digest[:32])}}}")
 

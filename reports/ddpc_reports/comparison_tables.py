@@ -252,12 +252,12 @@ def _row(title: str, key: str, method: PublishedMethod, controllers: dict[str, C
 
 def _compare(key: str, method: PublishedMethod, controllers: dict[str, ControllerResults]) -> _Compared:
     code, printed = controllers.get(method.published_code), controllers.get(method.printed)
-    stand_in = code or printed
+    spread_of = code or printed
     return _Compared(
         method.values[key],
         code.at_first(key) if code else math.nan,
         printed.at_first(key) if printed else math.nan,
-        stand_in.over_seeds(key) if stand_in else Spread(math.nan, math.nan, math.nan, 0),
+        spread_of.over_seeds(key) if spread_of else Spread(math.nan, math.nan, math.nan, 0),
     )
 
 

@@ -97,7 +97,7 @@ def test_an_interrupted_run_goes_on(
     assert family.wait(60.0) == []
     if not told:  # as the next run does
         remove_left_behind(tmp_path / "scratch")
-        remove_left_behind(tmp_path / "out/cases", ".drafts-")
+        remove_left_behind(tmp_path / "out/cases", ".staging-")
     assert list((tmp_path / "scratch").iterdir()) == []
 
     kept = {path.name: (path / "run.json").stat().st_mtime_ns for path in (tmp_path / "out/cases").iterdir()}

@@ -181,7 +181,7 @@ def test_an_error_of_the_start_is_raised() -> None:
         ({"sampling_time": "0.5"}, ["sampling_time = 0.5 is not possible"]),
         ({"start_time": np.nan}, ["start_time = nan is not possible; allowed: a finite number"]),
         ({"start_time": 1e17}, ["start_time = 1e+17 is too large: samples 0.5 s apart coincide there"]),
-        ({"seed": -1}, ["seed = -1 is not possible; allowed: a whole number >= 0"]),
+        ({"seed": -1}, ["seed = -1 is not possible; allowed: an integer >= 0"]),
         ({"seed": 0.5}, ["seed = 0.5 is not possible"]),
         ({"outputs": "a"}, ['outputs: needed: a list of names, got the text "a"']),
         ({"outputs": ["a", "a"]}, ['outputs: "a" is listed more than once']),
@@ -244,7 +244,9 @@ def test_a_horizon_is_a_number_of_samples(horizon: Any) -> None:
         pass
 
     Strange.horizon = horizon
-    with pytest.raises(ControllerError, match=r"Strange\.horizon = .* is not possible; allowed: a whole"):
+    with pytest.raises(
+        ControllerError, match=r"Strange\.horizon = .* is not possible; allowed: an integer >= 0"
+    ):
         close_loop(Strange())
 
 
