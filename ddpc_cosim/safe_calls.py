@@ -132,7 +132,8 @@ def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decis
         answer = controller.step(sample)
         seconds = perf_counter() - started
         if isinstance(answer, Action):
-            status, answer = str(answer.status), answer.u
+            # A text that no file can hold (a lone surrogate) must not cost the run.
+            status, answer = str(answer.status).encode("utf-8", "replace").decode(), answer.u
         u = np.asarray(answer)
     if u.shape != (inputs,) or u.dtype.kind not in _REAL_KINDS or not np.isfinite(u).all():
         needed = f"needed: finite values, shape ({inputs},)"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import (
+    Action,
     ConfigError,
     Constant,
     Controller,
@@ -236,6 +237,12 @@ def test_a_recording_of_another_loop_is_refused() -> None:
         "recording: it does not fit the loop: it has 2 inputs, the loop 1; 4 measurements, the loop 1; "
         "sampling time 0.1 s, the loop 0.5 s"
     )
+
+
+def test_a_status_that_no_file_can_hold_is_kept_as_far_as_one_can() -> None:
+    trace = close_loop(Answering(third=Action(np.array([0.5]), "odd \ud800")))
+    assert trace.completed
+    assert trace.status == ("ok", "ok", "odd ?", "ok", "ok")
 
 
 @pytest.mark.parametrize("horizon", [-1, 2.5, "5", None, True])
