@@ -56,7 +56,7 @@ class StudyController(NamedTuple):
         if self.varied:
             words = (f"{setting} = {_words(value)}" for setting, value in self.varied.items())
             changes["label"] = ", ".join([changes["label"], *words])
-            changes |= {"variant_of": self.of, "varied": list(self.varied)}
+            changes |= {"variant_of": self.of, "varied": list(self.varied), "tuned": None}
         return section.model_copy(update=changes)
 
 

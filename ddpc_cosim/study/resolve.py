@@ -1,6 +1,6 @@
 """From a parsed study to a resolved one: plant, controllers, units and limits looked up and checked once."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,12 +10,13 @@ from ddpc_cosim.loop_setup import late_error, limits_error
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.settings import PLANT, files_of
 from ddpc_cosim.signals import Excitation, Reference
-from ddpc_cosim.study.controllers import resolve_controllers, resolve_stabiliser
+from ddpc_cosim.study.controllers import StudyController, resolve_controllers, resolve_stabiliser
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables
 from ddpc_cosim.study.sections import BoundsSection, DriftSection, EventSection, RecordingSection, Study
 from ddpc_cosim.study.validation_errors import Section, ValidationErrors, independent
 from ddpc_cosim.variables import Variable, conversions
 
+_MOST_LISTED = 8
 Limits = dict[str, tuple[float, float]]
 
 _PLANT, _INPUTS, _OUTPUTS, _MEASUREMENTS = (
@@ -94,6 +95,14 @@ def converter(variable: Variable, unit: str) -> Callable[[float], float]:
     return lambda value: (value - shown.offset) / shown.factor
 
 
+def _dotted_names(settings: Mapping[str, Any], before: str = "") -> Iterator[str]:
+    """Yield the names of settings and of the entries of those that are tables: ``inner.kp``."""
+    for name, value in settings.items():
+        yield before + name
+        if isinstance(value, Mapping):
+            yield from _dotted_names(value, f"{before}{name}.")
+
+
 class _Selection(NamedTuple):
     """The signals of one kind that take part.
 
@@ -118,6 +127,8 @@ class _Resolution:
         self.controllers = resolve_controllers(study, folder, errors) or []
         self.stabiliser = resolve_stabiliser(study, folder, errors)
         self._check_report()
+        for controller in self.controllers:
+            self._check_tuned(controller)
         plant = self._plant(folder)
         self.is_complete = plant is not None
         if plant is None:
@@ -183,6 +194,21 @@ class _Resolution:
         # A controller whose section has errors is there all the same.
         known += [name for name in given if self.errors.in_doubt(("controllers", name))]
         self.errors.require_known((*place, key), "controller", filter(None, given), known)
+
+    @independent
+    def _check_tuned(self, controller: StudyController) -> None:
+        """Check that what was tuned is a setting, and on other seeds than those reported."""
+        tuned = self.study.controllers[controller.name].tuned if not controller.varied else None
+        if tuned is None:
+            return
+        place = ("controllers", controller.name, "tuned")
+        if controller.controller is not None:
+            known = list(_dotted_names(controller.settings))
+            self.errors.require_known((*place, "settings"), "setting", tuned.settings, known)
+        if shared := sorted(set(tuned.seeds) & set(self.study.seeds)):
+            listed = ", ".join(map(str, shared[:_MOST_LISTED])) + (", ..." if shared[_MOST_LISTED:] else "")
+            what = f"{listed}: a seed of the study; needed: seeds on which no result is reported"
+            self.errors.add((*place, "seeds"), what, ("seeds",))
 
     @independent
     def _plant(self, folder: Path) -> tuple[PlantSpec, PlantVariables] | None:

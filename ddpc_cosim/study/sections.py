@@ -30,6 +30,41 @@ def _errors_of(rule: Callable[..., object], *arguments: object) -> Iterator[tupl
         yield from (("", fault) for fault in error.faults)
 
 
+def expand_seeds(seeds: Any) -> list[int]:
+    """Return a list of seeds in which ranges such as ``"0:30"`` are written out, without repetitions.
+
+    Raises
+    ------
+    ValueError
+        Something is neither a seed nor a range.
+    """
+    expanded: list[int] = []
+    wrong = []
+    for seed in seeds if isinstance(seeds, list) else [seeds]:
+        first, _, last = seed.partition(":") if isinstance(seed, str) else ("", "", "")
+        if type(seed) is int and 0 <= seed < _SEEDS:
+            expanded.append(seed)
+        elif first.isdecimal() and not last and seed == first and int(first) < _SEEDS:
+            expanded.append(int(first))
+        elif (
+            first.isdecimal()
+            and last.isdecimal()
+            and int(first) < int(last) <= min(int(first) + _LONGEST_RANGE, _SEEDS)
+        ):
+            expanded.extend(range(int(first), int(last)))
+        else:
+            wrong.append(repr(seed))
+    if wrong:
+        raise ValueError(
+            f"{', '.join(wrong)} {'is not a seed' if len(wrong) == 1 else 'are not seeds'}; "
+            f"allowed: integers from 0 to {_SEEDS - 1}, or ranges as first:last with first < last, e.g. 0:30"
+        )
+    return list(dict.fromkeys(expanded))
+
+
+Seeds = Annotated[list[int], BeforeValidator(expand_seeds)]
+
+
 class PlantSection(Section):
     """Which plant, and which of its variables take part; exactly one of ``name`` and ``fmu``."""
 
@@ -255,6 +290,20 @@ def _as_list(tables: Any) -> Any:
     return [tables] if isinstance(tables, dict) else tables
 
 
+class TunedSection(Section):
+    """How settings of a controller were found, which the report states."""
+
+    settings: Annotated[list[str], Field(min_length=1)] = Field(
+        description="names of the settings that were found so; dotted where a setting is a table"
+    )
+    trials: Annotated[int, Field(ge=1)] = Field(description="number of settings tried")
+    seeds: Annotated[Seeds, Field(min_length=1)] = Field(
+        description="seeds of the trials; none of them may be a seed of the study"
+    )
+    by: str = Field(description="what was compared, e.g. median rmse over the scenarios")
+    source: str = Field("", description="where the trials can be repeated from")
+
+
 class ControllerSection(Section):
     """One controller of the study."""
 
@@ -268,6 +317,7 @@ class ControllerSection(Section):
     sweep: Annotated[list[dict[str, list[Any]]], BeforeValidator(_as_list)] = Field(
         [], description="tables of settings and values to try; of each table, all combinations are run"
     )
+    tuned: TunedSection | None = Field(None, description="how settings were found; none: as the study says")
     variant_of: str = Field("", description="the controller whose sweep this one is part of")
     varied: list[str] = Field([], description="settings in which it differs from that controller")
 
@@ -314,41 +364,6 @@ class ReportSection(Section):
     panels: list[Panel] = Field([], description="panels of the figures; empty: one with all controllers")
     limitations: list[str] = Field([], description="what a reader must know to judge the results fairly")
     reproduction: Reproduction | None = None
-
-
-def expand_seeds(seeds: Any) -> list[int]:
-    """Return a list of seeds in which ranges such as ``"0:30"`` are written out, without repetitions.
-
-    Raises
-    ------
-    ValueError
-        Something is neither a seed nor a range.
-    """
-    expanded: list[int] = []
-    wrong = []
-    for seed in seeds if isinstance(seeds, list) else [seeds]:
-        first, _, last = seed.partition(":") if isinstance(seed, str) else ("", "", "")
-        if type(seed) is int and 0 <= seed < _SEEDS:
-            expanded.append(seed)
-        elif first.isdecimal() and not last and seed == first and int(first) < _SEEDS:
-            expanded.append(int(first))
-        elif (
-            first.isdecimal()
-            and last.isdecimal()
-            and int(first) < int(last) <= min(int(first) + _LONGEST_RANGE, _SEEDS)
-        ):
-            expanded.extend(range(int(first), int(last)))
-        else:
-            wrong.append(repr(seed))
-    if wrong:
-        raise ValueError(
-            f"{', '.join(wrong)} {'is not a seed' if len(wrong) == 1 else 'are not seeds'}; "
-            f"allowed: integers from 0 to {_SEEDS - 1}, or ranges as first:last with first < last, e.g. 0:30"
-        )
-    return list(dict.fromkeys(expanded))
-
-
-Seeds = Annotated[list[int], BeforeValidator(expand_seeds)]
 
 
 class Study(Section):

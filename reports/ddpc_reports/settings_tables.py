@@ -164,7 +164,7 @@ def _difference(variant: ControllerSection, base: ControllerSection | None) -> s
     varied = {name: own.get(name) for name in variant.varied}
     names = dict.fromkeys(name for name in (*own, *theirs) if name not in varied)
     others = {name: own.get(name) for name in names if own.get(name) != theirs.get(name)}
-    said = {"label", "settings", "variant_of", "varied"}
+    said = {"label", "settings", "tuned", "variant_of", "varied"}
     keys, their_keys = (one.model_dump(exclude=said) for one in (variant, base or variant))
     parts = [
         mapping_text(varied),

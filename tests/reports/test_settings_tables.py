@@ -77,6 +77,7 @@ CONTENT: dict[str, Any] = {
             "settings": {"horizon": 5, "kernel": OBJECT, "slack": True, "kind": "ridge"},
             "bounds": {"angle": {"min": -70.0, "max": 71.0, "unit": "deg"}},
             "sweep": [{"horizon": [5, 6]}],
+            "tuned": {"settings": ["horizon"], "trials": 9, "seeds": [100], "by": "rmse", "source": "here"},
         },
         "quick-horizon-9": {
             "type": "a",

@@ -582,3 +582,54 @@ def test_a_study_with_any_mistakes_is_a_config_error_or_runs(
     keys = [fault.partition(": ") for fault in found]
     missing = {key for key, _, what in keys if what == "required key is missing"}
     assert not missing & {key for key, _, what in keys if what != "required key is missing"}
+
+
+def tuned(**changes: Any) -> dict[str, Any]:
+    """Return the paper's study with DeePC tuned, as other studies say it, and changes of that."""
+    table = {"settings": ["lambda_g"], "trials": 20, "seeds": ["100:103"], "by": "median rmse"}
+    return changed(controllers__deepc__tuned=table | changes)
+
+
+def test_how_settings_were_found_can_be_said(tmp_path: Path) -> None:
+    assert errors_of(tuned(source="benchmarks/tuning/paper.toml"), tmp_path) == []
+    study = changed(
+        controllers__wkpc__tuned=tuned(settings=["dictionary.count"])["controllers"]["deepc"]["tuned"]
+    )
+    assert errors_of(study, tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "words"),
+    [
+        ({"settings": ["lambda_q"]}, "settings", 'no setting "lambda_q"; did you mean "lambda_g"'),
+        ({"settings": []}, "settings", "must not be empty"),
+        ({"trials": 0}, "trials", "0"),
+        (
+            {"seeds": ["29:33"]},
+            "seeds",
+            "29: a seed of the study; needed: seeds on which no",
+        ),
+        ({"seeds": ["0:30"]}, "seeds", "0, 1, 2, 3, 4, 5, 6, 7, ...: a seed of the study"),
+        ({"seeds": []}, "seeds", "must not be empty"),
+        ({"by": None}, "by", "missing"),
+    ],
+)
+def test_a_wrong_account_of_tuning_is_refused(
+    change: dict[str, Any], place: str, words: str, tmp_path: Path
+) -> None:
+    study = tuned(**change)
+    if change.get("by", "") is None:
+        del study["controllers"]["deepc"]["tuned"]["by"]
+    (error,) = errors_of(study, tmp_path)
+    assert error.startswith(f"controllers.deepc.tuned.{place}: ")
+    assert words in error
+
+
+def test_variants_of_a_sweep_were_not_tuned(tmp_path: Path) -> None:
+    study = tuned()
+    study["controllers"]["deepc"]["sweep"] = {"lambda_g": [5.0]}
+    path = tmp_path / "study.toml"
+    path.write_text(tomli_w.dumps(study), encoding="utf-8")
+    controllers = read_study(str(path)).study.controllers
+    assert controllers["deepc"].tuned is not None
+    assert controllers["deepc-lambda_g-5"].tuned is None
