@@ -339,6 +339,9 @@ class PublishedMethod(Section):
         "", description="the controller that follows the authors' program, if one does"
     )
     values: dict[str, Finite] = Field(description="published value of each metric, by its key")
+    rest_samples: Annotated[int, Field(ge=0)] = Field(
+        0, description="samples at rest that the published sums of errors count before the first decision"
+    )
 
 
 class Reproduction(Section):

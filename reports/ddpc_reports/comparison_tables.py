@@ -4,7 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from ddpc_cosim.metrics import METRICS, Metric, split_key
+from markupsafe import Markup
+
+from ddpc_cosim.metrics import METRICS, Metric, StepTimes, split_key
 from ddpc_cosim.study.sections import PublishedMethod, Reproduction
 from ddpc_reports.comparison import (
     TRACKING,
@@ -16,6 +18,7 @@ from ddpc_reports.comparison import (
     metric_unit,
     shown_as,
     shown_metrics,
+    spread,
 )
 from ddpc_reports.numbers import MINUS, MISSING, as_given, like, percent, significant, time_scale, unit_symbol
 from ddpc_reports.table import (
@@ -29,6 +32,7 @@ from ddpc_reports.table import (
     range_texts,
     text_headings,
 )
+from ddpc_reports.verdict import Statement
 
 
 def verdict_table(condition: Condition, prefix: str) -> Table:
@@ -183,6 +187,9 @@ _HEADINGS = (
 )
 
 
+_SUMMED = "sum_abs_error"
+
+
 class _Compared(NamedTuple):
     """One published value and what corresponds to it here."""
 
@@ -200,7 +207,7 @@ class _Compared(NamedTuple):
     @property
     def within(self) -> str:
         """Whether the published value lies in the range over the seeds, in words."""
-        if not self.seeds.varies:
+        if not self.seeds.varies or math.isnan(self.published):
             return MISSING
         return "yes" if self.seeds.low <= self.published <= self.seeds.high else "no"
 
@@ -209,10 +216,11 @@ def reproduction_table(condition: Condition, reproduction: Reproduction, prefix:
     """Return published values, both variants of each method here, spread over seeds, and deviation."""
     controllers = {one.key: one for one in condition.controllers}
     rows = [
-        _row(title, key, method, controllers)
+        row
         for method in reproduction.methods
         for key, title in reproduction.metrics.items()
         if key in method.values
+        for row in _rows(title, key, method, controllers)
     ]
     return Table(
         f"{prefix}reproduction",
@@ -222,11 +230,74 @@ def reproduction_table(condition: Condition, reproduction: Reproduction, prefix:
         tuple(rows),
         (
             "Median, range and deviation are those of the published-code variant where there is one, "
-            "otherwise of the method as printed; the deviation is that of the first seed.",
+            "otherwise of the method as printed; the deviation is that of the first seed. "
+            "Computation times of other machines are shown, not compared.",
         ),
         kind="grouped",
         download="reproduction.csv",
     )
+
+
+def reproduction_statements(condition: Condition, reproduction: Reproduction) -> list[Statement]:
+    """Return how the order of computation times here compares with the published one, where there is one."""
+    controllers = {one.key: one for one in condition.controllers}
+    statements = []
+    for key, title in reproduction.metrics.items():
+        measured = {
+            method.label: controllers[method.printed].over_seeds(key).median
+            for method in reproduction.methods
+            if _is_step_time(key) and key in method.values and method.printed in controllers
+        }
+        here = sorted((value, label) for label, value in measured.items() if not math.isnan(value))
+        if len(here) > 1:
+            published = sorted(
+                (method.values[key], method.label)
+                for method in reproduction.methods
+                if method.label in {label for _, label in here}
+            )
+            statements.append(Statement(f"{title}, order", _order(published, here)))
+    return statements
+
+
+def _order(published: list[tuple[float, str]], here: list[tuple[float, str]]) -> Markup:
+    """Compare two orders in words; of times on different machines only ratios within one are stated."""
+    there, mine = ([label for _, label in order] for order in (published, here))
+    same = "the same" if there == mine else "reversed" if there == mine[::-1] else "another"
+    return Markup("Published, shortest first: {}. In this run, {} order: {}.").format(
+        _times_words(published), same, _times_words(here)
+    )
+
+
+def _times_words(order: list[tuple[float, str]]) -> Markup:
+    least = order[0][0]
+    first = Markup("<i>{}</i>").format(order[0][1])
+    rest = [
+        Markup("<i>{}</i> ({} times as long)").format(label, significant(value / least, 3))
+        if least > 0
+        else Markup("<i>{}</i>").format(label)
+        for value, label in order[1:]
+    ]
+    return Markup(", ").join([first, *rest])
+
+
+def _is_step_time(key: str) -> bool:
+    """Whether a metric is a wall-clock time, which says as much of the machine as of the method."""
+    metric = METRICS.get(split_key(key)[0])
+    return metric is not None and metric.of is StepTimes and metric.unit == "s"
+
+
+def _rows(
+    title: str, key: str, method: PublishedMethod, controllers: dict[str, ControllerResults]
+) -> list[Row]:
+    """Return the row of a published value; two where it counts samples at rest that the loop here lacks."""
+    if not method.rest_samples or split_key(key)[0] != _SUMMED:
+        return [_row(title, key, method, controllers)]
+    samples = f"{method.rest_samples} {'sample' if method.rest_samples == 1 else 'samples'} at rest"
+    own = method.model_copy(update={"values": {key: math.nan}, "rest_samples": 0})
+    return [
+        _row(f"{title}, from the first decision on", key, own, controllers),
+        _row(f"{title}, {samples} before it counted, as published", key, method, controllers),
+    ]
 
 
 def _row(title: str, key: str, method: PublishedMethod, controllers: dict[str, ControllerResults]) -> Row:
@@ -236,33 +307,47 @@ def _row(title: str, key: str, method: PublishedMethod, controllers: dict[str, C
         unit, scale = time_scale([compared.published])
     # Scaling leaves rounding errors that are no digits of the publication.
     published = float(f"{compared.published * scale:.12g}")
+    comparable = not _is_step_time(key)
     cells = (
         Cell(unit or MISSING, unit_symbol(unit)),
-        Cell(as_given(published), published),
+        Cell(MISSING if math.isnan(published) else as_given(published), published),
         *(
             _value(value * scale, published)
             for value in (compared.code, compared.printed, compared.seeds.median)
         ),
         _range(compared.seeds, scale),
-        Cell(compared.within, compared.within),
-        Cell(percent(compared.deviation), compared.deviation),
+        Cell(compared.within, compared.within) if comparable else Cell(MISSING),
+        Cell(percent(compared.deviation), compared.deviation) if comparable else Cell(MISSING, math.nan),
     )
     return Row(title, cells, group=method.label)
 
 
 def _compare(key: str, method: PublishedMethod, controllers: dict[str, ControllerResults]) -> _Compared:
     code, printed = controllers.get(method.published_code), controllers.get(method.printed)
-    spread_of = code or printed
-    return _Compared(
-        method.values[key],
-        code.at_first(key) if code else math.nan,
-        printed.at_first(key) if printed else math.nan,
-        spread_of.over_seeds(key) if spread_of else Spread(math.nan, math.nan, math.nan, 0),
+    by_seed = [_with_rest(one, key, method.rest_samples) if one else {} for one in (code, printed)]
+    first_code, first_printed = (
+        values.get(one.first_seed, math.nan) if one else math.nan
+        for one, values in zip((code, printed), by_seed, strict=True)
     )
+    seeds = spread(by_seed[0 if code else 1].values())
+    return _Compared(method.values[key], first_code, first_printed, seeds)
+
+
+def _with_rest(one: ControllerResults, key: str, samples: int) -> dict[int, float]:
+    """Return a metric by seed; sums of errors with the error of so many samples at rest added."""
+    values = one.by_seed(key)
+    if not samples or split_key(key)[0] != _SUMMED:
+        return values
+    for case in one.completed:
+        trace, signal = case.trace(), split_key(key)[1]
+        i = [output.name for output in trace.outputs].index(signal)
+        at_rest = abs(trace.reference[0, i] - trace.y[0, i]) * abs(trace.outputs[i].shown_in.factor)
+        values[case.seed] += samples * float(at_rest)
+    return values
 
 
 def _value(value: float, published: float) -> Cell:
-    return Cell(like(value, published), value)
+    return Cell(significant(value, 5) if math.isnan(published) else like(value, published), value)
 
 
 def _range(seeds: Spread, scale: float) -> Cell:

@@ -19,7 +19,12 @@ from ddpc_reports.case_tables import (
 )
 from ddpc_reports.charts import COLOURS, CONFIG
 from ddpc_reports.comparison import Condition, conditions
-from ddpc_reports.comparison_tables import across_table, reproduction_table, verdict_table
+from ddpc_reports.comparison_tables import (
+    across_table,
+    reproduction_statements,
+    reproduction_table,
+    verdict_table,
+)
 from ddpc_reports.embedding import (
     chart_library,
     content_policy,
@@ -175,6 +180,7 @@ def _reproduction_blocks(
         return []
     return [
         *_tables(reproduction_table(first, reproduction, prefix)),
+        *_statements(reproduction_statements(first, reproduction)),
         *([("notes", reproduction.notes)] if reproduction.notes else []),
         ("parameters", reproduction.parameters),
         *_tables(*families),

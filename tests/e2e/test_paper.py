@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -102,6 +103,32 @@ def test_trajectories_of_the_authors_programs(
     assert len(trace) == 401
     assert np.abs(np.degrees(trace.y[rows, 0]) - recorded[angle]).max() < 1e-5
     assert np.abs(trace.u[rows, 0] - recorded[torque]).max() < torque_tolerance
+
+
+def test_the_notes_on_the_authors_programs_are_recomputed(results: StudyResults) -> None:
+    reproduction = results.study.report.reproduction
+    assert reproduction is not None
+    told = " ".join(reproduction.notes)
+    for file, column, printed in (("deepc", 0, "0.2464"), ("mfapc", 1, "0.00077326")):
+        rows = np.loadtxt(DATA / f"{file}_published_code.csv", delimiter=",", skiprows=1)
+        error = np.abs(rows[:, 1] - rows[:, 2])
+        assert f"{error.min():.5g} " in told
+        assert f"{error.sum():.4f} " in told
+        assert printed in told
+        published = [method.values for method in reproduction.methods if method.rest_samples == column]
+        assert float(printed) in [values["min_abs_error.angle [deg]"] for values in published]
+
+
+def test_the_published_sum_compares_with_the_one_that_counts_the_sample_at_rest(
+    first_run: tuple[Path, str], results: StudyResults
+) -> None:
+    page = (first_run[0] / "report.html").read_text(encoding="utf-8")
+    row = page[page.index("1 sample at rest before it counted, as published") :]
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", row[: row.index("</tr>")])
+    (sum_here,) = figures(results, "mfapc", "sum_abs_error")
+    assert cells[1] == "730.4181"
+    assert cells[3] == f"{sum_here + 20.0:.4f}"
+    assert cells[7] == f"+{100 * ((sum_here + 20.0) / 730.4181 - 1):.1f}\N{NO-BREAK SPACE}%"
 
 
 def test_the_written_study_runs_again_to_the_same_cases(

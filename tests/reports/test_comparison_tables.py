@@ -1,5 +1,7 @@
 """Scenarios compared, and published with reproduced values, derived here once more from the cases."""
 
+import html
+import math
 import re
 from dataclasses import replace
 from statistics import median
@@ -13,7 +15,12 @@ from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS, Metric, Response
 from ddpc_reports.case_tables import cases_table
 from ddpc_reports.comparison import conditions
-from ddpc_reports.comparison_tables import across_table, reproduction_table, verdict_table
+from ddpc_reports.comparison_tables import (
+    across_table,
+    reproduction_statements,
+    reproduction_table,
+    verdict_table,
+)
 from ddpc_reports.numbers import MINUS
 from ddpc_reports.page import render_page
 from ddpc_reports.table import Row, Table
@@ -170,3 +177,62 @@ def test_a_published_value_outside_the_range_is_called_so(
 def test_a_published_value_inside_the_range_is_called_so(make_results: MakeResults) -> None:
     inside = median(costs(study_with(make_results, 1.0), "printed"))
     assert only_row(study_with(make_results, inside)).cells[6].text == "yes"
+
+
+def test_samples_at_rest_that_the_publication_counts_have_a_row_of_their_own(
+    make_results: MakeResults,
+) -> None:
+    results = study_with(make_results, 150.0, rest_samples=2)
+    reproduction = results.study.report.reproduction
+    assert reproduction is not None
+    own, counted = reproduction_table(conditions(results)[0], reproduction, "").rows
+    assert own.header == "Absolute error, from the first decision on"
+    assert counted.header == "Absolute error, 2 samples at rest before it counted, as published"
+    assert [cell.text for cell in (own.cells[1], own.cells[6], own.cells[7])] == ["\N{EN DASH}"] * 3
+    assert own.cells[3].raw == pytest.approx(costs(results, "printed")[0])
+    (first, *_) = (case.trace() for case in results.cases if case.controller == "printed")
+    error = abs(math.degrees(first.reference[0, 0] - first.y[0, 0]))
+    assert error > 19.0
+    assert counted.cells[1].raw == 150.0
+    assert counted.cells[3].raw == pytest.approx(costs(results, "printed")[0] + 2 * error, rel=1e-12)
+    assert counted.cells[7].raw == pytest.approx(counted.cells[3].raw / 150.0 - 1)
+
+
+TIME = "solve_time_mean [s]"
+
+
+def timed(make_results: MakeResults, fast: float, slow: float) -> StudyResults:
+    """Return a study whose steps took so long, of which 1 us and 2 us are published."""
+    methods = [
+        {"label": "A <1>", "printed": "a", "values": {TIME: 1e-6}},
+        {"label": "B", "printed": "b", "values": {TIME: 2e-6}},
+    ]
+    reproduction = {"source": "Table 9", "metrics": {TIME: "Step time"}, "methods": methods}
+    times = {"a": fast, "b": slow}
+    return make_results(
+        lambda key, seed: make_trace(0.3, step_time=times[key]),
+        {"a": {"type": "a"}, "b": {"type": "b"}},
+        seeds=SEEDS,
+        report={"reproduction": reproduction},
+    )
+
+
+@pytest.mark.parametrize(
+    ("fast", "slow", "words"),
+    [
+        (1e-5, 3e-5, "the same order: A <1>, B (3.00 times as long)"),
+        (4e-5, 1e-5, "reversed order: B, A <1> (4.00 times as long)"),
+    ],
+)
+def test_of_times_on_another_machine_the_order_alone_is_compared(
+    make_results: MakeResults, fast: float, slow: float, words: str
+) -> None:
+    results = timed(make_results, fast, slow)
+    reproduction = results.study.report.reproduction
+    assert reproduction is not None
+    table = reproduction_table(conditions(results)[0], reproduction, "")
+    assert {cell.text for row in table.rows for cell in row.cells[6:]} == {"\N{EN DASH}"}
+    (statement,) = reproduction_statements(conditions(results)[0], reproduction)
+    assert "A &lt;1&gt;" in statement.text
+    told = html.unescape(plain(statement.text))
+    assert told == f"Published, shortest first: A <1>, B (2.00 times as long). In this run, {words}."

@@ -113,7 +113,13 @@ CONTENT: dict[str, Any] = {
             "source": "Table 9",
             "metrics": {COST: "Absolute error"},
             "methods": [
-                {"label": "Method", "printed": "quick", "published_code": "slow", "values": {COST: 150.0}}
+                {
+                    "label": "Method",
+                    "printed": "quick",
+                    "published_code": "slow",
+                    "values": {COST: 150.0},
+                    "rest_samples": 1,
+                }
             ],
             "notes": ["As printed."],
             "parameters": "As run",
