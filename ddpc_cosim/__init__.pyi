@@ -36,6 +36,7 @@ from .signals import (
     Constant as Constant,
     Excitation as Excitation,
     GaussianNoise as GaussianNoise,
+    Interpolated as Interpolated,
     ParameterChange as ParameterChange,
     Ramp as Ramp,
     Reference as Reference,

@@ -23,19 +23,23 @@ class CosimWarning(UserWarning):
     """Something is not as it should be but can be worked with: an FMU that is not quite valid."""
 
 
-class ConfigError(CosimError):
-    """A study, a setting or a call is wrong; all faults found are in ``faults``."""
+class _FaultsError(CosimError):
+    """An error with one or more faults, which are in ``faults``."""
 
     def __init__(self, faults: str | Sequence[str]) -> None:
         self.faults = (faults,) if isinstance(faults, str) else tuple(faults)
         super().__init__("\n".join(self.faults))
 
-    def __reduce__(self) -> tuple[type["ConfigError"], tuple[tuple[str, ...]]]:
+    def __reduce__(self) -> tuple[type["_FaultsError"], tuple[tuple[str, ...]]]:
         return type(self), (self.faults,)
 
 
-class DataError(CosimError):
-    """A recording is malformed, too short or not persistently exciting enough."""
+class ConfigError(_FaultsError):
+    """A study, a setting or a call is wrong; all faults found are in ``faults``."""
+
+
+class DataError(_FaultsError):
+    """A recording or a file of data is malformed, too short or not persistently exciting enough."""
 
 
 class DivergenceError(DataError):

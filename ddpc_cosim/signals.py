@@ -72,6 +72,18 @@ class Steps(Reference):
 
 
 @dataclass(frozen=True, slots=True)
+class Interpolated(Steps):
+    """Linear between ``values[i]`` at ``times[i]`` and the next; the first value also before, the last after.
+
+    Parameters and errors as of :class:`Steps`.
+    """
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at the given times [s]; same shape as ``time``."""
+        return np.interp(time, self.times, self.values)
+
+
+@dataclass(frozen=True, slots=True)
 class Ramp(Reference):
     """Linear from ``start`` to ``stop`` between two instants, constant outside them."""
 

@@ -1,13 +1,14 @@
 """Signals and parameters: their names, units, ranges and display units."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError, did_you_mean
-from fmu_plants.units import DisplayUnit as DisplayUnit, usual_display_units
+from fmu_plants.units import DisplayUnit as DisplayUnit, display_unit, usual_display_units
 
 FloatArray = NDArray[np.float64]
 
@@ -70,6 +71,27 @@ def conversions(unit: str, defined: Iterable[DisplayUnit] = ()) -> dict[str, Dis
         The display units that the FMU defines for it; they count before the usual ones.
     """
     return usual_display_units(unit) | {shown.name: shown for shown in defined} | {unit: DisplayUnit(unit)}
+
+
+def converter(variable: Variable, unit: str) -> Callable[[Any], Any]:
+    """Return the conversion of values, numbers or arrays, from ``unit`` to the variable's own unit.
+
+    Raises
+    ------
+    ConfigError
+        It is neither the variable's unit nor its display unit, and not a unit of the same quantity.
+    """
+    own = variable.unit
+    if unit in ("", own) or {unit, own} == {"", "1"}:
+        return DisplayUnit(own).to_unit
+    declared = () if variable.display_unit is None else (variable.display_unit,)
+    known = conversions(own, declared)
+    try:
+        return (known[unit] if unit in known else display_unit(own, unit)).to_unit
+    except ValueError as error:
+        allowed = dict.fromkeys((own or "1", *(shown.name for shown in declared), *known))
+        units = ", ".join(name for name in allowed if name)
+        raise ConfigError(f'unit "{unit}" does not fit {variable.name}; allowed: {units}') from error
 
 
 def with_display_units(

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from math import pi
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
@@ -135,17 +135,30 @@ class DisplayUnit:
         """Convert values in the variable's own unit to this unit (any shape)."""
         return self.factor * value + self.offset
 
+    def to_unit(self, value: Any) -> Any:
+        """Convert values in this unit, a number or an array, to the variable's own unit."""
+        return (value - self.offset) / self.factor
+
 
 def usual_display_units(unit: str) -> dict[str, DisplayUnit]:
     """Return the display units that values in a unit usually have, by name."""
     own = _SPELLINGS.get(unit, unit)
-    shown = {name: _conversion(own, name) for name in _USUALLY_SHOWN_IN.get(own, ())}
+    shown = {name: display_unit(own, name) for name in _USUALLY_SHOWN_IN.get(own, ())}
     spelt = {other: replace(shown[name], name=other) for other, name in _SPELLINGS.items() if name in shown}
     return spelt | shown
 
 
-def _conversion(unit: str, shown_in: str) -> DisplayUnit:
-    own, shown = parse_unit(unit), parse_unit(shown_in)
+def display_unit(unit: str, shown_in: str) -> DisplayUnit:
+    """Return how values in one unit are shown in another one.
+
+    Raises
+    ------
+    ValueError
+        One of them is not known, or they are units of different quantities.
+    """
+    own, shown = (parse_unit(_SPELLINGS.get(name, name)) for name in (unit, shown_in))
+    if own.exponents != shown.exponents:
+        raise ValueError(f"{unit!r} and {shown_in!r} are units of different quantities")
     scale = _as_written(shown.factor)
     offset = (_as_written(own.offset) - _as_written(shown.offset)) / scale
     return DisplayUnit(shown_in, float(_as_written(own.factor) / scale), float(offset))

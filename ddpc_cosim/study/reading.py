@@ -35,7 +35,7 @@ def read_study(name: str) -> ResolvedStudy:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     data.setdefault("name", _as_name(path.stem))
     errors = ValidationErrors()
-    study = parse(Study, data, errors)
+    study = parse(Study, data, path.parent, errors)
     resolved = resolve(study, path.parent, errors)
     if resolved is None:
         raise ConfigError(_with_lines(path.name, errors, key_lines(text)))

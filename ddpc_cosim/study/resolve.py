@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ddpc_cosim.errors import ConfigError, CosimError, Place
+from ddpc_cosim.errors import ConfigError, CosimError, DataError, Place
 from ddpc_cosim.loop_setup import late_error, limits_error
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.settings import PLANT, files_of
@@ -13,8 +13,8 @@ from ddpc_cosim.signals import Excitation, Reference
 from ddpc_cosim.study.controllers import StudyController, resolve_controllers, resolve_stabiliser
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables
 from ddpc_cosim.study.sections import BoundsSection, DriftSection, EventSection, RecordingSection, Study
-from ddpc_cosim.study.validation_errors import Section, ValidationErrors, independent
-from ddpc_cosim.variables import Variable, conversions
+from ddpc_cosim.study.validation_errors import InvalidFieldError, Section, ValidationErrors, independent
+from ddpc_cosim.variables import Variable, converter
 
 _MOST_LISTED = 8
 Limits = dict[str, tuple[float, float]]
@@ -73,26 +73,6 @@ def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStu
         None if there are errors.
     """
     return _Resolution(study, folder, errors).result()
-
-
-def converter(variable: Variable, unit: str) -> Callable[[float], float]:
-    """Return the conversion of a study's values from ``unit`` to the variable's own unit.
-
-    Raises
-    ------
-    ConfigError
-        The unit is neither the variable's unit nor its display unit, and there is no usual conversion.
-    """
-    if unit in ("", variable.unit):
-        return float
-    declared = () if variable.display_unit is None else (variable.display_unit,)
-    known = conversions(variable.unit, declared)
-    if unit not in known:
-        allowed = dict.fromkeys((variable.unit or "1", *(shown.name for shown in declared), *known))
-        units = ", ".join(name for name in allowed if name)
-        raise ConfigError(f'unit "{unit}" does not fit {variable.name}; allowed: {units}')
-    shown = known[unit]
-    return lambda value: (value - shown.offset) / shown.factor
 
 
 def _dotted_names(settings: Mapping[str, Any], before: str = "") -> Iterator[str]:
@@ -342,10 +322,8 @@ class _Resolution:
     def _references(self) -> dict[str, Reference] | None:
         sections = self.study.reference
         self._require_each(("reference",), "controlled output", sections, self.outputs)
-        converters = self._converters(("reference",), sections, self.variables.outputs)
-        if self.errors.found:
-            return None
-        return {name: sections[name].build(convert) for name, convert in converters.items()}
+        references = self._signals(("reference",), sections, self.variables.outputs)
+        return None if self.errors.found else references
 
     @independent
     def _bounds(self) -> dict[str, Limits]:
@@ -392,6 +370,21 @@ class _Resolution:
         for name in wanted.names if wanted.is_known else ():
             if name not in given:
                 self.errors.add(place, f"none for the {what} {name}", (*place, name))
+
+    def _signals(
+        self, place: Place, sections: Mapping[str, Any], variables: Mapping[str, Variable]
+    ) -> dict[str, Reference]:
+        """Return the signals of sections in their variables' units, where they can be built."""
+        signals = {}
+        for name, convert in self._converters(place, sections, variables).items():
+            try:
+                signals[name] = sections[name].build(variables[name], convert)
+            except DataError as error:
+                for fault in error.faults:
+                    self.errors.add((*place, name, "file"), fault)
+            except (InvalidFieldError, ConfigError):  # reported before
+                continue
+        return signals
 
     def _converters(
         self, place: Place, sections: Mapping[str, Any], variables: Mapping[str, Variable]

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim.controller import Bounds
+from ddpc_cosim.csv_files import CSVFile, write_table
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.study.sections import Study
 from ddpc_cosim.trace import Outcome, Trace
@@ -315,21 +316,16 @@ def read_trace(folder: Path) -> Trace:
 
 
 def _write_signals(path: Path, trace: Trace) -> None:
-    columns = trace.columns()
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*columns, "status"])
-        # The shortest text that gives the same number again.
-        cells = [map(repr, column.tolist()) for column in columns.values()]
-        writer.writerows(zip(*cells, trace.status, strict=True))
+    write_table(path, trace.columns(), {"status": trace.status})
 
 
 def _read_signals(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        header, *rows = csv.reader(file)
-    cells = list(zip(*rows, strict=True)) or [()] * len(header)
-    columns = {name: np.array(column, dtype=float) for name, column in zip(header[:-1], cells, strict=False)}
-    return columns, tuple(cells[-1])
+    file = CSVFile(path)
+    if file.faults:
+        raise ValueError(file.faults[0])
+    *numbers, status = (file.cells(i) for i in range(len(file.header)))
+    columns = {name: np.array(cells, dtype=float) for name, cells in zip(file.header, numbers, strict=False)}
+    return columns, tuple(status)
 
 
 def _variable(stored: dict[str, Any]) -> Variable:

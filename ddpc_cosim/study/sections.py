@@ -2,14 +2,17 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
+from ddpc_cosim.csv_files import Column, read_table
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.loop_setup import end_time, limits_error, whole_steps
-from ddpc_cosim.signals import Constant, Excitation, Ramp, Reference, Sine, Steps, UniformRandom
-from ddpc_cosim.study.validation_errors import Section
+from ddpc_cosim.signals import Constant, Excitation, Interpolated, Ramp, Reference, Sine, Steps, UniformRandom
+from ddpc_cosim.study.validation_errors import FilePath, Section
+from ddpc_cosim.variables import Variable
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -133,7 +136,7 @@ class ConstantReference(_Signal):
     kind: Literal["constant"]
     value: Finite
 
-    def build(self, convert: Any) -> Reference:
+    def build(self, variable: Variable, convert: Any) -> Reference:
         """Return the signal in the variable's own unit."""
         return Constant(float(convert(self.value)))
 
@@ -149,7 +152,7 @@ class StepsReference(_Signal):
         """Yield how times and values do not fit."""
         yield from _errors_of(Steps, self.times, self.values)
 
-    def build(self, convert: Any) -> Reference:
+    def build(self, variable: Variable, convert: Any) -> Reference:
         """Return the signal in the variable's own unit."""
         return Steps(tuple(self.times), tuple(float(convert(value)) for value in self.values))
 
@@ -167,7 +170,7 @@ class RampReference(_Signal):
         """Yield what is wrong with the order of the instants."""
         yield from _errors_of(Ramp, self.from_value, self.to_value, self.from_time, self.to_time)
 
-    def build(self, convert: Any) -> Reference:
+    def build(self, variable: Variable, convert: Any) -> Reference:
         """Return the signal in the variable's own unit."""
         return Ramp(
             float(convert(self.from_value)), float(convert(self.to_value)), self.from_time, self.to_time
@@ -183,11 +186,38 @@ class SineReference(_Signal):
     offset: Finite = 0.0
     phase: Finite = 0.0
 
-    def build(self, convert: Any) -> Reference:
+    def build(self, variable: Variable, convert: Any) -> Reference:
         """Return the signal in the variable's own unit."""
         offset = float(convert(self.offset))
         amplitude = float(convert(self.offset + self.amplitude)) - offset
         return Sine(amplitude, self.frequency, offset, self.phase)
+
+
+class FileReference(_Signal):
+    """A column of a CSV file, over its time."""
+
+    kind: Literal["file"]
+    file: FilePath = Field(description="path of a CSV file, relative to the study file")
+    column: str = Field(
+        "", description="header of the column, with or without its unit; empty: the signal's name"
+    )
+    time_column: str = Field("time", min_length=1, description="header of the time, in s or the unit it has")
+    interpolation: Literal["hold", "linear"] = Field(
+        "hold", description="what the signal is between two rows: the last value, or a straight line"
+    )
+
+    def build(self, variable: Variable, convert: Any) -> Reference:
+        """Return the signal in the variable's own unit.
+
+        Raises
+        ------
+        DataError
+            All that is wrong with the file.
+        """
+        column = Column(variable, self.column or variable.name, self.unit)
+        time, values, _ = read_table(Path(self.file), [column], self.time_column)
+        kind = Steps if self.interpolation == "hold" else Interpolated
+        return kind(tuple(time.tolist()), tuple(values[:, 0].tolist()))
 
 
 def _kind(reference: Any) -> Any:
@@ -198,7 +228,8 @@ ReferenceSection = Annotated[
     Annotated[ConstantReference, Tag("constant")]
     | Annotated[StepsReference, Tag("steps")]
     | Annotated[RampReference, Tag("ramp")]
-    | Annotated[SineReference, Tag("sine")],
+    | Annotated[SineReference, Tag("sine")]
+    | Annotated[FileReference, Tag("file")],
     Discriminator(_kind),
 ]
 

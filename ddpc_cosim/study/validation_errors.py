@@ -4,9 +4,11 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import wraps
-from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, Self, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, ParamSpec, Self, TypeVar
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     ModelWrapValidatorHandler,
@@ -30,12 +32,19 @@ _EXPECTED = {
 }
 _NAME_RULE = "be letters, digits, dots, hyphens and underscores, the first one a letter or digit"
 _LONGEST_VALUE = 100
-_TOLERANT = "tolerant"
 _MISSING = object()
 
 
 class InvalidFieldError(Exception):
     """A field of a section has no valid value, and that has been reported."""
+
+
+def _in_folder(path: str, info: ValidationInfo) -> str:
+    return str((info.context / path).resolve()) if path and isinstance(info.context, Path) else path
+
+
+FilePath = Annotated[str, AfterValidator(_in_folder)]
+"""A path that a file gives relative to its own folder; absolute when it has been read."""
 
 
 class _Invalid(NamedTuple):
@@ -73,7 +82,7 @@ class Section(BaseModel):
     def _keep_what_is_sound(
         cls, data: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo
     ) -> Self:
-        if info.context != _TOLERANT or not isinstance(data, dict):
+        if not isinstance(info.context, Path) or not isinstance(data, dict):
             return handler(data)
         fields = cls.model_fields
         unknown = [key for key in data if key not in fields]
@@ -97,7 +106,7 @@ class Section(BaseModel):
     @field_validator("*", mode="wrap")
     @classmethod
     def _note_errors(cls, value: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
-        if info.context != _TOLERANT:
+        if not isinstance(info.context, Path):
             return handler(value)
         if value is _MISSING:
             return value
@@ -189,9 +198,9 @@ class ValidationErrors:
 S = TypeVar("S", bound=Section)
 
 
-def parse(model: type[S], data: dict[str, Any], errors: ValidationErrors) -> S:
-    """Return the sections of a file, in which what is invalid is left out and reported."""
-    value = model.model_validate(data, context=_TOLERANT)
+def parse(model: type[S], data: dict[str, Any], folder: Path, errors: ValidationErrors) -> S:
+    """Return the sections of a file in a folder, in which what is invalid is left out and reported."""
+    value = model.model_validate(data, context=folder)
     _collect((), value, errors)
     return value
 

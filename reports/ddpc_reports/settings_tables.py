@@ -4,6 +4,7 @@ import json
 import math
 import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -294,10 +295,13 @@ def compact_seeds(seeds: Sequence[int]) -> str:
 def _signal(section: Any, own_unit: str) -> str:
     """Write a section about a signal: its kind, its values, and their unit last."""
     values = section.model_dump(exclude={"kind", "unit"}, exclude_none=True)
+    if "file" in values:  # the folder is that of one machine
+        values["file"] = Path(values["file"]).name
     words = ", ".join(f"{key.replace('_', ' ')} {value_text(value)}" for key, value in values.items())
     kind = f"{section.kind}: " if hasattr(section, "kind") else ""
     unit = unit_symbol(section.unit) or section.unit
     own = f"{unit_symbol(own_unit)}, its own unit".removeprefix(", ")
+    own = "the unit of the column, else its own" if "file" in values else own
     return f"{kind}{words or 'none'} (values in {unit or own})"
 
 

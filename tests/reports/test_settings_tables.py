@@ -62,6 +62,14 @@ CONTENT: dict[str, Any] = {
             "phase": 0.25,
             "unit": "m",
         },
+        "file": {
+            "kind": "file",
+            "file": "wanted.csv",
+            "column": "Angle",
+            "time_column": "t",
+            "interpolation": "linear",
+            "unit": "deg",
+        },
     },
     "bounds": {"torque": {"min": -3.0, "max": 3.5, "unit": "N.m"}, "angle": {"max": 70.0, "unit": "deg"}},
     "recording": {
@@ -149,7 +157,7 @@ def alternatives(value: Any) -> list[Any]:
     if isinstance(value, list):
         return [value[:-1], [*value, *alternatives(value[-1])[:1]]] if value else []
     if isinstance(value, str):
-        return ["model-exchange", "rest", f"{value}x"]
+        return ["model-exchange", "rest", "hold", f"{value}x"]
     return []
 
 
@@ -290,7 +298,7 @@ def test_a_plant_and_an_fmu_of_the_same_name_read_differently(results: StudyResu
 
 def test_every_kind_of_reference_is_named(results: StudyResults) -> None:
     told = text(results)
-    assert all(f"'{kind}: " in told for kind in ("constant", "steps", "ramp", "sine", "uniform"))
+    assert all(f"'{kind}: " in told for kind in ("constant", "steps", "ramp", "sine", "file", "uniform"))
 
 
 def test_what_the_study_says_of_itself_is_in_the_page(

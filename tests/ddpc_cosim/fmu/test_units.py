@@ -9,8 +9,7 @@ from fmus.builder import V, describe, model_library, write_fmu
 from hypothesis import given, strategies as st
 
 from ddpc_cosim import ConfigError, FMUPlant, Variable
-from ddpc_cosim.study.resolve import converter
-from ddpc_cosim.variables import DisplayUnit, conversions, with_display_units
+from ddpc_cosim.variables import DisplayUnit, conversions, converter, with_display_units
 
 DEFINED = (
     '<UnitDefinitions><Unit name="K"><BaseUnit K="1"/><DisplayUnit name="°C" offset="-273.15"/>'

@@ -1,0 +1,334 @@
+"""CSV files: columns by name, their units, and sample times, with every fault of a file at once.
+
+A file is UTF-8 text with a header and one row per sample. Columns are separated by commas, semicolons or
+tabs, whichever the header shows; with semicolons and tabs the decimal mark can be a comma. A header may end
+in the column's unit: ``level [cm]``.
+"""
+
+import csv
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from datetime import datetime
+from io import StringIO
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ddpc_cosim.errors import ConfigError, DataError, did_you_mean
+from ddpc_cosim.variables import FloatArray, Variable, converter
+
+_LARGEST = 100_000_000
+_MOST_LISTED = 8
+_DELIMITERS = ";\t,"
+# A header with a unit; brackets that touch the name and hold numbers are an array's index.
+_UNIT = re.compile(r"(?P<name>.*\S)(?:\s+|(?!\[[\d,\s]*\]))\[(?P<unit>[^\[\]]*)\]", re.DOTALL)
+_TIME = Variable("time", unit="s")
+_INSTANTS = 1e-6  # what rounding leaves of a time in a file, in parts of the sampling time
+
+
+class Column(NamedTuple):
+    """A column to read.
+
+    Parameters
+    ----------
+    variable : Variable or None
+        The signal in whose unit the values are returned; None: they are returned as they stand.
+    header : str
+        The column's name, with or without the unit.
+    unit : str
+        Unit of the values where the header has none; empty: the signal's own.
+    """
+
+    variable: Variable | None
+    header: str
+    unit: str = ""
+
+
+class CSVFile:
+    """The cells of a CSV file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Attributes
+    ----------
+    header : tuple of str
+        The column names.
+    rows : list of list of str
+        The cells of each row, as many as there are column names.
+    lines : list of int
+        The line of the file that each row ends on, counted from 1.
+    faults : list of str
+        What is wrong with rows that were left out.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, is not UTF-8 text, or is empty.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.faults = path, list[str]()
+        text = _text(path)
+        first = next(filter(str.strip, re.split(r"[\r\n]", text)), "")
+        if not first:
+            raise DataError(f"{path}: is empty; needed: a header and one row per sample")
+        unquoted = re.sub(r'"[^"]*"', "", first)
+        self.delimiter = next((mark for mark in _DELIMITERS if mark in unquoted), ",")
+        reader = csv.reader(
+            StringIO(text, newline=""), delimiter=self.delimiter, skipinitialspace=True, strict=True
+        )
+        self.header: tuple[str, ...] = ()
+        self.rows, self.lines = list[list[str]](), list[int]()
+        try:
+            for row in reader:
+                self._take(row, reader.line_num)
+        except csv.Error as error:
+            raise DataError(f"{path}, line {reader.line_num}: not a CSV file: {error}") from error
+
+    def _take(self, row: list[str], line: int) -> None:
+        if not self.header:
+            self.header = tuple(cell.strip() for cell in row)
+        elif len(row) == len(self.header):
+            self.rows.append(row)
+            self.lines.append(line)
+        elif row:
+            hint = "; a decimal comma needs columns separated by semicolons" if self.delimiter == "," else ""
+            count = f"{len(row)} cells, and {len(self.header)} columns in the header"
+            self.faults.append(f"{self.path}, line {line}: {count}{hint}")
+
+    def find(self, header: str) -> tuple[int, str]:
+        """Return the index of a column and its unit, empty if the header has none.
+
+        Raises
+        ------
+        DataError
+            There is no such column, or more than one.
+        """
+        found = [i for i, name in enumerate(self.header) if name == header]
+        found = found or [i for i, name in enumerate(self.header) if split_unit(name)[0] == header]
+        if len(found) > 1:
+            names = ", ".join(f'"{self.header[i]}" (column {i + 1})' for i in found)
+            raise DataError(f'{self.path}: column "{header}" is there more than once: {names}')
+        if not found:
+            known = filter(None, (split_unit(name)[0] for name in self.header))
+            raise DataError(f'{self.path}: no column "{header}"; {did_you_mean(header, known)}')
+        return found[0], split_unit(self.header[found[0]])[1]
+
+    def cells(self, index: int) -> list[str]:
+        """Return the cells of a column."""
+        return [row[index] for row in self.rows]
+
+
+def split_unit(header: str) -> tuple[str, str]:
+    """Return the name and the unit of a column; the unit is empty if the header has none."""
+    match = _UNIT.fullmatch(header)
+    return (match["name"], match["unit"].strip()) if match else (header, "")
+
+
+def read_table(
+    path: Path, columns: Sequence[Column], time_column: str
+) -> tuple[FloatArray, FloatArray, list[int]]:
+    """Read columns of a CSV file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    columns : sequence of Column
+        The n columns to read.
+    time_column : str
+        Header of the time, in seconds unless it has a unit, or ISO 8601 dates, which count from the first
+        row; empty: the file has none, and times are NaN.
+
+    Returns
+    -------
+    time : array, shape (T,)
+        Increasing times [s].
+    values : array, shape (T, n)
+        The columns in the units of their signals, time along axis 0.
+    lines : list of int
+        The line of the file that each row ends on.
+
+    Raises
+    ------
+    DataError
+        All that is wrong with the file, with line and column.
+    """
+    with suppress(OSError, ValueError):  # which reading it reports
+        if (size := path.stat().st_size) > _LARGEST:
+            raise DataError(
+                f"{path}: {size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
+                "columns and rows that are needed"
+            )
+    file = CSVFile(path)
+    faults = file.faults
+    if not file.rows and not faults:
+        faults.append(f"{path}: a header and no rows; needed: one row per sample")
+    time, values = np.full(len(file.rows), np.nan), np.full((len(file.rows), len(columns)), np.nan)
+    found = dict(_found(file, columns, faults))
+    timed = dict(_found(file, [Column(_TIME, time_column)] if time_column else [], faults)).get(0)
+    dates = _dates(file.cells(timed[0])) if timed else None
+    numeric = [index for index, _ in found.values()] + ([timed[0]] if timed and dates is None else [])
+    comma = _decimal_comma(file, numeric, faults)
+    for i, (index, convert) in found.items():
+        values[:, i] = convert(_numbers(file, index, comma, faults))
+    if timed:
+        index, convert = timed
+        time = convert(_numbers(file, index, comma, faults)) if dates is None else dates
+        faults += _not_increasing(file, index, time)
+    if faults:
+        more = len(faults) - _MOST_LISTED
+        raise DataError([*faults[:_MOST_LISTED], *([f"{path}: and {more} more faults"] if more > 0 else [])])
+    return time, values, file.lines
+
+
+def require_even(
+    path: Path, time: FloatArray, lines: Sequence[int], sampling_time: float, tolerance: float
+) -> None:
+    """Check that rows are one sampling time apart.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    time : array, shape (T,)
+        Times [s]; NaN: not known, and not checked.
+    lines : sequence of int
+        The line of each row.
+    sampling_time : float
+        Wanted distance [s].
+    tolerance : float
+        How far a distance may be off, in parts of the sampling time.
+
+    Raises
+    ------
+    DataError
+        They are not, with the lines.
+    """
+    apart = np.diff(time)
+    wrong = np.flatnonzero(np.abs(apart - sampling_time) > (tolerance + _INSTANTS) * sampling_time)
+    if not wrong.size:
+        return
+    usual = float(np.median(apart))
+    if abs(usual - sampling_time) > (tolerance + _INSTANTS) * sampling_time:
+        raise DataError(
+            f"{path}: rows are {usual:g} s apart (median); needed: the sampling time {sampling_time:g} s"
+        )
+    faults = [
+        f"{path}, line {lines[i + 1]}: {apart[i]:g} s after the row before; needed: the sampling time "
+        f"{sampling_time:g} s, within {100 * tolerance:g} %"
+        for i in wrong[:_MOST_LISTED].tolist()
+    ]
+    more = [f"{path}: and {wrong.size - _MOST_LISTED} more uneven times"] if wrong.size > _MOST_LISTED else []
+    raise DataError([*faults, *more])
+
+
+def write_table(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> None:
+    """Write columns of numbers, in the shortest text that gives them again, and then columns of text."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([*numbers, *texts])
+        cells: list[Iterable[str]] = [map(repr, column.tolist()) for column in numbers.values()]
+        writer.writerows(zip(*cells, *texts.values(), strict=True))
+
+
+def _text(path: Path) -> str:
+    try:
+        if not path.is_file():
+            raise DataError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
+        content = path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read: {error}") from error
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        byte = error.object[error.start]
+        raise DataError(
+            f"{path}, line {line}: not UTF-8 text (byte 0x{byte:02x}): save it as UTF-8"
+        ) from error
+
+
+def _found(
+    file: CSVFile, columns: Sequence[Column], faults: list[str]
+) -> Iterator[tuple[int, tuple[int, Callable[[FloatArray], FloatArray]]]]:
+    """Yield the number of each column that is there, its index in the file, and how its values convert."""
+    for i, (variable, header, unit) in enumerate(columns):
+        try:
+            index, own = file.find(header)
+            if own and unit and own != unit:
+                raise DataError(
+                    f'{file.path}, column "{file.header[index]}": unit = "{unit}" contradicts its header'
+                )
+            try:
+                yield i, (index, converter(variable, own or unit) if variable else _as_it_stands)
+            except ConfigError as error:
+                raise DataError(f'{file.path}, column "{file.header[index]}": {error}') from error
+        except DataError as error:
+            faults.extend(error.faults)
+
+
+def _as_it_stands(values: FloatArray) -> FloatArray:
+    return values
+
+
+def _decimal_comma(file: CSVFile, columns: Sequence[int], faults: list[str]) -> bool:
+    """Return whether the file's decimal mark is a comma."""
+    if file.delimiter == ",":
+        return False
+    first: dict[str, int] = {}
+    for row, line in zip(file.rows, file.lines, strict=True):
+        for mark in ",.":
+            if mark not in first and any(mark in row[index] for index in columns):
+                first[mark] = line
+    if len(first) == 2:
+        where = f'"," in line {first[","]} and "." in line {first["."]}'
+        faults.append(f"{file.path}: two decimal marks, {where}; needed: one of them throughout")
+    return "," in first
+
+
+def _numbers(file: CSVFile, index: int, comma: bool, faults: list[str]) -> FloatArray:
+    """Return a column as numbers; NaN where a cell is not one, which is reported."""
+    cells = file.cells(index)
+    if comma:
+        cells = [cell.replace(",", ".") for cell in cells]
+    with suppress(ValueError):
+        values = np.array(list(map(float, cells)), dtype=np.float64)
+        if np.isfinite(values).all() and not any("_" in cell for cell in cells):
+            return values
+    values = np.array([_number(cell) for cell in cells])
+    for i in np.flatnonzero(~np.isfinite(values)).tolist():
+        cell = file.rows[i][index].strip()
+        what = f'"{cell[:40]}" is not a finite number' if cell else "the cell is empty"
+        faults.append(f'{file.path}, line {file.lines[i]}, column "{file.header[index]}": {what}')
+    return values
+
+
+def _number(cell: str) -> float:
+    try:
+        return np.nan if "_" in cell else float(cell)
+    except ValueError:
+        return np.nan
+
+
+def _not_increasing(file: CSVFile, index: int, time: FloatArray) -> Iterator[str]:
+    """Yield which times are not after the one before."""
+    for i in np.flatnonzero(np.diff(time) <= 0.0).tolist():
+        what = f"{time[i + 1]:.12g} s is not after the time of the row before, {time[i]:.12g} s"
+        yield f'{file.path}, line {file.lines[i + 1]}, column "{file.header[index]}": {what}'
+
+
+def _dates(cells: Sequence[str]) -> FloatArray | None:
+    """Return the seconds since the first of ISO 8601 dates with times; None if they are something else."""
+    if cells and np.isfinite(_number(cells[0].replace(",", "."))):
+        return None
+    try:
+        dates = [datetime.fromisoformat(cell.strip()) for cell in cells]
+        return np.array([(date - dates[0]).total_seconds() for date in dates])
+    except (ValueError, TypeError):  # some with a time zone and some without
+        return None
