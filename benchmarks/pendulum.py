@@ -62,7 +62,9 @@ class Pendulum:
     def sample(self) -> Sample:
         """Return what a controller sees now."""
         k, y = self._k, np.array([self._state[0]])
-        return Sample(k, k * SAMPLING_TIME, y, y, self._reference[k + 1 : k + 1 + self._horizon])
+        return Sample(
+            k, k * SAMPLING_TIME, y, y, self._reference[k + 1 : k + 1 + self._horizon], self._reference[k]
+        )
 
     def apply(self, torque: FloatArray) -> None:
         """Hold the torque until the next sample."""

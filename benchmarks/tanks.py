@@ -37,7 +37,9 @@ class Tanks:
         """Return what a controller sees now."""
         k = self._k
         y = self._c @ self._state + _NOISE * self._rng.standard_normal(2)
-        return Sample(k, k * SAMPLING_TIME, y, y, self._reference[k + 1 : k + 1 + self._horizon])
+        return Sample(
+            k, k * SAMPLING_TIME, y, y, self._reference[k + 1 : k + 1 + self._horizon], self._reference[k]
+        )
 
     def apply(self, volts: FloatArray) -> None:
         """Hold the pumps until the next sample."""

@@ -89,6 +89,9 @@ class Loop:
         The open-loop experiment, where the study has one.
     rng : numpy.random.Generator
         The only source of randomness a controller may use: seeded by the case.
+    preview : int
+        How many of the future references this controller is told: its horizon, or fewer where the study
+        limits how far anyone may look ahead.
     continues_recording : bool
         The loop goes on where the recording ended. Otherwise it starts from rest: before the first sample
         the inputs were at their start values and the measurements as they are at that sample.
@@ -101,6 +104,7 @@ class Loop:
     bounds: Bounds
     recording: Recording | None
     rng: np.random.Generator
+    preview: int = 1
     continues_recording: bool = False
 
 
@@ -118,7 +122,10 @@ class Sample(NamedTuple):
     measured : array, shape (q,)
         All measurements, taken now.
     reference : array, shape (horizon, p)
-        Future references r_{k+1} ... r_{k+horizon}, time along axis 0.
+        Future references r_{k+1} ... r_{k+horizon}, time along axis 0. Those beyond the loop's preview are
+        not known: the last one that is known, with a preview of 0 the setpoint, stands in their place.
+    setpoint : array, shape (p,)
+        The reference at this sample, r_k.
     """
 
     k: int
@@ -126,6 +133,7 @@ class Sample(NamedTuple):
     y: FloatArray
     measured: FloatArray
     reference: FloatArray
+    setpoint: FloatArray
 
 
 class Action(NamedTuple):
@@ -155,7 +163,10 @@ class Controller(ABC):
     """
 
     horizon: int = 1
-    """How many future reference samples ``step`` wants; a subclass may make it a setting."""
+    """How many future reference samples ``step`` wants; a subclass may make it a setting.
+
+    It is known once the controller is made; ``start`` does not change it.
+    """
 
     @property
     def uses_recording(self) -> bool:

@@ -69,6 +69,16 @@ def check_seed(seed: int) -> None:
         raise ConfigError(f"seed = {seed!r} is not possible; allowed: an integer >= 0")
 
 
+def check_preview(preview: int | None) -> None:
+    """Raise ConfigError if this number of future references that anyone may see is not possible."""
+    if preview is not None and (
+        not isinstance(preview, Integral) or isinstance(preview, bool) or preview < 0
+    ):
+        raise ConfigError(
+            f"preview = {preview!r} is not possible; allowed: an integer >= 0, or None: no limit"
+        )
+
+
 def check_events(events: Sequence[ParameterChange], end: float) -> None:
     """Raise ConfigError for every event that would never act on the plant, as the run ends before."""
     late = [fault for event in events if (fault := late_error(event.time, end))]
@@ -109,7 +119,7 @@ class LoopSetup:
     ----------
     plant : Plant
         The plant.
-    sampling_time, outputs, measurements, bounds, noise, seed
+    sampling_time, outputs, measurements, bounds, noise, seed, preview
         As in :func:`ddpc_cosim.cosimulate`.
 
     Raises
@@ -127,9 +137,11 @@ class LoopSetup:
         bounds: Mapping[str, tuple[float, float]] | None,
         noise: GaussianNoise | None,
         seed: int,
+        preview: int | None,
     ) -> None:
         check_sampling_time(sampling_time)
         check_seed(seed)
+        check_preview(preview)
         missing = [what for what, has in (("inputs", plant.inputs), ("outputs", plant.outputs)) if not has]
         if missing:
             raise ConfigError([f"the plant has no {what}: there is nothing to control" for what in missing])
@@ -137,7 +149,7 @@ class LoopSetup:
         controlled = _chosen("outputs", outputs) or available
         measured = _chosen("measurements", measurements) or available
         check_names("outputs and measurements", dict.fromkeys((*controlled, *measured)), plant.outputs)
-        self.plant, self.sampling_time, self._seed = plant, sampling_time, seed
+        self.plant, self.sampling_time, self._seed, self._preview = plant, sampling_time, seed, preview
         self._outputs = np.array([available.index(name) for name in controlled], dtype=np.intp)
         self._measured = np.array([available.index(name) for name in measured], dtype=np.intp)
         self.outputs = tuple(plant.outputs[i] for i in self._outputs)
@@ -184,8 +196,10 @@ class LoopSetup:
         table.setflags(write=False)  # controllers are handed views of it
         return table
 
-    def loop(self, stream: int, recording: Recording | None = None, *, continues: bool = False) -> Loop:
-        """Return what a controller learns; raise DataError for a recording of another loop."""
+    def loop(
+        self, stream: int, horizon: int, recording: Recording | None = None, *, continues: bool = False
+    ) -> Loop:
+        """Return what a controller of a horizon learns; raise DataError for a recording of another loop."""
         if recording is not None:
             self._check_recording(recording)
         return Loop(
@@ -196,6 +210,7 @@ class LoopSetup:
             bounds=self.bounds,
             recording=_protected(recording),
             rng=self._stream(stream),
+            preview=horizon if self._preview is None else min(horizon, int(self._preview)),
             continues_recording=continues,
         )
 

@@ -37,6 +37,7 @@ from ddpc_cosim.safe_calls import (
     clip_inputs,
     controller_diagnostics,
     controller_settings,
+    horizon_of,
     plant_provenance,
     require_finite,
     reset_plant,
@@ -76,6 +77,7 @@ def cosimulate(
     parameters: Mapping[str, ParameterValue] | None = None,
     noise: GaussianNoise | None = None,
     events: Sequence[ParameterChange] = (),
+    preview: int | None = None,
     seed: int = 0,
     start_time: float = 0.0,
     continue_recording: bool = False,
@@ -111,6 +113,9 @@ def cosimulate(
         Noise of the measurements.
     events : sequence of ParameterChange, optional
         Tunable parameters that change during the run, before its end.
+    preview : int, optional
+        How many future references a controller may see, whatever its horizon; it is handed the last of them
+        in place of those that follow. Default: no limit.
     seed : int
         Seed of the noise and of the controller's random numbers.
     start_time : float
@@ -133,7 +138,7 @@ def cosimulate(
         What can be known before the first sample: settings, signals and data that do not fit, a parameter
         change after the end of the run, a plant that cannot be initialised.
     """
-    setup = LoopSetup(plant, sampling_time, outputs, measurements, bounds, noise, seed)
+    setup = LoopSetup(plant, sampling_time, outputs, measurements, bounds, noise, seed, preview)
     steps = whole_steps(duration, sampling_time)
     end = end_time(start_time, steps, sampling_time)
     check_events(events, end)
@@ -159,12 +164,13 @@ def cosimulate(
     if not continue_recording:
         plant.plan(sampling_time, end)
         y_plant = reset_plant(plant, parameters, start_time)
-    loop = setup.loop(CONTROLLER_STREAM, recording, continues=continue_recording)
+    horizon = horizon_of(controller)
+    loop = setup.loop(CONTROLLER_STREAM, horizon, recording, continues=continue_recording)
     start_controller(controller, loop)
     settings, provenance = controller_settings(controller), plant_provenance(plant)
-    time = start_time + np.arange(steps + 1 + controller.horizon, dtype=np.float64) * sampling_time
+    time = start_time + np.arange(steps + 1 + loop.preview, dtype=np.float64) * sampling_time
     table = setup.references(reference, time)
-    rows = _Rows(loop, time, table, steps + 1, controller.horizon, store)
+    rows = _Rows(loop, time, table, steps + 1, horizon, store)
     outcome, reason = _closed_loop(setup, controller, rows, y_plant, events)
     try:
         diagnostics = controller_diagnostics(controller) | diagnostics
@@ -199,13 +205,14 @@ def record(
     measurements: Sequence[str] | None = None,
     parameters: Mapping[str, ParameterValue] | None = None,
     noise: GaussianNoise | None = None,
+    preview: int | None = None,
     seed: int = 0,
 ) -> Recording:
     """Run an experiment from the plant's initial state; parameters as in :func:`cosimulate`.
 
     Only a stabiliser follows ``reference``, which it needs, and keeps ``bounds``.
     """
-    setup = LoopSetup(plant, sampling_time, outputs, measurements, bounds, noise, seed)
+    setup = LoopSetup(plant, sampling_time, outputs, measurements, bounds, noise, seed, preview)
     return _experiment(setup, excitation, stabiliser, reference or {}, parameters).recording
 
 
@@ -222,18 +229,17 @@ class ExcitingController(Controller):
 
     def __init__(self, excitation: FloatArray, stabiliser: Controller | None) -> None:
         self._excitation, self._stabiliser = excitation, stabiliser
+        self.horizon = 0 if stabiliser is None else horizon_of(stabiliser)
         self.seen: list[FloatArray] = []
         self.fallbacks = 0
 
     def start(self, loop: Loop) -> None:
         """Start the stabilising controller."""
-        self.horizon = 0
         if self._stabiliser is not None:
             if self._stabiliser.uses_recording:
                 name = type(self._stabiliser).__name__
                 raise ConfigError(f"stabiliser: {name} learns from a recording itself")
             start_controller(self._stabiliser, loop)
-            self.horizon = self._stabiliser.horizon
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the excited inputs, shape (m,), and keep the controlled outputs as they were measured."""
@@ -263,11 +269,12 @@ def _experiment(
     onwards: float = 0.0,
 ) -> _Experiment:
     """Excite a plant from its initial state and record it; ``onwards`` [s] are to follow."""
-    plant, sampling_time, loop = setup.plant, setup.sampling_time, setup.loop(STABILISER_STREAM)
+    plant, sampling_time = setup.plant, setup.sampling_time
     inputs = excitation_table(excitation, len(plant.inputs))
     exciting = ExcitingController(inputs, stabiliser)
+    loop = setup.loop(STABILISER_STREAM, exciting.horizon)
     start_controller(exciting, loop)
-    time = np.arange(len(inputs) + exciting.horizon, dtype=np.float64) * sampling_time
+    time = np.arange(len(inputs) + loop.preview, dtype=np.float64) * sampling_time
     if stabiliser is not None:
         table = setup.references(reference, time)
     else:  # an excitation alone follows no reference, and is applied beyond the limits of the loop too
@@ -305,7 +312,8 @@ class _Rows:
         horizon: int,
         store: RowStore | None = None,
     ) -> None:
-        self.time, self.reference, self.horizon = time[:rows], reference, horizon
+        self.time, self.reference = time[:rows], reference
+        self._ahead = np.minimum(np.arange(1, horizon + 1), loop.preview)
         self.start, self.sampling_time, self.bounds = float(time[0]), loop.sampling_time, loop.bounds
         columns = len(loop.outputs), len(loop.measurements), len(loop.inputs)
         self.store = store or RowStore(rows, *columns)
@@ -325,6 +333,12 @@ class _Rows:
     def next_time(self) -> float:
         """Time of the row to be written next [s], which may be one after the last."""
         return self.start + self.count * self.sampling_time
+
+    def future(self, k: int) -> FloatArray:
+        """Return the references after sample k, shape (horizon, p), as far as they may be seen."""
+        visible: FloatArray = self.reference[k + self._ahead]
+        visible.setflags(write=False)
+        return visible
 
     def written(self) -> dict[str, Any]:
         """Return the rows up to the last one that was written."""
@@ -381,6 +395,6 @@ def _write_row(setup: LoopSetup, controller: Controller, rows: _Rows, k: int, y_
     """Measure the plant at sample k, let the controller decide, and keep both in row k."""
     y, measured = setup.measure(y_plant)
     rows.store.begin(k, setup.controlled(y_plant), measured)
-    sample = Sample(k, float(rows.time[k]), y, measured, rows.reference[k + 1 : k + 1 + rows.horizon])
+    sample = Sample(k, float(rows.time[k]), y, measured, rows.future(k), rows.reference[k])
     decision = ask_controller(controller, sample, rows.store.u.shape[1])
     rows.store.complete(k, *clip_inputs(decision, rows.bounds))

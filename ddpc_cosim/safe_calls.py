@@ -114,14 +114,23 @@ def make_controller(make: Callable[[], Controller], name: str) -> Controller:
 
 
 def start_controller(controller: Controller, loop: Loop) -> None:
-    """Start a controller, which may raise any CosimError itself, and check its horizon."""
+    """Start a controller, which may raise any CosimError itself, and whose horizon has to stay."""
+    horizon = horizon_of(controller)
     with _controller_errors(controller, "start", own=CosimError):
         controller.start(loop)
+    if horizon_of(controller) != horizon:
+        who = f"{type(controller).__name__}.start"
+        raise ControllerError(f"{who} changed horizon from {horizon} to {controller.horizon}; set it before")
+
+
+def horizon_of(controller: Controller) -> int:
+    """Return how many future references a controller wants, an integer >= 0."""
     with _controller_errors(controller, "horizon", own=CosimError):
         horizon = controller.horizon
     if not isinstance(horizon, int | np.integer) or isinstance(horizon, bool) or horizon < 0:
         what = f"{type(controller).__name__}.horizon = {horizon!r}"
         raise ControllerError(f"{what} is not possible; allowed: an integer >= 0")
+    return int(horizon)
 
 
 def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decision:

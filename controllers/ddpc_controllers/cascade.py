@@ -27,8 +27,8 @@ class Cascade(Wrapper):
     named in ``inner_outputs``; their references are the inputs of the outer controller, for which plant and
     inner loop are one plant, and have the limits of the outputs they are for. They begin where the first
     sample finds these outputs, so that a plant at rest is left alone. The outer controller takes one sample
-    for ``outer_period`` of the inner one. Neither may learn from a recording, because there is none of the
-    inner loop; an inner one may take over where the recording ended.
+    for ``outer_period`` of the inner one, which does not know its references ahead. Neither may learn from a
+    recording, because there is none of the inner loop; an inner one may take over where the recording ended.
 
     A status of either is passed on with its name.
     """
@@ -56,7 +56,7 @@ class Cascade(Wrapper):
         inner = self._inner_loop(loop)
         self._inner, self._outer = Inner(self.inner, "inner"), Inner(self.outer, "outer")
         self._running = (self._inner, self._outer)
-        self._inner.start(inner)
+        self._inner.start(replace(inner, preview=0))
         bounds = Bounds(inner.bounds.y_min, inner.bounds.y_max, loop.bounds.y_min, loop.bounds.y_max)
         self._outer_loop = replace(
             loop,
@@ -64,11 +64,11 @@ class Cascade(Wrapper):
             inputs=inner.outputs,
             bounds=bounds,
             recording=None,
+            preview=loop.preview // self.outer_period,
             continues_recording=False,
         )
         self._begun = False
         self._start_outer()  # refused here, not at the first sample
-        self._target = np.empty((self._inner.controller.horizon, len(inner.outputs)))
 
     def step(self, sample: Sample) -> Action:
         """Return what the inner controller does about the outer one's latest reference."""
@@ -77,11 +77,13 @@ class Cascade(Wrapper):
         if not self._begun:
             self._begin_at(y)
         if sample.k % self.outer_period == 0:
+            # What is known of the outer loop's future is what is known of the whole one's.
             later = sample.reference[self.outer_period - 1 :: self.outer_period]
             slow = sample._replace(k=sample.k // self.outer_period, reference=later)
             actions.append(self._outer.step(slow))
-            self._target[...] = actions[0].u
-        actions.append(self._inner.step(sample._replace(y=y, reference=self._target.copy())))
+            self._target = actions[0].u
+        held = np.tile(self._target, (self.inner.horizon, 1))
+        actions.append(self._inner.step(sample._replace(y=y, reference=held, setpoint=self._target.copy())))
         return joined(actions[-1].u, actions)
 
     @property

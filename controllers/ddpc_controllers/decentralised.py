@@ -87,6 +87,7 @@ class Decentralised(Wrapper):
                     y=sample.y[share.outputs],
                     measured=sample.measured[share.measurements],
                     reference=sample.reference[: inner.controller.horizon, share.outputs],
+                    setpoint=sample.setpoint[share.outputs],
                 )
             )
             for inner, share in zip(self._running, self._shares, strict=True)

@@ -100,7 +100,7 @@ class OffsetFree(SingleWrapper):
         self._bounds = loop.bounds
         self._low, self._high = _just_within(loop.bounds)
         self._phi = float(np.exp(-loop.sampling_time / (self.response_time or 2.0 * loop.sampling_time)))
-        self._gain = self.gain or min(_LARGEST_GAIN, 1.0 / self.controller.horizon)
+        self._gain = self.gain or min(_LARGEST_GAIN, 1.0 / max(1, self.horizon))
         self._disturbance = np.zeros(len(loop.outputs))
         self._largest = np.zeros(len(loop.outputs))
         self._clipped = np.zeros(len(loop.outputs), dtype=bool)
@@ -122,12 +122,13 @@ class OffsetFree(SingleWrapper):
             self._largest = np.maximum(self._largest, np.abs(self._disturbance))
             expected = expected + (off - correctable)
         elif expected is None:
-            expected = sample.reference[0]
-        wanted = sample.reference - self._disturbance
+            expected = sample.setpoint
+        wanted = np.vstack([sample.setpoint, sample.reference]) - self._disturbance
         shifted = np.clip(wanted, self._bounds.y_min, self._bounds.y_max)
-        self._clipped = shifted[0] != wanted[0]
-        self._expected = self._phi * expected + (1.0 - self._phi) * shifted[0]
-        action = self._inner.step(sample._replace(reference=shifted))
+        target = min(1, self.horizon)  # the first that the controller is to reach
+        self._clipped = shifted[target] != wanted[target]
+        self._expected = self._phi * expected + (1.0 - self._phi) * shifted[target]
+        action = self._inner.step(sample._replace(reference=shifted[1:], setpoint=shifted[0]))
         self._reachable = self._directions((action.u > self._low) & (action.u < self._high))
         return action
 
@@ -144,7 +145,7 @@ class OffsetFree(SingleWrapper):
         self._needed = min(p, max(1, int((self._high > self._low).sum())))
         self._plant: tuple[FloatArray, FloatArray] | None = None
         if p > 1 and recording is not None:
-            self._plant = step_gain(recording, self.controller.horizon), spread(recording)
+            self._plant = step_gain(recording, max(1, self.horizon)), spread(recording)
 
     def _directions(self, free: NDArray[np.bool_]) -> FloatArray:
         """Return what part of a change of the outputs the free inputs can bring about, shape (p, p)."""

@@ -71,6 +71,7 @@ class Scales:
                 y=sample.y / self.y,
                 measured=sample.measured / self.measured,
                 reference=sample.reference / self.y,
+                setpoint=sample.setpoint / self.y,
             )
         )
         if isinstance(answer, Action):

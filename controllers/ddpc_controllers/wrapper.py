@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ddpc_controllers.checks import check_settings_and
 from ddpc_cosim import Action, Controller, FloatArray, Loop, Sample, setting
@@ -32,14 +32,15 @@ class Inner:
         self._name = name
 
     def start(self, loop: Loop) -> None:
-        """Start the copy.
+        """Start the copy on its part of a loop, of whose future it asks for as much as its horizon.
 
         Raises
         ------
         CosimError
             What it says itself.
         """
-        self.controller.start(loop)
+        preview = min(loop.preview, self.controller.horizon)
+        self.controller.start(replace(loop, preview=preview))
 
     def step(self, sample: Sample) -> Action:
         """Return its action."""

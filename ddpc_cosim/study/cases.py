@@ -67,6 +67,8 @@ class Case:
         Standard deviations of measurement noise.
     events : tuple of ParameterChange
         Parameter changes during the run.
+    preview : int or None
+        How many future references any controller may see; None: as many as it asks for.
     id : str
         Readable name and a hash of everything that decides the result, code version included.
     """
@@ -91,6 +93,7 @@ class Case:
     parameters: dict[str, ParameterValue]
     noise: dict[str, float]
     events: tuple[ParameterChange, ...] = ()
+    preview: int | None = None
     id: str = ""
 
     @property
@@ -200,6 +203,7 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
             parameters=case.parameters,
             noise=GaussianNoise(case.noise) if case.noise else None,
             events=case.events,
+            preview=case.preview,
             seed=case.seed,
             start_time=case.start_time,
             continue_recording=case.continue_recording,
@@ -297,11 +301,17 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
                     parameters={**study.plant.parameters, **scenario.parameters},
                     noise=dict(scenario.noise),
                     events=events[name],
+                    preview=_preview(scenario, study.loop),
                 )
 
 
 def _type_and_settings(section: ControllerSection | StabiliserSection) -> dict[str, Any]:
     return {"type": section.type, "settings": section.settings}
+
+
+def _preview(scenario: ScenarioSection, loop: LoopSection) -> int | None:
+    preview = loop.preview if scenario.preview is None else scenario.preview
+    return None if preview == "horizon" else preview
 
 
 def _events(scenario: ScenarioSection, loop: LoopSection) -> tuple[ParameterChange, ...]:

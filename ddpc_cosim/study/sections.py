@@ -15,6 +15,7 @@ from ddpc_cosim.study.validation_errors import FilePath, Section
 from ddpc_cosim.variables import Variable
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
+Preview = Annotated[int, Field(ge=0)] | Literal["horizon"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Value = bool | int | Finite | str
@@ -110,6 +111,10 @@ class LoopSection(Section):
     start_time: Finite = Field(0.0, description="time of the first sample [s]")
     start: Literal["rest", "recording-end"] = Field(
         "rest", description="start from the plant's initial state, or where the recording ended"
+    )
+    preview: Preview = Field(
+        "horizon",
+        description="future references that any controller may see; horizon: as many as it asks for",
     )
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
@@ -315,6 +320,7 @@ class ScenarioSection(Section):
     )
     events: list[EventSection] = Field([])
     drifts: list[DriftSection] = Field([])
+    preview: Preview | None = Field(None, description="in place of the loop's")
 
 
 def _as_list(tables: Any) -> Any:

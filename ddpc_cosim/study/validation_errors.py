@@ -267,13 +267,20 @@ def _message(errors: Sequence[Any]) -> str:
         return "must not be empty"
     if kind == "string_pattern_mismatch":
         return f"must {_NAME_RULE}, got {_shown(value)}"
-    expected = [_EXPECTED.get(error["type"].split("_")[0], "") for error in errors]
+    expected = [_expected(error) for error in errors]
     if all(expected) and kind.endswith(("_type", "_parsing", "_from_float")):
         return f"must be {' or '.join(expected)}, got {_shown(value)}"
     # Of alternatives, the one whose type fits and whose value does not: infinity is a number.
     message = next((error["msg"] for error, words in zip(errors, expected, strict=True) if not words), None)
     message = re.sub(r"^[A-Z][a-z]+ should ", "", message or errors[0]["msg"])
     return f"must {message}, got {_shown(value)}"
+
+
+def _expected(error: Any) -> str:
+    """Return what a value would have to be, if its type is wrong."""
+    if error["type"] == "literal_error":
+        return str(error["ctx"]["expected"])
+    return _EXPECTED.get(error["type"].split("_")[0], "")
 
 
 def _shown(value: Any) -> str:

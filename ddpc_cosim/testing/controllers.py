@@ -263,12 +263,31 @@ def handles_a_missing_measurement_as_declared(subject: ControllerUnderTest) -> N
     _require_equal(expected, subject.run(plant, controller).u, "in the run after one with NaN in it")
 
 
+def knows_its_horizon_before_its_start(subject: ControllerUnderTest) -> None:
+    """Require a horizon that ``start`` does not change: what a controller may see is decided before."""
+    plant, controller = subject.plant(), subject.make_controller()
+    before = controller.horizon
+    controller.start(plant.loop_for(controller, 0))
+    if controller.horizon != before:
+        raise CheckFailedError(f"start changes horizon from {before} to {controller.horizon}; set it before")
+
+
 def stabilises_the_reference_plant(subject: ControllerUnderTest) -> None:
     """Require that the outputs end nearer to a reference within reach than they began."""
     plant = subject.plant()
-    controller = subject.started(plant)
+    _require_approach(subject, plant, subject.started(plant))
+
+
+def stabilises_it_without_preview(subject: ControllerUnderTest) -> None:
+    """Require the same where a study tells nobody the future: every reference ahead is the setpoint."""
+    plant, controller = subject.plant(), subject.make_controller()
+    controller.start(plant.loop_for(controller, 0, preview=0))
+    _require_approach(subject, plant, controller)
+
+
+def _require_approach(subject: ControllerUnderTest, plant: ReferencePlant, controller: Controller) -> None:
     run = subject.run(plant, controller)
-    target = plant.target(controller)[0]
+    target = plant.target()
     final = np.abs(run.y[-subject.steps // 4 :] - target).max(axis=0)
     if not (final < np.abs(target)).all():
         raise CheckFailedError(
@@ -352,6 +371,8 @@ CONTROLLER_CHECKS: Mapping[str, Callable[[ControllerUnderTest], None]] = {
         respects_the_input_limits,
         reports_a_failure_as_a_status,
         handles_a_missing_measurement_as_declared,
+        knows_its_horizon_before_its_start,
         stabilises_the_reference_plant,
+        stabilises_it_without_preview,
     )
 }

@@ -39,7 +39,7 @@ class ReferencePlant:
         settled = gain @ u
         return np.asarray(settled + (x - settled) * np.exp(-self.sampling_time))
 
-    def loop(self, samples: int | None, seed: int) -> Loop:
+    def loop(self, samples: int | None, seed: int, preview: int = 1) -> Loop:
         """Return what a controller learns, with a recording of so many samples, or with none."""
         outputs = tuple(Variable(f"y{i + 1}", min=-OUTPUT_LIMIT, max=OUTPUT_LIMIT) for i in range(self.size))
         u_max, y_max = np.full(self.size, self.input_limit), np.full(self.size, OUTPUT_LIMIT)
@@ -53,17 +53,21 @@ class ReferencePlant:
             bounds=Bounds(-u_max, u_max, -y_max, y_max),
             recording=None if samples is None else self._record(samples),
             rng=np.random.default_rng([seed, 2]),
+            preview=preview,
         )
 
-    def loop_for(self, controller: Controller, seed: int) -> Loop:
-        """Return a loop with as long a recording as the controller needs, if it uses one."""
+    def loop_for(self, controller: Controller, seed: int, preview: int | None = None) -> Loop:
+        """Return a loop with as long a recording as the controller needs, if it uses one, and its preview."""
+        preview = controller.horizon if preview is None else preview
         if not controller.uses_recording:
-            return self.loop(None, seed)
-        return self.loop(max(_RECORDED, controller.recording_length(self.size, self.size, self.size)), seed)
+            return self.loop(None, seed, preview)
+        needed = controller.recording_length(self.size, self.size, self.size)
+        return self.loop(max(_RECORDED, needed), seed, preview)
 
-    def target(self, controller: Controller, scale: float = 1.0) -> FloatArray:
-        """Return a constant reference, shape (horizon, size)."""
-        return np.tile(scale * TARGET[: self.size], (controller.horizon, 1))
+    def target(self, scale: float = 1.0) -> FloatArray:
+        """Return the value of a constant reference, shape (size,)."""
+        target: FloatArray = scale * TARGET[: self.size]
+        return target
 
     def _record(self, samples: int) -> Recording:
         u = np.random.default_rng(0).uniform(-INPUT_LIMIT, INPUT_LIMIT, (samples, self.size))
@@ -111,17 +115,20 @@ class TestLoop:
         reuse: bool = False,
     ) -> None:
         self.plant, self.controller, self._reuse = plant, controller, reuse
-        self._reference = plant.target(controller, scale)
+        self._setpoint = plant.target(scale)
+        self._reference = np.tile(self._setpoint, (controller.horizon, 1))
         self._x = np.full(plant.size, start)
         self.rows: list[tuple[FloatArray, FloatArray, str]] = []
 
     def step(self, seen: FloatArray | None = None) -> FloatArray:
         """Take a sample, in which the controller sees the outputs or what is given; return the inputs."""
         k, y = len(self.rows), self._x if seen is None else seen
-        sample = Sample(k, k * self.plant.sampling_time, y.copy(), y.copy(), self._reference.copy())
+        sample = Sample(
+            k, k * self.plant.sampling_time, y.copy(), y.copy(), self._reference.copy(), self._setpoint.copy()
+        )
         action = answer(self.controller, sample, self.plant.size)
         if self._reuse:
-            for array in (sample.y, sample.measured, sample.reference):
+            for array in (sample.y, sample.measured, sample.reference, sample.setpoint):
                 array[:] = np.nan
         self.rows.append((action.u.copy(), self._x, action.status))
         limit = self.plant.input_limit
@@ -137,9 +144,9 @@ class TestLoop:
 
 def answer(controller: Controller, sample: Sample, inputs: int) -> Action:
     """Return a controller's answer; raise CheckFailedError if it is not of the contract's shape and type."""
-    given = [array.copy() for array in (sample.y, sample.measured, sample.reference)]
+    given = {name: getattr(sample, name).copy() for name in ("y", "measured", "reference", "setpoint")}
     answered = controller.step(sample)
-    for name, before in zip(("y", "measured", "reference"), given, strict=True):
+    for name, before in given.items():
         if not np.array_equal(getattr(sample, name), before, equal_nan=True):
             raise CheckFailedError(f"step changed sample.{name}, which other controllers are given too")
     action = answered if isinstance(answered, Action) else Action(answered)

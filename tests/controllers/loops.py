@@ -160,7 +160,7 @@ def close_loop(
     run = Run(np.zeros((steps, len(output))), np.zeros((steps, len(loop.inputs))), reference, [], [])
     for k in range(steps):
         future = reference[k + 1 : k + 1 + controller.horizon]
-        sample = Sample(k, k * SAMPLING_TIME, output @ state, measure @ state, future)
+        sample = Sample(k, k * SAMPLING_TIME, output @ state, measure @ state, future, reference[k])
         answer = controller.step(sample)
         action = answer if isinstance(answer, Action) else Action(answer)
         run.y[k], run.u[k] = sample.y, action.u

@@ -43,7 +43,7 @@ def started(cascade: Cascade, loop: Loop) -> tuple[Probe, Probe]:
 def test_the_outer_controller_sets_the_inner_reference() -> None:
     cascade = Cascade(inner=Probe(gain=2.0, horizon=3), outer=Probe(gain=5.0))
     inner, outer = started(cascade, make_loop(None, np.ones(1), np.ones(1)))
-    answer = cascade.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.array([[0.1]])))
+    answer = cascade.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.array([[0.1]]), np.array([0.1])))
     assert inner.samples[0].reference.tolist() == [[0.5]] * 3
     assert answer.u == pytest.approx([1.0])
     assert answer.status == "outer: probe 5; inner: probe 2"
@@ -58,7 +58,7 @@ def test_the_outer_controller_may_be_slower() -> None:
     assert outer.loop.sampling_time == pytest.approx(3 * inner.loop.sampling_time)
     reference = np.arange(1.0, 20.0)[:, np.newaxis]  # r_k = k
     for k in range(7):
-        cascade.step(Sample(k, 0.1 * k, np.zeros(1), np.zeros(1), reference[k : k + 6]))
+        cascade.step(Sample(k, 0.1 * k, np.zeros(1), np.zeros(1), reference[k : k + 6], reference[k]))
     assert [sample.k for sample in outer.samples] == [0, 1, 2]
     assert [sample.reference.ravel().tolist() for sample in outer.samples] == [[3, 6], [6, 9], [9, 12]]
     assert [float(sample.reference[0, 0]) for sample in inner.samples] == [3, 3, 3, 6, 6, 6, 9]
@@ -69,7 +69,7 @@ def test_the_inner_loop_may_control_other_measurements() -> None:
     loop = replace(make_loop(None, np.ones(1), np.ones(1)), measurements=measurements)
     cascade = Cascade(inner=Probe(), outer=Probe(), inner_outputs=["angle"])
     inner, outer = started(cascade, loop)
-    cascade.step(Sample(0, 0.0, np.array([7.0]), np.array([7.0, 0.1]), np.zeros((1, 1))))
+    cascade.step(Sample(0, 0.0, np.array([7.0]), np.array([7.0, 0.1]), np.zeros((1, 1)), np.zeros(1)))
     assert inner.samples[0].y.tolist() == [0.1]
     assert outer.samples[0].y.tolist() == [7.0]
     assert (outer.loop.bounds.u_min, outer.loop.bounds.u_max) == ([-0.3], [0.4])
@@ -131,6 +131,6 @@ def test_a_plant_at_rest_is_left_alone(continues: bool) -> None:
     cascade.start(loop)
     y = np.array([2.0])
     for k in range(30):
-        answer = cascade.step(Sample(k, 0.1 * k, y, y, rest[:5]))
+        answer = cascade.step(Sample(k, 0.1 * k, y, y, rest[:5], rest[0]))
         y = plant.advance(y, answer.u)
         assert y == pytest.approx([2.0], abs=1e-9)

@@ -124,7 +124,7 @@ def statuses_far_outside(controller: DeePC, steps: int = 6) -> tuple[list[str], 
     for k in range(steps):
         # At rest at 2 the plant cannot have been: only its own past, from the second sample on, is.
         y = LAG.c @ state
-        answer = controller.step(Sample(k, 0.1 * k, y, y, np.zeros((controller.horizon, 1))))
+        answer = controller.step(Sample(k, 0.1 * k, y, y, np.zeros((controller.horizon, 1)), np.zeros(1)))
         action = answer if isinstance(answer, Action) else Action(answer)
         said.append(action.status)
         applied.append(action.u)
@@ -249,7 +249,7 @@ class TestL1:
         state = y[-1]
         for k in range(60):
             reference = np.full((5, 1), 50.0 if k < 20 else 60.0)
-            answer = controller.step(Sample(k, 0.1 * k, state, state, reference))
+            answer = controller.step(Sample(k, 0.1 * k, state, state, reference, reference[0]))
             assert not isinstance(answer, Action), answer
             state = 0.9 * state + 0.1 * answer
         assert state == pytest.approx([60.0], abs=1e-2)
@@ -260,7 +260,9 @@ class TestL1:
         controller = DeePC(regulariser="l1")
         controller.start(pendulum_loop(paper_recording))
         monkeypatch.delattr("piqp.SparseSolver")
-        answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((5, 1), 0.1)))
+        answer = controller.step(
+            Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((5, 1), 0.1), np.full(1, 0.1))
+        )
         assert not isinstance(answer, Action)
 
     def test_where_the_solver_fails_the_last_input_is_held(self) -> None:

@@ -115,7 +115,7 @@ def test_the_input_limits_hold_exactly_and_an_answer_is_the_callers_to_keep(name
     state = np.zeros(2)
     for k, expected in enumerate(u):
         future = reference[k + 1 : k + 1 + kept.horizon]
-        answer = inputs(kept.step(Sample(k, 0.1 * k, state[:1], state, future)))
+        answer = inputs(kept.step(Sample(k, 0.1 * k, state[:1], state, future, future[0])))
         assert np.array_equal(answer, expected)
         state = quick_pendulum(state, answer)
         answer[:] = 99.0

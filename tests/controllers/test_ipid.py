@@ -66,7 +66,7 @@ def test_the_first_order_law_is_the_published_one() -> None:
     for k, (y, before) in enumerate([(0.0, 0.0), (0.1, 0.0), (0.15, 0.1), (-0.1, 0.15)]):
         disturbance = (y - before) / SAMPLING_TIME - 2.0 * u
         expected = (-disturbance + 3.0 * (1.0 - y)) / 2.0
-        found = controller.step(Sample(k, 0.1 * k, np.array([y]), np.array([y]), np.ones((1, 1))))
+        found = controller.step(Sample(k, 0.1 * k, np.array([y]), np.array([y]), np.ones((1, 1)), np.ones(1)))
         assert found == pytest.approx([expected])
         u = expected
 
@@ -99,10 +99,10 @@ def test_the_integral_stands_still_at_a_limit() -> None:
     controller.start(make_loop(None, np.array([0.5]), FREE))
     y, far, near = np.zeros(1), np.full((1, 1), 100.0), np.full((1, 1), -0.2)
     for k in range(50):
-        assert controller.step(Sample(k, 0.1 * k, y, y, far)) == pytest.approx([0.5])
+        assert controller.step(Sample(k, 0.1 * k, y, y, far, far[0])) == pytest.approx([0.5])
     # The plant does not move under 0.5, so that F = -0.5; the error of -0.2 is all that was integrated.
     expected = 0.5 - 0.2 - 0.2 * SAMPLING_TIME
-    assert controller.step(Sample(50, 5.0, y, y, near)) == pytest.approx([expected])
+    assert controller.step(Sample(50, 5.0, y, y, near, near[0])) == pytest.approx([expected])
 
 
 def test_two_pairs_are_two_loops() -> None:
@@ -141,8 +141,8 @@ def test_a_missing_measurement_is_bridged_and_counted() -> None:
     for k in range(30):
         y = state[:1].copy()
         seen = np.array([np.nan]) if k == 20 else y
-        u = seeing.step(Sample(k, 0.1 * k, y, y, np.zeros((1, 1))))
-        answer = bridged.step(Sample(k, 0.1 * k, seen, seen, np.zeros((1, 1))))
+        u = seeing.step(Sample(k, 0.1 * k, y, y, np.zeros((1, 1)), np.zeros(1)))
+        answer = bridged.step(Sample(k, 0.1 * k, seen, seen, np.zeros((1, 1)), np.zeros(1)))
         if k == 20:
             assert isinstance(answer, Action)
             assert "replaced by what the model expects" in answer.status
@@ -154,7 +154,7 @@ def test_a_missing_measurement_is_bridged_and_counted() -> None:
 def test_without_any_measurement_the_input_rests() -> None:
     controller = IPID()
     controller.start(make_loop(None, FREE, FREE))
-    answer = controller.step(Sample(0, 0.0, np.array([np.nan]), np.zeros(1), np.zeros((1, 1))))
+    answer = controller.step(Sample(0, 0.0, np.array([np.nan]), np.zeros(1), np.zeros((1, 1)), np.zeros(1)))
     assert isinstance(answer, Action)
     assert answer.u == [0.0]
     assert "no finite measurement yet" in answer.status
@@ -172,7 +172,7 @@ def test_it_goes_on_where_a_recording_ended() -> None:
     controller.start(make_loop(recording, FREE, FREE, continues_recording=True))
     position, velocity, force = states[-1]
     expected = -force - position - 2.0 * velocity
-    found = controller.step(Sample(0, 0.0, y[-1], y[-1], np.zeros((1, 1))))
+    found = controller.step(Sample(0, 0.0, y[-1], y[-1], np.zeros((1, 1)), np.zeros(1)))
     assert found == pytest.approx([expected])
 
 

@@ -195,7 +195,9 @@ def test_a_lost_measurement_is_bridged_by_the_model(kind: Any, state_recording: 
     controller.start(pendulum_loop(state_recording))
     for k, angle in enumerate([np.nan, 0.0, np.nan, 0.01, 0.02]):
         measured = np.array([angle, 0.0])
-        answer = controller.step(Sample(k, 0.1 * k, measured[:1], measured, np.full((5, 1), 0.2)))
+        answer = controller.step(
+            Sample(k, 0.1 * k, measured[:1], measured, np.full((5, 1), 0.2), np.full(1, 0.2))
+        )
         assert isinstance(answer, Action) == np.isnan(angle)
         assert np.isfinite(answer.u if isinstance(answer, Action) else answer).all()
 
@@ -257,7 +259,7 @@ def test_what_is_not_lifted_may_be_lost(state: Any, lost: int, state_recording: 
     for k in range(3):
         y, measured = np.array([0.01 * k]), np.array([0.01 * k, 0.1])
         (measured if lost else y)[...] = [0.01 * k, np.nan] if lost else np.nan
-        answer = controller.step(Sample(k, 0.1 * k, y, measured, np.full((5, 1), 0.2)))
+        answer = controller.step(Sample(k, 0.1 * k, y, measured, np.full((5, 1), 0.2), np.full(1, 0.2)))
         assert not isinstance(answer, Action)
 
 

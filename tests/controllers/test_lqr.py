@@ -71,7 +71,9 @@ def test_a_missing_measurement_is_bridged_by_the_model(state_recording: Recordin
     controller = LQR()
     controller.start(pendulum_loop(state_recording))
     for k, angle in enumerate([np.nan, 0.0, np.nan, 0.01]):
-        answer = controller.step(Sample(k, 0.1 * k, np.array([angle]), np.zeros(2), np.full((1, 1), 0.2)))
+        answer = controller.step(
+            Sample(k, 0.1 * k, np.array([angle]), np.zeros(2), np.full((1, 1), 0.2), np.full(1, 0.2))
+        )
         assert isinstance(answer, Action) == np.isnan(angle)
         assert np.isfinite(answer.u if isinstance(answer, Action) else answer).all()
 
@@ -117,7 +119,9 @@ def test_without_a_reference_the_sum_of_its_error_is_held() -> None:
     controller.start(make_loop(None, np.ones(1), np.ones(1)))
     total = None
     for k, wanted in enumerate([0.2, np.nan, np.nan, 0.2]):
-        answer = controller.step(Sample(k, 0.1 * k, np.zeros(1), np.zeros(1), np.full((1, 1), wanted)))
+        answer = controller.step(
+            Sample(k, 0.1 * k, np.zeros(1), np.zeros(1), np.full((1, 1), wanted), np.full(1, wanted))
+        )
         assert isinstance(answer, Action) == np.isnan(wanted)
         if isinstance(answer, Action):
             assert "a reference is not finite" in answer.status

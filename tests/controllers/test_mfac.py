@@ -49,7 +49,7 @@ def test_a_gradient_that_drowns_the_weight_of_the_inputs_still_gives_the_least_c
     # lambda_u is below the rounding of |Phi|^2: as for lambda_u = 0, with the smallest of the optima.
     controller = make(initial_gradient=[[3e8, 4e8]])
     controller.start(make_loop(None, FREE, FREE[:1]))
-    u = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.ones((1, 1))))
+    u = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.ones((1, 1)), np.ones(1)))
     assert u == pytest.approx([3e8 / 25e16, 4e8 / 25e16], rel=1e-7)
 
 
@@ -116,7 +116,7 @@ def test_every_step_of_mfac_is_that_of_the_book(
     # A first sample of 0: whatever comes before it was at rest.
     for k, (y, target) in enumerate([(0.0, 0.0), *samples]):
         measured = np.array([y])
-        u = controller.step(Sample(k, 0.1 * k, measured, measured, np.array([[target]])))
+        u = controller.step(Sample(k, 0.1 * k, measured, measured, np.array([[target]]), np.array([target])))
         assert u == pytest.approx([law.step(y, target)], rel=1e-9, abs=1e-9)
 
 
@@ -125,7 +125,7 @@ def test_two_inputs_of_mfac_minimise_the_cost_of_the_next_sample() -> None:
     controller = MFAC(initial_gradient=gradient.tolist(), lambda_u=0.3, step_factor=1.0)
     controller.start(make_loop(None, FREE, FREE))
     error = np.array([1.0, -0.7])
-    u = controller.step(Sample(0, 0.0, np.zeros(2), np.zeros(2), error[np.newaxis]))
+    u = controller.step(Sample(0, 0.0, np.zeros(2), np.zeros(2), error[np.newaxis], error))
     weights = np.vstack([gradient, np.sqrt(0.3) * np.eye(2)])
     assert u == pytest.approx(np.linalg.lstsq(weights, np.append(error, [0.0, 0.0]))[0])
 
@@ -238,8 +238,8 @@ def test_a_shorter_control_horizon_is_the_plan_whose_later_changes_are_zero() ->
     a = np.tril(np.full((5, 5), 0.1))[:, :2]
     expected = np.linalg.solve(a.T @ a + 0.37 * np.eye(2), a.T @ (reference - y).ravel())[0]
     # Four coefficients of 1/4 forecast that the initial gradient stays.
-    assert short.step(Sample(0, 0.0, y, y, reference)) == pytest.approx([expected], abs=1e-12)
-    assert long.step(Sample(0, 0.0, y, y, reference)) != pytest.approx([expected], abs=1e-6)
+    assert short.step(Sample(0, 0.0, y, y, reference, reference[0])) == pytest.approx([expected], abs=1e-12)
+    assert long.step(Sample(0, 0.0, y, y, reference, reference[0])) != pytest.approx([expected], abs=1e-6)
 
 
 def test_a_control_horizon_beyond_the_prediction_is_refused() -> None:
@@ -275,8 +275,10 @@ def test_the_order_of_the_channels_does_not_matter(seed: int) -> None:
     there.start(make_loop(None, 3.0 * np.ones(2), FREE))
     swapped.start(make_loop(None, 3.0 * np.ones(2), FREE))
     for k, y in enumerate(measurements):
-        u = there.step(Sample(k, 0.1 * k, y, y, reference))
-        other = swapped.step(Sample(k, 0.1 * k, y[::-1], y[::-1], reference[:, ::-1]))
+        u = there.step(Sample(k, 0.1 * k, y, y, reference, reference[0]))
+        other = swapped.step(
+            Sample(k, 0.1 * k, y[::-1], y[::-1], reference[:, ::-1], (reference[:, ::-1])[0])
+        )
         assert other[::-1] == pytest.approx(u, abs=1e-9)
 
 
@@ -286,9 +288,11 @@ def test_a_channel_at_rest_leaves_the_other_as_if_it_were_alone() -> None:
     alone.start(make_loop(None, np.array([3.0]), FREE[:1]))
     together.start(make_loop(None, np.array([3.0, 3.0]), FREE))
     for k, y in enumerate(rng.standard_normal(30)):
-        u = alone.step(Sample(k, 0.1 * k, np.array([y]), np.array([y]), np.ones((5, 1))))
+        u = alone.step(Sample(k, 0.1 * k, np.array([y]), np.array([y]), np.ones((5, 1)), np.ones(1)))
         both = np.array([y, 0.0])
-        u_both = together.step(Sample(k, 0.1 * k, both, both, np.tile([1.0, 0.0], (5, 1))))
+        u_both = together.step(
+            Sample(k, 0.1 * k, both, both, np.tile([1.0, 0.0], (5, 1)), np.array([1.0, 0.0]))
+        )
         assert u_both == pytest.approx([u[0], 0.0], abs=1e-9)
 
 
@@ -308,7 +312,9 @@ def test_more_outputs_than_inputs_are_controlled_in_the_least_squares_sense() ->
     controller = MFAPC(initial_gradient=[[0.5], [0.5]])
     controller.start(make_loop(None, np.array([5.0]), FREE))
     y = np.zeros(2)
-    assert controller.step(Sample(0, 0.0, y, y, np.tile([1.0, -1.0], (5, 1)))) == pytest.approx([0.0])
+    assert controller.step(
+        Sample(0, 0.0, y, y, np.tile([1.0, -1.0], (5, 1)), np.array([1.0, -1.0]))
+    ) == pytest.approx([0.0])
 
 
 @pytest.mark.parametrize("form", ["cfdl", "pfdl", "ffdl"])
@@ -318,7 +324,7 @@ def test_a_missing_measurement_does_not_cost_what_was_learned(form: str) -> None
     for k in range(40):
         target = np.full((5, 1), 1.0 if k // 6 % 2 else -1.0)
         seen = np.array([np.nan]) if k == 25 else y
-        answer = controller.step(Sample(k, 0.1 * k, seen, seen, target))
+        answer = controller.step(Sample(k, 0.1 * k, seen, seen, target, target[0]))
         learned.append(controller._model.gradients[0].value)
         y = 0.5 * y + 2.0 * (answer.u if isinstance(answer, Action) else answer)
     assert learned[24] == learned[25] == learned[26] != learned[27]

@@ -72,7 +72,7 @@ def run(
     for k in range(30):
         y = state + missing.get(k, 0.0)
         reference = np.full((controller.horizon, 2), 52.0 if k < 15 else 48.0)
-        answer = controller.step(Sample(k, 0.1 * k, y, y, reference))
+        answer = controller.step(Sample(k, 0.1 * k, y, y, reference, reference[0]))
         action = answer if isinstance(answer, Action) else Action(answer)
         applied.append(action.u.copy())
         said.append(action.status)
@@ -110,9 +110,13 @@ def test_a_reference_that_is_not_finite_holds_the_inputs(make: Callable[[], Cont
     controller.start(loop)
     steps = controller.apply_steps if isinstance(controller, BehavioralTracking) else 1
     for k in range(steps):
-        answer = controller.step(Sample(k, 0.0, state, state, np.full((controller.horizon, 2), 55.0)))
+        answer = controller.step(
+            Sample(k, 0.0, state, state, np.full((controller.horizon, 2), 55.0), np.full(2, 55.0))
+        )
         last = answer.u if isinstance(answer, Action) else answer
-    held = controller.step(Sample(steps, 0.0, state, state, np.full((controller.horizon, 2), np.nan)))
+    held = controller.step(
+        Sample(steps, 0.0, state, state, np.full((controller.horizon, 2), np.nan), np.full(2, np.nan))
+    )
     assert isinstance(held, Action)
     assert "inputs held" in held.status
     assert held.u == pytest.approx(last, abs=1e-12)
@@ -130,7 +134,9 @@ def test_wkpc_learns_no_window_with_a_stand_in(online_data: str, signal: int) ->
         measured = np.append(state, u[0])
         if k == 10:
             measured[signal] = np.nan
-        answer = controller.step(Sample(k, 0.1 * k, measured[:2], measured, np.full((5, 2), 52.0)))
+        answer = controller.step(
+            Sample(k, 0.1 * k, measured[:2], measured, np.full((5, 2), 52.0), np.full(2, 52.0))
+        )
         u = answer.u if isinstance(answer, Action) else answer
         refused.append(controller.diagnostics()["online_windows_refused"])
         state = advance(state, u)
@@ -145,7 +151,7 @@ def test_the_published_program_survives(missing: int) -> None:
     controller.start(loop)
     for k in range(12):
         y = state + (np.nan if k == missing else 0.0)
-        answer = controller.step(Sample(k, 0.1 * k, y, y, np.full((5, 2), 51.0)))
+        answer = controller.step(Sample(k, 0.1 * k, y, y, np.full((5, 2), 51.0), np.full(2, 51.0)))
         u = answer.u if isinstance(answer, Action) else answer
         assert np.isfinite(u).all()
         if k == missing:
@@ -185,7 +191,7 @@ def test_without_a_measurement_or_a_reference_the_last_inputs_are_held(
     for k in range(4):
         y = nothing if k == 2 and missing == "measurement" else state
         asked = reference + (np.nan if k == 2 and missing == "reference" else 0.0)
-        answer = controller.step(Sample(k, 0.1 * k, y, y, asked))
+        answer = controller.step(Sample(k, 0.1 * k, y, y, asked, asked[0]))
         answers.append(answer if isinstance(answer, Action) else Action(answer))
         state = advance(state, answers[-1].u)
     held = answers[2]

@@ -186,7 +186,9 @@ def disturbed(controller: MPC, plant: LinearPlant, noise: float, **changes: Any)
     for k in range(400):
         outputs.append(plant.c @ state)
         measured = outputs[-1] + noise * rng.standard_normal(1)
-        sample = Sample(k, 0.1 * k, measured, measured, np.full((controller.horizon, 1), 0.5))
+        sample = Sample(
+            k, 0.1 * k, measured, measured, np.full((controller.horizon, 1), 0.5), np.full(1, 0.5)
+        )
         answer = controller.step(sample)
         u = answer.u if isinstance(answer, Action) else answer
         state = plant.advance(state, u + 0.1)
@@ -266,11 +268,11 @@ def test_a_missing_measurement_is_bridged_by_the_model(state_recording: Recordin
     controller = MPC()
     controller.start(pendulum_loop(state_recording))
     reference, missing = np.full((5, 1), 0.2), np.array([np.nan])
-    first = controller.step(Sample(0, 0.0, missing, np.full(2, np.nan), reference))
+    first = controller.step(Sample(0, 0.0, missing, np.full(2, np.nan), reference, reference[0]))
     assert isinstance(first, Action)
     assert first.u.tolist() == [0.0]
-    controller.step(Sample(1, 0.1, np.zeros(1), np.zeros(2), reference))
-    bridged = controller.step(Sample(2, 0.2, missing, np.full(2, np.nan), reference))
+    controller.step(Sample(1, 0.1, np.zeros(1), np.zeros(2), reference, reference[0]))
+    bridged = controller.step(Sample(2, 0.2, missing, np.full(2, np.nan), reference, reference[0]))
     assert isinstance(bridged, Action)
     assert "prediction stands in" in bridged.status
     assert np.isfinite(bridged.u).all()
@@ -302,7 +304,7 @@ def test_an_integrating_plant_cannot_carry_an_output_disturbance() -> None:
     with pytest.raises(ConfigError, match=r'"output" cannot be distinguished .* 1 constant mode'):
         MPC(model=integrator, disturbance="output").start(loop)
     on_inputs, chosen = MPC(model=integrator, disturbance="input"), MPC(model=integrator)
-    sample = Sample(0, 0.0, np.full(1, 0.2), np.zeros(1), np.ones((5, 1)))
+    sample = Sample(0, 0.0, np.full(1, 0.2), np.zeros(1), np.ones((5, 1)), np.ones(1))
     for controller in (on_inputs, chosen):
         controller.start(loop)
     assert on_inputs.step(sample) == pytest.approx(chosen.step(sample), abs=0.0)

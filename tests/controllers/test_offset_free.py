@@ -85,7 +85,7 @@ def test_an_input_next_to_its_limit_is_at_its_limit(scale: float, low: float, hi
     controller = OffsetFree(controller=Constant(u=scale * u))
     controller.start(limited_loop(LinearPlant.lag(0.9, 0.1), [scale * low], [scale * high]))
     for k in range(20):
-        controller.step(Sample(k, 0.1 * k, np.zeros(1), np.zeros(1), np.ones((1, 1))))
+        controller.step(Sample(k, 0.1 * k, np.zeros(1), np.zeros(1), np.ones((1, 1)), np.ones(1)))
     assert largest(controller, 1) == [0.0]
 
 
@@ -93,7 +93,7 @@ def test_an_input_within_its_limits_is_not() -> None:
     controller = OffsetFree(controller=Constant(u=2.0 - 1e-6))
     controller.start(limited_loop(LinearPlant.lag(0.9, 0.1), [-1.0], [2.0]))
     for k in range(20):
-        controller.step(Sample(k, 0.1 * k, np.zeros(1), np.zeros(1), np.ones((1, 1))))
+        controller.step(Sample(k, 0.1 * k, np.zeros(1), np.zeros(1), np.ones((1, 1)), np.ones(1)))
     # d_k+1 = d_k + gain (y - y^ - d) with y = 0 for ever: the sum of what the lag expects, with gain 0.2.
     phi, expected, d = np.exp(-0.5), 0.0, 0.0
     for _ in range(19):
@@ -110,7 +110,9 @@ def test_the_default_gain_is_one_over_the_horizon_but_a_fifth_at_most(horizon: i
         controller = OffsetFree(controller=Constant(u=0.0, horizon=horizon), gain=gain)
         controller.start(make_loop(None, np.ones(1), np.full(1, np.inf)))
         for k, y in enumerate([0.0, 0.3]):
-            controller.step(Sample(k, 0.1 * k, np.array([y]), np.array([y]), np.zeros((horizon, 1))))
+            controller.step(
+                Sample(k, 0.1 * k, np.array([y]), np.array([y]), np.zeros((horizon, 1)), np.zeros(1))
+            )
         assert largest(controller, 1) == pytest.approx([0.3 * share])
 
 
@@ -178,7 +180,7 @@ def test_without_a_recording_one_limited_input_holds_all_estimates() -> None:
     controller = OffsetFree(controller=Constant(u=1.0))
     controller.start(limited_loop(DECOUPLED, [-1.0, -1.0], [2.0, 1.0], known=False))
     for k in range(20):
-        controller.step(Sample(k, 0.1 * k, np.zeros(2), np.zeros(2), np.ones((1, 2))))
+        controller.step(Sample(k, 0.1 * k, np.zeros(2), np.zeros(2), np.ones((1, 2)), np.ones(2)))
     assert largest(controller, 2) == [0.0, 0.0]
 
 
@@ -222,6 +224,6 @@ def test_a_fallback_is_passed_on() -> None:
 
     controller = OffsetFree(controller=Failing(u=0.5))
     controller.start(make_loop(None, np.ones(1), np.ones(1)))
-    answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.zeros((1, 1))))
+    answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.zeros((1, 1)), np.zeros(1)))
     assert isinstance(answer, Action)
     assert (answer.u.tolist(), answer.status) == ([0.5], "failed")

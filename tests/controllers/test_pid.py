@@ -29,7 +29,7 @@ FREE = make_loop(None, np.full(1, np.inf), np.full(1, np.inf))
 def inputs(controller: PID, outputs: FloatArray, reference: FloatArray) -> FloatArray:
     """Feed outputs to a controller and return its inputs."""
     answers = [
-        controller.step(Sample(k, H * k, y, y, r[np.newaxis]))
+        controller.step(Sample(k, H * k, y, y, r[np.newaxis], r))
         for k, (y, r) in enumerate(zip(outputs, reference, strict=True))
     ]
     return np.array([a.u if isinstance(a, Action) else a for a in answers])
@@ -115,7 +115,7 @@ def test_a_reference_that_is_missing_holds_the_input_and_is_forgotten() -> None:
     controller.start(FREE)
     y, reference = np.zeros((4, 1)), np.array([[1.0], [np.nan], [1.0], [1.0]])
     assert inputs(controller, y, reference)[:, 0] == pytest.approx([1.1, 1.1, 1.2, 1.3])
-    missing = controller.step(Sample(4, 0.4, y[0], y[0], np.full((1, 1), np.nan)))
+    missing = controller.step(Sample(4, 0.4, y[0], y[0], np.full((1, 1), np.nan), np.full(1, np.nan)))
     assert isinstance(missing, Action)
     assert missing.status == "a reference is not finite: inputs held"
 

@@ -76,7 +76,7 @@ def inputs_of(controller: Controller, loop: Loop, u_size: FloatArray, y_size: Fl
     for k in range(40):
         y = plant.c @ state * y_size
         reference = np.tile(np.array([1.0, -0.5]) * y_size, (controller.horizon, 1))
-        answer = controller.step(Sample(k, 0.1 * k, y, y, reference))
+        answer = controller.step(Sample(k, 0.1 * k, y, y, reference, reference[0]))
         u = answer.u if isinstance(answer, Action) else answer
         assert np.all(u >= loop.bounds.u_min)
         assert np.all(u <= loop.bounds.u_max)
@@ -185,7 +185,7 @@ def test_gains_in_units_are_not_scaled() -> None:
     PID(proportional=0.01).start(loop)
     pid = PID(proportional=0.01)
     pid.start(loop)
-    answer = pid.step(Sample(0, 0.0, np.zeros(2), np.zeros(2), y_size[np.newaxis]))
+    answer = pid.step(Sample(0, 0.0, np.zeros(2), np.zeros(2), y_size[np.newaxis], y_size))
     assert answer == pytest.approx(np.minimum(0.01 * y_size, loop.bounds.u_max))
 
 

@@ -200,7 +200,7 @@ def test_a_plant_without_bounds(paper_recording: Recording, online_data: str) ->
     assert run.u == pytest.approx(wide.u, abs=1e-9)
     missing, known = np.array([np.nan]), np.zeros(1)
     for y, reference in ((missing, np.zeros((5, 1))), (known, np.full((5, 1), np.nan))):
-        answer = controller.step(Sample(60, 6.0, y, y, reference))
+        answer = controller.step(Sample(60, 6.0, y, y, reference, reference[0]))
         assert isinstance(answer, Action)
         assert "not finite" in answer.status
         assert np.isfinite(answer.u).all()
@@ -232,7 +232,7 @@ def test_the_prices_of_gamma_ddpc_mean_the_same_for_a_recording_of_any_length() 
         recording = Recording(clean.u, clean.y + noise[: len(clean)], clean.measured, 0.1)
         controller = GammaDDPC(beta_2=beta_2, beta_3=5.0, output_weight=1.0, input_weight=0.01)
         controller.start(make_loop(recording, np.full(1, 500.0), np.full(1, np.inf)))
-        answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.ones((5, 1))))
+        answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.ones((5, 1)), np.ones(1)))
         assert not isinstance(answer, Action)
         return float(answer[0])
 

@@ -45,7 +45,7 @@ def test_one_iteration_is_that_of_the_algorithm() -> None:
     rates = np.diff(errors, prepend=errors[0]) / 0.1
     for k, error in enumerate(errors):
         y = np.array([-error])
-        answer = controller.step(Sample(k, 0.1 * k, y, y, np.zeros((1, 1))))
+        answer = controller.step(Sample(k, 0.1 * k, y, y, np.zeros((1, 1)), np.zeros(1)))
         if k < 4:
             side = 1.0 if k < 2 else -1.0
             gains = np.array([2.0, 0.5]) * (1.0 + side * 0.2 * signs)
@@ -59,7 +59,7 @@ def test_one_iteration_is_that_of_the_algorithm() -> None:
 def test_a_gain_of_zero_stays_zero() -> None:
     controller = SPSA(kp=1.5)
     outputs(controller)
-    answer = controller.step(Sample(400, 40.0, np.zeros(1), np.zeros(1), np.zeros((1, 1))))
+    answer = controller.step(Sample(400, 40.0, np.zeros(1), np.zeros(1), np.zeros((1, 1)), np.zeros(1)))
     assert answer.info["kd[0]"] == 0.0  # type: ignore[union-attr]
 
 

@@ -1,13 +1,14 @@
 """Wrappers: decentralised control, scaled signals, offset-free tracking."""
 
 import tomllib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from ddpc_controllers import WKPC, DeePC
+from ddpc_controllers.cascade import Cascade
 from ddpc_controllers.data.dictionaries import Combined, Delays, Gaussian, Polynomials
 from ddpc_controllers.decentralised import Decentralised, Group
 from ddpc_controllers.koopman_mpc import KoopmanMPC
@@ -16,7 +17,21 @@ from ddpc_controllers.mpc import MPC
 from ddpc_controllers.offset_free import OffsetFree
 from ddpc_controllers.pid import PID
 from ddpc_controllers.scaling import Scaled
-from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Recording, Sample, Variable
+from ddpc_cosim import (
+    Action,
+    ConfigError,
+    Controller,
+    FloatArray,
+    Loop,
+    Plant,
+    Ramp,
+    Recording,
+    Sample,
+    Trace,
+    Variable,
+    cosimulate,
+    setting,
+)
 from ddpc_cosim.settings import from_plain
 
 from .loops import ANGLE, DEGREE, close_loop, make_loop, paper_reference, pendulum_loop, quick_pendulum
@@ -36,6 +51,124 @@ class Complaining(Controller):
 
     def diagnostics(self) -> dict[str, float]:
         return {"inputs": float(len(self.loop.inputs))}
+
+
+@dataclass(kw_only=True)
+class Witness(Controller):
+    """Keeps what it is told."""
+
+    horizon: int = setting(2, low=0, doc="references that it wants")
+
+    def start(self, loop: Loop) -> None:
+        self.loop, self.told = loop, list[Sample]()
+
+    def step(self, sample: Sample) -> FloatArray:
+        self.told.append(sample)
+        return np.full(len(self.loop.inputs), 0.25)
+
+
+def told(controller: Controller, preview: int | None, outputs: int = 1) -> Trace:
+    """Close the loop on one lag under a ramp of 1 per sample, or on two, the second ramp twice as steep."""
+    plants = Lags(outputs)
+    ramps = {f"y{i}": Ramp(0.0, 100.0 + 100.0 * i, 0.0, 100.0) for i in range(outputs)}
+    return cosimulate(plants, controller, sampling_time=1.0, duration=6.0, reference=ramps, preview=preview)
+
+
+class Lags(Plant):
+    """y_k+1 = y_k / 2 + u_k, as often as is asked for."""
+
+    def __init__(self, size: int) -> None:
+        self.inputs = tuple(Variable(f"u{i}", min=-1.0, max=1.0) for i in range(size))
+        self.outputs = tuple(Variable(f"y{i}", min=-1e3, max=1e3, nominal=10.0) for i in range(size))
+
+    def reset(self, parameters: object = None, t0: float = 0.0) -> FloatArray:
+        self.y = np.zeros(len(self.outputs))
+        return self.y
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        self.y = 0.5 * self.y + u
+        return self.y
+
+
+def inside(wrapper: Any) -> list[Witness]:
+    """Return the witnesses that ran."""
+    return [inner.controller for inner in wrapper._running if isinstance(inner.controller, Witness)]
+
+
+@pytest.mark.parametrize("preview", [None, 0, 1, 2, 5])
+def test_each_of_a_group_is_told_its_own_part_of_what_may_be_known(preview: int | None) -> None:
+    controller = grouped(Witness(horizon=1), Witness(horizon=4))
+    assert told(controller, preview, outputs=2).completed
+    for output, (witness, horizon) in enumerate(zip(inside(controller), (1, 4), strict=True)):
+        seen = min(horizon, 4 if preview is None else preview)
+        assert witness.loop.preview == seen
+        for sample in witness.told:
+            ahead = [sample.k + min(i, seen) for i in range(1, horizon + 1)]
+            assert sample.setpoint == pytest.approx([(1 + output) * sample.k])
+            assert sample.reference[:, 0] == pytest.approx([(1 + output) * k for k in ahead])
+
+
+@pytest.mark.parametrize("preview", [None, 0, 1, 2])
+@pytest.mark.parametrize("horizon", [0, 3])
+def test_a_scaled_controller_is_told_the_same_in_its_units(preview: int | None, horizon: int) -> None:
+    controller = Scaled(controller=Witness(horizon=horizon), scale_by="nominal")
+    assert told(controller, preview).completed
+    (witness,) = inside(controller)
+    seen = horizon if preview is None else min(horizon, preview)
+    assert witness.loop.preview == seen
+    for sample in witness.told:
+        assert sample.setpoint == pytest.approx([0.1 * sample.k])
+        assert sample.reference[:, 0] == pytest.approx(
+            [0.1 * (sample.k + min(i, seen)) for i in range(1, horizon + 1)]
+        )
+
+
+@pytest.mark.parametrize("preview", [None, 0, 1, 2])
+@pytest.mark.parametrize("horizon", [0, 1, 3])
+def test_setpoint_and_references_are_shifted_alike(preview: int | None, horizon: int) -> None:
+    controller = OffsetFree(controller=Witness(horizon=horizon))
+    assert told(controller, preview).completed
+    (witness,) = inside(controller)
+    seen = horizon if preview is None else min(horizon, preview)
+    assert witness.loop.preview == seen
+    shifts = []
+    for sample in witness.told:
+        ahead = np.array([sample.k + min(i, seen) for i in range(horizon + 1)], dtype=float)
+        shift = np.array([*sample.setpoint, *sample.reference[:, 0]]) - ahead
+        assert np.ptp(shift) == pytest.approx(0.0, abs=1e-9)
+        shifts.append(float(shift[0]))
+    assert np.ptp(shifts) > 0.0
+
+
+@pytest.mark.parametrize(("period", "preview", "rows"), [(1, None, (1, 2)), (1, 1, (1, 1)), (1, 0, (0, 0))])
+def test_a_cascade_passes_the_future_to_its_outer_controller_alone(
+    period: int, preview: int | None, rows: tuple[int, int]
+) -> None:
+    cascade = Cascade(inner=Witness(horizon=3), outer=Witness(horizon=2), outer_period=period)
+    assert told(cascade, preview).completed
+    inner, outer = inside(cascade)
+    assert outer.loop.preview == (2 if preview is None else preview)
+    for sample in outer.told:
+        assert sample.setpoint == pytest.approx([sample.k])
+        assert sample.reference[:, 0] == pytest.approx([sample.k + i for i in rows])
+    assert inner.loop.preview == 0  # what the outer controller will ask for is not known ahead
+    for sample in inner.told:
+        assert [*sample.setpoint, *sample.reference[:, 0]] == [0.25] * 4
+
+
+def test_a_slower_outer_controller_is_told_what_is_known_of_its_own_samples() -> None:
+    cascade = Cascade(inner=Witness(), outer=Witness(horizon=3), outer_period=2)
+    assert told(cascade, preview=3).completed
+    _, outer = inside(cascade)
+    assert outer.loop.preview == 1
+    assert [sample.setpoint.tolist() for sample in outer.told] == [[0.0], [2.0], [4.0], [6.0]]
+    # Of r_k+2, r_k+4 and r_k+6 the first is known; what is known last, r_k+3, stands for the others.
+    assert [sample.reference[:, 0].tolist() for sample in outer.told] == [
+        [2, 3, 3],
+        [4, 5, 5],
+        [6, 7, 7],
+        [8, 9, 9],
+    ]
 
 
 def loop_of_two(limit: float = 9.0) -> Loop:
@@ -65,7 +198,7 @@ def test_each_group_gets_its_signals_and_keeps_to_its_inputs() -> None:
     one = PID(proportional=1.0)
     controller = grouped(one, one)
     controller.start(loop_of_two())
-    sample = Sample(0, 0.0, np.zeros(2), np.zeros(2), np.array([[1.0, 3.0]]))
+    sample = Sample(0, 0.0, np.zeros(2), np.zeros(2), np.array([[1.0, 3.0]]), np.array([1.0, 3.0]))
     answer = controller.step(sample)
     assert (answer.u.tolist(), answer.status) == ([3.0, 1.0], "ok")
     assert controller.diagnostics()["y1.proportional[0]"] == 1.0
@@ -74,7 +207,7 @@ def test_each_group_gets_its_signals_and_keeps_to_its_inputs() -> None:
 def test_statuses_and_values_say_whose_they_are() -> None:
     controller = grouped(Complaining(1.0), Complaining(2.0))
     controller.start(loop_of_two())
-    answer = controller.step(Sample(0, 0.0, np.zeros(2), np.zeros(2), np.zeros((1, 2))))
+    answer = controller.step(Sample(0, 0.0, np.zeros(2), np.zeros(2), np.zeros((1, 2)), np.zeros(2)))
     assert isinstance(answer, Action)
     assert answer.u.tolist() == [2.0, 1.0]
     assert answer.status == "y0: complaint 1; y1: complaint 2"
@@ -119,7 +252,9 @@ def test_a_scaled_controller_sees_parts_of_the_ranges() -> None:
     measurements = (Variable("y0"), Variable("speed", nominal=10.0))
     controller = Scaled(controller=Watching(0.0))
     controller.start(replace(loop, measurements=measurements))
-    answer = controller.step(Sample(0, 0.0, np.ones(1), np.array([1.0, 5.0]), np.full((1, 1), 1.5)))
+    answer = controller.step(
+        Sample(0, 0.0, np.ones(1), np.array([1.0, 5.0]), np.full((1, 1), 1.5), np.full(1, 1.5))
+    )
     inner, sample = seen
     assert isinstance(answer, Action)
     assert answer.u.tolist() == [2.0]
@@ -154,7 +289,9 @@ def test_without_a_range_the_nominal_value_is_the_unit() -> None:
     loop = replace(loop, inputs=(Variable("u0", nominal=20.0),), outputs=(Variable("y0", nominal=0.5),))
     controller = Scaled(controller=PID(proportional=1.0))
     controller.start(loop)
-    answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((1, 1), 0.25)))
+    answer = controller.step(
+        Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((1, 1), 0.25), np.full(1, 0.25))
+    )
     assert answer.u == pytest.approx([10.0])
     unknown = replace(loop, inputs=(Variable("u0", nominal=0.0),))
     with pytest.raises(ConfigError, match='"u0" cannot be scaled: its nominal value is 0'):
@@ -192,7 +329,9 @@ def test_a_missing_measurement_does_not_stop_the_correction(state_recording: Rec
     controller = OffsetFree(controller=MPC(disturbance="none"))
     controller.start(pendulum_loop(state_recording))
     for k, angle in enumerate([np.nan, 0.0, np.nan, 0.01]):
-        answer = controller.step(Sample(k, 0.1 * k, np.array([angle]), np.zeros(2), np.full((5, 1), 0.2)))
+        answer = controller.step(
+            Sample(k, 0.1 * k, np.array([angle]), np.zeros(2), np.full((5, 1), 0.2), np.full(1, 0.2))
+        )
         assert np.isfinite(answer.u if isinstance(answer, Action) else answer).all()
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import given, strategies as st
 
 from ddpc_cosim import (
     Action,
+    ConfigError,
     Constant,
     Controller,
     ControllerError,
@@ -134,6 +136,46 @@ def test_the_controller_sees_the_references_of_the_samples_to_come(horizon: int,
     for sample in controller.samples:
         expected = 1.0 + 0.5 * (sample.k + 1 + np.arange(horizon))
         assert np.allclose(sample.reference, expected[:, np.newaxis])
+
+
+@given(st.integers(0, 6), st.none() | st.integers(0, 9), st.integers(1, 8))
+def test_beyond_the_preview_the_last_reference_that_is_known_is_held(
+    horizon: int, preview: int | None, steps: int
+) -> None:
+    controller = Scripted(horizon=horizon)
+    ramp = Ramp(0.0, 100.0, 0.0, 100.0)
+    close_loop(Integrators(), controller, duration=0.5 * steps, reference=ramp, preview=preview)
+    seen = horizon if preview is None else min(horizon, preview)
+    assert controller.loop.preview == seen
+    for sample in controller.samples:
+        ahead = [min(i, seen) for i in range(1, horizon + 1)]
+        assert np.allclose(sample.setpoint, [0.5 * sample.k])
+        assert sample.reference.shape == (horizon, 1)
+        assert np.allclose(sample.reference[:, 0], [0.5 * (sample.k + i) for i in ahead])
+
+
+@pytest.mark.parametrize("preview", [0, 1, 2, None])
+def test_a_stabilising_controller_sees_no_further_either(preview: int | None) -> None:
+    stabiliser = Scripted(horizon=3)
+    record(
+        Integrators(),
+        UniformRandom(-1.0, 1.0, 4),
+        sampling_time=0.5,
+        stabiliser=stabiliser,
+        reference=Ramp(0.0, 100.0, 0.0, 100.0),
+        outputs=["x0"],
+        preview=preview,
+    )
+    seen = 3 if preview is None else preview
+    assert stabiliser.loop.preview == seen
+    for sample in stabiliser.samples:
+        assert sample.reference[:, 0].tolist() == [0.5 * (sample.k + min(i, seen)) for i in (1, 2, 3)]
+
+
+@pytest.mark.parametrize("preview", [-1, 1.5, "horizon", True])
+def test_a_preview_is_a_number_of_samples(preview: Any) -> None:
+    with pytest.raises(ConfigError, match=r"preview = .* is not possible; allowed: an integer >= 0, or None"):
+        close_loop(Integrators(), Scripted(), preview=preview)
 
 
 def test_the_trace_holds_the_reference_of_its_own_rows() -> None:

@@ -257,6 +257,16 @@ def test_a_horizon_is_a_number_of_samples(horizon: Any) -> None:
         close_loop(Strange())
 
 
+def test_a_horizon_stays_when_the_controller_is_started() -> None:
+    class Late(Answering):
+        def start(self, loop: Loop) -> None:
+            super().start(loop)
+            self.horizon = 8
+
+    with pytest.raises(ControllerError, match=r"Late\.start changed horizon from 1 to 8; set it before"):
+        close_loop(Late())
+
+
 @pytest.mark.parametrize(
     ("diagnostics", "words"),
     [

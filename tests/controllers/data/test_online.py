@@ -139,7 +139,7 @@ def test_400_steps_equal_the_problem_factorised_anew_from_the_windows(paper_reco
     controller.start(pendulum_loop(paper_recording, 2.5))
     state, reference, active = np.zeros(2), paper_reference(), 0
     for k in range(400):
-        sample = Sample(k, 0.1 * k, state[:1], state[:1], reference[k + 1 : k + 6])
+        sample = Sample(k, 0.1 * k, state[:1], state[:1], reference[k + 1 : k + 6], reference[k])
         twin = pickle.loads(pickle.dumps(controller))
         learner_of(twin).data.renew()
         u, anew = inputs(controller.step(sample)), inputs(twin.step(sample))
@@ -163,7 +163,7 @@ def test_weights_far_apart_are_factorised_by_their_roots(paper_recording: Record
         for mode in ("frozen", "sliding-window"):
             controller = DeePC(online_data=mode, **weights)
             controller.start(loop)
-            sample = Sample(0, 0.0, np.array([0.1 * k]), np.zeros(1), reference)
+            sample = Sample(0, 0.0, np.array([0.1 * k]), np.zeros(1), reference, reference[0])
             moves.append(inputs(controller.step(sample)))
         assert moves[0] == pytest.approx(moves[1], rel=1e-5)
 
@@ -187,7 +187,7 @@ def test_two_inputs_two_outputs_and_rank_deficient_data() -> None:
     state = plant.advance(state, recording.u[-1])
     for k in range(40):
         y = plant.c @ state
-        sample = Sample(k, 0.1 * k, y, state, reference[k + 1 : k + 6])
+        sample = Sample(k, 0.1 * k, y, state, reference[k + 1 : k + 6], reference[k])
         u = inputs(controller.step(sample))
         past_u = np.vstack([recording.u, *moves]) if moves else recording.u
         past_y = np.vstack([recording.y, *outputs]) if outputs else recording.y
@@ -297,7 +297,7 @@ def test_runs_repeat_and_pickle_and_hold_their_bounds(
     assert np.abs(first.u).max() <= 2.5
     twin = pickle.loads(pickle.dumps(controller))
     state = first.samples[-1].measured
-    sample = Sample(60, 6.0, state[:1], state, np.full((5, 1), 0.1))
+    sample = Sample(60, 6.0, state[:1], state, np.full((5, 1), 0.1), np.full(1, 0.1))
     assert np.array_equal(controller.step(sample), twin.step(sample))
 
 
@@ -309,7 +309,7 @@ def test_a_measurement_that_is_not_finite_is_not_learned(paper_recording: Record
     statuses = []
     for k in range(40):
         y = np.array([np.nan if k == 15 else 0.01 * np.sin(k)])
-        answer = controller.step(Sample(k, 0.1 * k, y, y, reference))
+        answer = controller.step(Sample(k, 0.1 * k, y, y, reference, reference[0]))
         statuses.append(answer.status if isinstance(answer, Action) else "ok")
     assert "not finite" in statuses[15]
     assert set(statuses[:15] + statuses[16:]) == {"ok"}

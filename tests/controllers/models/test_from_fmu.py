@@ -190,7 +190,7 @@ def close_loop(controller: Controller, loop: Loop, path: str, reference: FloatAr
         y, u = plant.reset(), []
         for k in range(len(reference) - controller.horizon - 1):
             future = reference[k + 1 : k + 1 + controller.horizon]
-            u.append(np.asarray(controller.step(Sample(k, k * loop.sampling_time, y, y, future))))
+            u.append(np.asarray(controller.step(Sample(k, k * loop.sampling_time, y, y, future, future[0]))))
             y = plant.step(u[-1], loop.sampling_time)
     return np.array(u)
 

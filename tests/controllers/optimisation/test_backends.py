@@ -124,7 +124,7 @@ def test_the_solver_stands_when_the_loop_starts(
     monkeypatch.delattr("piqp.DenseSolver")
     monkeypatch.delattr("daqp.Model")
     reference = np.full((5, 1), 1.0)
-    answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), reference))
+    answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), reference, reference[0]))
     assert np.array_equal(answer, [1.0])
 
 

@@ -188,7 +188,7 @@ def test_what_counts_as_a_conflict_does_not_depend_on_units(noise: float) -> Non
         state, said = np.zeros(3), []
         for k in range(40):
             y = of_y * (plant.c @ state + noise * stream.standard_normal(2))
-            answer = controller.step(Sample(k, 0.1 * k, y, y, np.tile(0.3 * of_y, (6, 1))))
+            answer = controller.step(Sample(k, 0.1 * k, y, y, np.tile(0.3 * of_y, (6, 1)), 0.3 * of_y))
             action = answer if isinstance(answer, Action) else Action(answer)
             said.append("no combination of the recorded windows" in action.status)
             state = plant.advance(state, action.u / of_u)

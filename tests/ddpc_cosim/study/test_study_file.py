@@ -46,6 +46,14 @@ def cases(text: str, folder: Path) -> list[Case]:
     return cases_of(read_study(str(path)), TARGET)
 
 
+def test_a_scenario_s_preview_stands_in_place_of_the_loop_s(tmp_path: Path) -> None:
+    scenarios = "[scenarios.plain]\n[scenarios.blind]\npreview = 0\n[scenarios.far]\npreview = 'horizon'\n"
+    for loop, plain in (("", None), ("preview = 2", 2), ('preview = "horizon"', None)):
+        found = cases(SMALL.replace("duration = 1.0", f"duration = 1.0\n{loop}") + scenarios, tmp_path)
+        assert {case.scenario: case.preview for case in found} == {"plain": plain, "blind": 0, "far": None}
+        assert len({case.id.rpartition("_")[2] for case in found}) == 3
+
+
 def test_the_study_of_the_paper_is_in_order() -> None:
     resolved = read_study("paper")
     assert resolved.study.name == "paper"

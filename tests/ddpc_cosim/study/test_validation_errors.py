@@ -193,6 +193,13 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     ({"loop__duration": True}, "loop.duration: must be a number, got True"),
     ({"loop__duration": 1e300}, "loop: duration / sampling_time = 1e+301 samples; allowed"),
     ({"loop__sampling_time": 1e-300}, "loop: duration / sampling_time = 4e+301 samples; allowed"),
+    ({"loop__preview": -1}, "loop.preview: must be greater than or equal to 0, got -1"),
+    ({"loop__preview": 1.5}, "loop.preview: must be an integer or 'horizon', got 1.5"),
+    ({"loop__preview": True}, "loop.preview: must be an integer or 'horizon', got True"),
+    (
+        {"scenarios": {"nominal": {"preview": "all"}}},
+        "scenarios.nominal.preview: must be an integer or 'horizon', got 'all'",
+    ),
     ({"reference": None}, "reference: required key is missing"),
     ({"reference": {}}, "reference: must not be empty"),
     ({"reference__angle": None}, "reference: must not be empty"),

@@ -166,6 +166,18 @@ class WrongWay(Proportional):
         return -np.asarray(super().step(sample))
 
 
+class ChangesItsHorizon(Proportional):
+    def start(self, loop: Loop) -> None:
+        super().start(loop)
+        self.horizon = 5
+
+
+class LivesOnPreview(Proportional):
+    def start(self, loop: Loop) -> None:
+        super().start(loop)
+        self.gain *= loop.preview
+
+
 @pytest.mark.parametrize(
     ("controller", "check", "reason"),
     [
@@ -187,6 +199,8 @@ class WrongWay(Proportional):
         (PassesOverNaN, "handles a missing measurement as declared", "without a status"),
         (ClaimsToSurviveNaN, "handles a missing measurement as declared", "are .nan"),
         (WrongWay, "stabilises the reference plant", r"begin \[0\.5\] off"),
+        (ChangesItsHorizon, "knows its horizon before its start", "from 1 to 5; set it before"),
+        (LivesOnPreview, "stabilises it without preview", r"begin \[0\.5\] off"),
     ],
 )
 def test_each_breach_is_caught_and_named(controller: Any, check: str, reason: str) -> None:
