@@ -1,5 +1,6 @@
 """The public names and where they are defined; :mod:`lazy_loader` reads them from here too."""
 
+from .conditions import Conditions as Conditions
 from .controller import (
     Action as Action,
     Bounds as Bounds,
@@ -43,6 +44,7 @@ from .signals import (
     Sine as Sine,
     Steps as Steps,
     UniformRandom as UniformRandom,
+    WhiteNoise as WhiteNoise,
 )
 from .study.results import (
     CaseResult as CaseResult,

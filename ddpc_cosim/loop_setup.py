@@ -3,18 +3,19 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, delay_error
 from ddpc_cosim.controller import Bounds, Loop, Recording
 from ddpc_cosim.errors import ConfigError, DataError, did_you_mean
 from ddpc_cosim.plant import Plant
-from ddpc_cosim.signals import Excitation, GaussianNoise, ParameterChange, Reference
+from ddpc_cosim.signals import Excitation, GaussianNoise, ParameterChange, Reference, values_at
 from ddpc_cosim.variables import FloatArray, Variable, names
 
 MOST_STEPS = 100_000_000
-# Which stream of a seed serves whom; a new one gets a new number.
+# Which stream of a seed serves whom; a new one gets a new number. From 3 on: those of the conditions.
 CONTROLLER_STREAM, NOISE_STREAM, STABILISER_STREAM = 0, 1, 2
 
 
@@ -96,11 +97,17 @@ def late_error(time: float, end: float) -> str:
 
 def check_names(what: str, given: Iterable[str], known: Sequence[Variable]) -> None:
     """Raise ConfigError for every given name that is not among the known variables."""
-    unknown = [name for name in given if name not in names(known)]
-    if unknown:
-        raise ConfigError(
-            [f'{what}: no signal "{name}"; {did_you_mean(name, names(known))}' for name in unknown]
-        )
+    if faults := _unknown(what, given, known):
+        raise ConfigError(faults)
+
+
+def _unknown(what: str, given: Iterable[str], known: Sequence[Variable]) -> list[str]:
+    known_names = names(known)
+    return [
+        f'{what}: no signal "{name}"; {did_you_mean(name, known_names)}'
+        for name in given
+        if name not in known_names
+    ]
 
 
 def excitation_table(excitation: Excitation, inputs: int) -> FloatArray:
@@ -112,14 +119,33 @@ def excitation_table(excitation: Excitation, inputs: int) -> FloatArray:
     return table
 
 
+class Measured(NamedTuple):
+    """The plant at a sample.
+
+    Parameters
+    ----------
+    y : array, shape (p,)
+        Controlled outputs, as they are.
+    seen, measured : array, shapes (p,) and (q,)
+        Controlled outputs and measurements, as a controller sees them.
+    status : str
+        Empty, or why a controller sees something older.
+    """
+
+    y: FloatArray
+    seen: FloatArray
+    measured: FloatArray
+    status: str
+
+
 class LoopSetup:
-    """A plant in a loop: which outputs are controlled, which are measured, with what noise and limits.
+    """A plant in a loop: what is driven, controlled and measured, with what limits and in what conditions.
 
     Parameters
     ----------
     plant : Plant
         The plant.
-    sampling_time, outputs, measurements, bounds, noise, seed, preview
+    sampling_time, outputs, measurements, bounds, noise, conditions, seed, preview
         As in :func:`ddpc_cosim.cosimulate`.
 
     Raises
@@ -136,6 +162,7 @@ class LoopSetup:
         measurements: Sequence[str] | None,
         bounds: Mapping[str, tuple[float, float]] | None,
         noise: GaussianNoise | None,
+        conditions: Conditions | None,
         seed: int,
         preview: int | None,
     ) -> None:
@@ -154,10 +181,16 @@ class LoopSetup:
         self._measured = np.array([available.index(name) for name in measured], dtype=np.intp)
         self.outputs = tuple(plant.outputs[i] for i in self._outputs)
         self.measurements = tuple(plant.outputs[i] for i in self._measured)
-        self.bounds = _bounds(plant.inputs, self.outputs, bounds or {})
-        self._rng = self._stream(NOISE_STREAM)
-        self._deviation = self._deviations(noise.standard_deviation if noise else {})
-        self._noisy = bool(self._deviation.any())
+        self._conditions = conditions = conditions or Conditions()
+        self.inputs = tuple(v for v in plant.inputs if v.name not in conditions.inputs)
+        self.changed_inputs = changed_inputs(conditions, plant.inputs)
+        self.bounds = _bounds(self.inputs, self.outputs, bounds or {})
+        self._check_conditions(conditions)
+        rest = np.clip([v.start for v in self.inputs], self.bounds.u_min, self.bounds.u_max)
+        self.actuators = Actuators(plant.inputs, rest, conditions, sampling_time, seed)
+        deviation = self._deviations(noise.standard_deviation if noise else {})
+        rng = self._stream(NOISE_STREAM)
+        self._sensors = Sensors(plant.outputs, deviation, conditions, sampling_time, seed, rng)
 
     def _stream(self, number: int) -> np.random.Generator:
         return np.random.default_rng([self._seed, number])
@@ -170,17 +203,67 @@ class LoopSetup:
             deviations[index] = given.get(variable.name, 0.0)
         return deviations
 
-    def controlled(self, y_plant: FloatArray) -> FloatArray:
-        """Return the controlled outputs without noise, shape (p,)."""
-        return y_plant[self._outputs]
+    def _check_conditions(self, conditions: Conditions) -> None:
+        taking_part = tuple(dict.fromkeys((*self.outputs, *self.measurements)))
+        known = {
+            "disturbances": (*self.inputs, *taking_part),
+            "inputs": self.plant.inputs,
+            "rate_limit": self.inputs,
+            "delay": (*self.inputs, *self.measurements),
+            "quantum": self.measurements,
+            "loss": self.measurements,
+        }
+        faults = []
+        for key, variables in known.items():
+            faults += _unknown(key, getattr(conditions, key), variables)
+        if not self.inputs:
+            faults.append("inputs: every input of the plant has a signal; leave one to the controller")
+        for name, delay in conditions.delay.items():
+            if fault := delay_error(delay, self.sampling_time):
+                faults.append(f"delay of {name}: {fault}")
+        if faults:
+            raise ConfigError([f"conditions: {fault}" for fault in faults])
 
-    def measure(self, y_plant: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return controlled outputs and measurements with noise, shapes (p,) and (q,)."""
-        if self._noisy:
-            n = len(self._deviation)
-            y_plant = y_plant.copy()
-            y_plant[:n] += self._deviation * self._rng.standard_normal(n)
-        return y_plant[self._outputs], y_plant[self._measured]
+    def start(
+        self,
+        time: FloatArray,
+        *,
+        in_experiment: bool = False,
+        continues: bool = False,
+        accepts_missing: bool = True,
+    ) -> None:
+        """Prepare for a run with samples at these times [s], shape (K,).
+
+        Parameters
+        ----------
+        in_experiment : bool
+            It records data: without disturbances and losses.
+        continues : bool
+            Actuators and sensors go on from where they are; otherwise they start from rest.
+        accepts_missing : bool
+            Whether the controller is shown NaN for a lost measurement, or the last value that arrived.
+
+        Raises
+        ------
+        ConfigError
+            A delay is too long for the run, or a signal has values that are not possible.
+        """
+        run = "experiment" if in_experiment else "run"
+        faults = [
+            f"conditions: delay of {name}: {fault}"
+            for name, delay in self._conditions.delay.items()
+            if (fault := delay_error(delay, self.sampling_time, len(time) - 1, run))
+        ]
+        if faults:
+            raise ConfigError(faults)
+        self.actuators.start(time, in_experiment=in_experiment, continues=continues)
+        self._sensors.start(time, in_experiment=in_experiment, continues=continues, holds=not accepts_missing)
+
+    def measure(self, k: int, y_plant: FloatArray) -> Measured:
+        """Return what is controlled and what is seen of the plant's outputs at sample k."""
+        y = self._sensors.disturb(k, y_plant)
+        seen, status = self._sensors.measure(k, y)
+        return Measured(y[self._outputs], seen[self._outputs], seen[self._measured], status)
 
     def references(self, reference: Reference | Mapping[str, Reference], time: FloatArray) -> FloatArray:
         """Return the references of all outputs at all times, shape (len(time), p)."""
@@ -192,7 +275,9 @@ class LoopSetup:
         missing = [name for name in names(self.outputs) if name not in reference]
         if missing:
             raise ConfigError(f"reference: none for {', '.join(missing)}")
-        table = np.column_stack([_values(v.name, reference[v.name], time) for v in self.outputs])
+        table = np.column_stack(
+            [values_at(reference[v.name], f"reference of {v.name}", time) for v in self.outputs]
+        )
         table.setflags(write=False)  # controllers are handed views of it
         return table
 
@@ -204,7 +289,7 @@ class LoopSetup:
             self._check_recording(recording)
         return Loop(
             sampling_time=self.sampling_time,
-            inputs=self.plant.inputs,
+            inputs=self.inputs,
             outputs=self.outputs,
             measurements=self.measurements,
             bounds=self.bounds,
@@ -216,7 +301,7 @@ class LoopSetup:
 
     def _check_recording(self, recording: Recording) -> None:
         columns = {
-            "inputs": (recording.u.shape[1], len(self.plant.inputs)),
+            "inputs": (recording.u.shape[1], len(self.inputs)),
             "controlled outputs": (recording.y.shape[1], len(self.outputs)),
             "measurements": (recording.measured.shape[1], len(self.measurements)),
         }
@@ -265,20 +350,6 @@ def limits_error(limits: Any) -> str:
     except (TypeError, ValueError):
         return f"needed: two numbers, got {limits!r}"
     return "" if low < high else f"min ({low:g}) must be below max ({high:g})"
-
-
-def _values(name: str, reference: Reference, time: FloatArray) -> FloatArray:
-    """Return the values of one reference, which may be of any class, shape (len(time),)."""
-    try:
-        values = np.asarray(reference.at(time.copy()), dtype=np.float64)
-    except Exception as error:
-        raise ConfigError(f"reference of {name}: {type(error).__name__}: {error}") from error
-    if values.shape != time.shape:
-        raise ConfigError(f"reference of {name}: has shape {values.shape}; needed: {time.shape}")
-    if not np.isfinite(values).all():
-        first = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise ConfigError(f"reference of {name}: {values[first]} at t = {time[first]:g} s; needed: finite")
-    return values
 
 
 def _protected(recording: Recording | None) -> Recording | None:

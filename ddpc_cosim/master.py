@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import OK, Action, Bounds, Controller, Loop, Recording, Sample
 from ddpc_cosim.errors import (
     ConfigError,
@@ -37,6 +38,7 @@ from ddpc_cosim.safe_calls import (
     clip_inputs,
     controller_diagnostics,
     controller_settings,
+    does_accept_missing,
     horizon_of,
     plant_provenance,
     require_finite,
@@ -76,6 +78,7 @@ def cosimulate(
     measurements: Sequence[str] | None = None,
     parameters: Mapping[str, ParameterValue] | None = None,
     noise: GaussianNoise | None = None,
+    conditions: Conditions | None = None,
     events: Sequence[ParameterChange] = (),
     preview: int | None = None,
     seed: int = 0,
@@ -111,13 +114,15 @@ def cosimulate(
         Plant parameters of this run.
     noise : GaussianNoise, optional
         Noise of the measurements.
+    conditions : Conditions, optional
+        Disturbances, signals of inputs that the controller does not drive, and what actuators and sensors do.
     events : sequence of ParameterChange, optional
         Tunable parameters that change during the run, before its end.
     preview : int, optional
         How many future references a controller may see, whatever its horizon; it is handed the last of them
         in place of those that follow. Default: no limit.
     seed : int
-        Seed of the noise and of the controller's random numbers.
+        Seed of noise and conditions and of the controller's random numbers.
     start_time : float
         Time of the first sample [s].
     continue_recording : bool
@@ -138,7 +143,7 @@ def cosimulate(
         What can be known before the first sample: settings, signals and data that do not fit, a parameter
         change after the end of the run, a plant that cannot be initialised.
     """
-    setup = LoopSetup(plant, sampling_time, outputs, measurements, bounds, noise, seed, preview)
+    setup = LoopSetup(plant, sampling_time, outputs, measurements, bounds, noise, conditions, seed, preview)
     steps = whole_steps(duration, sampling_time)
     end = end_time(start_time, steps, sampling_time)
     check_events(events, end)
@@ -170,7 +175,9 @@ def cosimulate(
     settings, provenance = controller_settings(controller), plant_provenance(plant)
     time = start_time + np.arange(steps + 1 + loop.preview, dtype=np.float64) * sampling_time
     table = setup.references(reference, time)
-    rows = _Rows(loop, time, table, steps + 1, horizon, store)
+    rows = _Rows(setup, loop, time, table, steps + 1, horizon, store)
+    accepts_missing = conditions is None or not conditions.loss or does_accept_missing(controller)
+    setup.start(rows.time, continues=continue_recording, accepts_missing=accepts_missing)
     outcome, reason = _closed_loop(setup, controller, rows, y_plant, events)
     try:
         diagnostics = controller_diagnostics(controller) | diagnostics
@@ -179,7 +186,8 @@ def cosimulate(
             outcome, reason = Outcome.CONTROLLER_ERROR, f"after the last sample: {error}"
     return Trace(
         **rows.written(),
-        inputs=plant.inputs,
+        inputs=setup.inputs,
+        changed_inputs=setup.changed_inputs,
         outputs=setup.outputs,
         measurements=setup.measurements,
         bounds=setup.bounds,
@@ -205,6 +213,7 @@ def record(
     measurements: Sequence[str] | None = None,
     parameters: Mapping[str, ParameterValue] | None = None,
     noise: GaussianNoise | None = None,
+    conditions: Conditions | None = None,
     preview: int | None = None,
     seed: int = 0,
 ) -> Recording:
@@ -212,7 +221,7 @@ def record(
 
     Only a stabiliser follows ``reference``, which it needs, and keeps ``bounds``.
     """
-    setup = LoopSetup(plant, sampling_time, outputs, measurements, bounds, noise, seed, preview)
+    setup = LoopSetup(plant, sampling_time, outputs, measurements, bounds, noise, conditions, seed, preview)
     return _experiment(setup, excitation, stabiliser, reference or {}, parameters).recording
 
 
@@ -270,7 +279,7 @@ def _experiment(
 ) -> _Experiment:
     """Excite a plant from its initial state and record it; ``onwards`` [s] are to follow."""
     plant, sampling_time = setup.plant, setup.sampling_time
-    inputs = excitation_table(excitation, len(plant.inputs))
+    inputs = excitation_table(excitation, len(setup.inputs))
     exciting = ExcitingController(inputs, stabiliser)
     loop = setup.loop(STABILISER_STREAM, exciting.horizon)
     start_controller(exciting, loop)
@@ -282,7 +291,8 @@ def _experiment(
         loop = replace(loop, bounds=_no_bounds(loop))
     plant.plan(sampling_time, len(inputs) * sampling_time + onwards)
     y_plant = reset_plant(plant, parameters, 0.0)
-    rows = _Rows(loop, time, table, len(inputs), exciting.horizon)
+    rows = _Rows(setup, loop, time, table, len(inputs), exciting.horizon)
+    setup.start(rows.time, in_experiment=True)
     try:
         y_plant = _run(setup, exciting, rows, y_plant, hold_last=True)
     except NotFiniteError as error:
@@ -305,6 +315,7 @@ class _Rows:
 
     def __init__(
         self,
+        setup: LoopSetup,
         loop: Loop,
         time: FloatArray,
         reference: FloatArray,
@@ -316,7 +327,7 @@ class _Rows:
         self._ahead = np.minimum(np.arange(1, horizon + 1), loop.preview)
         self.start, self.sampling_time, self.bounds = float(time[0]), loop.sampling_time, loop.bounds
         columns = len(loop.outputs), len(loop.measurements), len(loop.inputs)
-        self.store = store or RowStore(rows, *columns)
+        self.store = store or RowStore(rows, *columns, changed_inputs=len(setup.changed_inputs))
         self.store.reference[:] = reference[:rows]
 
     @property
@@ -384,17 +395,25 @@ def _run(
     for k, time in enumerate(rows.time):
         while pending and pending[0].time <= time + _EARLY * h:
             set_plant_parameters(plant, pending.pop(0).parameters, time)
-        _write_row(setup, controller, rows, k, y_plant)
+        applied = _write_row(setup, controller, rows, k, y_plant)
         if k < last or hold_last:
-            y_plant = step_plant(plant, rows.store.u[k].copy(), h, time)  # a plant may use its inputs up
+            y_plant = step_plant(plant, applied, h, time)
             require_finite(y_plant, plant)
     return y_plant
 
 
-def _write_row(setup: LoopSetup, controller: Controller, rows: _Rows, k: int, y_plant: FloatArray) -> None:
-    """Measure the plant at sample k, let the controller decide, and keep both in row k."""
-    y, measured = setup.measure(y_plant)
-    rows.store.begin(k, setup.controlled(y_plant), measured)
-    sample = Sample(k, float(rows.time[k]), y, measured, rows.future(k), rows.reference[k])
-    decision = ask_controller(controller, sample, rows.store.u.shape[1])
-    rows.store.complete(k, *clip_inputs(decision, rows.bounds))
+def _write_row(
+    setup: LoopSetup, controller: Controller, rows: _Rows, k: int, y_plant: FloatArray
+) -> FloatArray:
+    """Measure the plant at sample k, let the controller decide, and keep both in row k.
+
+    Returns what the plant is to hold until the next sample, a value for each of its inputs.
+    """
+    y, seen, measured, status = setup.measure(k, y_plant)
+    rows.store.begin(k, y, measured)
+    sample = Sample(k, float(rows.time[k]), seen, measured, rows.future(k), rows.reference[k])
+    decision = ask_controller(controller, sample, rows.store.u.shape[1]).with_status(status)
+    held = clip_inputs(decision, rows.bounds)
+    applied = setup.actuators.apply(k, held.u)
+    rows.store.complete(k, *held, setup.actuators.changed(applied))
+    return applied

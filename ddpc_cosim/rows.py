@@ -18,6 +18,7 @@ _ROWS, _CALLS, _TEXT_BYTES, _TIME = range(4)
 _CALL = slice(32, 96)
 _HEADER = 96
 _TEXTS = 1 << 16
+_NOTHING: FloatArray = np.empty(0)
 _END = "\n"
 _FAILED, _NOT_KEPT = "error", "(not kept: too many different statuses)"
 
@@ -50,6 +51,8 @@ class RowStore:
         Number of rows.
     outputs, measurements, inputs : int
         Number of columns.
+    changed_inputs : int
+        Number of inputs of which the plant may be given something else.
     path : Path, optional
         A file, made if there is none; who opens the same one has the same rows. Default: in memory.
 
@@ -61,14 +64,23 @@ class RowStore:
         All measurements as the controller saw them.
     u : array, shape (samples, inputs)
         Inputs as held; NaN where the controller failed.
+    applied : array, shape (samples, changed_inputs)
+        What the plant was given instead.
     solve_time : array, shape (samples,)
         Wall-clock time of ``controller.step`` [s].
     """
 
     def __init__(
-        self, samples: int, outputs: int, measurements: int, inputs: int, path: Path | None = None
+        self,
+        samples: int,
+        outputs: int,
+        measurements: int,
+        inputs: int,
+        path: Path | None = None,
+        *,
+        changed_inputs: int = 0,
     ) -> None:
-        columns = (outputs, outputs, measurements, inputs, 1, 1)
+        columns = (outputs, outputs, measurements, inputs, changed_inputs, 1, 1)
         size = _HEADER + 8 * samples * sum(columns) + (_TEXTS if path else 0)
         self._memory: Any = _mapped(path, size) if path else np.zeros(size, np.uint8).data
         head = memoryview(self._memory)[:_HEADER]
@@ -78,7 +90,7 @@ class RowStore:
             table = np.frombuffer(self._memory, np.float64, samples * count, start)
             tables.append(table.reshape(samples, count))
             start += 8 * samples * count
-        self.reference, self.y, self.measured, self.u, solve_time, status = tables
+        self.reference, self.y, self.measured, self.u, self.applied, solve_time, status = tables
         self.solve_time: FloatArray = solve_time[:, 0]
         self._status = status[:, 0].view(np.int64)
         self._text_memory = memoryview(self._memory)[start:]
@@ -105,20 +117,24 @@ class RowStore:
     def begin(self, k: int, y: FloatArray, measured: FloatArray) -> None:
         """Begin row k, whose controller has not decided yet."""
         self.y[k], self.measured[k] = y, measured
-        self.u[k] = self.solve_time[k] = np.nan
+        self.u[k] = self.applied[k] = self.solve_time[k] = np.nan
         self._status[k] = self._texts[_FAILED]
         self._numbers_of[_ROWS] = k + 1
 
-    def complete(self, k: int, u: FloatArray, status: str, solve_time: float) -> None:
-        """Complete row k with what the controller has decided."""
+    def complete(
+        self, k: int, u: FloatArray, status: str, solve_time: float, applied: FloatArray = _NOTHING
+    ) -> None:
+        """Complete row k with what the controller has decided, and what the plant is given instead."""
         if status not in self._texts:
             self._add(status)
         self.u[k], self._status[k], self.solve_time[k] = u, self._texts[status], solve_time
+        self.applied[k] = applied
 
     def written(self) -> dict[str, Any]:
         """Return the rows up to the last one that was begun, as a trace names them."""
         n = self.count
-        tables = {name: getattr(self, name)[:n] for name in ("reference", "y", "measured", "u", "solve_time")}
+        numbers = ("reference", "y", "measured", "u", "applied", "solve_time")
+        tables = {name: getattr(self, name)[:n] for name in numbers}
         texts = {number: text for text, number in self._texts.items()}
         status = tuple(texts.get(number, _NOT_KEPT) for number in self._status[:n].tolist())
         return {**tables, "status": status}

@@ -36,6 +36,12 @@ class Decision(NamedTuple):
     status: str
     seconds: float
 
+    def with_status(self, status: str) -> "Decision":
+        """Return the decision with one more reason why it is a fallback; itself for an empty one."""
+        if not status:
+            return self
+        return self._replace(status=status if self.status == OK else f"{self.status}; {status}")
+
 
 class NotFiniteError(Exception):
     """The plant returned a value that is not finite."""
@@ -133,6 +139,12 @@ def horizon_of(controller: Controller) -> int:
     return int(horizon)
 
 
+def does_accept_missing(controller: Controller) -> bool:
+    """Return whether a controller answers missing measurements itself."""
+    with _controller_errors(controller, "accepts_missing"):
+        return bool(controller.accepts_missing)
+
+
 def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decision:
     """Let a controller decide on its inputs, shape (inputs,), which have to be finite."""
     status = OK
@@ -152,14 +164,14 @@ def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decis
 
 def clip_inputs(decision: Decision, bounds: Bounds) -> Decision:
     """Return a decision within the bounds; one that was beyond them is a fallback, and its status says so."""
-    u, status, seconds = decision
+    u = decision.u
     held = np.minimum(np.maximum(u, bounds.u_min), bounds.u_max)
     if not np.array_equal(held, u):
         limits = np.abs(np.stack((bounds.u_min, bounds.u_max)))
         largest = np.where(np.isfinite(limits), limits, 0.0).max(axis=0)
         if (np.abs(u - held) > _ROUNDING * largest).any():
-            status = CLIPPED if status == OK else f"{status}; {CLIPPED}"
-    return Decision(held, status, seconds)
+            decision = decision.with_status(CLIPPED)
+    return decision._replace(u=held)
 
 
 def controller_settings(controller: Controller) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """References, excitations, noise and events."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,11 +17,35 @@ _RELATIVE_TIME_TOLERANCE = 1e-12
 
 
 class Reference(ABC):
-    """A signal of time for one controlled output."""
+    """A signal of time: for a controlled output, for an input that no controller drives, or a disturbance."""
 
     @abstractmethod
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at the given times [s]; same shape as ``time``."""
+
+    def with_seed(self, seed: int) -> "Reference":
+        """Return the signal with the random numbers of another seed; itself where it has none."""
+        return self
+
+
+def values_at(signal: Reference, what: str, time: FloatArray) -> FloatArray:
+    """Return the values of a signal, which may be of any class, shape (len(time),).
+
+    Raises
+    ------
+    ConfigError
+        It raises an error, or its values are not finite or not one for each time; ``what`` says whose.
+    """
+    try:
+        values = np.asarray(signal.at(time.copy()), dtype=np.float64)
+    except Exception as error:
+        raise ConfigError(f"{what}: {type(error).__name__}: {error}") from error
+    if values.shape != time.shape:
+        raise ConfigError(f"{what}: has shape {values.shape}; needed: {time.shape}")
+    if not np.isfinite(values).all():
+        first = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise ConfigError(f"{what}: {values[first]} at t = {time[first]:g} s; needed: finite")
+    return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +140,39 @@ class Sine(Reference):
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at the given times [s]; same shape as ``time``."""
         return self.offset + self.amplitude * np.sin(2 * np.pi * self.frequency * time + self.phase)
+
+
+@dataclass(frozen=True, slots=True)
+class WhiteNoise(Reference):
+    """Independent normal values, one for each sample, about a mean; the same at every call.
+
+    Parameters
+    ----------
+    standard_deviation : float
+        At least 0.
+    mean : float
+        What they vary about.
+    seed : int
+        Seed of the values; where it is one of the conditions of a loop, the loop gives it one of its own.
+    """
+
+    standard_deviation: float
+    mean: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.standard_deviation < math.inf:
+            what = f"standard deviation = {self.standard_deviation}"
+            raise ConfigError(f"noise: {what} is not possible; allowed: a finite number >= 0")
+
+    def with_seed(self, seed: int) -> "WhiteNoise":
+        """Return noise of another seed."""
+        return replace(self, seed=seed)
+
+    def at(self, time: FloatArray) -> FloatArray:
+        """Return the values at the given times [s]; same shape as ``time``."""
+        drawn = np.random.default_rng(self.seed).standard_normal(time.shape)
+        return self.mean + self.standard_deviation * drawn
 
 
 class Excitation(ABC):

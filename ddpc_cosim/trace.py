@@ -39,11 +39,13 @@ class Trace:
     time : array, shape (K,)
         t0 + k * sampling_time [s].
     reference, y : array, shape (K, p)
-        References and controlled outputs at ``time``, in the outputs' units.
+        References and controlled outputs at ``time``, in the outputs' units; disturbances of the outputs are
+        part of them.
     measured : array, shape (K, q)
-        All measurements as the controller saw them.
+        All measurements as the controller saw them; NaN where one was missing.
     u : array, shape (K, m)
-        Inputs held from ``time[k]`` on, in their units; NaN where the controller failed.
+        Inputs from ``time[k]`` on as the controller commanded them, within their bounds, in their units; NaN
+        where it failed.
     status : tuple of str
         The controller's status per row, ``"ok"`` or why ``u`` is a fallback.
     solve_time : array, shape (K,)
@@ -66,6 +68,11 @@ class Trace:
         What the controller says about its data or model.
     provenance : dict
         What the plant and the controller are: classes, versions, hashes.
+    changed_inputs : tuple of Variable
+        Inputs of which the plant may have been given something else: those with a disturbance or an actuator
+        that has a delay or a rate limit, and those that no controller drives but a signal.
+    applied : array, shape (K, len(changed_inputs))
+        What the plant was given of them from ``time[k]`` on.
     """
 
     time: FloatArray
@@ -86,6 +93,8 @@ class Trace:
     settings: dict[str, Any] = field(default_factory=dict)
     diagnostics: dict[str, float] = field(default_factory=dict)
     provenance: dict[str, str] = field(default_factory=dict)
+    changed_inputs: tuple[Variable, ...] = ()
+    applied: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     def __len__(self) -> int:
         return len(self.time)
@@ -128,7 +137,8 @@ class Trace:
 
         Headers are ``name [unit]``. A reference is prefixed with ``reference``; a measurement that differs
         from the controlled output of its name (by noise) with ``measured``, and left out where it does not;
-        an output or input whose header is taken with ``output`` or ``input``.
+        an output or input whose header is taken with ``output`` or ``input``; what the plant was given of an
+        input, where that may differ from what a controller commanded, with ``applied``.
         """
         table = {"time [s]": self.time}
         reserved = {"time [s]", "solve_time [s]"}
@@ -143,6 +153,8 @@ class Trace:
         for i, variable in enumerate(self.inputs):
             taken = variable.header in reserved | table.keys()
             table[("input " if taken else "") + variable.header] = self.u[:, i]
+        for i, variable in enumerate(self.changed_inputs):
+            table[f"applied {variable.header}"] = self.applied[:, i]
         table["solve_time [s]"] = self.solve_time
         return table
 

@@ -236,6 +236,7 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any], staging: Path |
         "inputs": [asdict(v) for v in trace.inputs],
         "outputs": [asdict(v) for v in trace.outputs],
         "measurements": [asdict(v) for v in trace.measurements],
+        "changed_inputs": [asdict(v) for v in trace.changed_inputs],
         "bounds": {
             name: getattr(trace.bounds, name).tolist() for name in ("u_min", "u_max", "y_min", "y_max")
         },
@@ -282,8 +283,8 @@ def read_run(folder: Path) -> dict[str, Any]:
 def read_trace(folder: Path) -> Trace:
     """Return the trace that :func:`write_case` wrote."""
     run = read_run(folder)
-    inputs, outputs, measurements = (
-        [_variable(v) for v in run[key]] for key in ("inputs", "outputs", "measurements")
+    inputs, outputs, measurements, changed_inputs = (
+        [_variable(v) for v in run[key]] for key in ("inputs", "outputs", "measurements", "changed_inputs")
     )
     columns, status = _read_signals(folder / "signals.csv")
 
@@ -299,9 +300,11 @@ def read_trace(folder: Path) -> Trace:
         y=table(outputs, ("output ", "")),
         measured=table(measurements, ("measured ", "")),
         u=table(inputs, ("input ", "")),
+        applied=table(changed_inputs, ("applied ",)),
         status=status,
         solve_time=columns["solve_time [s]"],
         inputs=tuple(inputs),
+        changed_inputs=tuple(changed_inputs),
         outputs=tuple(outputs),
         measurements=tuple(measurements),
         bounds=Bounds(**{name: np.array(values, dtype=float) for name, values in run["bounds"].items()}),

@@ -104,4 +104,4 @@ def test_a_damaged_file_has_no_more_rows_than_it_can_have(written: int, count: i
     path.write_bytes(np.int64(written).tobytes().ljust(size, b"\xff"))
     store = RowStore(4, 1, 1, 1, path)
     assert store.count == count
-    assert [len(table) for table in store.written().values()] == [count] * 6
+    assert [len(table) for table in store.written().values()] == [count] * 7

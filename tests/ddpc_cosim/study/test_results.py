@@ -52,6 +52,7 @@ def traces(draw: st.DrawFn) -> Trace:
     noisy = draw(st.booleans())
     measured = table(len(measurements)) if noisy else y[:, [outputs.index(v) for v in measurements]]
     limits = [draw(st.sampled_from([-math.inf, 0.0, math.inf])) for _ in range(2)]
+    changed_inputs = tuple(draw(st.lists(st.sampled_from(inputs), unique=True)))
     return Trace(
         time=np.arange(rows, dtype=np.float64) * 0.1,
         reference=table(p),
@@ -76,6 +77,8 @@ def traces(draw: st.DrawFn) -> Trace:
         settings={"horizon": 5, "weight": [[1.0, 0.0], [0.0, 2.0]], "on": True},
         diagnostics={"rank": draw(NUMBERS)},
         provenance={"fmu": "größe.fmu"},
+        changed_inputs=changed_inputs,
+        applied=table(len(changed_inputs)),
     )
 
 
