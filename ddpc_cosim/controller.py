@@ -1,8 +1,9 @@
 """The controller contract: what a plug-in implements, and what the loop tells it."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
+from itertools import accumulate, pairwise
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -36,7 +37,9 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """An open-loop experiment: row i is measured before ``u[i]`` is applied.
+    """An experiment, or several one after the other: row i is measured before ``u[i]`` is applied.
+
+    Several are a mosaic: each of its pieces goes on from row to row, and no window of rows may cross a seam.
 
     Parameters
     ----------
@@ -48,17 +51,21 @@ class Recording:
         All measurements.
     sampling_time : float
         Time between rows [s].
+    seams : tuple of int
+        The first row of every piece but the first; empty: the rows are one experiment.
 
     Raises
     ------
     DataError
-        The arrays disagree in length, are not two-dimensional, or hold NaN or infinity.
+        The arrays disagree in length, are not two-dimensional, or hold NaN or infinity; or seams that are
+        not rows in their order.
     """
 
     u: FloatArray
     y: FloatArray
     measured: FloatArray
     sampling_time: float
+    seams: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         shapes = {name: getattr(self, name).shape for name in ("u", "y", "measured")}
@@ -68,6 +75,41 @@ class Recording:
             rows, columns = np.nonzero(~np.isfinite(getattr(self, name)))
             if rows.size:
                 raise DataError(f"recording: {name}[{rows[0]}, {columns[0]}] is not finite")
+        if any(first >= last for first, last in pairwise((0, *self.seams, len(self)))) and self.seams:
+            raise DataError(
+                f"recording: seams = {self.seams}; needed: rows from 1 to {len(self) - 1}, in order"
+            )
+
+    @classmethod
+    def join(cls, recordings: Sequence["Recording"]) -> "Recording":
+        """Return several recordings as one, with a seam between one and the next.
+
+        Raises
+        ------
+        DataError
+            There is none, or they have different signals or sampling times.
+        """
+        if not recordings:
+            raise DataError("recordings: there are none to join")
+        shapes = {(one.u.shape[1], one.y.shape[1], one.measured.shape[1]) for one in recordings}
+        if len(shapes) > 1:
+            found = ", ".join(map(str, sorted(shapes)))
+            raise DataError(f"recordings: different numbers of (inputs, outputs, measurements): {found}")
+        times = {one.sampling_time for one in recordings}
+        if max(times) - min(times) > 1e-9 * max(times):
+            raise DataError(f"recordings: different sampling times: {sorted(times)} s")
+        pieces = [piece for one in recordings for piece in one.pieces]
+        first = list(accumulate(map(len, pieces)))
+        u, y, measured = (np.vstack([getattr(p, name) for p in pieces]) for name in ("u", "y", "measured"))
+        return cls(u, y, measured, recordings[0].sampling_time, tuple(first[:-1]))
+
+    @property
+    def pieces(self) -> tuple["Recording", ...]:
+        """The experiments that it consists of."""
+        ends = pairwise((0, *self.seams, len(self)))
+        return tuple(
+            Recording(self.u[i:j], self.y[i:j], self.measured[i:j], self.sampling_time) for i, j in ends
+        )
 
     def __len__(self) -> int:
         return len(self.u)
@@ -86,15 +128,16 @@ class Loop:
     bounds : Bounds
         Limits of inputs and controlled outputs.
     recording : Recording or None
-        The open-loop experiment, where the study has one.
+        The experiments to learn from, where the study has some.
     rng : numpy.random.Generator
         The only source of randomness a controller may use: seeded by the case.
     preview : int
         How many of the future references this controller is told: its horizon, or fewer where the study
         limits how far anyone may look ahead.
     continues_recording : bool
-        The loop goes on where the recording ended. Otherwise it starts from rest: before the first sample
-        the inputs were at their start values and the measurements as they are at that sample.
+        The loop goes on where the recording, which is one piece, ended. Otherwise it starts from rest:
+        before the first sample the inputs were at their start values and the measurements as they are at
+        that sample.
     """
 
     sampling_time: float

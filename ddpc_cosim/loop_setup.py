@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any, NamedTuple
 
@@ -359,4 +360,4 @@ def _protected(recording: Recording | None) -> Recording | None:
     u, y, measured = (array.view() for array in (recording.u, recording.y, recording.measured))
     for view in (u, y, measured):
         view.setflags(write=False)
-    return Recording(u, y, measured, recording.sampling_time)
+    return replace(recording, u=u, y=y, measured=measured)

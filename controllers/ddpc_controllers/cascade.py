@@ -16,7 +16,7 @@ import numpy as np
 from ddpc_controllers.ipid import IPID
 from ddpc_controllers.mfac import MFAPC
 from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined
-from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Recording, Sample, setting
+from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Sample, setting
 
 
 @dataclass(kw_only=True)
@@ -127,8 +127,7 @@ class Cascade(Wrapper):
         outputs = tuple(loop.measurements[i] for i in chosen)
         low, high = np.array([(v.min, v.max) for v in outputs]).T
         if recording is not None:
-            y = recording.measured[:, chosen]
-            recording = Recording(recording.u, y, recording.measured, recording.sampling_time)
+            recording = replace(recording, y=recording.measured[:, chosen])
         bounds = Bounds(loop.bounds.u_min, loop.bounds.u_max, low, high)
         return replace(loop, outputs=outputs, bounds=bounds, recording=recording)
 

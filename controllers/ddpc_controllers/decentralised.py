@@ -14,7 +14,6 @@ from ddpc_cosim import (
     ConfigError,
     Controller,
     Loop,
-    Recording,
     Sample,
     Variable,
     check_settings,
@@ -169,11 +168,11 @@ def _part_of(loop: Loop, share: _Share) -> Loop:
             bounds.y_max[share.outputs],
         ),
         recording=recording
-        and Recording(
-            recording.u[:, share.inputs],
-            recording.y[:, share.outputs],
-            recording.measured[:, share.measurements],
-            recording.sampling_time,
+        and replace(
+            recording,
+            u=recording.u[:, share.inputs],
+            y=recording.y[:, share.outputs],
+            measured=recording.measured[:, share.measurements],
         ),
         rng=deepcopy(loop.rng),  # each controller draws as if it were alone
     )

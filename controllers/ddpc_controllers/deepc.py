@@ -205,9 +205,10 @@ class BehavioralTracking(ScaledSignals):
         """Return M: the past and future Hankel blocks, and the row that sums g where one is asked for."""
         u, y, who = recording.u, recording.y, type(self).__name__
         depth, order = self.initial_length + self.horizon, self._order_needed(y.shape[1])
-        require_length(len(u), order, u.shape[1], who)
-        data = self._layout.stack({"u": u, "y": y})
-        self._diagnostics = diagnose(np.delete(data, self._sum_rows(recording), axis=0), u, order)
+        require_length(len(u), order, u.shape[1], who, recording.seams)
+        data = self._layout.stack({"u": u, "y": y}, recording.seams)
+        windows = np.delete(data, self._sum_rows(recording), axis=0)
+        self._diagnostics = diagnose(windows, u, order, recording.seams)
         require_excitation(self._diagnostics, f"depth {depth} + assumed order {order - depth}", who)
         return data
 

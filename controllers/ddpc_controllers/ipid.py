@@ -133,7 +133,8 @@ class IPID(Controller):
         self._integral = np.zeros(len(loop.outputs))
         self._started = False
         if loop.continues_recording and loop.recording is not None:
-            self._take_over(loop.recording.u, loop.recording.y)
+            newest = loop.recording.pieces[-1]
+            self._take_over(newest.u, newest.y)
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the inputs that cancel F and correct the error."""

@@ -17,7 +17,7 @@ doi:10.1137/15M1013857).
 """
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -25,7 +25,15 @@ import numpy as np
 
 from ddpc_controllers.checks import check_settings_and
 from ddpc_controllers.data.dictionaries import Dictionary, ThinPlate, embed, memory_of, require_dictionary
-from ddpc_controllers.data.hankel import StateWindow, matching_recording, require_informative, resting_input
+from ddpc_controllers.data.hankel import (
+    StateWindow,
+    count_windows,
+    matching_recording,
+    require_informative,
+    resting_input,
+    window_starts,
+    without_first,
+)
 from ddpc_controllers.models.linear import SampledModel
 from ddpc_controllers.mpc import Predictor
 from ddpc_controllers.optimisation.limits import PREDICTED
@@ -39,7 +47,9 @@ STATE_KINDS = ("measured", "delays")
 _NEGLIGIBLE = 1e-12
 
 
-def fit_lifted_model(z: FloatArray, u: FloatArray, y: FloatArray, ridge: float = 0.0) -> SampledModel:
+def fit_lifted_model(
+    z: FloatArray, u: FloatArray, y: FloatArray, ridge: float = 0.0, seams: Sequence[int] = ()
+) -> SampledModel:
     """Fit ``z+ = A z + B u`` by regularised least squares, and ``y = C z``.
 
     C reads off the outputs that are among the lifted states, and is fitted to others.
@@ -50,6 +60,8 @@ def fit_lifted_model(z: FloatArray, u: FloatArray, y: FloatArray, ridge: float =
         Lifted states, inputs and outputs, time along axis 0.
     ridge : float
         Weight of the squared coefficients, for observables and inputs scaled to unit size.
+    seams : sequence of int
+        The first sample of every piece but the first; none is predicted from the one before a seam.
 
     Returns
     -------
@@ -61,15 +73,16 @@ def fit_lifted_model(z: FloatArray, u: FloatArray, y: FloatArray, ridge: float =
     DataError
         The inputs do not tell their own effect from that of the state.
     """
-    require_informative(u[:-1], z[:-1], "EDMD")
+    now = window_starts(len(z), 2, seams)
+    require_informative(u[now], z[now], "EDMD")
     size = _root_mean_square(np.hstack([z, u]))
     scaled = np.hstack([z, u]) / size
     n_z = z.shape[1]
-    dynamics = _least_squares(scaled[:-1], z[1:] / size[:n_z], ridge)
+    dynamics = _least_squares(scaled[now], z[now + 1] / size[:n_z], ridge)
     shown = _least_squares(scaled[:, :n_z], y, 0.0).T / size[:n_z]
     both = (dynamics.T / size) * size[:n_z, np.newaxis]
     a, b, c = both[:, :n_z], both[:, n_z:], _reading_off(shown, z, y)
-    errors = z[1:] - np.hstack([z, u])[:-1] @ both.T
+    errors = z[now + 1] - np.hstack([z, u])[now] @ both.T
     fit = {"one_step_error": float(_root_mean_square(errors).max())}
     return SampledModel(a, b, c, np.zeros(u.shape[1]), np.zeros(y.shape[1]), len(z), fit)
 
@@ -95,7 +108,7 @@ class LiftedState:
     recorded : array, shape (T - skipped, n_z)
         The lifted recording, time along axis 0.
     skipped : int
-        Number of first samples of the recording that have no past.
+        Number of first samples of each piece of the recording that have no past.
     """
 
     def __init__(
@@ -118,10 +131,10 @@ class LiftedState:
             self._u = StateWindow(before[-delays:])
         self._size = states.shape[1]
         self._states = StateWindow(states[-1 - memory :])
-        embedded = embed(states, memory)
+        self.skipped = delays + memory
+        embedded = embed(states, memory)[window_starts(len(recording), self.skipped + 1, recording.seams)]
         self._observables = dictionary.draw(embedded, rng)
         self.recorded = self._lift(embedded)
-        self.skipped = delays + memory
 
     def rest(self, y: FloatArray, measured: FloatArray, u: FloatArray) -> FloatArray:
         """Suppose that y, shape (p,), measured, (q,), and u, (m,), have always been so; return z."""
@@ -218,10 +231,10 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         # A copy of the stream: another start draws the same centres.
         rng = copy.deepcopy(loop.rng)
         self._lifted = LiftedState(self.state, self.delays, self.dictionary, recording, rng)
-        z, used = self._lifted.recorded, slice(self._lifted.skipped, None)
-        n_z, m = z.shape[1], len(loop.inputs)
-        require_samples(len(z) - 1, n_z + m, "KoopmanMPC")
-        self._model = model = fit_lifted_model(z, recording.u[used], recording.y[used], self.ridge)
+        z, recording = self._lifted.recorded, without_first(recording, self._lifted.skipped)
+        n_z, m, seams = z.shape[1], len(loop.inputs), recording.seams
+        require_samples(count_windows(len(z), 2, seams), n_z + m, "KoopmanMPC")
+        self._model = model = fit_lifted_model(z, recording.u, recording.y, self.ridge, seams)
         # The state of the problem is (z, w).
         a = np.block([[model.a, np.eye(n_z)], [np.zeros((n_z, n_z)), np.eye(n_z)]])
         b, c = np.vstack([model.b, np.zeros((n_z, m))]), np.hstack([model.c, np.zeros_like(model.c)])

@@ -87,7 +87,7 @@ class ModelFreeAdaptive(ScaledSignals):
         self._u: list[float] = resting_input(loop).tolist()
         if loop.continues_recording and loop.recording is not None:
             self._u = loop.recording.u[-1].tolist()
-            self._model.resume(loop.recording)
+            self._model.resume(loop.recording.pieces[-1])
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the last inputs plus the change that the control law finds."""

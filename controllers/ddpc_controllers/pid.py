@@ -18,13 +18,13 @@ that is long against the delay gets his shorter integral time; an oscillatory pa
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, sqrt
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from ddpc_controllers.data.hankel import matching_recording, resting_input
+from ddpc_controllers.data.hankel import count_windows, matching_recording, resting_input, without_first
 from ddpc_controllers.models.identification import fit_arx
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_MEASUREMENT, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import (
@@ -98,7 +98,7 @@ def tune_from_recording(recording: Recording, pairs: Sequence[int], closed_loop_
         The recording is too short, or shows a loop that the rules do not cover.
     """
     needed = fewest_test_samples(recording.u.shape[1])
-    if len(recording) < needed:
+    if count_windows(len(recording), _LAGS + 1, recording.seams) < needed - _LAGS:
         raise DataError(
             f"PID: the recording has {len(recording)} samples; a step test takes at least {needed}"
         )
@@ -118,12 +118,15 @@ def fit_second_order(recording: Recording, output: int, chosen: int) -> SecondOr
         The output grows without the input, or does not follow it.
     """
     h, samples = recording.sampling_time, len(recording)
-    y = recording.y[:, [output]]
-    longest = min(_LARGEST_DELAY, samples - fewest_test_samples(recording.u.shape[1]))
-    models = [fit_arx(Recording(_delayed(recording.u, d), y, y, h), _LAGS) for d in range(longest + 1)]
-    delay = int(np.argmin([model.fit["one_step_error"] for model in models]))
-    u, y = recording.u[: samples - delay], y[delay:]
-    model = fit_arx(Recording(u, y, y, h), _LAGS)
+    equations = fewest_test_samples(recording.u.shape[1]) - _LAGS
+    delays = [
+        d
+        for d in range(_LARGEST_DELAY + 1)
+        if count_windows(samples, d + _LAGS + 1, recording.seams) >= equations
+    ]
+    models = [fit_arx(_delayed(recording, output, d), _LAGS) for d in delays]
+    delay = delays[int(np.argmin([model.fit["one_step_error"] for model in models]))]
+    model = fit_arx(without_first(_delayed(recording, output, delay), delay), _LAGS)
     discrete = np.roots([1.0, *(-model.a[:, 0])])
     if np.abs(discrete).max() > 1.0 + 1.0 / samples:
         raise DataError(
@@ -170,9 +173,11 @@ def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0
     return *gains, _FILTER * min(abs(kd / kp), sqrt(kd / ki))
 
 
-def _delayed(u: FloatArray, samples: int) -> FloatArray:
-    """Return inputs, time along axis 0, that come later; before, they were as at the beginning."""
-    return np.vstack([np.repeat(u[:1], samples, axis=0), u[: len(u) - samples]])
+def _delayed(recording: Recording, output: int, samples: int) -> Recording:
+    """Return one output, and inputs that come later; before, they were as at the beginning of each piece."""
+    u = [np.vstack([np.repeat(one.u[:1], samples, axis=0), one.u])[: len(one)] for one in recording.pieces]
+    y = recording.y[:, [output]]
+    return replace(recording, u=np.vstack(u), y=y, measured=y)
 
 
 def _inverse_response(past_u: FloatArray, h: float) -> float:

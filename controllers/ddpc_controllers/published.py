@@ -15,11 +15,21 @@ from ddpc_controllers.deepc import DeePC
 from ddpc_controllers.optimisation.condensing import condense
 from ddpc_controllers.optimisation.qp import ParametricQP
 from ddpc_controllers.wkpc import WKPC
-from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, setting
+from ddpc_cosim import Action, DataError, FloatArray, Loop, Recording, Sample, setting
 
 
 def padded_with_zeros(recording: Recording, samples: int) -> Recording:
-    """Append samples of zero to inputs and outputs, and drop as many in front."""
+    """Append samples of zero to inputs and outputs, and drop as many in front.
+
+    Raises
+    ------
+    DataError
+        There are several experiments, which the programs do not know.
+    """
+    if recording.seams:
+        raise DataError(
+            f"the published programs learn from one experiment; there are {len(recording.pieces)}"
+        )
 
     def pad(signal: FloatArray) -> FloatArray:
         return np.vstack([signal, np.zeros((samples, signal.shape[1]))])[samples:]

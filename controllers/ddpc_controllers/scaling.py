@@ -22,7 +22,6 @@ from ddpc_cosim import (
     Controller,
     FloatArray,
     Loop,
-    Recording,
     Sample,
     Variable,
     setting,
@@ -96,11 +95,11 @@ class Scales:
                 bounds.u_min / self.u, bounds.u_max / self.u, bounds.y_min / self.y, bounds.y_max / self.y
             ),
             recording=recording
-            and Recording(
-                recording.u / self.u,
-                recording.y / self.y,
-                recording.measured / self.measured,
-                recording.sampling_time,
+            and replace(
+                recording,
+                u=recording.u / self.u,
+                y=recording.y / self.y,
+                measured=recording.measured / self.measured,
             ),
         )
 

@@ -66,7 +66,7 @@ class WKPC(OnlineSettings, ScaledSignals):
         self._memory = memory
         self._last = LastMeasurement(recording.measured, recording.y)
         self._states = StateWindow(recording.measured[-1 - memory :])
-        states = embed(recording.measured, memory)
+        states = embed(recording.measured, memory, recording.seams)
         recording = without_first(recording, memory)
         self._observables = self._draw(states, rng)
         lifted = self._lift(states)
@@ -188,9 +188,9 @@ class WKPC(OnlineSettings, ScaledSignals):
         """Return M."""
         u, y = recording.u, recording.y
         depth, order = self.initial_length + self.horizon, lifted.shape[1]
-        require_length(len(u), depth + order, u.shape[1], "WKPC")
-        stacked = self._layout.stack({"z": lifted, "u": u, "y": y})
-        self._diagnostics = diagnose(stacked, u, depth + order)
+        require_length(len(u), depth + order, u.shape[1], "WKPC", recording.seams)
+        stacked = self._layout.stack({"z": lifted, "u": u, "y": y}, recording.seams)
+        self._diagnostics = diagnose(stacked, u, depth + order, recording.seams)
         require_excitation(self._diagnostics, f"depth {depth} + lifted order {order}", "WKPC")
         return stacked
 

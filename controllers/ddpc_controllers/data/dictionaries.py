@@ -15,6 +15,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
+from ddpc_controllers.data.hankel import window_starts
 from ddpc_cosim import ConfigError, DataError, FloatArray, check_settings, setting
 from ddpc_cosim.plugins import load_target
 
@@ -120,15 +121,19 @@ def require_dictionary(value: Any, what: str) -> None:
         )
 
 
-def embed(samples: FloatArray, memory: int) -> FloatArray:
-    """Return samples, shape (T, q), with their past next to them: shape (T - memory, (memory + 1) q)."""
+def embed(samples: FloatArray, memory: int, seams: Sequence[int] = ()) -> FloatArray:
+    """Return samples, shape (T, q), with their past next to them: shape (T - memory, (memory + 1) q).
+
+    Samples whose past would cross a seam are left out.
+    """
     rows = len(samples) - memory
     if rows < 1:
         raise DataError(
             f"a memory of {memory} samples needs a longer recording than {len(samples)} samples: "
             "record longer, or look back less"
         )
-    return np.hstack([samples[memory - back : memory - back + rows] for back in range(memory + 1)])
+    states = np.hstack([samples[memory - back : memory - back + rows] for back in range(memory + 1)])
+    return states[window_starts(len(samples), memory + 1, seams)] if seams else states
 
 
 class _Radial(ABC):

@@ -1,6 +1,6 @@
 """Windows of a recording, their Hankel matrices, persistency of excitation, and what a recording is worth."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -48,8 +48,37 @@ class DataDiagnostics:
         return {name: float(value) for name, value in asdict(self).items()}
 
 
-def hankel_matrix(w: FloatArray, depth: int) -> FloatArray:
-    """Return the Hankel matrix of a recorded signal, equation (1).
+def window_starts(samples: int, depth: int, seams: Sequence[int] = ()) -> NDArray[np.intp]:
+    """Return the first samples of the windows of a recording, none of which crosses a seam.
+
+    Parameters
+    ----------
+    samples : int
+        Number of samples T.
+    depth : int
+        Number of samples of a window.
+    seams : sequence of int
+        The first sample of every piece but the first.
+
+    Raises
+    ------
+    DataError
+        No piece is as long as a window.
+    """
+    allowed = np.ones(max(samples - depth + 1, 0), dtype=bool)
+    for seam in seams:
+        allowed[max(seam - depth + 1, 0) : seam] = False
+    starts = np.flatnonzero(allowed)
+    if not starts.size:
+        there = (
+            f"the longest piece has {max(np.diff((0, *seams, samples)))}" if seams else f"there are {samples}"
+        )
+        raise DataError(f"a window of {depth} samples needs as many samples in a row; {there}: record longer")
+    return starts
+
+
+def hankel_matrix(w: FloatArray, depth: int, seams: Sequence[int] = ()) -> FloatArray:
+    """Return the Hankel matrix of a recorded signal, equation (1); of a mosaic, those of its pieces abreast.
 
     Parameters
     ----------
@@ -57,16 +86,18 @@ def hankel_matrix(w: FloatArray, depth: int) -> FloatArray:
         The signal, time along axis 0.
     depth : int
         Number of block rows L.
+    seams : sequence of int
+        The first sample of every piece but the first.
 
     Returns
     -------
     matrix : array, shape (depth * d, T - depth + 1)
-        Column j is the window ``w[j], ..., w[j + depth - 1]``.
+        Column j is the window ``w[j], ..., w[j + depth - 1]``; those that cross a seam are left out.
 
     Raises
     ------
     DataError
-        The recording is shorter than one window.
+        No piece of the recording is as long as one window.
     """
     length, width = w.shape
     if not 1 <= depth <= length:
@@ -74,7 +105,8 @@ def hankel_matrix(w: FloatArray, depth: int) -> FloatArray:
             f"a Hankel matrix of depth {depth} needs at least {max(depth, 1)} samples; there are {length}"
         )
     windows = sliding_window_view(w, depth, axis=0)  # (T - depth + 1, d, depth)
-    return windows.transpose(2, 1, 0).reshape(depth * width, length - depth + 1)
+    matrix = windows.transpose(2, 1, 0).reshape(depth * width, length - depth + 1)
+    return matrix[:, window_starts(length, depth, seams)] if seams else matrix
 
 
 def numerical_rank(matrix: FloatArray, tolerance: float = RANK_TOLERANCE) -> int:
@@ -83,9 +115,13 @@ def numerical_rank(matrix: FloatArray, tolerance: float = RANK_TOLERANCE) -> int
 
 
 def persistency_of_excitation(
-    u: FloatArray, at_most: int | None = None, tolerance: float = RANK_TOLERANCE
+    u: FloatArray, at_most: int | None = None, tolerance: float = RANK_TOLERANCE, seams: Sequence[int] = ()
 ) -> int:
-    """Return the highest order L for which ``hankel_matrix(u, L)`` has full row rank.
+    """Return the highest order L for which ``hankel_matrix(u, L, seams)`` has full row rank.
+
+    Of several experiments together: H. J. van Waarde, C. De Persis, M. K. Camlibel, P. Tesi, Willems'
+    fundamental lemma for state-space systems and its extension to multiple datasets, IEEE Control Systems
+    Letters 4(3), 2020, doi:10.1109/LCSYS.2020.2986991.
 
     Parameters
     ----------
@@ -95,6 +131,8 @@ def persistency_of_excitation(
         Look no further than this order.
     tolerance : float
         Relative size of a singular value that counts as zero.
+    seams : sequence of int
+        The first sample of every piece but the first.
 
     Returns
     -------
@@ -106,9 +144,17 @@ def persistency_of_excitation(
     if not scale.all():
         return 0
     highest = (length + 1) // (width + 1)  # beyond it there are fewer columns than rows
+    while count_windows(length, highest, seams) < highest * width:
+        highest -= 1
     if at_most is not None:
         highest = min(highest, at_most)
-    return _last_full_rank_depth(u / scale, highest, tolerance)
+    return _last_full_rank_depth(u / scale, highest, tolerance, seams)
+
+
+def count_windows(samples: int, depth: int, seams: Sequence[int] = ()) -> int:
+    """Return how many windows of a depth a recording has; parameters as in :func:`window_starts`."""
+    lengths = np.diff((0, *seams, samples))
+    return int(np.maximum(lengths - depth + 1, 0).sum())
 
 
 def least_samples(order: int, inputs: int) -> int:
@@ -116,7 +162,9 @@ def least_samples(order: int, inputs: int) -> int:
     return (inputs + 1) * order - 1
 
 
-def diagnose(stacked: FloatArray, u: FloatArray, order_needed: int) -> DataDiagnostics:
+def diagnose(
+    stacked: FloatArray, u: FloatArray, order_needed: int, seams: Sequence[int] = ()
+) -> DataDiagnostics:
     """Return rank, smallest singular value and order of excitation of a recording, whatever its units.
 
     Parameters
@@ -127,6 +175,8 @@ def diagnose(stacked: FloatArray, u: FloatArray, order_needed: int) -> DataDiagn
         The recorded inputs.
     order_needed : int
         Order of persistency of excitation that the controller needs.
+    seams : sequence of int
+        The first sample of every piece of the recording but the first.
     """
     size = np.sqrt(np.mean(np.square(stacked), axis=1, keepdims=True))
     size[size == 0.0] = 1.0
@@ -135,7 +185,7 @@ def diagnose(stacked: FloatArray, u: FloatArray, order_needed: int) -> DataDiagn
     smallest = float(values[rank - 1]) if rank else 0.0
     look_up_to = max(order_needed, _LARGEST_HANKEL // u.shape[1])
     return DataDiagnostics(
-        pe_order=persistency_of_excitation(u, look_up_to),
+        pe_order=persistency_of_excitation(u, look_up_to, seams=seams),
         pe_order_needed=order_needed,
         data_rank=rank,
         data_rows=stacked.shape[0],
@@ -145,7 +195,7 @@ def diagnose(stacked: FloatArray, u: FloatArray, order_needed: int) -> DataDiagn
     )
 
 
-def require_length(samples: int, order_needed: int, inputs: int, who: str) -> None:
+def require_length(samples: int, order_needed: int, inputs: int, who: str, seams: Sequence[int] = ()) -> None:
     """Check that a recording is long enough to be persistently exciting of an order at all.
 
     Raises
@@ -154,11 +204,12 @@ def require_length(samples: int, order_needed: int, inputs: int, who: str) -> No
         The lengths there and needed.
     """
     needed = least_samples(order_needed, inputs)
-    if samples < needed:
+    if count_windows(samples, order_needed, seams) < inputs * order_needed:
+        pieces = f" in {len(seams) + 1} pieces, of which each needs more" if seams else ""
         raise DataError(
-            f"{who}: the recording has {samples} samples; persistency of excitation of order {order_needed} "
-            f"with {inputs} input(s) takes at least {needed}: record longer, or shorten horizon or "
-            "initial_length"
+            f"{who}: the recording has {samples} samples{pieces}; persistency of excitation of order "
+            f"{order_needed} with {inputs} input(s) takes at least {needed}: record longer, "
+            "or shorten horizon or initial_length"
         )
 
 
@@ -186,12 +237,12 @@ def _count_nonzero(singular_values: FloatArray, tolerance: float) -> int:
     return int(np.count_nonzero(singular_values > tolerance * singular_values[0]))
 
 
-def _last_full_rank_depth(u: FloatArray, highest: int, tolerance: float) -> int:
+def _last_full_rank_depth(u: FloatArray, highest: int, tolerance: float, seams: Sequence[int]) -> int:
     """Bisect: a Hankel matrix with full row rank keeps it when it loses a block row."""
     full, lacking = 0, highest + 1
     depth = highest
     while lacking - full > 1:
-        matrix = hankel_matrix(u, depth)
+        matrix = hankel_matrix(u, depth, seams)
         if numerical_rank(matrix, tolerance) == matrix.shape[0]:
             full = depth
         else:
@@ -257,17 +308,18 @@ class WindowLayout:
         self.blocks = blocks
         self.depth = max(start + length for _, start, length in blocks)
 
-    def stack(self, signals: Mapping[str, FloatArray]) -> FloatArray:
-        """Return M of recorded signals, shape (T, width) each, time along axis 0."""
+    def stack(self, signals: Mapping[str, FloatArray], seams: Sequence[int] = ()) -> FloatArray:
+        """Return M of recorded signals, shape (T, width) each, time along axis 0, its seams left out."""
         samples = len(next(iter(signals.values())))
         columns = samples - self.depth + 1
         signals = {ONE: np.ones((samples, 1)), **signals}
-        return np.vstack(
+        stacked = np.vstack(
             [
                 hankel_matrix(signals[name][start : start + length + columns - 1], length)
                 for name, start, length in self.blocks
             ]
         )
+        return stacked[:, window_starts(samples, self.depth, seams)] if seams else stacked
 
     def rows_of(self, signal: str, widths: Mapping[str, int]) -> NDArray[np.intp]:
         """Return which rows of M hold a signal, given the width of each."""
@@ -379,8 +431,13 @@ class StateWindow:
 
 
 def without_first(recording: Recording, samples: int) -> Recording:
-    """Return a recording without its first samples."""
-    if samples == 0:
-        return recording
-    kept = slice(samples, None)
-    return Recording(recording.u[kept], recording.y[kept], recording.measured[kept], recording.sampling_time)
+    """Return a recording without the first samples of each of its pieces."""
+    kept = window_starts(len(recording), samples + 1, recording.seams) + samples
+    seams = np.searchsorted(kept, recording.seams)
+    return Recording(
+        recording.u[kept],
+        recording.y[kept],
+        recording.measured[kept],
+        recording.sampling_time,
+        tuple(int(seam) for seam in np.unique(seams) if 0 < seam < len(kept)),
+    )

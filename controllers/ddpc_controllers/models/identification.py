@@ -7,11 +7,17 @@ Identification, 2nd ed., section 7.3). The model can be reduced to fewer states 
 of its impulse response (J.-N. Juang, R. S. Pappa, J. Guidance 8(5), 1985, doi:10.2514/3.20031).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ddpc_controllers.data.hankel import matching_recording, require_informative
+from ddpc_controllers.data.hankel import (
+    count_windows,
+    matching_recording,
+    require_informative,
+    window_starts,
+)
 from ddpc_controllers.models.control_api import realise
 from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_cosim import DataError, FloatArray, Loop, Recording, check_settings, setting
@@ -51,14 +57,15 @@ class Identified(ModelSource):
         recording = matching_recording(loop, "Identified")
         m, p = recording.u.shape[1], recording.y.shape[1]
         needed = self.recording_length(m, p)
-        if len(recording) < needed:
+        depth = (self.lags or 1) + 1
+        if count_windows(len(recording), depth, recording.seams) < needed - depth + 1:
             take = f"{self.lags} lags take" if self.lags else "choosing the lags takes"
             raise DataError(
                 f"Identified: the recording has {len(recording)} samples; {take} at least {needed}: "
                 "record longer, or lower lags"
             )
         lags = self.lags or choose_lags(recording)
-        past, newest_u = _past(_standardised(recording)[0], lags), slice(p, p + m)
+        past, newest_u = _past(_standardised(recording)[0], lags, recording.seams), slice(p, p + m)
         require_informative(past[:, newest_u], np.delete(past, newest_u, axis=1), "Identified")
         return reduced(fit_arx(recording, lags, self.ridge), self.order)
 
@@ -82,12 +89,14 @@ def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> SampledModel
         A_2, ... below each other, B holds B_1, B_2, ...; ``one_step_error`` is the root mean square of
         the one-step prediction errors of the output predicted worst.
     """
-    m, p, rows = recording.u.shape[1], recording.y.shape[1], len(recording) - lags
+    m, p = recording.u.shape[1], recording.y.shape[1]
+    explained = window_starts(len(recording), lags + 1, recording.seams) + lags
+    rows = len(explained)
     signals, means, size = _standardised(recording)
-    past = np.hstack([_past(signals, lags), np.ones((rows, 1))])
+    past = np.hstack([_past(signals, lags, recording.seams), np.ones((rows, 1))])
     penalty = np.sqrt(ridge) * np.eye(past.shape[1] - 1, past.shape[1])
     system = np.vstack([past, penalty])
-    target = np.vstack([signals[lags:, :p], np.zeros((len(penalty), p))])
+    target = np.vstack([signals[explained, :p], np.zeros((len(penalty), p))])
     # Least norm: data of a plant with fewer lags leave coefficients free.
     solution, *_ = np.linalg.lstsq(system, target, rcond=_NEGLIGIBLE)
     error = (past @ solution - target[:rows]) * size[:p]
@@ -115,13 +124,18 @@ def choose_lags(recording: Recording) -> int:
     next one is worse: of a dead time nothing shows before the last of its samples. What is explained to eight
     digits counts as explained.
     """
-    m, p, samples = recording.u.shape[1], recording.y.shape[1], len(recording)
-    enough = (n for n in range(2, _MOST_LAGS + 1) if _samples_to_choose(n, m + p) <= samples)
+    m, p, samples, seams = recording.u.shape[1], recording.y.shape[1], len(recording), recording.seams
+    enough = (
+        n
+        for n in range(2, _MOST_LAGS + 1)
+        if _samples_to_choose(n, m + p) - n <= count_windows(samples, n + 1, seams)
+    )
     most = max(enough, default=1)
     signals, _, _ = _standardised(recording)
-    rows = samples - most
+    explained = window_starts(samples, most + 1, seams) + most
+    rows = len(explained)
     # The newest first: a triangular factor shows what is left of the outputs after every number of lags.
-    known = [np.ones((rows, 1)), _past(signals, most), signals[most:, :p]]
+    known = [np.ones((rows, 1)), _past(signals, most, seams), signals[explained, :p]]
     left = np.square(np.asarray(np.linalg.qr(np.hstack(known), mode="r"))[:, -p:])
     lags = np.arange(1, most + 1)
     variance = np.array([left[1 + n * (m + p) :].sum(axis=0) / rows for n in lags.tolist()])
@@ -143,10 +157,10 @@ def _standardised(recording: Recording) -> tuple[FloatArray, FloatArray, FloatAr
     return (signals - means) / size, means, size
 
 
-def _past(signals: FloatArray, lags: int) -> FloatArray:
-    """Return the samples before each from sample ``lags`` on, the newest first, side by side."""
-    rows = len(signals) - lags
-    return np.hstack([signals[lags - i : lags - i + rows] for i in range(1, lags + 1)])
+def _past(signals: FloatArray, lags: int, seams: Sequence[int]) -> FloatArray:
+    """Return the samples before each that has ``lags`` of them, the newest first, side by side."""
+    first = window_starts(len(signals), lags + 1, seams)
+    return np.hstack([signals[first + lags - i] for i in range(1, lags + 1)])
 
 
 def markov_parameters(model: SampledModel, count: int) -> FloatArray:

@@ -218,8 +218,9 @@ class ModelBased(ScaledSignals):
         self._u: FloatArray = resting_input(loop)
         self._resting = True
         if loop.continues_recording and loop.recording is not None:
-            self._observer.follow(loop.recording.u, loop.recording.y)
-            self._u, self._resting = loop.recording.u[-1], False
+            newest = loop.recording.pieces[-1]
+            self._observer.follow(newest.u, newest.y)
+            self._u, self._resting = newest.u[-1], False
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Correct the estimate, decide on the inputs, and predict what they do."""
