@@ -59,24 +59,26 @@ class FMUImportError(CosimError):
 
 
 class StepStatus(StrEnum):
-    """What an FMU call that did not succeed returned, or why it did not return."""
+    """What a plant's call that did not succeed returned, why it did not return, or that it ended the run."""
 
     ERROR = "error"
     DISCARD = "discard"
     FATAL = "fatal"
     CRASHED = "crashed"
     TIMED_OUT = "timed-out"
+    TERMINATED = "terminated"
 
 
 class FMUStepError(CosimError):
-    """An FMU call failed during a run.
+    """An FMU call failed during a run, or a plant ends the run itself.
 
     Parameters
     ----------
     message : str
         The FMU, the call and the FMU's own words.
     status : StepStatus
-        What the call returned; crashed or timed out if it did not (isolated FMUs).
+        What the call returned; crashed or timed out if it did not (isolated FMUs); terminated: nothing has
+        failed, but the plant has come to an end.
     time : float
         Simulation time of the call [s].
     """

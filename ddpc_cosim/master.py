@@ -57,6 +57,7 @@ OUTCOME_OF = {
     StepStatus.FATAL: Outcome.FMU_FATAL,
     StepStatus.CRASHED: Outcome.CRASHED,
     StepStatus.TIMED_OUT: Outcome.TIMED_OUT,
+    StepStatus.TERMINATED: Outcome.TERMINATED,
 }
 
 # A sample time can lie a rounding error before the instant it stands for; in sampling times.

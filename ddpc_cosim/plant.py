@@ -85,7 +85,7 @@ class Plant(ABC):
         Raises
         ------
         FMUStepError
-            The plant did not reach t + h.
+            The plant did not reach t + h; with ``StepStatus.TERMINATED`` it ends the run itself.
         """
 
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Outcome(StrEnum):
-    """How a run ended. Only ``completed`` runs reached their last sample."""
+    """How a run ended. Only ``completed`` runs reached their last sample; the plant ``terminated`` others."""
 
     COMPLETED = "completed"
     DIVERGED = "diverged"
@@ -25,6 +25,7 @@ class Outcome(StrEnum):
     CRASHED = "crashed"
     TIMED_OUT = "timed-out"
     CONTROLLER_ERROR = "controller-error"
+    TERMINATED = "terminated"
 
 
 @dataclass(frozen=True, slots=True)

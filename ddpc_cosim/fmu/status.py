@@ -49,7 +49,7 @@ class CallError(Exception):
     @property
     def status(self) -> StepStatus:
         """The status in the terms of the contracts."""
-        return _STATUS.get(self.code, StepStatus.ERROR)
+        return StepStatus.TERMINATED if self.asks_to_terminate else _STATUS.get(self.code, StepStatus.ERROR)
 
 
 def failed_call(function: str, status: int, *, asks_to_terminate: bool = False) -> CallError:

@@ -69,6 +69,8 @@ class Case:
         Parameter changes during the run.
     preview : int or None
         How many future references any controller may see; None: as many as it asks for.
+    step_timeout : float
+        Longest time for any call of the plant or of the controller [s]; it does not decide the result.
     id : str
         Readable name and a hash of everything that decides the result, code version included.
     """
@@ -94,6 +96,7 @@ class Case:
     noise: dict[str, float]
     events: tuple[ParameterChange, ...] = ()
     preview: int | None = None
+    step_timeout: float = 60.0
     id: str = ""
 
     @property
@@ -155,7 +158,7 @@ def _identifier(case: Case, content: Mapping[str, Any]) -> str:
     decisive = {field.name: getattr(case, field.name) for field in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
     decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements")}
-    del decisive["label"], decisive["id"]
+    del decisive["label"], decisive["id"], decisive["step_timeout"]
     text = json.dumps(decisive, sort_keys=True, default=repr)
     return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
 
@@ -302,6 +305,7 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
                     noise=dict(scenario.noise),
                     events=events[name],
                     preview=_preview(scenario, study.loop),
+                    step_timeout=study.loop.step_timeout,
                 )
 
 

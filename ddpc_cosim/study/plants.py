@@ -80,8 +80,6 @@ class PlantSpec:
         Absolute path of the FMU; empty for a Python class, and for equations until :meth:`built`.
     isolated : bool
         Whether each case has a worker process of its own; others share workers.
-    step_timeout : float
-        Longest time for any call of the plant or of a controller [s].
     fmi_type : str
         How the FMU is run.
     display_units : mapping of str to str
@@ -96,7 +94,6 @@ class PlantSpec:
     name: str
     fmu: str
     isolated: bool = False
-    step_timeout: float = 60.0
     fmi_type: FMIType = "auto"
     display_units: Mapping[str, str] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
@@ -123,7 +120,6 @@ class PlantSpec:
             fmu=str((folder / section.fmu).resolve()) if section.fmu else "",
             # The project's own C code is trusted; what a supplied FMU does is not known.
             isolated=bool(section.fmu) if section.isolated == "auto" else section.isolated,
-            step_timeout=section.step_timeout,
             fmi_type=section.fmi_type,
             display_units=section.display_units,
             nominal=section.nominal,

@@ -291,7 +291,7 @@ class _Run:
         return now - self._since > self._limit(call)
 
     def _limit(self, call: Call) -> float:
-        longest = self.case.plant.step_timeout
+        longest = self.case.step_timeout
         return longest if call.name else max(longest, _BETWEEN_CALLS_SECONDS)
 
     def _end_worker(self, seconds: float | None = None) -> None:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
@@ -93,9 +93,7 @@ class PlantSection(Section):
     isolated: Literal["auto", True, False] = Field(
         "auto", description="run each case in a process of its own; auto: if the FMU is a supplied file"
     )
-    step_timeout: Positive = Field(
-        60.0, description="longest time for a sample: for any call of the plant or of a controller [s]"
-    )
+    moved: ClassVar[Mapping[str, str]] = {"step_timeout": "loop.step_timeout"}
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong with the choice of the plant."""
@@ -111,6 +109,9 @@ class LoopSection(Section):
     start_time: Finite = Field(0.0, description="time of the first sample [s]")
     start: Literal["rest", "recording-end"] = Field(
         "rest", description="start from the plant's initial state, or where the recording ended"
+    )
+    step_timeout: Positive = Field(
+        60.0, description="longest time for any call of the plant or of a controller [s]"
     )
     preview: Preview = Field(
         "horizon",

@@ -1,11 +1,11 @@
 """Validation errors of a study file: found all at once, in the user's words, each with its place."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, ParamSpec, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, ParamSpec, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -64,6 +64,8 @@ class Section(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    moved: ClassVar[Mapping[str, str]] = {}
+    """Keys that the section had once, and which ones stand for them now."""
     _errors: dict[Place, str] = {}
     _doubtful: tuple[Place, ...] = ()
 
@@ -90,7 +92,7 @@ class Section(BaseModel):
         meant = [near for key in unknown if (near := nearest(key, fields)) and near not in data]
         known = {key: value for key, value in data.items() if key in fields}
         section = handler(known | dict.fromkeys(missing, _MISSING))
-        errors: dict[Place, str] = {(key,): f"unknown key; {did_you_mean(key, fields)}" for key in unknown}
+        errors: dict[Place, str] = {(key,): f"unknown key; {cls._hint(key)}" for key in unknown}
         errors |= {(key,): "required key is missing" for key in missing if key not in meant}
         doubtful: set[Place] = {(key,) for key in (*missing, *meant)}
         for key, value in section.__dict__.items():
@@ -102,6 +104,10 @@ class Section(BaseModel):
             del section.__dict__[key]
         section._errors, section._doubtful = errors, tuple(doubtful)
         return section
+
+    @classmethod
+    def _hint(cls, key: str) -> str:
+        return f"use {cls.moved[key]}" if key in cls.moved else did_you_mean(key, cls.model_fields)
 
     @field_validator("*", mode="wrap")
     @classmethod

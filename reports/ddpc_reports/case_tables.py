@@ -103,7 +103,7 @@ def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], 
         tuple(rows),
         (
             "All metrics of every case are in the file metrics.csv next to the results. "
-            "Values of cases that did not complete cover their samples up to the fault.",
+            "Values of cases that did not complete cover their samples up to where they ended.",
         ),
         sortable=True,
         kind="cases",

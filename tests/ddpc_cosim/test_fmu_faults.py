@@ -144,7 +144,7 @@ def test_an_fmu_that_cannot_be_loaded(
         ),
         (
             Fault.DISCARD_AND_TERMINATE,
-            Outcome.FMU_DISCARDED,
+            Outcome.TERMINATED,
             "discard_and_terminate.fmu: fmi2DoStep returned discard at t = 0.5 s; the FMU asks to terminate",
         ),
         (Fault.RETURN_FATAL, Outcome.FMU_FATAL, "return_fatal.fmu: fmi2DoStep returned fatal at t = 0.5 s"),

@@ -103,6 +103,14 @@ def test_what_a_plant_says_itself_is_kept() -> None:
     assert (trace.outcome, trace.reason) == (Outcome.FMU_DISCARDED, "out of range at t = 1 s")
 
 
+def test_a_plant_may_end_the_run_itself() -> None:
+    error = FMUStepError("the tank is empty at t = 1 s", StepStatus.TERMINATED, 1.0)
+    trace = close_loop(Counter(third=error))
+    assert (trace.outcome, trace.reason) == (Outcome.TERMINATED, "the tank is empty at t = 1 s")
+    assert not trace.completed
+    assert np.array_equal(trace.y[:, 0], [0.0, 1.0, 2.0])
+
+
 @pytest.mark.parametrize("fault", [ZeroDivisionError("by zero"), np.ones(2)])
 def test_a_reset_that_fails_is_an_error(fault: Any) -> None:
     with pytest.raises(

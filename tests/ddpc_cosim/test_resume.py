@@ -325,7 +325,7 @@ def test_a_controller_that_never_returns_costs_its_case_and_no_other(
     (tmp_path / "hanging.py").write_text(HANGING, encoding="utf-8")
     kinds = ("Hangs", "HangsAtOnce", "HangsWhenItIsBuiltToRun", "HangsWhenAsked")
     study = write_study(*(f"hanging:{kind}" for kind in kinds), "mfapc")
-    text = study.read_text(encoding="utf-8").replace("[plant]", "[plant]\nstep_timeout = 2.0")
+    text = study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nstep_timeout = 2.0")
     study.write_text(text, encoding="utf-8")
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
     assert done.returncode == 1
@@ -365,7 +365,7 @@ def test_a_run_that_hangs_between_two_calls_is_ended_too(
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr("ddpc_cosim.study.runner._BETWEEN_CALLS_SECONDS", 5.0)
     study = write_study("lingering:Lingers")
-    text = study.read_text(encoding="utf-8").replace("[plant]", "[plant]\nstep_timeout = 2.0")
+    text = study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nstep_timeout = 2.0")
     study.write_text(text, encoding="utf-8")
     results, _ = run(study)
     (case,) = results.cases

@@ -52,6 +52,7 @@ class Fault(IntEnum):
     FLOOD_DESCRIPTOR = auto()
     LEAVE_A_FILE = auto()
     PRINT_AND_ABORT = auto()
+    ASK_TO_TERMINATE = auto()
 
 
 @dataclass(frozen=True)
@@ -259,10 +260,11 @@ def with_time(version: str, variables: Iterable[V]) -> list[V]:
     return [*([V("time", 15, causality="independent")] if version[0] == "3" else []), *variables]
 
 
-def model_fmu(folder: Path, version: str, model: str, **settings: Any) -> Path:
-    """Write one of the models of models.c as an FMU."""
+def model_fmu(folder: Path, version: str, model: str, fault: Fault = Fault.NO_FAULT, **settings: Any) -> Path:
+    """Write one of the models of models.c as an FMU, with a fault from t = 0.5 s on."""
+    token = f"{model}:{int(fault)}" if fault else model
     description = describe(
-        version, model, with_time(version, MODELS[model]), indicators=int(model == "ball"), **settings
+        version, token, with_time(version, MODELS[model]), indicators=int(model == "ball"), **settings
     )
     return write_fmu(folder / f"{model}{version[0]}.fmu", description, model_library(version))
 

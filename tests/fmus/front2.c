@@ -98,7 +98,7 @@ EXPORT int fmi2NewDiscreteStates(void *c, EventInfo *info)
 EXPORT int fmi2CompletedIntegratorStep(void *c, int no_set_state, int *event, int *terminate)
 {
     *event = completed_step(c);
-    *terminate = 0;
+    *terminate = ends_after_step(c);
     return 0;
 }
 EXPORT int fmi2SetTime(void *c, double time)

@@ -108,6 +108,8 @@ EXPORT int fmi3DoStep(void *c, double time, double h, bool no_set_state, bool *e
     int status = step(m, time, h);
     *event = false;
     *terminate = m->terminate;
+    if (m->values[FAULT] == ASK_TO_TERMINATE && status == DISCARD)
+        status = OK; /* FMI 3.0 has a flag for it */
     *early = m->kind == FEED && h > 0.35; /* a long step returns halfway */
     *reached = *early ? time + h / 2 : m->time;
     return status;
@@ -139,7 +141,7 @@ EXPORT int fmi3UpdateDiscreteStates(void *c, bool *again, bool *terminate, bool 
 EXPORT int fmi3CompletedIntegratorStep(void *c, bool no_set_state, bool *event, bool *terminate)
 {
     *event = completed_step(c);
-    *terminate = false;
+    *terminate = ends_after_step(c);
     return 0;
 }
 EXPORT int fmi3SetTime(void *c, double time)

@@ -140,6 +140,7 @@ static int misbehave_in_step(Model *m)
     case RETURN_ILLEGAL: return ILLEGAL;
     case RETURN_DISCARD: return DISCARD;
     case DISCARD_AND_TERMINATE: m->terminate = 1; return DISCARD;
+    case ASK_TO_TERMINATE: m->terminate = 1; return OK;
     case RETURN_NAN: m->values[X] = NAN; return OK;
     case RETURN_INFINITY: m->values[X] = INFINITY; return OK;
     case SEGMENTATION_FAULT: *nowhere = 1; return OK;
@@ -267,6 +268,8 @@ void event_indicators(const Model *m, double z[]) { z[0] = m->values[X]; }
 int handle_event(Model *m)
 {
     double *v = m->values;
+    if (v[FAULT] == ASK_TO_TERMINATE && m->time > v[FAULT_TIME] - 1e-9)
+        m->terminate = 1;
     if (m->kind == BALL && v[X] <= 0.0 && v[V] < 0.0) {
         v[X] = 1e-300;
         v[V] = -v[RESTITUTION] * v[V];
@@ -276,7 +279,7 @@ int handle_event(Model *m)
     if (m->kind == STAIR && m->time >= m->next_event) {
         v[COUNT] += 1.0;
         m->next_event += 1.0;
-        m->terminate = v[COUNT] >= 10.0;
+        m->terminate |= v[COUNT] >= 10.0;
     }
     if (m->kind == RELAY && v[X] > 1.0) {
         v[X] -= 1.0;
@@ -284,6 +287,11 @@ int handle_event(Model *m)
         return 1;
     }
     return 0;
+}
+
+int ends_after_step(const Model *m)
+{
+    return m->values[FAULT] == ASK_TO_TERMINATE && m->time > m->values[FAULT_TIME] + 1e-9;
 }
 
 int completed_step(const Model *m) { return m->kind == RELAY && m->values[X] > 1.0; }

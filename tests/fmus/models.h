@@ -53,6 +53,7 @@ typedef enum {
     FLOOD_DESCRIPTOR,
     LEAVE_A_FILE,
     PRINT_AND_ABORT,
+    ASK_TO_TERMINATE,
 } Fault;
 
 /* What FEED passes through: reference r + 100 becomes what reference r is. References 20 to 29 are arrays whose
@@ -95,6 +96,7 @@ void derivatives(Model *m, double dx[]);
 void event_indicators(const Model *m, double z[]);
 int handle_event(Model *m);         /* whether the states have jumped */
 int completed_step(const Model *m); /* whether an event is wanted */
+int ends_after_step(const Model *m);
 
 size_t feed_length(const Model *m, unsigned reference);
 

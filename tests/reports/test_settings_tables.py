@@ -40,9 +40,15 @@ CONTENT: dict[str, Any] = {
         "nominal": {"angle": 0.5},
         "fmi_type": "co-simulation",
         "isolated": True,
-        "step_timeout": 5.0,
     },
-    "loop": {"sampling_time": 0.1, "duration": 6.0, "start_time": 2.0, "start": "recording-end"},
+    "loop": {
+        "sampling_time": 0.1,
+        "duration": 6.0,
+        "start_time": 2.0,
+        "start": "recording-end",
+        "step_timeout": 5.0,
+        "preview": 3,
+    },
     "reference": {
         "angle": {"kind": "steps", "times": [0.0, 3.0], "values": [10.0, 20.0], "unit": "deg"},
         "constant": {"kind": "constant", "value": 1.0, "unit": "m"},
@@ -111,6 +117,7 @@ CONTENT: dict[str, Any] = {
                     "to_time": 5.0,
                 }
             ],
+            "preview": 1,
         },
         "plain": {},
     },

@@ -8,7 +8,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from fmus.builder import model_fmu
+from fmus.builder import Fault, model_fmu
 from scipy.integrate import solve_ivp
 
 from ddpc_cosim.errors import FMUStepError, StepStatus
@@ -26,11 +26,18 @@ def integrator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
     return str(request.param)
 
 
-def session(folder: Path, version: str, model: str, outputs: list[str], tolerance: float = 1e-9) -> FMUPlant:
+def session(
+    folder: Path,
+    version: str,
+    model: str,
+    outputs: list[str],
+    tolerance: float = 1e-9,
+    fault: Fault = Fault.NO_FAULT,
+) -> FMUPlant:
     # FMI 2.0 wants to be told of integrator steps by default, FMI 3.0 does not.
     wants_steps = ' needsCompletedIntegratorStep="true"' if version == "3.0" else ""
     interfaces = f'<ModelExchange modelIdentifier="models"{wants_steps}/>'
-    path = model_fmu(folder, version, model, interfaces=interfaces)
+    path = model_fmu(folder, version, model, fault, interfaces=interfaces)
     return FMUPlant(path, outputs=outputs, tolerance=tolerance)
 
 
@@ -89,9 +96,27 @@ def test_time_events_happen_on_time(tmp_path: Path, version: str) -> None:
     assert counts == [(k + 1) // 4 for k in range(39)]
     with pytest.raises(FMUStepError, match="asks to terminate") as caught:
         stair.step(np.array([0.0]), 0.25)
-    assert caught.value.status is StepStatus.DISCARD
+    assert caught.value.status is StepStatus.TERMINATED
     assert caught.value.time == 9.75
     stair.close()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("at", ["an event", "a completed integrator step"])
+def test_a_model_that_ends_the_run(tmp_path: Path, version: str, at: str, integrator: str) -> None:
+    """From t = 0.5 s on, at the next event or, but in FMI 1.0, after the next integrator step."""
+    lag = session(tmp_path, version, "lag", ["x"], fault=Fault.ASK_TO_TERMINATE)
+    lag.reset()
+    for k in range(5):
+        lag.step(np.array([float(k if at == "an event" else 1.0)]), 0.1)
+    u = np.array([9.0 if at == "an event" else 1.0])
+    if version[0] == "1" and at != "an event":
+        lag.step(u, 0.1)
+        return
+    with pytest.raises(FMUStepError, match=rf"{at} ended the simulation at t = 0\.5 s; .* asks to") as caught:
+        lag.step(u, 0.1)
+    assert caught.value.status is StepStatus.TERMINATED
+    lag.close()
 
 
 @pytest.mark.parametrize("version", VERSIONS)

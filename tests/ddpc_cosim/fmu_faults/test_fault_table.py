@@ -23,8 +23,12 @@ SURVIVED_BY_ALL = {
     Fault.RETURN_FATAL: (Outcome.FMU_FATAL, r"fmi\dDoStep returned fatal at t = 0\.5 s"),
     Fault.RETURN_DISCARD: (Outcome.FMU_DISCARDED, r"fmi\dDoStep returned discard at t = 0\.5 s"),
     Fault.DISCARD_AND_TERMINATE: (
-        Outcome.FMU_DISCARDED,
+        Outcome.TERMINATED,
         r"fmi\dDoStep returned discard at t = 0\.5 s; the FMU asks to terminate",
+    ),
+    Fault.ASK_TO_TERMINATE: (
+        Outcome.TERMINATED,
+        r"DoStep (returned discard|ended the simulation) at t = 0\.5 s; the FMU asks to terminate",
     ),
     Fault.RETURN_NAN: (Outcome.DIVERGED, r"output y is nan at t = 0\.6 s"),
     Fault.RETURN_INFINITY: (Outcome.DIVERGED, r"output y is inf at t = 0\.6 s"),

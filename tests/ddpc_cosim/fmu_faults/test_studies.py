@@ -20,11 +20,11 @@ from .loop import FAULT_SAMPLE, FAULT_TIME, SHORT
 STUDY = """
 [plant]
 fmu = "{fmu}"
-step_timeout = {timeout}
 parameters = {{ fault = {fault}, fault_time = {time} }}
 [loop]
 sampling_time = 0.1
 duration = 1.0
+step_timeout = {timeout}
 [reference]
 y = {{ kind = "constant", value = 1.0 }}
 [controllers.it]
@@ -93,16 +93,21 @@ def test_a_plant_that_diverges_while_it_is_recorded(run: Run) -> None:
     assert "output y is nan" in trace.reason
 
 
+def test_a_run_that_the_fmu_ends(run: Run) -> None:
+    trace = run(Fault.ASK_TO_TERMINATE)
+    assert trace.outcome is Outcome.TERMINATED
+    assert trace.reason.endswith("at t = 0.5 s; the FMU asks to terminate")
+    assert len(trace) == FAULT_SAMPLE + 1 < trace.planned_samples
+
+
 class TestWhatIsIsolated:
     @pytest.mark.parametrize(("wanted", "isolated"), [("auto", True), (True, True), (False, False)])
     def test_supplied_fmus(
         self, wanted: bool | str, isolated: bool, faulty_fmus: dict[int, Path], tmp_path: Path
     ) -> None:
-        section = PlantSection.model_validate(
-            {"fmu": str(faulty_fmus[2]), "isolated": wanted, "step_timeout": 7.0}
-        )
+        section = PlantSection.model_validate({"fmu": str(faulty_fmus[2]), "isolated": wanted})
         target = PlantSpec.of(section, tmp_path).built()
-        assert (target.isolated, target.step_timeout) == (isolated, 7.0)
+        assert target.isolated is isolated
         plant = target.open(["u"], ["y"])
         np.testing.assert_allclose(plant.reset(), [0.0])
         plant.close()

@@ -193,6 +193,7 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     ({"loop__duration": True}, "loop.duration: must be a number, got True"),
     ({"loop__duration": 1e300}, "loop: duration / sampling_time = 1e+301 samples; allowed"),
     ({"loop__sampling_time": 1e-300}, "loop: duration / sampling_time = 4e+301 samples; allowed"),
+    ({"plant__step_timeout": 5.0}, "plant.step_timeout: unknown key; use loop.step_timeout"),
     ({"loop__preview": -1}, "loop.preview: must be greater than or equal to 0, got -1"),
     ({"loop__preview": 1.5}, "loop.preview: must be an integer or 'horizon', got 1.5"),
     ({"loop__preview": True}, "loop.preview: must be an integer or 'horizon', got True"),
@@ -483,10 +484,11 @@ seeds = "x"
 [plant]
 name = "pendulum"
 outputs = ["angle"]
-step_timeout = 0
+step_timeout = 5.0
 [loop]
 sampling_time = 0.1
 duration = 1
+step_timeout = 0
 start = 3
 [reference.angle]
 kind = "constant"
@@ -514,6 +516,7 @@ def test_an_error_of_a_field_hides_no_error_that_does_not_depend_on_it(tmp_path:
         "seeds",
         "plant.step_timeout",
         "loop.start",
+        "loop.step_timeout",
         "reference.angle.value",
         "reference.angle.unit",
         "controllers.a.type",
