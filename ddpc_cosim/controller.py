@@ -248,6 +248,24 @@ class Controller(ABC):
         """Return values about the data or model of this run (rank, order, ...); valid after ``start``."""
         return {}
 
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return what the controller goes by, in words for the report's account of fairness.
+
+        Asked once, after ``start``. What is left out is reported as not known.
+
+        Parameters
+        ----------
+        loop : Loop
+            The loop it was started with.
+
+        Returns
+        -------
+        facts : mapping of str to str
+            ``"measures"``: the signals it uses, by name. ``"plant"``: what it was told of the plant
+            beforehand, by a model or by settings, or ``"nothing"``.
+        """
+        return {}
+
     def settings(self) -> dict[str, Any]:
         """Return the settings in plain values: what a study file would say."""
         if not is_dataclass(self):

@@ -37,6 +37,7 @@ from ddpc_cosim.safe_calls import (
     ask_controller,
     clip_inputs,
     controller_diagnostics,
+    controller_knowledge,
     controller_settings,
     does_accept_missing,
     horizon_of,
@@ -174,6 +175,7 @@ def cosimulate(
     loop = setup.loop(CONTROLLER_STREAM, horizon, recording, continues=continue_recording)
     start_controller(controller, loop)
     settings, provenance = controller_settings(controller), plant_provenance(plant)
+    knowledge = controller_knowledge(controller, loop)
     time = start_time + np.arange(steps + 1 + loop.preview, dtype=np.float64) * sampling_time
     table = setup.references(reference, time)
     rows = _Rows(setup, loop, time, table, steps + 1, horizon, store)
@@ -194,10 +196,13 @@ def cosimulate(
         bounds=setup.bounds,
         sampling_time=sampling_time,
         planned_samples=steps + 1,
+        preview=loop.preview,
         outcome=outcome,
         reason=reason,
         settings=settings,
         diagnostics=diagnostics,
+        recorded_samples=len(recording) if recording is not None and controller.uses_recording else 0,
+        knowledge=knowledge,
         provenance=provenance,
     )
 

@@ -153,8 +153,7 @@ def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decis
         answer = controller.step(sample)
         seconds = perf_counter() - started
         if isinstance(answer, Action):
-            # A text that no file can hold (a lone surrogate) must not cost the run.
-            status, answer = str(answer.status).encode("utf-8", "replace").decode(), answer.u
+            status, answer = _storable(answer.status), answer.u
         u = np.asarray(answer)
     if u.shape != (inputs,) or u.dtype.kind not in _REAL_KINDS or not np.isfinite(u).all():
         needed = f"needed: finite values, shape ({inputs},)"
@@ -178,6 +177,12 @@ def controller_settings(controller: Controller) -> dict[str, Any]:
     """Return the settings of a controller."""
     with _controller_errors(controller, "settings"):
         return dict(controller.settings())
+
+
+def controller_knowledge(controller: Controller, loop: Loop) -> dict[str, str]:
+    """Return what a controller says it goes by, in words."""
+    with _controller_errors(controller, "knowledge"):
+        return {_storable(name): _storable(text) for name, text in controller.knowledge(loop).items()}
 
 
 def controller_diagnostics(controller: Controller) -> dict[str, float]:
@@ -227,6 +232,11 @@ def _outputs(plant: Plant, call: str, y: NDArray[Any], time: float) -> FloatArra
         message = f"{type(plant).__name__}.{call} {_returned(y)}; {needed} at t = {time:g} s"
         raise FMUStepError(message, StepStatus.CRASHED, time)
     return np.asarray(y, dtype=np.float64)
+
+
+def _storable(text: object) -> str:
+    """Return a text that a file can hold: a lone surrogate must not cost the run."""
+    return str(text).encode("utf-8", "replace").decode()
 
 
 def _returned(answer: NDArray[Any]) -> str:

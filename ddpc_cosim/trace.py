@@ -59,6 +59,8 @@ class Trace:
         Time between rows [s].
     planned_samples : int
         Rows of a completed run.
+    preview : int
+        How many future references the controller saw.
     outcome : Outcome
         How the run ended.
     reason : str
@@ -67,6 +69,10 @@ class Trace:
         Settings of the controller.
     diagnostics : dict
         What the controller says about its data or model.
+    recorded_samples : int
+        Length of the recording, where the controller needs one.
+    knowledge : dict
+        What the controller says it goes by: :meth:`ddpc_cosim.Controller.knowledge`.
     provenance : dict
         What the plant and the controller are: classes, versions, hashes.
     changed_inputs : tuple of Variable
@@ -89,10 +95,13 @@ class Trace:
     bounds: Bounds
     sampling_time: float
     planned_samples: int
+    preview: int = 0
     outcome: Outcome = Outcome.COMPLETED
     reason: str = ""
     settings: dict[str, Any] = field(default_factory=dict)
     diagnostics: dict[str, float] = field(default_factory=dict)
+    recorded_samples: int = 0
+    knowledge: dict[str, str] = field(default_factory=dict)
     provenance: dict[str, str] = field(default_factory=dict)
     changed_inputs: tuple[Variable, ...] = ()
     applied: FloatArray = field(default_factory=lambda: np.empty((0, 0)))

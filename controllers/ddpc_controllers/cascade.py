@@ -6,7 +6,7 @@ adaptive control cascaded with intelligent PID, Chinese Control and Decision Con
 (section III), and what an i-PID controller has stabilised is one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from math import isfinite
@@ -15,7 +15,7 @@ import numpy as np
 
 from ddpc_controllers.ipid import IPID
 from ddpc_controllers.mfac import MFAPC
-from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined
+from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined, joined_knowledge
 from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Sample, setting
 
 
@@ -85,6 +85,11 @@ class Cascade(Wrapper):
         held = np.tile(self._target, (self.inner.horizon, 1))
         actions.append(self._inner.step(sample._replace(y=y, reference=held, setpoint=self._target.copy())))
         return joined(actions[-1].u, actions)
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and what it was told of the plant."""
+        inner, outer = self.inner.knowledge(self._inner_loop(loop)), self.outer.knowledge(self._outer_loop)
+        return joined_knowledge({"inner": inner, "outer": outer})
 
     @property
     def _held(self) -> Sequence[Controller]:

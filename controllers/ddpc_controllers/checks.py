@@ -1,11 +1,11 @@
-"""Checks of settings, reported together, and of measurements."""
+"""Checks of settings, reported together, and of measurements; what a controller goes by, in words."""
 
 from collections.abc import Callable, Sequence
 from math import isfinite
 
 import numpy as np
 
-from ddpc_cosim import ConfigError, Controller, FloatArray, Weight, check_settings, weight_matrix
+from ddpc_cosim import ConfigError, Controller, FloatArray, Variable, Weight, check_settings, weight_matrix
 
 
 def check_settings_and(controller: Controller, faults_between: Callable[[], Sequence[str]]) -> None:
@@ -20,6 +20,20 @@ def check_settings_and(controller: Controller, faults_between: Callable[[], Sequ
     faults = faults_between()
     if faults:
         raise ConfigError(faults)
+
+
+def knowing(plant: str, *signals: Sequence[Variable]) -> dict[str, str]:
+    """Return the facts of :meth:`ddpc_cosim.Controller.knowledge`.
+
+    Parameters
+    ----------
+    plant : str
+        What a controller was told of the plant beforehand.
+    *signals : sequence of Variable
+        What it uses of outputs and measurements; one that is both is named once.
+    """
+    named = dict.fromkeys(variable.name for some in signals for variable in some)
+    return {"measures": ", ".join(named), "plant": plant}
 
 
 def weight_matrices(**weights: tuple[Weight, int]) -> list[FloatArray]:

@@ -1,13 +1,13 @@
 """Decentralised control: one controller for every group of inputs and outputs, on its part of the loop."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined
+from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined, joined_knowledge
 from ddpc_cosim import (
     Action,
     Bounds,
@@ -95,6 +95,13 @@ class Decentralised(Wrapper):
         for action, share in zip(actions, self._shares, strict=True):
             u[share.inputs] = action.u
         return joined(u, actions)
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and what it was told of the plant."""
+        parts = zip(self.groups, self._shares, strict=True)
+        return joined_knowledge(
+            {group.name: group.controller.knowledge(_part_of(loop, share)) for group, share in parts}
+        )
 
     @property
     def _held(self) -> Sequence[Controller]:

@@ -14,7 +14,7 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_controllers.checks import all_finite, check_settings_and, fill_missing
+from ddpc_controllers.checks import all_finite, check_settings_and, fill_missing, knowing
 from ddpc_controllers.data.hankel import (
     ONE,
     WindowLayout,
@@ -132,6 +132,10 @@ class BehavioralTracking(ScaledSignals):
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that can excite the inputs up to the order needed."""
         return max(least_samples(self._order_needed(outputs), inputs), self._layout.depth)
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and what it was told of the plant."""
+        return knowing("nothing", loop.outputs)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""

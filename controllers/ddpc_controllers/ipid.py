@@ -16,13 +16,14 @@ are fitted to the window by least squares: exact where F is constant, and linear
 estimates are a few inner products with weights known in advance.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import factorial
 from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and, per_signal
+from ddpc_controllers.checks import check_settings_and, knowing, per_signal
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.optimisation.limits import AT_REST, EXPECTED, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, Weight, setting
@@ -159,6 +160,10 @@ class IPID(Controller):
         self._integral = np.where(limited, self._integral, integral)
         self._u = u
         return Action(u.copy(), fault) if fault else u.copy()
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and what it was told of the plant."""
+        return knowing("a rough gain of the inputs, alpha", loop.outputs)
 
     def _observe(self, y: FloatArray) -> None:
         if self._started:

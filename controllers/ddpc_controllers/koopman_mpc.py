@@ -23,7 +23,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and
+from ddpc_controllers.checks import check_settings_and, knowing
 from ddpc_controllers.data.dictionaries import Dictionary, ThinPlate, embed, memory_of, require_dictionary
 from ddpc_controllers.data.hankel import (
     StateWindow,
@@ -276,6 +276,10 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
             size, skipped = (self.delays + 1) * outputs + self.delays * inputs, self.delays
         lifted = size + self.dictionary.functions(size)
         return skipped + memory_of(self.dictionary) + lifted + inputs + 1
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and what it was told of the plant."""
+        return knowing("nothing", loop.outputs, loop.measurements if self.state == "measured" else ())
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, its slowest or most unstable pole, and its worst one-step error."""

@@ -17,6 +17,7 @@ Applications, CRC Press, 2013, chapter 4; Z. Hou and S. Jin, IEEE Transactions o
 """
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite, sqrt
 from operator import sub
@@ -25,6 +26,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.linalg.lapack import dposv
 
+from ddpc_controllers.checks import knowing
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.models.data_model import DataModel, Estimation, Form
 from ddpc_controllers.models.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
@@ -88,6 +90,11 @@ class ModelFreeAdaptive(ScaledSignals):
         if loop.continues_recording and loop.recording is not None:
             self._u = loop.recording.u[-1].tolist()
             self._model.resume(loop.recording.pieces[-1])
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and what it was told of the plant."""
+        sign = "the sign of its gain" if self.assume_sign else "a first gain"
+        return knowing(f"{sign}, by initial_gradient", loop.outputs)
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the last inputs plus the change that the control law finds."""

@@ -24,6 +24,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
+from ddpc_controllers.checks import knowing
 from ddpc_controllers.data.hankel import count_windows, matching_recording, resting_input, without_first
 from ddpc_controllers.models.identification import fit_arx
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_MEASUREMENT, HELD_WITHOUT_REFERENCE
@@ -292,6 +293,11 @@ class PID(Controller):
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that a step test can be read from; 0 with manual tuning."""
         return fewest_test_samples(inputs) if self.tuning == "step-test" else 0
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and what it was told of the plant."""
+        told = "nothing" if self.uses_recording else "gains, as they are set"
+        return knowing(told, loop.outputs)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the gains in use."""

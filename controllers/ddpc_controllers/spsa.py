@@ -12,6 +12,7 @@ window of samples; from the losses L of the two windows
     theta <- theta - a_k (L+ - L-) / (2 c_k) D,   a_k = a / (k + 1 + A)^0.602,   c_k = c / (k + 1)^0.101.
 """
 
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from math import log
@@ -19,6 +20,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ddpc_controllers.checks import knowing
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.optimisation.limits import HELD
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, setting
@@ -71,6 +73,10 @@ class SPSA(Controller):
         self._pairs = [_Pair(self, loop.sampling_time, stream) for stream in streams]
         self._rest = resting_input(loop)
         self._u, self._bounds = self._rest.copy(), loop.bounds
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and what it was told of the plant."""
+        return knowing("gains to begin with", loop.outputs)
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return PID control with the gains that are being tried."""

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, fill_missing
+from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, fill_missing, knowing
 from ddpc_controllers.data.dictionaries import Dictionary, Lift, ThinPlate, embed, memory_of
 from ddpc_controllers.data.hankel import (
     StateWindow,
@@ -148,6 +148,10 @@ class WKPC(OnlineSettings, ScaledSignals):
         """Return the fewest samples that can excite the inputs up to the order needed."""
         order = measurements + self.dictionary.functions(measurements)
         return memory_of(self.dictionary) + least_samples(self.initial_length + self.horizon + order, inputs)
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and what it was told of the plant."""
+        return knowing("nothing", loop.outputs, loop.measurements)
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""

@@ -73,6 +73,16 @@ def joined(u: FloatArray, actions: Iterable[Action]) -> Action:
     return Action(u, "; ".join(fallbacks), info) if fallbacks else Action(u, info=info)
 
 
+def joined_knowledge(parts: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """Return what several controllers go by, with their names where they differ; only facts that all tell."""
+    told = {}
+    for fact in sorted(set.intersection(*(set(facts) for facts in parts.values()))):
+        words = {name: facts[fact] for name, facts in parts.items()}
+        named = " and ".join(f"{text} ({name})" for name, text in words.items())
+        told[fact] = named if len(set(words.values())) > 1 else next(iter(words.values()))
+    return told
+
+
 def controller_faults(who: str, **given: object) -> list[str]:
     """Return which settings do not hold a controller, though they should."""
     return [
@@ -132,6 +142,10 @@ class SingleWrapper(Wrapper):
     @property
     def _held(self) -> Sequence[Controller]:
         return (self.controller,)
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and what it was told of the plant."""
+        return self.controller.knowledge(loop)
 
     def _start_inside(self, loop: Loop) -> None:
         """Start a copy of the controller."""

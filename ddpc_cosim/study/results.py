@@ -233,6 +233,7 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any], staging: Path |
         "settings": trace.settings,
         "sampling_time": trace.sampling_time,
         "planned_samples": trace.planned_samples,
+        "preview": trace.preview,
         "inputs": [asdict(v) for v in trace.inputs],
         "outputs": [asdict(v) for v in trace.outputs],
         "measurements": [asdict(v) for v in trace.measurements],
@@ -240,6 +241,8 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any], staging: Path |
         "bounds": {
             name: getattr(trace.bounds, name).tolist() for name in ("u_min", "u_max", "y_min", "y_max")
         },
+        "recorded_samples": trace.recorded_samples,
+        "knowledge": trace.knowledge,
         "provenance": trace.provenance,
     }
     staged = (staging or folder.parent) / f".{folder.name}.{os.getpid()}"
@@ -310,10 +313,13 @@ def read_trace(folder: Path) -> Trace:
         bounds=Bounds(**{name: np.array(values, dtype=float) for name, values in run["bounds"].items()}),
         sampling_time=run["sampling_time"],
         planned_samples=run["planned_samples"],
+        preview=run["preview"],
         outcome=Outcome(run["outcome"]),
         reason=run["reason"],
         settings=run["settings"],
         diagnostics=run["diagnostics"],
+        recorded_samples=run["recorded_samples"],
+        knowledge=run["knowledge"],
         provenance=run["provenance"],
     )
 

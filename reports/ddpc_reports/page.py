@@ -33,6 +33,7 @@ from ddpc_reports.embedding import (
     page_script,
     stylesheet,
 )
+from ddpc_reports.fairness import fairness_statements
 from ddpc_reports.figures import Figure, spread_figures, step_time_figure, time_figures
 from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.samples import Column
@@ -130,6 +131,7 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
     parameters = [("see parameters", reproduction.parameters)] if reproduction else _tables(*families)
     sections = [
         Section("verdict", "Verdict", [*overview, *each(_verdict_blocks), *lost]),
+        Section("fairness", "Fairness", _statements(fairness_statements(results, seen))),
         Section("reproduction", "Reproduction", _reproduction_blocks(first, reproduction, families, prefix)),
         Section("figures", "Figures", [("help", ""), *drawn] if drawn else []),
         Section("spread", "Spread over seeds", each(lambda *one: _figures(spread_figures(*one), one[1]))),

@@ -182,7 +182,7 @@ def _bounds_table(condition: Condition, prefix: str) -> Table | None:
         return None
     names = [variable.name for variable in _bounded(next(iter(traces.values())))]
     rows = tuple(
-        Row(one.label, tuple(map(Cell, _limits(traces[one.key]))), one.key, one.index)
+        Row(one.label, tuple(map(Cell, limits_texts(traces[one.key]))), one.key, one.index)
         for one in condition.controllers
         if one.key in traces
     )
@@ -195,7 +195,7 @@ def _bounded(trace: Trace) -> tuple[Variable, ...]:
     return (*trace.inputs, *trace.outputs)
 
 
-def _limits(trace: Trace) -> list[str]:
+def limits_texts(trace: Trace) -> list[str]:
     """Write the limits of all inputs, then of all outputs, in display units."""
     bounds = trace.bounds
     lows = [*bounds.u_min, *bounds.y_min]

@@ -122,6 +122,26 @@ def test_the_input_limits_hold_exactly_and_an_answer_is_the_callers_to_keep(name
 
 
 @pytest.mark.parametrize("name", SET_UP)
+def test_what_a_controller_says_that_it_uses_is_what_moves_it(name: str, loop: Loop) -> None:
+    """Another velocity beside the same angle changes the inputs of those alone who say that they use it."""
+    controller, misled = deepcopy(SET_UP[name]), deepcopy(SET_UP[name])
+    controller.start(loop)
+    misled.start(replace(loop, rng=np.random.default_rng(0)))
+    facts = controller.knowledge(loop)
+    assert facts.keys() == {"measures", "plant"}
+    assert all(facts.values())
+    state, moved = np.zeros(2), []
+    for k in range(8):
+        future = np.full((controller.horizon, 1), 0.2)
+        wrong = state + np.array([0.0, 0.3])
+        u = inputs(controller.step(Sample(k, 0.1 * k, state[:1], state, future, future[0])))
+        other = inputs(misled.step(Sample(k, 0.1 * k, state[:1], wrong, future, future[0])))
+        moved.append(not np.array_equal(u, other))
+        state = quick_pendulum(state, u)
+    assert any(moved) == ("x1" in facts["measures"])
+
+
+@pytest.mark.parametrize("name", SET_UP)
 def test_every_setting_says_what_it_is(name: str) -> None:
     controller = SET_UP[name]
     declared = declared_settings(type(controller))

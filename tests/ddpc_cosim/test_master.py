@@ -144,14 +144,32 @@ def test_beyond_the_preview_the_last_reference_that_is_known_is_held(
 ) -> None:
     controller = Scripted(horizon=horizon)
     ramp = Ramp(0.0, 100.0, 0.0, 100.0)
-    close_loop(Integrators(), controller, duration=0.5 * steps, reference=ramp, preview=preview)
+    trace = close_loop(Integrators(), controller, duration=0.5 * steps, reference=ramp, preview=preview)
     seen = horizon if preview is None else min(horizon, preview)
-    assert controller.loop.preview == seen
+    assert controller.loop.preview == trace.preview == seen
     for sample in controller.samples:
         ahead = [min(i, seen) for i in range(1, horizon + 1)]
         assert np.allclose(sample.setpoint, [0.5 * sample.k])
         assert sample.reference.shape == (horizon, 1)
         assert np.allclose(sample.reference[:, 0], [0.5 * (sample.k + i) for i in ahead])
+
+
+@pytest.mark.parametrize("learns", [False, True])
+def test_what_a_controller_goes_by_is_kept(learns: bool) -> None:
+    @dataclass(kw_only=True)
+    class Telling(Scripted):
+        @property
+        def uses_recording(self) -> bool:
+            return learns
+
+        def knowledge(self, loop: Loop) -> Mapping[str, str]:
+            assert loop is self.loop
+            return {"measures": loop.outputs[0].name, "plant": "a \ud800 of it"}
+
+    trace = close_loop(Integrators(), Telling(), excitation=UniformRandom((-1.0,), (1.0,), 7))
+    assert trace.knowledge == {"measures": "x0", "plant": "a ? of it"}
+    assert trace.recorded_samples == (7 if learns else 0)
+    assert close_loop(Integrators(), Scripted()).knowledge == {}
 
 
 @pytest.mark.parametrize("preview", [0, 1, 2, None])

@@ -10,12 +10,13 @@ model-predictive control, AIChE J. 49(2), 2003, doi:10.1002/aic.690490213).
 """
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from ddpc_controllers.checks import check_settings_and
+from ddpc_controllers.checks import check_settings_and, knowing
 from ddpc_controllers.data.hankel import numerical_rank, resting_input
 from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.identification import Identified
@@ -182,6 +183,13 @@ class ModelBased(ScaledSignals):
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that the model's identification can work with."""
         return self.model.recording_length(inputs, outputs)
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals it uses, and what it was told of the plant."""
+        model = self.model
+        if isinstance(model, Identified):
+            return knowing("nothing", loop.outputs)
+        return knowing(f"a linear model, by {type(model).__name__}", loop.outputs)
 
     def start(self, loop: Loop) -> None:
         """Get the model, and start on the loop in scaled signals.

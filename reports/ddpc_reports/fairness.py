@@ -1,0 +1,207 @@
+"""On what terms the controllers are compared: what each sees, uses, may do, knows and was tuned on."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import NamedTuple
+
+from markupsafe import Markup
+
+from ddpc_cosim import StudyResults, Trace
+from ddpc_cosim.settings import PLANT
+from ddpc_cosim.study.sections import TunedSection
+from ddpc_reports.comparison import Condition, ControllerResults
+from ddpc_reports.numbers import as_given, with_unit
+from ddpc_reports.settings_tables import compact_seeds, limits_texts, mapping_text
+from ddpc_reports.verdict import Statement, counted, join_words, names
+
+
+class _Fact(NamedTuple):
+    """What is said of one controller, and of several; empty: it is not known."""
+
+    of_one: str
+    of_several: str
+
+
+_Telling = Callable[[ControllerResults, Trace | None], _Fact]
+"""What is said of a controller, given its run at the first seed, if that has any samples."""
+_NOT_KNOWN = _Fact("", "")
+
+
+def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) -> list[Statement]:
+    """Return the terms of the comparison, as the study sets them and as its first seed was run.
+
+    Of controllers that do not tell a fact, it is said that it is not known.
+    """
+    if not conditions or not conditions[0].controllers:
+        return []
+    first = conditions[0]
+    return [
+        *_preview(conditions),
+        Statement("Measurements", _measurements(first)),
+        Statement("Limits", _limits(first)),
+        Statement("Recording", _recording(results, first)),
+        Statement("Prior knowledge", _prior_knowledge(results, first)),
+        Statement("Tuning", _tuning(results, first)),
+    ]
+
+
+def _preview(conditions: Sequence[Condition]) -> list[Statement]:
+    """State how far each controller saw ahead, once for scenarios that are alike."""
+    said: dict[Markup, list[Markup]] = {}
+    for condition in conditions:
+        text = _sentence(condition, _seen, "how far ahead the reference was seen")
+        said.setdefault(text, []).append(Markup("<i>{}</i>").format(condition.label))
+    if len(said) == 1:
+        return [Statement("Preview", next(iter(said)))]
+    return [
+        Statement("Preview", Markup("In {}: {}").format(join_words(labels), text))
+        for text, labels in said.items()
+    ]
+
+
+def _seen(one: ControllerResults, trace: Trace | None) -> _Fact:
+    if trace is None:
+        return _NOT_KNOWN
+    if not trace.preview:
+        return _Fact("sees no future reference", "see no future reference")
+    # Twelve digits hide the rounding of the product.
+    ahead = as_given(float(f"{trace.preview * trace.sampling_time:.12g}"))
+    what = f"{counted(trace.preview, 'sample')} of the future reference ({with_unit(ahead, 's')})"
+    return _Fact(f"sees {what}", f"see {what}")
+
+
+def _measurements(first: Condition) -> Markup:
+    handed = Markup("")
+    for trace in first.first_traces.values():
+        signals = join_words([variable.name for variable in trace.measurements])
+        handed = Markup("Measured for every controller: {}. ").format(signals)
+    return handed + _sentence(first, _used, "which of them are used")
+
+
+def _used(one: ControllerResults, trace: Trace | None) -> _Fact:
+    told = trace.knowledge.get("measures", "") if trace else ""
+    return _Fact(f"uses {told}", f"use {told}") if told else _NOT_KNOWN
+
+
+def _limits(first: Condition) -> Markup:
+    traces = list(first.first_traces.values())
+    if not traces:
+        return Markup("No run tells the limits.")
+
+    def limits(signal: int, one: ControllerResults, trace: Trace | None) -> _Fact:
+        told = limits_texts(trace)[signal] if trace else ""
+        return _Fact(f"has {told}", f"have {told}") if told else _NOT_KNOWN
+
+    signals = [variable.name for variable in (*traces[0].inputs, *traces[0].outputs)]
+    differing = [
+        Markup("Limits of {} differ: {}").format(
+            name, _sentence(first, partial(limits, i), f"what limits of {name} held")
+        )
+        for i, name in enumerate(signals)
+        if len({limits_texts(trace)[i] for trace in traces}) > 1
+    ]
+    return Markup(" ").join(differing) or Markup("The limits of inputs and outputs are the same for all.")
+
+
+def _recording(results: StudyResults, first: Condition) -> Markup:
+    text, study = _sentence(first, _learned, "whether a recording was learned from"), results.study
+    if study.recording is None:
+        return text
+    if stabiliser := study.recording.controller:
+        settings = f" with {mapping_text(stabiliser.settings)}" if stabiliser.settings else ""
+        text += Markup(
+            " While it was recorded, the plant was kept by a stabilising controller that the study gives, "
+            "{}{}: whoever learns from the recording rests on that too."
+        ).format(stabiliser.type, settings)
+    if study.loop.start == "recording-end":
+        text += " Every loop starts where its recording ended."
+    return text
+
+
+def _learned(one: ControllerResults, trace: Trace | None) -> _Fact:
+    if trace is None:
+        return _NOT_KNOWN
+    if not trace.recorded_samples:
+        return _Fact("asks for no recording", "ask for no recording")
+    what = f"from a recording of {counted(trace.recorded_samples, 'sample')}"
+    return _Fact(f"learns {what}", f"learn {what}")
+
+
+def _prior_knowledge(results: StudyResults, first: Condition) -> Markup:
+    return _sentence(first, partial(_told, results), "what was told beforehand of the plant")
+
+
+def _told(results: StudyResults, one: ControllerResults, trace: Trace | None) -> _Fact:
+    told = trace.knowledge.get("plant", "") if trace else ""
+    section = results.study.controllers.get(one.key)
+    if section is not None and PLANT in _values(section.settings):
+        told = f"{told or 'something not known'}; its settings name the FMU of the plant itself"
+    if not told:
+        return _NOT_KNOWN
+    if told == "nothing":
+        return _Fact("was told nothing of the plant beforehand", "were told nothing of the plant beforehand")
+    return _Fact(f"was told beforehand of the plant: {told}", f"were told beforehand of the plant: {told}")
+
+
+def _tuning(results: StudyResults, first: Condition) -> Markup:
+    sections = results.study.controllers
+    tuned = {one.key: sections[one.key].tuned if one.key in sections else None for one in first.controllers}
+
+    def found(one: ControllerResults, trace: Trace | None) -> _Fact:
+        table = tuned[one.key]
+        if table is None:
+            return _NOT_KNOWN
+        words = _tuned_words(table, [case.seed for case in one.cases])
+        return _Fact(f"has {words}", f"have {words}")
+
+    text = _sentence(first, found, "how settings were found")
+    if len({table.trials if table else 0 for table in tuned.values()}) > 1:
+        text += " So the effort spent on tuning is not known to be equal."
+    return text
+
+
+def _tuned_words(tuned: TunedSection, reported: Sequence[int]) -> str:
+    seeds = f"{'seed' if len(tuned.seeds) == 1 else 'seeds'} {compact_seeds(tuned.seeds)}"
+    source = f" ({tuned.source})" if tuned.source else ""
+    shared = [seed for seed in dict.fromkeys(reported) if seed in tuned.seeds]
+    # With `run --seeds` a study can be reported on seeds that are not its own.
+    again = f"; seeds of the tuning are reported here: {compact_seeds(shared)}" if shared else ""
+    listed = join_words(tuned.settings)
+    return f"{listed} found in {counted(tuned.trials, 'trial')} on {seeds}, by {tuned.by}{source}{again}"
+
+
+def _sentence(condition: Condition, telling: _Telling, what: str) -> Markup:
+    """Say a fact of every controller, those of whom the same is said together."""
+    groups: dict[_Fact, list[ControllerResults]] = {}
+    for one in condition.controllers:
+        groups.setdefault(telling(one, condition.first_traces.get(one.key)), []).append(one)
+    unknown = groups.pop(_NOT_KNOWN, [])
+    parts = [
+        Markup("{} {}").format(who, fact.of_several if len(members) > 1 else fact.of_one)
+        for fact, members in groups.items()
+        for who in [_who(members, condition)]
+    ]
+    if unknown:
+        parts.append(Markup("of {} it is not known {}").format(_who(unknown, condition), what))
+    text = Markup("; ").join(parts)
+    return text[:1].upper() + text[1:] + "."
+
+
+def _who(members: Sequence[ControllerResults], condition: Condition) -> Markup:
+    return (
+        Markup("all controllers")
+        if 1 < len(members) == len(condition.controllers)
+        else join_words(names(members))
+    )
+
+
+def _values(settings: object) -> Iterator[object]:
+    """Yield the values of settings, those within tables and lists among them."""
+    if isinstance(settings, Mapping):
+        for value in settings.values():
+            yield from _values(value)
+    elif isinstance(settings, list | tuple):
+        for value in settings:
+            yield from _values(value)
+    else:
+        yield settings

@@ -1,0 +1,136 @@
+"""The account of fairness in the page: each sentence against the study and its runs."""
+
+import html
+import re
+from dataclasses import replace
+from typing import Any
+
+from ddpc_cosim import Bounds, StudyResults, Trace
+from ddpc_reports.page import render_page
+
+from .synthetic import MakeResults, make_trace
+
+LABELS = {"data": "Data-driven", "model": "Model-based", "own": "<b>Their</b> & own"}
+KNOWN: dict[str, dict[str, Any]] = {
+    "data": {
+        "preview": 5,
+        "recorded_samples": 200,
+        "knowledge": {"measures": "angle, speed", "plant": "nothing"},
+    },
+    "model": {"preview": 1, "knowledge": {"measures": "angle", "plant": "a linear model, by FMUModel"}},
+    "own": {"preview": 5, "recorded_samples": 200},
+}
+TUNED = {"settings": ["horizon", "weight"], "trials": 20, "seeds": ["100:103"], "by": "median rmse"}
+
+
+def run(key: str, seed: int) -> Trace:
+    return replace(make_trace(0.3, noise_seed=seed), **KNOWN[key])
+
+
+def controllers(**tuned: Any) -> dict[str, dict[str, Any]]:
+    return {
+        key: {"type": key, "label": label, **({"tuned": tuned[key]} if key in tuned else {})}
+        for key, label in LABELS.items()
+    }
+
+
+def told(results: StudyResults) -> dict[str, str]:
+    """Return what the page says under Fairness, by topic, as a reader sees it."""
+    page = render_page([results])
+    section = re.search(r'<h2 id="s1-fairness">.*?</section>', page, re.DOTALL)
+    assert section
+    pairs = re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", section[0], re.DOTALL)
+    assert "<b>" not in section[0]
+    return {topic: html.unescape(re.sub("<[^>]*>", "", text)) for topic, text in pairs}
+
+
+def test_each_fact_is_told_of_those_whom_it_holds_for(make_results: MakeResults) -> None:
+    said = told(make_results(run, controllers(data=TUNED)))
+    assert said == {
+        "Preview": "Data-driven and <b>Their</b> & own see 5 samples of the future reference (0.5\xa0s); "
+        "Model-based sees 1 sample of the future reference (0.1\xa0s).",
+        "Measurements": "Measured for every controller: angle. Data-driven uses angle, speed; "
+        "Model-based uses angle; of <b>Their</b> & own it is not known which of them are used.",
+        "Limits": "The limits of inputs and outputs are the same for all.",
+        "Recording": "Data-driven and <b>Their</b> & own learn from a recording of 200 samples; "
+        "Model-based asks for no recording.",
+        "Prior knowledge": "Data-driven was told nothing of the plant beforehand; "
+        "Model-based was told beforehand of the plant: a linear model, by FMUModel; "
+        "of <b>Their</b> & own it is not known what was told beforehand of the plant.",
+        "Tuning": "Data-driven has horizon and weight found in 20 trials on seeds 100\N{EN DASH}102, "
+        "by median rmse; of Model-based and <b>Their</b> & own it is not known how settings were found. "
+        "So the effort spent on tuning is not known to be equal.",
+    }
+
+
+def test_what_holds_for_all_is_told_once(make_results: MakeResults) -> None:
+    alike = KNOWN["data"]
+    said = told(
+        make_results(
+            lambda key, seed: replace(make_trace(0.3), **alike),
+            controllers(**dict.fromkeys(LABELS, TUNED | {"trials": 1, "seeds": [3], "source": "a file"})),
+            scenarios={"calm": {}, "noisy": {}},
+        )
+    )
+    assert said["Preview"] == "All controllers see 5 samples of the future reference (0.5\xa0s)."
+    assert said["Tuning"] == (
+        "All controllers have horizon and weight found in 1 trial on seed 3, by median rmse (a file)."
+    )
+
+
+def test_limits_that_differ_are_told_of_each_signal(make_results: MakeResults) -> None:
+    def limited(key: str, seed: int) -> Trace:
+        trace = run(key, seed)
+        bounds = trace.bounds
+        wide = Bounds(bounds.u_min, bounds.u_max, 2 * bounds.y_min, 2 * bounds.y_max)
+        return replace(trace, bounds=wide) if key == "model" else trace
+
+    assert told(make_results(limited, controllers()))["Limits"] == (
+        "Limits of angle differ: Data-driven and <b>Their</b> & own have \N{MINUS SIGN}70 … 70°; "
+        "Model-based has \N{MINUS SIGN}140 … 140°."
+    )
+
+
+def test_an_unlimited_view_of_nothing_is_told_as_such(make_results: MakeResults) -> None:
+    said = told(make_results(lambda key, seed: replace(run(key, seed), preview=0), controllers()))
+    assert said["Preview"] == "All controllers see no future reference."
+
+
+def test_results_on_seeds_of_the_tuning_are_told(make_results: MakeResults) -> None:
+    """With run --seeds a study can be reported on other seeds than its own."""
+    said = told(make_results(run, controllers(data=TUNED), seeds=[5, 101, 102]))
+    assert "; seeds of the tuning are reported here: 101\N{EN DASH}102" in said["Tuning"]
+
+
+def test_settings_that_name_the_plant_s_own_fmu_are_told(make_results: MakeResults) -> None:
+    sections = controllers()
+    for key in ("model", "own"):
+        sections[key]["settings"] = {"model": {"type": "x", "files": ["{plant}"]}}
+    said = told(make_results(run, sections))["Prior knowledge"]
+    named = "its settings name the FMU of the plant itself"
+    assert f"a linear model, by FMUModel; {named}" in said
+    assert f"Their</b> & own was told beforehand of the plant: something not known; {named}" in said
+
+
+def test_a_stabiliser_of_the_recording_is_told(make_results: MakeResults) -> None:
+    stabiliser = {"type": "pid", "settings": {"kp": 2.0}}
+    recording = {
+        "samples": 200,
+        "excitation": {"torque": {"low": -1.0, "high": 1.0}},
+        "controller": stabiliser,
+    }
+    loop = {"sampling_time": 0.1, "duration": 6.0, "start": "recording-end"}
+    said = told(make_results(run, controllers(), recording=recording, loop=loop))["Recording"]
+    assert "kept by a stabilising controller that the study gives, pid with kp = 2: whoever" in said
+    assert said.endswith(" Every loop starts where its recording ended.")
+
+
+def test_of_runs_without_a_sample_nothing_is_known(make_results: MakeResults) -> None:
+    def lost(key: str, seed: int) -> Trace:
+        trace = run(key, seed)
+        none = {name: getattr(trace, name)[:0] for name in ("time", "reference", "y", "measured", "u")}
+        return replace(trace, **none, status=(), solve_time=trace.solve_time[:0])
+
+    said = told(make_results(lost, controllers()))
+    assert said["Preview"] == "Of all controllers it is not known how far ahead the reference was seen."
+    assert said["Limits"] == "No run tells the limits."
