@@ -44,7 +44,8 @@ class Conditions:
     Parameters
     ----------
     disturbances : mapping of str to Reference or sequence of Reference
-        Added to an input or an output; several signals are added up. Steps are zero before the first one.
+        Added to an input or an output; several signals are added up. Steps, and
+        what is read from a file, are zero before their first instant.
     inputs : mapping of str to Reference
         Signals of the inputs that no controller drives.
     rate_limit : mapping of str to float
@@ -303,15 +304,14 @@ def _disturbances(
     given = conditions.disturbances
     if given.keys().isdisjoint(signals):
         return None
-    from_zero = {name: [_from_zero(part) for part in _parts(one)] for name, one in given.items()}
-    return _sums("disturbances", from_zero, signals, time, (seed, _DISTURBANCES))
+    return _sums("disturbances", given, signals, time, (seed, _DISTURBANCES))
 
 
-def _from_zero(signal: Reference) -> Reference:
-    """Return a disturbance that is zero before its first step."""
-    if not isinstance(signal, Steps):
-        return signal
-    return Steps((-math.inf, *signal.times), (0.0, *signal.values))
+def _begun(disturbance: Reference, time: FloatArray) -> FloatArray | float:
+    """Return 0 before the first instant that steps or a file say something about, and 1 from there on."""
+    if not isinstance(disturbance, Steps):
+        return 1.0
+    return Steps((-math.inf, disturbance.times[0]), (0.0, 1.0)).at(time)
 
 
 def _sums(
@@ -329,5 +329,6 @@ def _sums(
     for column, name in enumerate(signals):
         for number, part in enumerate(_parts(given.get(name, ()))):
             own = np.random.SeedSequence([*seed, number, *name.encode()]).generate_state(1, np.uint64)
-            table[:, column] += values_at(part.with_seed(int(own[0])), f"{what} of {name}", time)
+            values = values_at(part.with_seed(int(own[0])), f"{what} of {name}", time)
+            table[:, column] += values * _begun(part, time) if what == "disturbances" else values
     return table

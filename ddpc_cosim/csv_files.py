@@ -39,11 +39,14 @@ class Column(NamedTuple):
         The column's name, with or without the unit.
     unit : str
         Unit of the values where the header has none; empty: the signal's own.
+    difference : bool
+        The values are added to the signal: they convert without an offset.
     """
 
     variable: Variable | None
     header: str
     unit: str = ""
+    difference: bool = False
 
 
 class CSVFile:
@@ -258,7 +261,7 @@ def _found(
     file: CSVFile, columns: Sequence[Column], faults: list[str]
 ) -> Iterator[tuple[int, tuple[int, Callable[[FloatArray], FloatArray]]]]:
     """Yield the number of each column that is there, its index in the file, and how its values convert."""
-    for i, (variable, header, unit) in enumerate(columns):
+    for i, (variable, header, unit, difference) in enumerate(columns):
         try:
             index, own = file.find(header)
             if own and unit and own != unit:
@@ -266,7 +269,9 @@ def _found(
                     f'{file.path}, column "{file.header[index]}": unit = "{unit}" contradicts its header'
                 )
             try:
-                yield i, (index, converter(variable, own or unit) if variable else _as_it_stands)
+                unit = own or unit
+                convert = converter(variable, unit, difference=difference) if variable else _as_it_stands
+                yield i, (index, convert)
             except ConfigError as error:
                 raise DataError(f'{file.path}, column "{file.header[index]}": {error}') from error
         except DataError as error:

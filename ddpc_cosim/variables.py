@@ -73,8 +73,11 @@ def conversions(unit: str, defined: Iterable[DisplayUnit] = ()) -> dict[str, Dis
     return usual_display_units(unit) | {shown.name: shown for shown in defined} | {unit: DisplayUnit(unit)}
 
 
-def converter(variable: Variable, unit: str) -> Callable[[Any], Any]:
+def converter(variable: Variable, unit: str, *, difference: bool = False) -> Callable[[Any], Any]:
     """Return the conversion of values, numbers or arrays, from ``unit`` to the variable's own unit.
+
+    Differences of values, such as what is added to a signal, convert without the offset of the unit: 5 degC
+    more are 5 K more.
 
     Raises
     ------
@@ -87,7 +90,8 @@ def converter(variable: Variable, unit: str) -> Callable[[Any], Any]:
     declared = () if variable.display_unit is None else (variable.display_unit,)
     known = conversions(own, declared)
     try:
-        return (known[unit] if unit in known else display_unit(own, unit)).to_unit
+        shown = known[unit] if unit in known else display_unit(own, unit)
+        return (replace(shown, offset=0.0) if difference else shown).to_unit
     except ValueError as error:
         allowed = dict.fromkeys((own or "1", *(shown.name for shown in declared), *known))
         units = ", ".join(name for name in allowed if name)

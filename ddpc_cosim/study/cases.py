@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim import safe_calls
+from ddpc_cosim.conditions import Conditions, changed_inputs
 from ddpc_cosim.controller import Bounds, Controller
 from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImportError, FMUStepError
 from ddpc_cosim.master import OUTCOME_OF, cosimulate
@@ -71,6 +72,10 @@ class Case:
         How many future references any controller may see; None: as many as it asks for.
     step_timeout : float
         Longest time for any call of the plant or of the controller [s]; it does not decide the result.
+    conditions : Conditions
+        What else acts on the plant, and what its actuators and sensors do.
+    undriven : tuple of Variable
+        The inputs that have a signal.
     id : str
         Readable name and a hash of everything that decides the result, code version included.
     """
@@ -97,6 +102,8 @@ class Case:
     events: tuple[ParameterChange, ...] = ()
     preview: int | None = None
     step_timeout: float = 60.0
+    conditions: Conditions = field(default_factory=Conditions)
+    undriven: tuple[Variable, ...] = ()
     id: str = ""
 
     @property
@@ -104,6 +111,11 @@ class Case:
         """Readable name: controller, scenario where there are several in play, seed."""
         scenario = "" if self.scenario == "nominal" else f"_{self.scenario}"
         return f"{self.controller}{scenario}_seed{self.seed}"
+
+    @property
+    def changed_inputs(self) -> tuple[Variable, ...]:
+        """The inputs that the plant may be given otherwise than a controller commands them."""
+        return changed_inputs(self.conditions, (*self.inputs, *self.undriven))
 
     def head(self) -> dict[str, Any]:
         """Return the identifiers of the case for its ``run.json``."""
@@ -157,7 +169,7 @@ def _identifier(case: Case, content: Mapping[str, Any]) -> str:
     """Return a case's name and a hash of everything that decides its result."""
     decisive = {field.name: getattr(case, field.name) for field in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
-    decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements")}
+    decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements", "undriven")}
     del decisive["label"], decisive["id"], decisive["step_timeout"]
     text = json.dumps(decisive, sort_keys=True, default=repr)
     return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
@@ -172,7 +184,7 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
     safe_calls.announce_calls(store.announce)
     read = (*names(case.outputs), *names(case.measurements))
     try:
-        plant = case.plant.open(names(case.inputs), tuple(dict.fromkeys(read)))
+        plant = case.plant.open(names((*case.inputs, *case.undriven)), tuple(dict.fromkeys(read)))
     except CosimError as error:
         return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
     try:
@@ -205,6 +217,7 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
             measurements=names(case.measurements),
             parameters=case.parameters,
             noise=GaussianNoise(case.noise) if case.noise else None,
+            conditions=case.conditions,
             events=case.events,
             preview=case.preview,
             seed=case.seed,
@@ -228,7 +241,7 @@ def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller:
 def row_store(case: Case, path: Path | None = None) -> RowStore:
     """Return the store for a case's rows, in a file or in memory."""
     columns = len(case.outputs), len(case.measurements), len(case.inputs)
-    return RowStore(_planned_samples(case), *columns, path)
+    return RowStore(_planned_samples(case), *columns, path, changed_inputs=len(case.changed_inputs))
 
 
 def partial_trace(case: Case, store: RowStore, outcome: Outcome, reason: str) -> Trace:
@@ -264,6 +277,8 @@ def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
         outcome=outcome,
         reason=reason,
         settings=dict(case.section["settings"]),
+        changed_inputs=case.changed_inputs,
+        applied=np.empty((0, len(case.changed_inputs))),
     )
 
 
@@ -306,6 +321,8 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
                     events=events[name],
                     preview=_preview(scenario, study.loop),
                     step_timeout=study.loop.step_timeout,
+                    conditions=resolved.conditions[name],
+                    undriven=resolved.undriven[name],
                 )
 
 

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
+from ddpc_cosim.conditions import Conditions, delay_error
 from ddpc_cosim.errors import ConfigError, CosimError, DataError, Place
 from ddpc_cosim.loop_setup import late_error, limits_error
 from ddpc_cosim.plant import ParameterValue
@@ -12,12 +13,22 @@ from ddpc_cosim.settings import PLANT, files_of
 from ddpc_cosim.signals import Excitation, Reference
 from ddpc_cosim.study.controllers import StudyController, resolve_controllers, resolve_stabiliser
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables
-from ddpc_cosim.study.sections import BoundsSection, DriftSection, EventSection, RecordingSection, Study
+from ddpc_cosim.study.sections import (
+    BoundsSection,
+    DriftSection,
+    EventSection,
+    RampReference,
+    RecordingSection,
+    ScenarioSection,
+    StepsReference,
+    Study,
+)
 from ddpc_cosim.study.validation_errors import InvalidFieldError, Section, ValidationErrors, independent
 from ddpc_cosim.variables import Variable, converter
 
 _MOST_LISTED = 8
 Limits = dict[str, tuple[float, float]]
+K = TypeVar("K", str, int)
 
 _PLANT, _INPUTS, _OUTPUTS, _MEASUREMENTS = (
     ("plant", *key) for key in ((), ("inputs",), ("outputs",), ("measurements",))
@@ -43,6 +54,10 @@ class ResolvedStudy:
         For each controller the limits of inputs and controlled outputs, in their own units.
     excitation : Excitation or None
         The experiment; each case draws it with its own seed.
+    conditions : dict of str to Conditions
+        Of each scenario, in the variables' own units.
+    undriven : dict of str to tuple of Variable
+        The inputs that have a signal in each scenario.
     """
 
     study: Study
@@ -53,6 +68,8 @@ class ResolvedStudy:
     reference: dict[str, Reference]
     bounds: dict[str, Limits]
     excitation: Excitation | None
+    conditions: dict[str, Conditions]
+    undriven: dict[str, tuple[Variable, ...]]
 
 
 def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStudy | None:
@@ -121,6 +138,7 @@ class _Resolution:
         self.references = self._references()
         self.bounds = self._bounds()
         self.excitation = self._excitation()
+        self.conditions = {name: self._conditions(name) for name in study.scenarios}
 
     def result(self) -> ResolvedStudy | None:
         """Return the resolved study, None if there are errors."""
@@ -135,6 +153,11 @@ class _Resolution:
             reference=self.references,
             bounds={controller.name: self.bounds[controller.of] for controller in self.controllers},
             excitation=self.excitation,
+            conditions={name: conditions or Conditions() for name, conditions in self.conditions.items()},
+            undriven={
+                name: tuple(self.variables.inputs[signal] for signal in scenario.inputs)
+                for name, scenario in self.study.scenarios.items()
+            },
         )
 
     def _written_out(self) -> Study:
@@ -299,6 +322,80 @@ class _Resolution:
             self.errors.add(at, over, ("loop", "start_time"))
 
     @independent
+    def _conditions(self, name: str) -> Conditions | None:
+        """Return the conditions of a scenario; None if there are errors."""
+        scenario, place, errors = self.study.scenarios[name], ("scenarios", name), self.errors
+        driven, measured = self.inputs.names, self.measurements.names
+        seen = dict.fromkeys((*self.outputs.names, *measured))
+        undriven = {n: v for n, v in self.variables.inputs.items() if n not in driven}
+        known = {
+            "disturbances": ("input or output", (*driven, *seen)),
+            "inputs": ("input that no controller drives", self.variables.inputs),
+            "rate_limit": ("input that the controllers drive", driven),
+            "delay": ("input or measurement", (*driven, *measured)),
+            "quantum": ("measurement", measured),
+            "loss": ("measurement", measured),
+        }
+        for key, (what, names) in known.items():
+            errors.require_known((*place, key), what, getattr(scenario, key), names)
+        for signal in scenario.inputs:
+            self._check_undriven((*place, "inputs", signal), scenario, signal)
+        for signal, delay in scenario.delay.items():
+            self._check_delay((*place, "delay", signal), delay)
+        variables, disturbances = {**self.variables.outputs, **self.variables.inputs}, {}
+        for signal, parts in scenario.disturbances.items():
+            at = (*place, "disturbances", signal)
+            for i, part in enumerate(parts):
+                self._check_disturbance((*at, i), part)
+            if signal in variables:
+                sections, same = dict(enumerate(parts)), dict.fromkeys(range(len(parts)), variables[signal])
+                disturbances[signal] = tuple(self._signals(at, sections, same, difference=True).values())
+        inputs = self._signals((*place, "inputs"), scenario.inputs, undriven)
+        if errors.found:
+            return None
+        return Conditions(
+            disturbances=disturbances,
+            inputs=inputs,
+            rate_limit=scenario.rate_limit,
+            delay=scenario.delay,
+            quantum=scenario.quantum,
+            loss=scenario.loss,
+        )
+
+    def _check_undriven(self, place: Place, scenario: ScenarioSection, name: str) -> None:
+        """Check that nothing else decides the value of an input that has a signal."""
+        if self.inputs.is_known and name in self.inputs.names:
+            remedy = "use disturbances to add to it, or leave it out of plant.inputs"
+            self.errors.add(place, f"the controllers drive this input; {remedy}")
+        others = {
+            "the plant's parameters": name in self.study.plant.parameters,
+            "the scenario's parameters": name in scenario.parameters,
+            "an event": any(name in event.parameters for event in scenario.events),
+            "a drift": any(name == drift.parameter for drift in scenario.drifts),
+        }
+        for what in (what for what, is_so in others.items() if is_so):
+            self.errors.add(place, f"this input is set by {what} too; leave one of them out")
+
+    @independent
+    def _check_delay(self, place: Place, delay: float) -> None:
+        loop, recording = self.study.loop, self.study.recording
+        fault = delay_error(delay, loop.sampling_time, loop.steps)
+        if not fault and recording is not None:
+            fault = delay_error(delay, loop.sampling_time, recording.samples, "experiment")
+        if fault:
+            self.errors.add(place, fault)
+
+    @independent
+    def _check_disturbance(self, place: Place, section: Section) -> None:
+        """Report steps and ramps that begin when the run is over."""
+        loop = self.study.loop
+        begins = {"times": section.times} if isinstance(section, StepsReference) else {}
+        begins |= {"from_time": [section.from_time]} if isinstance(section, RampReference) else {}
+        for key, times in begins.items():
+            for late in filter(None, (late_error(t, loop.start_time + loop.duration) for t in times)):
+                self.errors.add((*place, key), late, ("loop", "start_time"))
+
+    @independent
     def _check_recording(self) -> None:
         """Check that there is a recording, and a long one, where something learns from it."""
         recording = self.study.recording
@@ -372,11 +469,16 @@ class _Resolution:
                 self.errors.add(place, f"none for the {what} {name}", (*place, name))
 
     def _signals(
-        self, place: Place, sections: Mapping[str, Any], variables: Mapping[str, Variable]
-    ) -> dict[str, Reference]:
+        self,
+        place: Place,
+        sections: Mapping[K, Any],
+        variables: Mapping[K, Variable],
+        *,
+        difference: bool = False,
+    ) -> dict[K, Reference]:
         """Return the signals of sections in their variables' units, where they can be built."""
         signals = {}
-        for name, convert in self._converters(place, sections, variables).items():
+        for name, convert in self._converters(place, sections, variables, difference=difference).items():
             try:
                 signals[name] = sections[name].build(variables[name], convert)
             except DataError as error:
@@ -387,14 +489,19 @@ class _Resolution:
         return signals
 
     def _converters(
-        self, place: Place, sections: Mapping[str, Any], variables: Mapping[str, Variable]
-    ) -> dict[str, Callable[[float], float]]:
+        self,
+        place: Place,
+        sections: Mapping[K, Any],
+        variables: Mapping[K, Variable],
+        *,
+        difference: bool = False,
+    ) -> dict[K, Callable[[float], float]]:
         """Return the conversion of each section's values to its variable's unit, where there is one."""
         converters = {}
         for name, section in sections.items():
             try:
                 if name in variables:
-                    converters[name] = converter(variables[name], section.unit)
+                    converters[name] = converter(variables[name], section.unit, difference=difference)
             except ConfigError as error:
                 self.errors.add((*place, name, "unit"), str(error))
         return converters

@@ -10,13 +10,24 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 from ddpc_cosim.csv_files import Column, read_table
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.loop_setup import end_time, limits_error, whole_steps
-from ddpc_cosim.signals import Constant, Excitation, Interpolated, Ramp, Reference, Sine, Steps, UniformRandom
+from ddpc_cosim.signals import (
+    Constant,
+    Excitation,
+    Interpolated,
+    Ramp,
+    Reference,
+    Sine,
+    Steps,
+    UniformRandom,
+    WhiteNoise,
+)
 from ddpc_cosim.study.validation_errors import FilePath, Section
 from ddpc_cosim.variables import Variable
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
 Preview = Annotated[int, Field(ge=0)] | Literal["horizon"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Value = bool | int | Finite | str
 
@@ -203,6 +214,7 @@ class FileReference(_Signal):
     """A column of a CSV file, over its time."""
 
     kind: Literal["file"]
+    _is_difference: ClassVar[bool] = False
     file: FilePath = Field(description="path of a CSV file, relative to the study file")
     column: str = Field(
         "", description="header of the column, with or without its unit; empty: the signal's name"
@@ -220,7 +232,7 @@ class FileReference(_Signal):
         DataError
             All that is wrong with the file.
         """
-        column = Column(variable, self.column or variable.name, self.unit)
+        column = Column(variable, self.column or variable.name, self.unit, self._is_difference)
         time, values, _ = read_table(Path(self.file), [column], self.time_column)
         kind = Steps if self.interpolation == "hold" else Interpolated
         return kind(tuple(time.tolist()), tuple(values[:, 0].tolist()))
@@ -230,13 +242,37 @@ def _kind(reference: Any) -> Any:
     return reference.get("kind") if isinstance(reference, dict) else getattr(reference, "kind", None)
 
 
-ReferenceSection = Annotated[
+class FileDisturbance(FileReference):
+    """A column of a CSV file that is added to a signal."""
+
+    _is_difference: ClassVar[bool] = True
+
+
+class NoiseSignal(_Signal):
+    """Independent normal values, one for each sample."""
+
+    kind: Literal["noise"]
+    standard_deviation: NotNegative
+    mean: Finite = 0.0
+
+    def build(self, variable: Variable, convert: Any) -> Reference:
+        """Return the signal in the variable's own unit."""
+        mean = float(convert(self.mean))
+        return WhiteNoise(abs(float(convert(self.mean + self.standard_deviation)) - mean), mean)
+
+
+_Formula = (
     Annotated[ConstantReference, Tag("constant")]
     | Annotated[StepsReference, Tag("steps")]
     | Annotated[RampReference, Tag("ramp")]
     | Annotated[SineReference, Tag("sine")]
-    | Annotated[FileReference, Tag("file")],
-    Discriminator(_kind),
+)
+_File = Annotated[FileReference, Tag("file")]
+_Noise = Annotated[NoiseSignal, Tag("noise")]
+ReferenceSection = Annotated[_Formula | _File, Discriminator(_kind)]
+InputSection = Annotated[_Formula | _File | _Noise, Discriminator(_kind)]
+DisturbanceSection = Annotated[
+    _Formula | Annotated[FileDisturbance, Tag("file")] | _Noise, Discriminator(_kind)
 ]
 
 
@@ -311,21 +347,37 @@ class DriftSection(Section):
         yield from _errors_of(Ramp, self.from_value, self.to_value, self.from_time, self.to_time)
 
 
+def _as_list(tables: Any) -> Any:
+    return [tables] if isinstance(tables, dict) else tables
+
+
 class ScenarioSection(Section):
-    """One condition under which every controller is run."""
+    """What every controller is run under: see :mod:`ddpc_cosim.conditions` for the order of effects."""
 
     label: str = ""
     parameters: dict[str, Value] = Field({}, description="plant parameters in this scenario")
-    noise: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = Field(
+    noise: dict[str, NotNegative] = Field(
         {}, description="standard deviation of the noise of each measurement, in its unit"
     )
     events: list[EventSection] = Field([])
     drifts: list[DriftSection] = Field([])
+    disturbances: dict[
+        str, Annotated[list[DisturbanceSection], BeforeValidator(_as_list), Field(min_length=1)]
+    ] = Field({}, description="what is added to each input or output: a signal, or several that are added up")
+    inputs: dict[str, InputSection] = Field({}, description="signals of inputs that no controller drives")
+    rate_limit: dict[str, Positive] = Field(
+        {}, description="largest rate of change of each input, in its unit per second"
+    )
+    delay: dict[str, NotNegative] = Field(
+        {}, description="by how much an input acts, or a measurement arrives, late [s]"
+    )
+    quantum: dict[str, Positive] = Field(
+        {}, description="what each measurement is rounded to whole multiples of, in its unit"
+    )
+    loss: dict[str, Annotated[float, Field(ge=0, le=1)]] = Field(
+        {}, description="probability that a measurement is lost at a sample"
+    )
     preview: Preview | None = Field(None, description="in place of the loop's")
-
-
-def _as_list(tables: Any) -> Any:
-    return [tables] if isinstance(tables, dict) else tables
 
 
 class TunedSection(Section):

@@ -1,0 +1,301 @@
+"""Conditions of scenarios: from a study file to what the plant was given, and all that can be wrong."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import CaseResult, Conditions, ConfigError, FMUPlant, Trace
+from ddpc_cosim.study.cases import cases_of
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.runner import Selection, run_study
+from fmu_plants import build_fmu
+from fmu_plants.quadruple_tank import MODEL
+
+TANK = """
+seeds = [3]
+[plant]
+name = "quadruple-tank"
+inputs = ["pump_1"]
+outputs = ["level_1"]
+measurements = ["level_1", "level_2"]
+[loop]
+sampling_time = 5.0
+duration = 100.0
+[reference]
+level_1 = { kind = "steps", times = [0.0, 20.0], values = [12.3, 13.3] }
+[recording]
+samples = 60
+excitation.pump_1 = { low = 2.5, high = 3.5 }
+[controllers.mfac]
+type = "mfac"
+[scenarios.calm]
+"""
+HARD = """
+[scenarios.hard]
+noise = { level_2 = 0.02 }
+disturbances.pump_1 = { kind = "steps", times = [30.0], values = [500.0], unit = "mV" }
+disturbances.level_1 = [{ kind = "constant", value = 0.5 }, { kind = "noise", standard_deviation = 0.1 }]
+inputs.pump_2 = { kind = "file", file = "pump.csv", column = "p", interpolation = "linear" }
+delay = { pump_1 = 10.0, level_1 = 5.0 }
+rate_limit = { pump_1 = 0.01 }
+quantum = { level_2 = 0.25 }
+loss = { level_1 = 0.3 }
+"""
+TIME = 5.0 * np.arange(21)
+
+
+class Silent:
+    """Someone who does not look."""
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return lambda *_: None
+
+
+def study_file(folder: Path, text: str) -> str:
+    (folder / "pump.csv").write_text("time [min],p [mV]\n0,3000\n1,2400\n2,3400\n", encoding="utf-8")
+    path = folder / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def results_of(folder: Path, text: str) -> dict[str, CaseResult]:
+    results = run_study(read_study(study_file(folder, text)), folder / "out", Selection(), Silent())
+    return {case.scenario: case for case in results.cases}
+
+
+@pytest.fixture(scope="module")
+def hard(tmp_path_factory: pytest.TempPathFactory) -> Trace:
+    return results_of(tmp_path_factory.mktemp("hard"), TANK + HARD)["hard"].trace()
+
+
+def test_a_case_keeps_what_the_plant_was_given(hard: Trace) -> None:
+    assert [variable.name for variable in hard.changed_inputs] == ["pump_1", "pump_2"]
+    assert [variable.name for variable in hard.inputs] == ["pump_1"]
+    position, moved = 3.0, []
+    for asked in hard.u[:, 0]:
+        position += np.clip(asked - position, -0.05, 0.05)
+        moved.append(position)
+    late = np.array([3.0, 3.0, *moved[:-2]]) + np.where(TIME < 30.0, 0.0, 0.5)
+    assert np.allclose(hard.applied[:, 0], late, atol=1e-12)
+    assert np.allclose(hard.applied[:, 1], np.interp(TIME, [0.0, 60.0, 120.0], [3.0, 2.4, 3.4]))
+
+
+def test_an_fmu_given_the_same_ends_where_the_case_did(hard: Trace) -> None:
+    with FMUPlant(build_fmu(MODEL), inputs=["pump_1", "pump_2"], outputs=["level_1", "level_2"]) as plant:
+        plant.plan(5.0, 100.0)
+        levels = [plant.reset()]
+        levels += [plant.step(applied, 5.0) for applied in hard.applied[:-1]]
+    disturbance = hard.y[:, 0] - np.array(levels)[:, 0]
+    assert disturbance.mean() == pytest.approx(0.5, abs=0.1)
+    assert disturbance.std() == pytest.approx(0.1, rel=0.5)
+    seen = hard.measured[:, 1]
+    assert np.allclose(seen / 0.25, np.round(seen / 0.25), atol=1e-9)
+    assert np.abs(seen - np.array(levels)[:, 1]).max() < 0.125 + 5 * 0.02
+    arrived = ~np.isnan(hard.measured[:, 0])
+    late = np.concatenate([hard.y[:1, 0], hard.y[:-1, 0]])
+    assert np.array_equal(hard.measured[arrived, 0], late[arrived])
+    assert 0 < np.count_nonzero(~arrived) == hard.failures
+
+
+def test_a_case_without_conditions_has_no_further_columns(tmp_path: Path) -> None:
+    calm = results_of(tmp_path, TANK)["calm"].trace()
+    assert calm.changed_inputs == ()
+    assert not [name for name in calm.columns() if name.startswith("applied")]
+    assert calm.completed
+
+
+def conditions_of(folder: Path, text: str) -> Conditions:
+    resolved = read_study(study_file(folder, text))
+    return resolved.conditions[list(resolved.study.scenarios)[-1]]
+
+
+REACTOR = """
+plant = { name = "cstr", outputs = ["temperature"] }
+loop = { sampling_time = 5.0, duration = 100.0 }
+reference.temperature = { kind = "constant", value = 320.0 }
+[controllers.mfac]
+type = "mfac"
+[scenarios.warm]
+"""
+
+
+@pytest.mark.parametrize(
+    ("signal", "values"),
+    [
+        ('{ kind = "constant", value = 5.0, unit = "degC" }', [5.0, 5.0]),
+        ('{ kind = "steps", times = [7.0], values = [5.0], unit = "degC" }', [5.0, 5.0]),
+        (
+            '{ kind = "ramp", from_value = 0, to_value = 9, from_time = 0, to_time = 5, unit = "degF" }',
+            [0.0, 5.0],
+        ),
+        ('{ kind = "sine", amplitude = 5.0, frequency = 0.05, offset = 5.0, unit = "degC" }', [5.0, 10.0]),
+        ('{ kind = "file", file = "air.csv", column = "air" }', [-5.0, 5.0]),
+        ('{ kind = "noise", standard_deviation = 0.0, mean = 5.0, unit = "degC" }', [5.0, 5.0]),
+    ],
+)  # fmt: skip
+def test_what_is_added_converts_without_the_offset_of_its_unit(
+    tmp_path: Path, signal: str, values: list[float]
+) -> None:
+    """Five degrees Celsius more are five kelvin more, and not 278 K."""
+    (tmp_path / "air.csv").write_text("time,air [degC]\n0,-5\n5,5\n", encoding="utf-8")
+    conditions = conditions_of(tmp_path, f"{REACTOR}disturbances.coolant_temperature = {signal}")
+    (part,) = conditions.disturbances["coolant_temperature"]  # type: ignore[misc]
+    assert part.at(np.array([0.0, 5.0])) == pytest.approx(values, abs=1e-9)
+
+
+def test_cases_of_scenarios_differ_by_their_conditions_alone(tmp_path: Path) -> None:
+    resolved = read_study(study_file(tmp_path, TANK + HARD))
+    calm, hard = cases_of(resolved, resolved.plant.built())
+    assert calm.conditions == Conditions()
+    assert calm.id.split("_")[-1] != hard.id.split("_")[-1]
+    text = (TANK + HARD).replace("loss = { level_1 = 0.3 }", "loss = { level_1 = 0.4 }")
+    resolved = read_study(study_file(tmp_path, text))
+    again = cases_of(resolved, resolved.plant.built())
+    assert [case.id == old.id for case, old in zip(again, (calm, hard), strict=True)] == [True, False]
+
+
+def faults_of(folder: Path, scenario: str, **changes: str) -> list[str]:
+    text = TANK
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    with pytest.raises(ConfigError) as error:
+        read_study(study_file(folder, f"{text}[scenarios.x]\n{scenario}"))
+    return [fault.partition(": ")[2].removeprefix("scenarios.x.") for fault in error.value.faults]
+
+
+@pytest.mark.parametrize(
+    ("scenario", "fault"),
+    [
+        (
+            'disturbances.pump_11 = { kind = "constant", value = 1.0 }',
+            'disturbances: no input or output "pump_11"; did you mean "pump_1"?',
+        ),
+        (
+            'disturbances.level_1 = { kind = "steps", times = [0.0, 100.0], values = [0.0, 1.0] }',
+            "disturbances.level_1[0].times: at t = 100 s it would not happen: the run ends at t = 100 s; "
+            "choose an earlier time or a longer duration",
+        ),
+        (
+            'disturbances.level_1 = { kind = "ramp", from_value = 0.0, to_value = 1.0, from_time = 200.0, '
+            "to_time = 300.0 }",
+            "disturbances.level_1[0].from_time: at t = 200 s it would not happen: the run ends at t = 100 s; "
+            "choose an earlier time or a longer duration",
+        ),
+        (
+            'disturbances.level_1 = [{ kind = "noise", standard_deviation = -0.1 }]',
+            "disturbances.level_1[0].standard_deviation: must be greater than or equal to 0, got -0.1",
+        ),
+        ("disturbances.level_1 = []", "disturbances.level_1: must not be empty"),
+        (
+            'disturbances.level_1 = { kind = "constant", value = nan }',
+            "disturbances.level_1[0].value: must be a finite number, got nan",
+        ),
+        (
+            'disturbances.level_1 = { kind = "constant", value = 1.0, unit = "K" }',
+            'disturbances.level_1[0].unit: unit "K" does not fit level_1; allowed: cm',
+        ),
+        (
+            'inputs.pump_3 = { kind = "constant", value = 1.0 }',
+            'inputs: no input that no controller drives "pump_3"; did you mean "pump_2"?',
+        ),
+        (
+            'inputs.pump_1 = { kind = "constant", value = 1.0 }',
+            "inputs.pump_1: the controllers drive this input; use disturbances to add to it, or leave it out "
+            "of plant.inputs",
+        ),
+        (
+            'inputs.pump_2 = { kind = "file", file = "pomp.csv" }',
+            "inputs.pump_2.file: FOLDER/pomp.csv: no such file",
+        ),
+        (
+            'inputs.pump_2 = { kind = "sinus" }',
+            "inputs.pump_2: must be one of 'constant', 'steps', 'ramp', 'sine', 'file', 'noise', got 'sinus'",
+        ),
+        (
+            "delay = { level_1 = 6.0 }",
+            "delay.level_1: 6 s is not a whole number of samples of 5 s; nearest: 5 or 10 s",
+        ),
+        (
+            "delay = { level_1 = 100.0 }",
+            "delay.level_1: 100 s is too long: the run ends after 100 s; choose a shorter delay",
+        ),
+        ("delay = { pump_1 = -5.0 }", "delay.pump_1: must be greater than or equal to 0, got -5.0"),
+        ("delay = { pump_2 = 5.0 }", 'delay: no input or measurement "pump_2"; did you mean "pump_1"?'),
+        ("rate_limit = { pump_1 = 0.0 }", "rate_limit.pump_1: must be greater than 0, got 0.0"),
+        ("rate_limit = { pump_1 = inf }", "rate_limit.pump_1: must be a finite number, got inf"),
+        (
+            "rate_limit = { level_1 = 1.0 }",
+            'rate_limit: no input that the controllers drive "level_1"; there are: pump_1',
+        ),
+        ("quantum = { level_2 = -1 }", "quantum.level_2: must be greater than 0, got -1"),
+        ("loss = { level_2 = 1.01 }", "loss.level_2: must be less than or equal to 1, got 1.01"),
+        ("loss = { level_3 = 0.1 }", 'loss: no measurement "level_3"; did you mean "level_2"?'),
+        ("quantun = { level_2 = 1.0 }", 'quantun: unknown key; did you mean "quantum"?'),
+    ],
+)  # fmt: skip
+def test_a_fault_is_told_with_its_key(tmp_path: Path, scenario: str, fault: str) -> None:
+    assert faults_of(tmp_path, scenario) == [fault.replace("FOLDER", str(tmp_path))]
+
+
+def test_a_delay_leaves_something_to_record(tmp_path: Path) -> None:
+    (fault,) = faults_of(tmp_path, "delay = { pump_1 = 50.0 }", **{"samples = 60": "samples = 9"})
+    assert fault == "delay.pump_1: 50 s is too long: the experiment ends after 45 s; choose a shorter delay"
+
+
+def test_all_faults_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
+    faults = faults_of(
+        tmp_path,
+        """
+        delay = { level_1 = 7.0 }
+        loss = { level_2 = 2.0 }
+        disturbances.pump_1 = { kind = "constant", value = 1.0, unit = "s" }
+        inputs.pump_1 = { kind = "constant", value = 1.0 }
+        rate_limit = { pump_3 = 1.0 }
+        """,
+    )
+    assert [fault.partition(":")[0] for fault in faults] == [
+        "delay.level_1",
+        "loss.level_2",
+        "disturbances.pump_1[0].unit",
+        "inputs.pump_1",
+        "rate_limit",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("elsewhere", "who"),
+    [
+        ("parameters = { pump_2 = 1.0 }", "the scenario's parameters"),
+        ("events = [{ time = 1.0, parameters = { pump_2 = 1.0 } }]", "an event"),
+        (
+            'drifts = [{ parameter = "pump_2", from_value = 0.0, to_value = 1.0, '
+            "from_time = 0.0, to_time = 5.0 }]",
+            "a drift",
+        ),
+    ],
+)  # fmt: skip
+def test_an_input_has_its_value_from_one_place(tmp_path: Path, elsewhere: str, who: str) -> None:
+    fault = f"inputs.pump_2: this input is set by {who} too; leave one of them out"
+    tank = {'name = "quadruple-tank"': f"fmu = {str(build_fmu(MODEL))!r}"}
+    own = 'inputs.pump_2 = { kind = "constant", value = 2.0 }'
+    assert faults_of(tmp_path, f"{elsewhere}\n{own}", **tank) == [fault]
+
+
+def test_a_supplied_fmu_too_has_inputs_with_signals_of_their_own(tmp_path: Path) -> None:
+    """A constant does the same as a parameter; in a scenario without either the input rests at its start."""
+    text = (
+        TANK.replace('name = "quadruple-tank"', f"fmu = {str(build_fmu(MODEL))!r}")
+        + """
+    [scenarios.signal]
+    inputs.pump_2 = { kind = "constant", value = 2.4 }
+    [scenarios.parameter]
+    parameters = { pump_2 = 2.4 }
+    """
+    )
+    traces = {name: case.trace() for name, case in results_of(tmp_path, text).items()}
+    assert traces["signal"].completed
+    assert np.allclose(traces["signal"].y, traces["parameter"].y, atol=1e-9)
+    assert np.all(traces["signal"].applied == 2.4)
+    assert np.abs(traces["signal"].y - traces["calm"].y).max() > 0.1
