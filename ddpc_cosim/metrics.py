@@ -6,11 +6,11 @@ in the variables' display units, and NaN where there is none.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,32 +19,31 @@ from ddpc_cosim.variables import FloatArray, Variable
 
 _SETTLED_FRACTION = 0.2
 _SETTLING_BAND = 0.05
+_RISE = (0.1, 0.9)
+_FEWEST_SAMPLES = 5
+_CONSTANT_ROWS = 3
+"""Fewest rows of a stretch of constant reference; shorter ones belong to a moving reference."""
+_SMALLEST_FIRST_STEP = 0.01
+_SMALLEST_LONE_STEP = 0.001
+_LARGEST_SETTLED_ERROR = 0.5
 
 
-class _Step(NamedTuple):
-    """The response to one step of the reference, as a fraction of the step: 0 before, 1 at the new value."""
+@dataclass(frozen=True)
+class MetricSettings:
+    """What metrics depend on besides the samples of their run: it is the same for all runs of a study.
 
-    response: FloatArray
+    Parameters
+    ----------
+    preview : int
+        The largest number of future references that any controller of the study sees. The window of a step
+        ends so many samples before the next one: until then, each of them answers the same question.
+    cost : mapping of str to mapping of str to float
+        Weights of the quadratic cost: ``outputs`` by controlled output, ``inputs`` and ``changes`` by input,
+        in the reciprocal squares of their units; empty for no such cost.
+    """
 
-    def overshoot(self) -> float:
-        return max(float(self.response.max()) - 1.0, 0.0)
-
-    def rise_samples(self) -> float:
-        reached = [np.flatnonzero(self.response >= level) for level in (0.1, 0.9)]
-        return float(reached[1][0] - reached[0][0]) if reached[1].size else math.nan
-
-    def settling_samples(self) -> float:
-        outside = np.flatnonzero(np.abs(self.response - 1.0) > _SETTLING_BAND)
-        after = int(outside[-1]) + 1 if outside.size else 0
-        return float(after) if after < len(self.response) else math.nan
-
-
-def _stretches(reference: FloatArray) -> Iterator[tuple[int, int]]:
-    """Yield first and end row of every stretch of constant reference."""
-    edges = [0, *(np.flatnonzero(np.diff(reference)) + 1), len(reference)]
-    for first, end in pairwise(edges):
-        if end > first:
-            yield int(first), int(end)
+    preview: int = 0
+    cost: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -71,9 +70,13 @@ class _Signal:
 
 @dataclass(frozen=True)
 class Response(_Signal):
-    """A controlled output over the held samples, and its reference, shape (K,)."""
+    """A controlled output over the held samples, and its reference, shape (K,).
+
+    ``preview`` is that of :class:`MetricSettings`.
+    """
 
     reference: FloatArray
+    preview: int
 
     @cached_property
     def error(self) -> FloatArray:
@@ -92,15 +95,109 @@ class Response(_Signal):
         return np.maximum(excess, 0.0) * abs(self.variable.shown_in.factor)
 
     @cached_property
-    def steps(self) -> list[_Step]:
-        """The steps of the reference; a stretch of one or two rows is a moving reference, not a step."""
-        found, y = [], self.values
-        for first, end in _stretches(self.reference):
-            new = self.reference[first]
-            size = new - y[first]
-            if end - first > 2 and abs(size) > 1e-9 * max(1.0, abs(new)):
-                found.append(_Step((y[first:end] - y[first]) / size))
-        return found
+    def stretches(self) -> list["_Stretch"]:
+        """The stretches of constant reference whose windows are long enough."""
+        edges = [0, *(np.flatnonzero(np.diff(self.reference)) + 1).tolist(), len(self.reference)]
+        rows = [end - first for first, end in pairwise(edges)]
+        return [
+            _Stretch(self, first, end - self.preview, self._value_before(first, rows[n - 1] if n else 0))
+            for n, (first, end) in enumerate(pairwise(edges))
+            if end - first >= _CONSTANT_ROWS and end - self.preview - first >= _FEWEST_SAMPLES
+        ]
+
+    @cached_property
+    def steps(self) -> list["_Stretch"]:
+        """The stretches that begin with a step."""
+        return [stretch for stretch in self.stretches if not math.isnan(stretch.before)]
+
+    @cached_property
+    def span(self) -> float:
+        """How far the reference moves; of a constant one, how far the output has to."""
+        return float(np.ptp(self.reference)) or abs(self._first_step)
+
+    @property
+    def _first_step(self) -> float:
+        return float(self.reference[0] - self.values[0])
+
+    def _value_before(self, first: int, rows_before: int) -> float:
+        """Return from which value the reference steps at a row, NaN if it does not: it may have moved."""
+        if first > 0:
+            return float(self.reference[first - 1]) if rows_before >= _CONSTANT_ROWS else math.nan
+        smallest = _SMALLEST_FIRST_STEP * float(np.ptp(self.reference))
+        if smallest == 0.0:
+            smallest = _SMALLEST_LONE_STEP * max(abs(float(self.reference[0])), self.variable.nominal)
+        return float(self.values[0]) if abs(self._first_step) >= smallest else math.nan
+
+    @property
+    def holds(self) -> bool:
+        """Whether the output comes to rest near its reference, and stays near its limits."""
+        if not len(self.values):
+            return False
+        far = float(self.beyond.max()) / abs(self.variable.shown_in.factor)
+        return far <= self.span and all(
+            step.settled_error <= _LARGEST_SETTLED_ERROR * abs(step.size) for step in self.steps
+        )
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """A stretch of constant reference: its first row, and the end of its window.
+
+    ``before`` is the value from which the reference stepped there; NaN if it did not.
+    """
+
+    response: Response
+    first: int
+    end: int
+    before: float
+
+    @property
+    def size(self) -> float:
+        """By how much the reference stepped, in the output's unit."""
+        return float(self.response.reference[self.first]) - self.before
+
+    @property
+    def settled_error(self) -> float:
+        """Magnitude of the mean error over the last fifth of the window, in the output's unit."""
+        rows = round(_SETTLED_FRACTION * (self.end - self.first))
+        settled = slice(self.end - rows, self.end)
+        return abs(float((self.response.reference[settled] - self.response.values[settled]).mean()))
+
+    @property
+    def overshoot(self) -> float:
+        """How far the output goes beyond the new value, as a fraction of the step."""
+        return max(float(self._path(self.first).max()) - 1.0, 0.0)
+
+    @property
+    def rise_samples(self) -> float:
+        """Samples from the last one within 10 % of the step, before it is at 90 %, to the first there."""
+        path = self._path(max(self.first - self.response.preview, 0))
+        there = np.flatnonzero(path >= _RISE[1])
+        if not there.size:
+            return math.nan
+        before = np.flatnonzero(path[: there[0]] <= _RISE[0])
+        return float(there[0] - before[-1]) if before.size else math.nan
+
+    @property
+    def settling_samples(self) -> float:
+        """Samples from the step until the output is within 5 % of it for the rest of the window."""
+        outside = np.flatnonzero(np.abs(self._path(self.first) - 1.0) > _SETTLING_BAND)
+        after = int(outside[-1]) + 1 if outside.size else 0
+        return float(after) if after < self.end - self.first else math.nan
+
+    @property
+    def anticipation_samples(self) -> float:
+        """Samples by which the output left 5 % of the step before it; NaN if it had not come to rest."""
+        start = max(self.first - self.response.preview, 0)
+        path = self._path(start)[: self.first - start + 1]
+        at_rest = np.flatnonzero(np.abs(path) <= _SETTLING_BAND)
+        if self.first == 0 or not at_rest.size or at_rest[0] > 0:
+            return math.nan
+        return float(max(self.first - start - int(at_rest[-1]) - 1, 0))
+
+    def _path(self, start: int) -> FloatArray:
+        """Return the output up to the window's end as a fraction of the step: 0 before it, 1 after it."""
+        return (self.response.values[start : self.end] - self.before) / self.size
 
 
 @dataclass(frozen=True)
@@ -112,11 +209,15 @@ class Actuation(_Signal):
         """The input without its sign, in the display unit."""
         return np.abs(self.variable.shown_in.from_unit(self.values))
 
+    @property
+    def rest(self) -> float:
+        """Its value at rest, as far as the limits allow, in its unit."""
+        return float(np.clip(self.variable.start, *self.limits))
+
     @cached_property
     def change(self) -> FloatArray:
         """Magnitude of the change at every sample, the first one from rest, in the display unit."""
-        rest = np.clip(self.variable.start, *self.limits)
-        return np.abs(np.diff(self.values, prepend=rest)) * abs(self.variable.shown_in.factor)
+        return np.abs(np.diff(self.values, prepend=self.rest)) * abs(self.variable.shown_in.factor)
 
     @cached_property
     def at_limit(self) -> NDArray[np.bool_]:
@@ -141,6 +242,30 @@ class StepTimes:
         return self.solve_time[np.isfinite(self.solve_time)]
 
 
+@dataclass(frozen=True)
+class WholeRun:
+    """All controlled outputs and inputs of a run over the held samples, and the weights of its cost."""
+
+    responses: Sequence[Response]
+    actuations: Sequence[Actuation]
+    weights: Mapping[str, Mapping[str, float]]
+
+    def cost(self) -> float:
+        """Return the sum over the samples of all weighted squares, each in the unit of its signal."""
+        squares = {
+            "outputs": {one.variable.name: (one.reference - one.values) ** 2 for one in self.responses},
+            "inputs": {one.variable.name: (one.values - one.rest) ** 2 for one in self.actuations},
+            "changes": {
+                one.variable.name: np.diff(one.values, prepend=one.rest) ** 2 for one in self.actuations
+            },
+        }
+        return sum(
+            weight * _total(squares[kind][name])
+            for kind, weights in self.weights.items()
+            for name, weight in weights.items()
+        )
+
+
 Samples = TypeVar("Samples")
 
 
@@ -151,7 +276,7 @@ class Metric(Generic[Samples]):
     Parameters
     ----------
     of : type
-        What it is computed from: a controlled output, an input, or the controller's steps.
+        What it is computed from: a controlled output, an input, the whole run, or the controller's steps.
     label : str
         Its name in sentences.
     description : str
@@ -163,6 +288,8 @@ class Metric(Generic[Samples]):
         or the one given.
     better : {"low", "high", ""}
         Which values are better; empty where neither are.
+    if_held : bool
+        Whether it says something only of a run that holds its reference.
     over_seeds : {"median", "largest", "total"}
         How the cases of several seeds are summed up in one value.
     title, group : str
@@ -178,6 +305,7 @@ class Metric(Generic[Samples]):
     compute: Callable[[Samples], float]
     unit: Literal["difference", "value", "difference.s", "%", "s", "1"] = "difference"
     better: Literal["low", "high", ""] = "low"
+    if_held: bool = False
     over_seeds: Literal["median", "largest", "total"] = "median"
     title: str = ""
     group: str = ""
@@ -195,22 +323,34 @@ def split_key(key: str) -> tuple[str, str, str]:
     return name, signal, unit.removesuffix("]")
 
 
+def headline(keys: Iterable[str]) -> tuple[str, ...]:
+    """Return the keys that runs are ranked by: the study's own cost if it has one, else mean errors."""
+    by_name = {
+        name: [key for key in keys if split_key(key)[0] == name] for name in ("cost", "mean_abs_error")
+    }
+    return tuple(by_name["cost"] or by_name["mean_abs_error"])
+
+
 def compute_metrics(
-    responses: Iterable[Response], actuations: Iterable[Actuation], step_times: StepTimes
+    responses: Sequence[Response],
+    actuations: Sequence[Actuation],
+    step_times: StepTimes,
+    cost: Mapping[str, Mapping[str, float]],
 ) -> dict[str, float]:
-    """Return the metrics of a run by key: those of every output, of every input, and of the steps."""
+    """Return the metrics of a run by key: of every output, of every input, its cost, and of the steps."""
     table: dict[str, float] = {}
     registry: Mapping[str, Metric[Any]] = METRICS
+    whole = [WholeRun(responses, actuations, cost)] if cost else []
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged has values of any size
-        for samples in (*responses, *actuations, step_times):
+        for samples in (*responses, *actuations, *whole, step_times):
             for name, metric in registry.items():
                 if isinstance(samples, metric.of):
                     table[_key(name, metric.unit, samples)] = metric.compute(samples)
     return table
 
 
-def _key(name: str, unit: str, samples: Response | Actuation | StepTimes) -> str:
-    if isinstance(samples, StepTimes):
+def _key(name: str, unit: str, samples: Any) -> str:
+    if not isinstance(samples, _Signal):
         return f"{name} [{unit}]"
     shown = samples.variable.shown_in.name
     units = {"difference": shown, "value": shown, "difference.s": f"{shown}.s".lstrip(".")}
@@ -242,37 +382,49 @@ def _percentile(values: FloatArray, percent: float) -> float:
 
 
 def _settled_error(response: Response) -> float:
-    settled = [
-        abs(float(response.error[end - max(1, round(_SETTLED_FRACTION * (end - first))) : end].mean()))
-        for first, end in _stretches(response.reference)
-        if end - first > 2
-    ]
-    return max(settled, default=math.nan)
+    factor = abs(response.variable.shown_in.factor)
+    return factor * _largest(np.array([stretch.settled_error for stretch in response.stretches]))
 
 
 def _overshoot(response: Response) -> float:
-    return 100 * max((step.overshoot() for step in response.steps), default=math.nan)
+    return 100 * _largest(np.array([step.overshoot for step in response.steps]))
 
 
 def _rise_time(response: Response) -> float:
-    samples = [step.rise_samples() for step in response.steps]
-    return response.sampling_time * (float(np.median(samples)) if samples else math.nan)
+    return response.sampling_time * _percentile(np.array([step.rise_samples for step in response.steps]), 50)
 
 
 def _settling_time(response: Response) -> float:
-    samples = [step.settling_samples() for step in response.steps]
-    longest = math.nan if any(map(math.isnan, samples)) else max(samples, default=math.nan)
-    return response.sampling_time * longest
+    return response.sampling_time * _largest(np.array([step.settling_samples for step in response.steps]))
 
 
-METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[StepTimes]] = {
+def _anticipation(response: Response) -> float:
+    known = [n for step in response.steps if not math.isnan(n := step.anticipation_samples)]
+    return response.sampling_time * _largest(np.array(known))
+
+
+METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Metric[StepTimes]] = {
+    "mean_abs_error": Metric(
+        Response,
+        "Mean absolute error",
+        "mean of |reference - output| over the samples",
+        lambda r: _mean(r.magnitude),
+        title="mean |error|",
+        short="mean |error|",
+    ),
+    "rmse": Metric(
+        Response,
+        "RMSE",
+        "root mean square of reference - output",
+        lambda r: _rms(r.error),
+        title="RMSE",
+        short="RMSE",
+    ),
     "sum_abs_error": Metric(
         Response,
         "Absolute integral error",
-        "sum of |reference - output| over the samples",
+        "sum of |reference - output| over the samples, as in the paper",
         lambda r: _total(r.magnitude),
-        title="tracking cost",
-        short="sum |error|",
     ),
     "iae": Metric(
         Response,
@@ -281,7 +433,6 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[StepTimes]] = {
         lambda r: _total(r.magnitude) * r.sampling_time,
         "difference.s",
     ),
-    "rmse": Metric(Response, "RMSE", "root mean square of reference - output", lambda r: _rms(r.error)),
     "min_abs_error": Metric(
         Response, "Minimum absolute error", "smallest |reference - output|", lambda r: _smallest(r.magnitude)
     ),
@@ -291,25 +442,27 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[StepTimes]] = {
     "settled_error": Metric(
         Response,
         "Settled error",
-        "largest mean error over the last fifth of a stretch of constant reference; who looks ahead and "
-        "moves before a step pays for it here",
+        "magnitude of the mean error over the last fifth of the window of a constant reference, the largest",
         _settled_error,
+        if_held=True,
         title="settled error",
         short="settled",
     ),
     "overshoot": Metric(
         Response,
         "Overshoot",
-        "largest excursion beyond the new reference after a step, of the step",
+        "largest excursion beyond the new reference in the window after a step, of the step",
         _overshoot,
         "%",
+        if_held=True,
     ),
     "rise_time": Metric(
         Response,
         "Rise time",
-        "median time from 10 % to 90 % of a step; NaN if one is not reached",
+        "median time from the last sample within 10 % of a step to the first at 90 %; NaN if one is missing",
         _rise_time,
         "s",
+        if_held=True,
     ),
     "settling_time": Metric(
         Response,
@@ -317,6 +470,16 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[StepTimes]] = {
         "longest time after a step until the output stays within 5 % of it; NaN if it does not",
         _settling_time,
         "s",
+        if_held=True,
+    ),
+    "anticipation": Metric(
+        Response,
+        "Anticipation",
+        "longest time before a step at which the output has left 5 % of the step around its old value",
+        _anticipation,
+        "s",
+        better="",
+        if_held=True,
     ),
     "bound_violation_max": Metric(
         Response,
@@ -368,6 +531,15 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[StepTimes]] = {
         lambda a: float(np.count_nonzero(a.at_limit)) * a.sampling_time,
         "s",
         better="",
+    ),
+    "cost": Metric(
+        WholeRun,
+        "Quadratic cost",
+        "sum over the samples of the weighted squares of errors, inputs and input changes",
+        WholeRun.cost,
+        "1",
+        title="cost",
+        short="cost",
     ),
     "solve_time_mean": Metric(
         StepTimes,

@@ -1,5 +1,6 @@
 """What one run leaves behind."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ddpc_cosim.controller import OK, Bounds
-from ddpc_cosim.metrics import Actuation, Response, StepTimes, compute_metrics
+from ddpc_cosim.metrics import Actuation, MetricSettings, Response, StepTimes, compute_metrics
 from ddpc_cosim.variables import FloatArray, Variable
 
 if TYPE_CHECKING:
@@ -125,51 +126,87 @@ class Trace:
         """Number of samples at which the controller returned a fallback."""
         return sum(status != OK for status in self.status)
 
-    def metrics(self) -> dict[str, float]:
-        """Return the metrics of :mod:`ddpc_cosim.metrics` by key, in the variables' display units."""
+    def metrics(self, settings: MetricSettings | None = None) -> dict[str, float]:
+        """Return the metrics of :mod:`ddpc_cosim.metrics` by key, in the variables' display units.
+
+        Parameters
+        ----------
+        settings : MetricSettings, optional
+            What they depend on besides the samples, in a study; default: the preview of this run's own
+            controller, and no quadratic cost.
+        """
+        settings = settings or MetricSettings(self.preview)
         rows, h, bounds = slice(0, self.held), self.sampling_time, self.bounds
-        y_limits = zip(bounds.y_min, bounds.y_max, strict=True)
         u_limits = zip(bounds.u_min, bounds.u_max, strict=True)
         return compute_metrics(
-            [
-                Response(output, self.y[rows, i], limits, h, self.reference[rows, i])
-                for i, (output, limits) in enumerate(zip(self.outputs, y_limits, strict=True))
-            ],
+            self._responses(settings),
             [
                 Actuation(variable, self.u[rows, i], limits, h)
                 for i, (variable, limits) in enumerate(zip(self.inputs, u_limits, strict=True))
             ],
             StepTimes(self.solve_time, h, self.failures, len(self)),
+            settings.cost,
         )
+
+    def holds(self, settings: MetricSettings | None = None) -> bool:
+        """Return whether the run completed and held its reference; parameters as in :meth:`metrics`.
+
+        It did not where the settled error of a stretch of constant reference exceeds half of the step that
+        leads to it, or where an output leaves its bounds by more than its reference's span.
+        """
+        settings = settings or MetricSettings(self.preview)
+        return self.completed and all(response.holds for response in self._responses(settings))
+
+    def _responses(self, settings: MetricSettings) -> list[Response]:
+        rows, h = slice(0, self.held), self.sampling_time
+        limits = zip(self.bounds.y_min, self.bounds.y_max, strict=True)
+        return [
+            Response(output, self.y[rows, i], ends, h, self.reference[rows, i], settings.preview)
+            for i, (output, ends) in enumerate(zip(self.outputs, limits, strict=True))
+        ]
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the numeric columns under the headers of ``signals.csv``, each of shape (K,).
 
-        Headers are ``name [unit]``. A reference is prefixed with ``reference``; a measurement that differs
-        from the controlled output of its name (by noise) with ``measured``, and left out where it does not;
-        an output or input whose header is taken with ``output`` or ``input``; what the plant was given of an
-        input, where that may differ from what a controller commanded, with ``applied``.
+        Headers are ``name [unit]``, values in the variables' own units, as exchanged with the plant. A
+        reference is prefixed with ``reference``; a measurement that differs from the controlled output of its
+        name (by noise) with ``measured``, and left out where it does not; an output or input whose header is
+        taken with ``output`` or ``input``; what the plant was given of an input, where that may differ from what
+        a controller commanded, with ``applied``.
         """
+        return self._columns(lambda variable, values: (variable.header, values))
+
+    def frame(self) -> "pd.DataFrame":
+        """Return the samples as a DataFrame: ``status``, and ``columns`` in the variables' display units."""
+        import pandas as pd
+
+        def shown(variable: Variable, values: FloatArray) -> tuple[str, FloatArray]:
+            unit = variable.shown_in
+            return f"{variable.name} [{unit.name or '1'}]", unit.from_unit(values)
+
+        return pd.DataFrame({**self._columns(shown), "status": np.asarray(self.status, dtype=object)})
+
+    def _columns(
+        self, shown: Callable[[Variable, FloatArray], tuple[str, FloatArray]]
+    ) -> dict[str, FloatArray]:
+        """Return header and values of all columns, of each variable as it is to be shown."""
         table = {"time [s]": self.time}
         reserved = {"time [s]", "solve_time [s]"}
         for i, output in enumerate(self.outputs):
-            table[f"reference {output.header}"] = self.reference[:, i]
-            table[("output " if output.header in reserved else "") + output.header] = self.y[:, i]
+            header, values = shown(output, self.y[:, i])
+            _, table[f"reference {header}"] = shown(output, self.reference[:, i])
+            table[("output " if header in reserved else "") + header] = values
         for i, variable in enumerate(self.measurements):
-            if variable.header not in reserved | table.keys():
-                table[variable.header] = self.measured[:, i]
-            elif not np.array_equal(table.get(variable.header, ()), self.measured[:, i]):
-                table[f"measured {variable.header}"] = self.measured[:, i]
+            header, values = shown(variable, self.measured[:, i])
+            if header not in reserved | table.keys():
+                table[header] = values
+            elif not np.array_equal(table.get(header, ()), values):
+                table[f"measured {header}"] = values
         for i, variable in enumerate(self.inputs):
-            taken = variable.header in reserved | table.keys()
-            table[("input " if taken else "") + variable.header] = self.u[:, i]
+            header, values = shown(variable, self.u[:, i])
+            table[("input " if header in reserved | table.keys() else "") + header] = values
         for i, variable in enumerate(self.changed_inputs):
-            table[f"applied {variable.header}"] = self.applied[:, i]
+            header, values = shown(variable, self.applied[:, i])
+            table[f"applied {header}"] = values
         table["solve_time [s]"] = self.solve_time
         return table
-
-    def frame(self) -> "pd.DataFrame":
-        """Return the samples as a DataFrame: ``columns`` and ``status``, one row per sample."""
-        import pandas as pd
-
-        return pd.DataFrame({**self.columns(), "status": np.asarray(self.status, dtype=object)})

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ddpc_cosim.metrics import METRICS, split_key
+from ddpc_cosim.metrics import METRICS, headline, split_key
 from ddpc_cosim.study.results import METRICS_FILE, CaseResult, StudyResults
 from ddpc_cosim.trace import Outcome
 
@@ -52,7 +52,9 @@ def _shown() -> list[str]:
 
 def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
     first = results.cases[0]
+    ranked = headline(first.metrics)
     keys = [key for key in first.metrics if (name := split_key(key)[0]) in _shown() and name not in left_out]
+    keys.sort(key=lambda key: key not in ranked)
     rows = _rows(results, keys[0] if keys else "")
     several = len({case.scenario for case in results.cases}) > 1
     table = Table(
@@ -67,9 +69,12 @@ def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
             table.add_column("over the seeds:\nmedian, range", justify="right", no_wrap=True)
     table.add_column("median\nstep", justify="right", no_wrap=True)
     table.add_column("cases\ndone", justify="right", no_wrap=True)
+    if not all(case.holds for case in results.cases):
+        table.add_column("holding their\nreference", justify="right", no_wrap=True)
     for row in rows:
         names = [Text(row.name), *([Text(row.scenario)] if several else [])]
-        table.add_row(*names, *(_values(row.cases, keys, left_out) if row.cases else ()))
+        values = _values(row.cases, keys, left_out) if row.cases else []
+        table.add_row(*names, *values[: len(table.columns) - len(names)])
     hidden = sum(not row.cases for row in rows)
     if hidden:
         table.caption = Text(f"every setting: {results.folder / METRICS_FILE}")
@@ -104,22 +109,33 @@ def _indented(variant: Sequence[CaseResult], own: Sequence[Sequence[CaseResult]]
 
 
 def _rank(cases: Sequence[CaseResult], key: str) -> tuple[int, float]:
-    """Order by cases lost, then by the median of a metric, the best first; what has none comes last."""
+    """Order by cases that do not hold their reference, then by the median of a metric, the best first."""
     values = _completed_values(cases, key)
-    return (len(cases) - len(values), METRICS[split_key(key)[0]].rank(median(values)) if values else math.inf)
+    lost = sum(not case.holds for case in cases)
+    return lost, METRICS[split_key(key)[0]].rank(median(values)) if values else math.inf
 
 
 def _completed_values(cases: Sequence[CaseResult], key: str) -> list[float]:
-    values = [case.metrics.get(key, math.nan) for case in cases if case.outcome is Outcome.COMPLETED]
+    values = [_value(case, key) for case in cases]
     return [value for value in values if not math.isnan(value)]
 
 
+def _value(case: CaseResult, key: str) -> float:
+    """Return a metric of a case, NaN where it would say nothing of such a run."""
+    counts = case.holds if METRICS[split_key(key)[0]].if_held else case.outcome is Outcome.COMPLETED
+    return case.metrics.get(key, math.nan) if counts else math.nan
+
+
 def _values(cases: Sequence[CaseResult], keys: Sequence[str], left_out: Sequence[str]) -> list[str]:
-    shown = cases[0].metrics if cases[0].outcome is Outcome.COMPLETED else {}
-    values = [_number(shown.get(key, math.nan)) for key in keys]
+    values = [_number(_value(cases[0], key)) for key in keys]
     if keys and _RANGE not in left_out:
         values.insert(1, _spread(cases, keys[0]))
-    return [*values, _micro(cases[0].metrics.get("solve_time_median [s]", math.nan)), _completed(cases)]
+    return [
+        *values,
+        _micro(cases[0].metrics.get("solve_time_median [s]", math.nan)),
+        _completed(cases),
+        _holding(cases),
+    ]
 
 
 def _title(results: StudyResults) -> Text:
@@ -128,7 +144,7 @@ def _title(results: StudyResults) -> Text:
 
 def _heading(key: str) -> Text:
     name, signal, unit = split_key(key)
-    return Text(f"{METRICS[name].short}\n{signal} [{unit}]")
+    return Text(f"{METRICS[name].short}\n{f'{signal} [{unit}]' if signal else ''}")
 
 
 def _spread(cases: Sequence[CaseResult], key: str) -> str:
@@ -142,6 +158,10 @@ def _spread(cases: Sequence[CaseResult], key: str) -> str:
 
 def _completed(cases: Sequence[CaseResult]) -> str:
     return f"{sum(case.outcome is Outcome.COMPLETED for case in cases)}/{len(cases)}"
+
+
+def _holding(cases: Sequence[CaseResult]) -> str:
+    return f"{sum(case.holds for case in cases)}/{len(cases)}"
 
 
 def _number(value: float) -> str:

@@ -17,6 +17,7 @@ from ddpc_cosim.conditions import Conditions, changed_inputs
 from ddpc_cosim.controller import Bounds, Controller
 from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImportError, FMUStepError
 from ddpc_cosim.master import OUTCOME_OF, cosimulate
+from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, types_in
 from ddpc_cosim.rows import RowStore
@@ -76,6 +77,8 @@ class Case:
         What else acts on the plant, and what its actuators and sensors do.
     undriven : tuple of Variable
         The inputs that have a signal.
+    metrics : MetricSettings
+        What its figures depend on besides its samples, which they do not decide.
     id : str
         Readable name and a hash of everything that decides the result, code version included.
     """
@@ -104,6 +107,7 @@ class Case:
     step_timeout: float = 60.0
     conditions: Conditions = field(default_factory=Conditions)
     undriven: tuple[Variable, ...] = ()
+    metrics: MetricSettings = field(default_factory=MetricSettings)
     id: str = ""
 
     @property
@@ -167,10 +171,10 @@ def _code_and_files(case: Case) -> dict[str, Any]:
 
 def _identifier(case: Case, content: Mapping[str, Any]) -> str:
     """Return a case's name and a hash of everything that decides its result."""
-    decisive = {field.name: getattr(case, field.name) for field in fields(case)}
+    decisive = {one.name: getattr(case, one.name) for one in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
     decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements", "undriven")}
-    del decisive["label"], decisive["id"], decisive["step_timeout"]
+    del decisive["label"], decisive["id"], decisive["step_timeout"], decisive["metrics"]
     text = json.dumps(decisive, sort_keys=True, default=repr)
     return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
 
@@ -323,6 +327,7 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
                     step_timeout=study.loop.step_timeout,
                     conditions=resolved.conditions[name],
                     undriven=resolved.undriven[name],
+                    metrics=resolved.metrics,
                 )
 
 

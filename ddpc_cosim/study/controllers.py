@@ -1,9 +1,11 @@
 """From the controller sections of a study to controllers: sweeps written out, each one built once."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
+from threading import Thread
 from typing import Any, NamedTuple
 
 from ddpc_cosim.controller import Controller
@@ -22,6 +24,7 @@ from ddpc_cosim.study.sections import ControllerSection, StabiliserSection, Stud
 from ddpc_cosim.study.validation_errors import ValidationErrors, independent
 
 _LONGEST_NAME = 60
+_HORIZON_SECONDS = 5.0
 
 
 class StudyController(NamedTuple):
@@ -75,6 +78,25 @@ def resolve_controllers(study: Study, folder: Path, errors: ValidationErrors) ->
             controller, settings = built
             controllers.append(StudyController(name, of, varied, (*place, "settings"), settings, controller))
     return controllers
+
+
+def largest_horizon(controllers: Iterable[StudyController]) -> int:
+    """Return how far any of the controllers looks ahead, in samples.
+
+    One that does not tell, or not within some seconds, has none: its run shows the same.
+    """
+    horizons = [0]
+
+    def ask(controller: Controller) -> None:
+        with suppress(Exception):
+            horizons.append(int(controller.horizon))
+
+    for one in controllers:
+        if one.controller is not None:
+            asking = Thread(target=ask, args=(one.controller,), daemon=True)
+            asking.start()
+            asking.join(_HORIZON_SECONDS)
+    return max(horizons)
 
 
 @independent

@@ -8,10 +8,16 @@ from typing import Any, NamedTuple, TypeVar
 from ddpc_cosim.conditions import Conditions, delay_error
 from ddpc_cosim.errors import ConfigError, CosimError, DataError, Place
 from ddpc_cosim.loop_setup import late_error, limits_error
+from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.settings import PLANT, files_of
 from ddpc_cosim.signals import Excitation, Reference
-from ddpc_cosim.study.controllers import StudyController, resolve_controllers, resolve_stabiliser
+from ddpc_cosim.study.controllers import (
+    StudyController,
+    largest_horizon,
+    resolve_controllers,
+    resolve_stabiliser,
+)
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables
 from ddpc_cosim.study.sections import (
     BoundsSection,
@@ -58,6 +64,8 @@ class ResolvedStudy:
         Of each scenario, in the variables' own units.
     undriven : dict of str to tuple of Variable
         The inputs that have a signal in each scenario.
+    metrics : MetricSettings
+        What all runs are judged by alike.
     """
 
     study: Study
@@ -70,6 +78,7 @@ class ResolvedStudy:
     excitation: Excitation | None
     conditions: dict[str, Conditions]
     undriven: dict[str, tuple[Variable, ...]]
+    metrics: MetricSettings
 
 
 def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStudy | None:
@@ -135,6 +144,7 @@ class _Resolution:
         self._select_signals()
         self._check_scenarios()
         self._check_recording()
+        self._check_cost()
         self.references = self._references()
         self.bounds = self._bounds()
         self.excitation = self._excitation()
@@ -158,7 +168,15 @@ class _Resolution:
                 name: tuple(self.variables.inputs[signal] for signal in scenario.inputs)
                 for name, scenario in self.study.scenarios.items()
             },
+            metrics=self._metrics(),
         )
+
+    def _metrics(self) -> MetricSettings:
+        cost, loop = self.study.metrics.cost, self.study.loop
+        limits = [loop.preview if one.preview is None else one.preview for one in self.study.scenarios.values()]
+        largest = largest_horizon(self.controllers)
+        preview = max(largest if limit == "horizon" else min(limit, largest) for limit in limits)
+        return MetricSettings(preview, cost.model_dump() if cost else {})
 
     def _written_out(self) -> Study:
         """Return the study with every default filled in, every sweep written out and every path absolute."""
@@ -414,6 +432,16 @@ class _Resolution:
         if recording.samples < needed:
             short = f"{recording.samples} is too short for {name}, which needs {needed}"
             self.errors.add((*_RECORDING, "samples"), short)
+
+    @independent
+    def _check_cost(self) -> None:
+        cost, place = self.study.metrics.cost, ("metrics", "cost")
+        if cost is not None:
+            self.errors.require_known(
+                (*place, "outputs"), "controlled output", cost.outputs, self.outputs.names
+            )
+            for key in ("inputs", "changes"):
+                self.errors.require_known((*place, key), "input", getattr(cost, key), self.inputs.names)
 
     @independent
     def _references(self) -> dict[str, Reference] | None:

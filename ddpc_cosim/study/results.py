@@ -18,6 +18,7 @@ import numpy as np
 from ddpc_cosim.controller import Bounds
 from ddpc_cosim.csv_files import CSVFile, write_table
 from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.sections import Study
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
@@ -53,6 +54,8 @@ class CaseResult:
         How the run ended.
     reason : str
         Why it ended early; empty if completed.
+    holds : bool
+        Whether it completed and held its reference, as :meth:`ddpc_cosim.Trace.holds` says.
     metrics, diagnostics : dict of str to float
         Values of the run, and of the controller's data or model.
     settings : dict
@@ -68,6 +71,7 @@ class CaseResult:
     seed: int
     outcome: Outcome
     reason: str
+    holds: bool
     metrics: dict[str, float]
     diagnostics: dict[str, float]
     settings: dict[str, Any]
@@ -157,7 +161,7 @@ def load_case(folder: Path) -> CaseResult:
     try:
         run = read_run(folder)
         head = {key: run[key] for key in ("id", "controller", "label", "scenario", "seed", "reason")}
-        values = {key: run[key] for key in ("metrics", "diagnostics", "settings")}
+        values = {key: run[key] for key in ("holds", "metrics", "diagnostics", "settings")}
         return CaseResult(**head, **values, outcome=Outcome(run["outcome"]), folder=folder)
     except _DAMAGED as error:
         raise ConfigError(f"{folder}: this case cannot be read ({error!r}); run the study again") from error
@@ -198,15 +202,22 @@ def _metrics_table(study: Study, cases: Sequence[CaseResult]) -> str:
     plant = study.plant.name or Path(study.plant.fmu).name
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(["study", "plant", "controller", "scenario", "seed", "outcome", *keys])
+    writer.writerow(["study", "plant", "controller", "scenario", "seed", "outcome", "holds", *keys])
     for case in cases:
         values = [case.metrics.get(key, math.nan) for key in keys]
         cells = ["" if math.isnan(value) else repr(value) for value in values]
-        writer.writerow([study.name, plant, case.controller, case.scenario, case.seed, case.outcome, *cells])
+        head = [study.name, plant, case.controller, case.scenario, case.seed, case.outcome]
+        writer.writerow([*head, "true" if case.holds else "false", *cells])
     return file.getvalue()
 
 
-def write_case(folder: Path, trace: Trace, head: dict[str, Any], staging: Path | None = None) -> None:
+def write_case(
+    folder: Path,
+    trace: Trace,
+    head: dict[str, Any],
+    staging: Path | None = None,
+    settings: MetricSettings | None = None,
+) -> None:
     """Write a case's folder in one move, replacing an older one.
 
     Parameters
@@ -219,16 +230,19 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any], staging: Path |
         What the case is: id, controller, scenario, seed, ...
     staging : Path, optional
         Where it stands until it is complete, on the same disk; default: next to the folder.
+    settings : MetricSettings, optional
+        What its metrics depend on besides its samples; default: as for a run that stands alone.
 
     Raises
     ------
     CosimError
         It cannot be written, and why; an older one is kept.
     """
+    settings = settings or MetricSettings(trace.preview)
     run = head | {
         "outcome": trace.outcome.value,
         "reason": trace.reason,
-        "metrics": trace.metrics(),
+        **_judged(trace, settings),
         "diagnostics": trace.diagnostics,
         "settings": trace.settings,
         "sampling_time": trace.sampling_time,
@@ -249,7 +263,7 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any], staging: Path |
     shutil.rmtree(staged, ignore_errors=True)  # of a process of the same number that died here
     try:
         staged.mkdir(parents=True)
-        (staged / "run.json").write_text(json.dumps(_finite(run), indent=1) + "\n", encoding="utf-8")
+        (staged / "run.json").write_bytes(_json(run))
         _write_signals(staged / "signals.csv", trace)
         _move_into_place(staged, folder)
     except OSError as error:
@@ -257,6 +271,37 @@ def write_case(folder: Path, trace: Trace, head: dict[str, Any], staging: Path |
         raise CosimError(f"{folder}: cannot be written: {reason}; finished cases are kept") from error
     finally:
         shutil.rmtree(staged, ignore_errors=True)
+
+
+def judge_again(folder: Path, settings: MetricSettings) -> None:
+    """Compute the metrics of a case again from its samples, where they depend on other settings by now.
+
+    Raises
+    ------
+    CosimError
+        The case cannot be read or written, and why.
+    """
+    try:
+        run = read_run(folder)
+        if run["metric_settings"] == asdict(settings):
+            return
+        run |= _judged(read_trace(folder), settings)
+        write_atomically(folder / "run.json", _json(run))
+    except _DAMAGED as error:
+        raise CosimError(f"{folder}: metrics cannot be computed again: {error}") from error
+
+
+def _judged(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
+    """Return what is said of a run, and what that depends on."""
+    return {
+        "holds": trace.holds(settings),
+        "metrics": trace.metrics(settings),
+        "metric_settings": asdict(settings),
+    }
+
+
+def _json(run: dict[str, Any]) -> bytes:
+    return (json.dumps(_finite(run), indent=1) + "\n").encode()
 
 
 def _move_into_place(staged: Path, folder: Path) -> None:

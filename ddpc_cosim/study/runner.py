@@ -31,6 +31,7 @@ from ddpc_cosim.study.results import (
     CASES_FOLDER,
     CaseResult,
     StudyResults,
+    judge_again,
     load_case,
     load_cases,
     read_run,
@@ -125,9 +126,11 @@ def run_study(
     progress.start(len(missing), len(cases) - len(missing))
     for case in run_cases(missing, cases_folder, selection.jobs, progress.update) if missing else ():
         progress.finished(case, load_case(cases_folder / case.id))
+    for case in cases:
+        judge_again(cases_folder / case.id, case.metrics)
     study = resolved.study.model_copy(update={"seeds": selection.seeds or resolved.study.seeds})
     results = load_cases(folder, study, [case.id for case in cases])
-    provenance = _provenance(results, plant, selection, study)
+    provenance = _provenance(results, plant, selection, study, resolved.metrics.preview)
     write_results(folder, study, results, provenance)
     return StudyResults(folder, study, results, provenance)
 
@@ -141,7 +144,7 @@ def _is_there(folder: Path) -> bool:
 
 
 def _provenance(
-    results: Sequence[CaseResult], spec: PlantSpec, selection: Selection, study: Study
+    results: Sequence[CaseResult], spec: PlantSpec, selection: Selection, study: Study, preview: int
 ) -> dict[str, str]:
     # A case that failed before its first sample does not know its plant.
     known: Iterator[dict[str, str]] = (read_run(result.folder)["provenance"] for result in results)
@@ -150,6 +153,7 @@ def _provenance(
     return {
         **{key.replace("_", " "): value for key, value in plant.items()},
         "plant content": spec.content,
+        "largest preview": f"{preview} samples",
         "study sha256": study_hash(study),
         "ddpc-cosim version": package_version(),
         "python version": platform.python_version(),
@@ -315,9 +319,9 @@ class _Run:
         self.can_be_reused = False
         store = row_store(self.case, self._rows)  # opened anew, for the texts that have been added
         trace = partial_trace(self.case, store, outcome, reason)
-        write_case(self._folder, trace, self.case.head(), self._staging)
+        write_case(self._folder, trace, self.case.head(), self._staging, self.case.metrics)
 
 
 def run_and_write(case: Case, rows: Path, folder: Path, staging: Path) -> None:
     """Run a case, in a worker, and write its folder."""
-    write_case(folder, run_case(case, row_store(case, rows)), case.head(), staging)
+    write_case(folder, run_case(case, row_store(case, rows)), case.head(), staging, case.metrics)

@@ -380,6 +380,28 @@ class ScenarioSection(Section):
     preview: Preview | None = Field(None, description="in place of the loop's")
 
 
+Weights = dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]]
+
+
+class CostSection(Section):
+    """The study's own quadratic cost: the sum over the samples of weighted squares, in the signals' units."""
+
+    outputs: Weights = Field({}, description="weights of (reference - output)^2, by controlled output")
+    inputs: Weights = Field({}, description="weights of (input - its value at rest)^2, by input")
+    changes: Weights = Field({}, description="weights of (change of the input from the sample before)^2")
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong where nothing is weighted."""
+        if not any((*self.outputs.values(), *self.inputs.values(), *self.changes.values())):
+            yield "", "needs a weight above 0 in outputs, inputs or changes"
+
+
+class MetricsSection(Section):
+    """What runs are judged by besides the metrics that every study has."""
+
+    cost: CostSection | None = None
+
+
 class TunedSection(Section):
     """How settings of a controller were found, which the report states."""
 
@@ -474,4 +496,5 @@ class Study(Section):
     recording: RecordingSection | None = None
     controllers: Annotated[dict[Name, ControllerSection], Field(min_length=1)]
     scenarios: dict[Name, ScenarioSection] = Field({"nominal": ScenarioSection()}, min_length=1)
+    metrics: MetricsSection = MetricsSection()
     report: ReportSection = ReportSection()

@@ -16,8 +16,9 @@ from ddpc_reports.comparison import (
     labels,
     metric_keys,
     metric_signal,
+    outcome_words,
+    response_metrics,
     shown_as,
-    shown_metrics,
     spread,
 )
 from ddpc_reports.numbers import MISSING, as_given, integer, significant, time_scale, with_unit
@@ -44,7 +45,7 @@ _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 def step_time_table(condition: Condition, prefix: str) -> Table:
     """Return median, 95 %, 99 % and longest step time per controller, and deadline misses."""
     everyone = condition.controllers
-    eligible = [one.completed_all for one in everyone]
+    eligible = [one.holds_all for one in everyone]
     columns: list[Column] = []
     for words, key in STEP_TIMES.items():
         seconds = [one.summed(key) for one in everyone]
@@ -72,20 +73,21 @@ def step_time_table(condition: Condition, prefix: str) -> Table:
 def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], prefix: str) -> Table:
     """Return every case with its outcome and main metrics, in the study's order."""
     keys = _case_keys(condition_of_all)
-    scales = [shown_as(key, (case.metrics.get(key, math.nan) for case in results.cases)) for key in keys]
+    values = {key: [_value(case, key) for case in results.cases] for key in keys}
+    scales = [shown_as(key, values[key]) for key in keys]
     columns = [
-        number_cells([case.metrics.get(key, math.nan) * factor for case in results.cases])
+        number_cells([value * factor for value in values[key]])
         for key, (_, factor) in zip(keys, scales, strict=True)
     ]
     several = len(condition_of_all) > 1
     names, numbers = labels(results), indices(results)
     rows = []
     for i, case in enumerate(results.cases):
-        done = case.outcome is Outcome.COMPLETED
+        outcome = outcome_words(case)
         shown = [
             *([Cell(case.scenario, case.scenario)] if several else []),
             Cell(str(case.seed), case.seed),
-            Cell(str(case.outcome), str(case.outcome), failed=not done),
+            Cell(outcome, outcome, failed=not case.holds),
             *(cells[i] for cells in columns),
         ]
         rows.append(Row(names[case.controller], tuple(shown), case.controller, numbers[case.controller]))
@@ -103,7 +105,8 @@ def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], 
         tuple(rows),
         (
             "All metrics of every case are in the file metrics.csv next to the results. "
-            "Values of cases that did not complete cover their samples up to where they ended.",
+            "Values of cases that did not complete cover their samples up to where they ended. "
+            "Of a run that does not hold its reference, figures of the response would say nothing.",
         ),
         sortable=True,
         kind="cases",
@@ -115,12 +118,18 @@ _CASE_STEP_TIMES = {STEP_TIMES["median"]: "median step", STEP_TIMES["longest"]: 
 
 
 def _case_keys(conditions: Sequence[Condition]) -> list[str]:
-    keys = [key for name in shown_metrics() for key in metric_keys(conditions, name) if metric_signal(key)]
+    keys = [key for name in response_metrics() for key in metric_keys(conditions, name)]
     return [*keys, *_CASE_STEP_TIMES]
 
 
 def _case_title(key: str) -> str:
-    return _CASE_STEP_TIMES.get(key) or f"{METRICS[split_key(key)[0]].title}, {metric_signal(key)}"
+    title = METRICS[split_key(key)[0]].title
+    return _CASE_STEP_TIMES.get(key) or ", ".join(filter(None, (title, metric_signal(key))))
+
+
+def _value(case: CaseResult, key: str) -> float:
+    shown = case.holds or not METRICS[split_key(key)[0]].if_held
+    return case.metrics.get(key, math.nan) if shown else math.nan
 
 
 def failures_table(results: StudyResults, prefix: str) -> Table | None:

@@ -8,10 +8,8 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
-from ddpc_cosim.metrics import METRICS, Metric, split_key
+from ddpc_cosim.metrics import METRICS, Metric, StepTimes, headline, split_key
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
-
-TRACKING = "sum_abs_error"
 
 
 class Spread(NamedTuple):
@@ -60,19 +58,35 @@ class ControllerResults:
         """The cases that reached their last sample."""
         return tuple(case for case in self.cases if case.outcome is Outcome.COMPLETED)
 
+    @cached_property
+    def holding(self) -> tuple[CaseResult, ...]:
+        """The cases that completed and held their reference: only of these one can be the best."""
+        return tuple(case for case in self.cases if case.holds)
+
     @property
-    def completed_first(self) -> bool:
-        """Whether the case of the first seed is there and reached its last sample."""
-        return any(case.seed == self.first_seed for case in self.completed)
+    def holds_first(self) -> bool:
+        """Whether the case of the first seed is there and held its reference."""
+        return self.first_case is not None and self.first_case.holds
+
+    @property
+    def holds_all(self) -> bool:
+        """Whether every case held its reference."""
+        return len(self.holding) == len(self.cases)
 
     @property
     def completed_all(self) -> bool:
         """Whether every case reached its last sample."""
         return len(self.completed) == len(self.cases)
 
+    @property
+    def first_case(self) -> CaseResult | None:
+        """The case of the first seed, if it is there."""
+        return next((case for case in self.cases if case.seed == self.first_seed), None)
+
     def by_seed(self, key: str) -> dict[int, float]:
-        """Return a metric of the completed cases that have it, by seed."""
-        values = {case.seed: case.metrics.get(key, math.nan) for case in self.completed}
+        """Return a metric by seed: of the cases that completed, or held their reference, and have it."""
+        cases = self.holding if METRICS[split_key(key)[0]].if_held else self.completed
+        values = {case.seed: case.metrics.get(key, math.nan) for case in cases}
         return {seed: value for seed, value in values.items() if not math.isnan(value)}
 
     def at_first(self, key: str) -> float:
@@ -139,14 +153,24 @@ class Condition:
         traces = {case.controller: case.trace() for case in self.cases if case.seed == self.seeds[0]}
         return {key: trace for key, trace in traces.items() if len(trace)}
 
+    @property
+    def headline(self) -> tuple[str, ...]:
+        """The keys that controllers are ranked by."""
+        return headline(self._keys)
+
     def keys(self, name: str) -> tuple[str, ...]:
         """Return the keys of a metric: one for each signal that has it."""
         return tuple(key for key in self._keys if split_key(key)[0] == name)
 
     def ranking(self, key: str) -> list[tuple[float, ControllerResults]]:
-        """Return the controllers that completed every case with their medians of a metric, the best first."""
-        complete = [one for one in self.controllers if one.completed_all]
-        return ranked(key, complete, [one.over_seeds(key).median for one in complete])
+        """Return the controllers that always hold their reference, with medians of a metric, best first."""
+        eligible = [one for one in self.controllers if one.holds_all]
+        return ranked(key, eligible, [one.over_seeds(key).median for one in eligible])
+
+    @property
+    def not_ranked(self) -> list[ControllerResults]:
+        """The controllers that lost a case: they come after all others, in the study's order."""
+        return [one for one in self.controllers if not one.holds_all]
 
 
 def conditions(results: StudyResults) -> tuple[Condition, ...]:
@@ -204,6 +228,17 @@ def _controllers_in(results: StudyResults, scenario: str) -> tuple[ControllerRes
 def shown_metrics() -> dict[str, Metric[Any]]:
     """Return the metrics that tables show, by name."""
     return {name: metric for name, metric in METRICS.items() if metric.title}
+
+
+def response_metrics() -> dict[str, Metric[Any]]:
+    """Return the metrics of the response that tables show, by name; not those of the controller's steps."""
+    return {name: metric for name, metric in shown_metrics().items() if metric.of is not StepTimes}
+
+
+def outcome_words(case: CaseResult) -> str:
+    """Say how a case ended; of one that completed, whether it held its reference."""
+    lost = case.outcome is Outcome.COMPLETED and not case.holds
+    return f"{case.outcome}, reference not held" if lost else str(case.outcome)
 
 
 def metric_label(key: str) -> str:

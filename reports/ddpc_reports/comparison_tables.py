@@ -9,13 +9,13 @@ from markupsafe import Markup
 from ddpc_cosim.metrics import METRICS, Metric, StepTimes, split_key
 from ddpc_cosim.study.sections import PublishedMethod, Reproduction
 from ddpc_reports.comparison import (
-    TRACKING,
     Condition,
     ControllerResults,
     Spread,
     metric_keys,
     metric_signal,
     metric_unit,
+    response_metrics,
     shown_as,
     shown_metrics,
     spread,
@@ -38,25 +38,30 @@ from ddpc_reports.verdict import Statement
 def verdict_table(condition: Condition, prefix: str) -> Table:
     """Return the metrics that have a title, and the cases completed: a row per controller."""
     by_name = {name: columns for name in shown_metrics() if (columns := _columns(condition, name))}
-    completed = [
-        Cell(f"{len(one.completed)} of {len(one.cases)}", len(one.completed), failed=not one.completed_all)
-        for one in condition.controllers
-    ]
+    completed = [_counted(len(one.completed), len(one.cases)) for one in condition.controllers]
     columns = [column for columns in by_name.values() for column in columns]
+    columns.append((Heading("cases completed"), completed))
+    if condition.not_ranked:
+        held = [_counted(len(one.holding), len(one.cases)) for one in condition.controllers]
+        columns.append((Heading("reference held"), held))
     return controller_table(
         f"{prefix}verdict",
         "Verdict in numbers, per controller",
         condition.controllers,
-        [*columns, (Heading("cases completed"), completed)],
+        columns,
         _notes(condition, list(by_name)),
         "verdict.csv",
     )
 
 
+def _counted(count: int, total: int) -> Cell:
+    return Cell(f"{count} of {total}", count, failed=count < total)
+
+
 def _columns(condition: Condition, name: str) -> list[Column]:
     """Return one column for each signal that has a metric; violated bounds only where there are several."""
     keys = condition.keys(name)
-    if name == TRACKING and len(keys) == 1:
+    if len(keys) == 1 and keys == condition.headline:
         return _tracking(condition, keys[0])
     kept = name == "bound_violation_max" and not any(
         one.summed(key) > 0 for one in condition.controllers for key in keys
@@ -71,8 +76,8 @@ def _column(condition: Condition, key: str) -> Column:
     values = [one.summed(key) for one in condition.controllers]
     unit, factor = shown_as(key, values)
     shown = [value * factor for value in values]
-    digits = 4 if name == TRACKING else 3
-    cells = number_cells(shown, eligible=_all_done(condition), better=metric.better, digits=digits)
+    digits = 4 if key in condition.headline else 3
+    cells = number_cells(shown, eligible=_all_hold(condition), better=metric.better, digits=digits)
     if len(condition.keys(name)) > 1:
         return Heading(metric_signal(key), unit, group=metric.title), cells
     return Heading(metric.title, unit, group=metric.group), cells
@@ -80,30 +85,32 @@ def _column(condition: Condition, key: str) -> Column:
 
 def _tracking(condition: Condition, key: str) -> list[Column]:
     """Return first seed, median and range; with several outputs there is room for the medians only."""
-    metric = METRICS[TRACKING]
+    metric = METRICS[split_key(key)[0]]
     group = " / ".join(filter(None, (metric.title, metric_unit(key))))
     firsts = [one.at_first(key) for one in condition.controllers]
-    eligible = [one.completed_first for one in condition.controllers]
+    eligible = [one.holds_first for one in condition.controllers]
     cells = number_cells(firsts, eligible=eligible, better=metric.better)
     columns = [(Heading(f"seed {condition.seeds[0]}", group=group), cells)]
     if len(condition.seeds) > 1:
         spreads = [one.over_seeds(key) for one in condition.controllers]
         medians = [s.median for s in spreads]
-        cells = number_cells(medians, eligible=_all_done(condition), better=metric.better)
+        cells = number_cells(medians, eligible=_all_hold(condition), better=metric.better)
         columns.append((Heading("median", group=group), cells))
         columns.append((Heading("range", group=group), [Cell(text) for text in range_texts(spreads)]))
     return columns
 
 
-def _all_done(condition: Condition) -> list[bool]:
+def _all_hold(condition: Condition) -> list[bool]:
     """Whether each controller may be best: one that lost cases has values of the easier seeds only."""
-    return [one.completed_all for one in condition.controllers]
+    return [one.holds_all for one in condition.controllers]
 
 
 def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
     best = "Bold and tinted: the best of the column"
-    if not all(_all_done(condition)):
-        best += ", among controllers that completed every case (for the first seed: that completed it)"
+    if condition.not_ranked:
+        best += (
+            ", among controllers that hold their reference in every case (for the first seed: in that one)"
+        )
     metrics = [METRICS[name] for name in shown]
     meanings = [
         f"{metric.title.capitalize()}: {metric.description.replace(' - ', f' {MINUS} ')}."
@@ -111,7 +118,7 @@ def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
         if metric.group != "step time"
     ]
     # With one output, its columns say it themselves.
-    own = METRICS[TRACKING] if len(condition.keys(TRACKING)) == 1 else None
+    own = METRICS[split_key(condition.headline[0])[0]] if len(condition.headline) == 1 else None
     summed = [metric for metric in metrics if metric is not own]
     words = [_summing_words(condition, summed)] if len(condition.seeds) > 1 else []
     return f"{best}; where most are equal, none is marked.", " ".join([*meanings, *words])
@@ -134,16 +141,15 @@ def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
         return None
     rows = [
         row
-        for name, metric in shown_metrics().items()
+        for name, metric in response_metrics().items()
         if metric.over_seeds == "median"
         for key in metric_keys(conditions, name)
-        if metric_signal(key)
         for row in _across_rows(conditions, key)
     ]
     headings = (Heading("Controller", numeric=False), *(Heading(one.label) for one in conditions))
     over = max(len(condition.seeds) for condition in conditions)
     notes = (
-        "Bold and tinted: the best in a scenario, among controllers that completed every case.",
+        "Bold and tinted: the best in a scenario, among controllers that hold their reference in every case.",
         *((f"Medians over {over} seeds.",) if over > 1 else ()),
     )
     return Table(
@@ -159,7 +165,9 @@ def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
 
 def _across_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
     metric = METRICS[split_key(key)[0]]
-    group = " / ".join(filter(None, (f"{metric.title} of {metric_signal(key)}", metric_unit(key))))
+    group = " / ".join(
+        filter(None, (" of ".join(filter(None, (metric.title, metric_signal(key)))), metric_unit(key)))
+    )
     by_key = [{one.key: one for one in condition.controllers} for condition in conditions]
     everyone = {one.key: one for members in by_key for one in members.values()}
     columns = [_across_column([members.get(name) for name in everyone], key) for members in by_key]
@@ -171,7 +179,7 @@ def _across_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
 
 def _across_column(members: Sequence[ControllerResults | None], key: str) -> list[Cell]:
     values = [one.summed(key) if one else math.nan for one in members]
-    eligible = [bool(one and one.completed_all) for one in members]
+    eligible = [bool(one and one.holds_all) for one in members]
     return number_cells(values, eligible=eligible, better=METRICS[split_key(key)[0]].better)
 
 

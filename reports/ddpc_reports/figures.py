@@ -12,12 +12,12 @@ from ddpc_cosim import CaseResult
 from ddpc_reports.charts import COLOURS, DASHES, spread_chart, step_time_chart, time_chart
 from ddpc_reports.comparison import (
     STEP_TIMES,
-    TRACKING,
     Condition,
     ControllerResults,
     metric_label,
     metric_signal,
     metric_unit,
+    outcome_words,
 )
 from ddpc_reports.embedding import static_svg
 from ddpc_reports.numbers import duration, given_duration, significant, with_unit
@@ -35,7 +35,7 @@ class Entry:
     label: str
     colour: int
     dashes: str
-    completed: bool
+    note: str
 
 
 @dataclass(frozen=True)
@@ -179,9 +179,9 @@ def _leaves(values: Sequence[float], extent: tuple[float, float]) -> bool:
 def _entry(one: ControllerResults, dashes: Mapping[str, int]) -> Entry:
     name = column_name(one)
     pattern = DASHES[dashes[name] % len(DASHES)]
-    return Entry(
-        name, one.label, one.index % COLOURS, " ".join(f"{dash:g}" for dash in pattern), one.completed_first
-    )
+    case = one.first_case
+    note = "" if one.holds_first else outcome_words(case) if case else "not run"
+    return Entry(name, one.label, one.index % COLOURS, " ".join(f"{dash:g}" for dash in pattern), note)
 
 
 def _time_view(
@@ -220,31 +220,28 @@ def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
     """Return one strip plot over the seeds for each controlled output; none for a single seed."""
     if len(condition.seeds) < 2:
         return []
-    return [
-        _spread_figure(condition, key, f"{prefix}spread-{i}")
-        for i, key in enumerate(condition.keys(TRACKING))
-    ]
+    return [_spread_figure(condition, key, f"{prefix}spread-{i}") for i, key in enumerate(condition.headline)]
 
 
 def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure:
     what = " of ".join(filter(None, (metric_label(key), metric_signal(key))))
     axis = f"{what} / {metric_unit(key)}" if metric_unit(key) else what
-    rows = [_spread_row(condition, one, case.seed, key) for one, case in _done(condition)]
+    rows = [_spread_row(condition, one, case.seed, key) for one, case in _holding(condition)]
     rows = [row for row in rows if math.isfinite(row["value"])]
     values = [row["value"] for row in rows]
     logarithmic = bool(values) and min(values) > 0 and max(values) / min(values) > _LOGARITHMIC_FROM
     caption = (
-        f"{what} over {len(condition.seeds)} seeds, completed cases only; one dot per seed, "
+        f"{what} over {len(condition.seeds)} seeds, cases that hold their reference only; one dot per seed, "
         f"upright line: median, diamond: seed {condition.seeds[0]}."
         + (" Logarithmic axis." if logarithmic else "")
     )
     if not rows:
-        return Figure(identifier, "Spread over seeds", f"{caption} No case completed.", ())
+        return Figure(identifier, "Spread over seeds", f"{caption} No case does.", ())
     return one_chart(identifier, "Spread over seeds", caption, spread_chart(rows, axis, logarithmic))
 
 
-def _done(condition: Condition) -> list[tuple[ControllerResults, CaseResult]]:
-    return [(one, case) for one in condition.controllers for case in one.completed]
+def _holding(condition: Condition) -> list[tuple[ControllerResults, CaseResult]]:
+    return [(one, case) for one in condition.controllers for case in one.holding]
 
 
 def _spread_row(condition: Condition, one: ControllerResults, seed: int, key: str) -> dict[str, Any]:

@@ -193,6 +193,7 @@ def _facts(results: StudyResults) -> dict[str, str]:
     """Return the strip of key facts under the title."""
     study, total = results.study, len(results.cases)
     done = sum(case.outcome is Outcome.COMPLETED for case in results.cases)
+    held = sum(case.holds for case in results.cases)
     facts = {
         "Plant": study.plant.name or study.plant.fmu,
         "Sampling time": with_unit(as_given(study.loop.sampling_time), "s"),
@@ -201,9 +202,12 @@ def _facts(results: StudyResults) -> dict[str, str]:
         "Scenarios": str(len({case.scenario for case in results.cases})),
         "Seeds": compact_seeds(list(dict.fromkeys(case.seed for case in results.cases))),
         "Cases completed": f"{done} of {total}",
+        "Reference held": f"{held} of {total}",
     }
     if facts["Scenarios"] == "1":
         del facts["Scenarios"]
+    if held == total:
+        del facts["Reference held"]
     return facts
 
 

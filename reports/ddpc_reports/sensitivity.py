@@ -8,9 +8,9 @@ from typing import Any
 
 from markupsafe import Markup
 
+from ddpc_cosim.metrics import METRICS, split_key
 from ddpc_reports.charts import heat_chart
 from ddpc_reports.comparison import (
-    TRACKING,
     Condition,
     ControllerResults,
     metric_label,
@@ -21,6 +21,8 @@ from ddpc_reports.comparison import (
 from ddpc_reports.figures import Figure, one_chart
 from ddpc_reports.numbers import as_given, significant, with_unit
 from ddpc_reports.verdict import Statement, by_signal, formatter
+
+_LOST_SHOWN = 3
 
 
 @dataclass(frozen=True)
@@ -91,35 +93,46 @@ def sweep_statements(condition: Condition) -> list[Statement]:
     return [
         Statement("Sweep", by_signal([(metric_signal(key), _swept(condition, group, key)) for key in keys]))
         for group in groups.values()
-        if (keys := condition.keys(TRACKING))
+        if (keys := condition.headline)
     ]
 
 
 def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
     """Say what the best and the worst settings of all sweeps of one controller give."""
     members = [(sweep, one) for sweep in group for one in sweep.variants]
-    lost = sum(not one.completed_all for _, one in members)
+    lost = [sweep.place(one) for sweep, one in members if not one.holds_all]
     order = sorted(
-        ((value, sweep, one) for sweep, one in members if not math.isnan(value := _median([one], key))),
-        key=lambda entry: entry[0],
+        (
+            (value, sweep, one)
+            for sweep, one in members
+            if one.holds_all and not math.isnan(value := _median([one], key))
+        ),
+        key=lambda entry: METRICS[split_key(key)[0]].rank(entry[0]),
     )
     text = Markup("{} settings of <b>{}</b>").format(len(members), group[0].label)
     if not order:
-        return text + ": none of them completed a case."
+        return text + ": none of them holds the reference in every case."
     show = formatter(key)
     (low, best, winner), (high, worst, loser) = order[0], order[-1]
-    text += Markup(": best {} with {}, worst {} with {}").format(
-        show(low), best.place(winner), show(high), worst.place(loser)
+    worst_of = "worst of those that hold the reference" if lost else "worst"
+    text += Markup(": best {} with {}, {} {} with {}").format(
+        show(low), best.place(winner), worst_of, show(high), worst.place(loser)
     )
     own = [one.over_seeds(key).median for one in condition.controllers if one.key == group[0].base]
     if own and not math.isnan(own[0]):
         text += Markup("; its own settings give {}").format(show(own[0]))
-    return text + (f"; {lost} did not complete every case." if lost else ".")
+    if not lost:
+        return text + "."
+    some = "; ".join(lost[:_LOST_SHOWN]) + (
+        f"; and {len(lost) - _LOST_SHOWN} more" if lost[_LOST_SHOWN:] else ""
+    )
+    verb = "does" if len(lost) == 1 else "do"
+    return text + Markup(". {} {} not hold the reference in every case: {}.").format(len(lost), verb, some)
 
 
 def sensitivity_figures(condition: Condition, prefix: str) -> list[Figure]:
     """Return one map for each sweep and controlled output; none without sweeps."""
-    pairs = [(sweep, key) for sweep in sweeps(condition) for key in condition.keys(TRACKING)]
+    pairs = [(sweep, key) for sweep in sweeps(condition) for key in condition.headline]
     return [
         _figure(sweep, key, f"{prefix}sensitivity-{number}") for number, (sweep, key) in enumerate(pairs, 1)
     ]
@@ -134,7 +147,7 @@ def _figure(sweep: Sweep, key: str, identifier: str) -> Figure:
     )
     rows = list(_rows(sweep, key))
     if any(row["shown"].endswith("*") for row in rows):
-        caption += " Starred: of the completed cases; others of this setting did not complete."
+        caption += " Starred: of the cases that hold their reference; others of this setting do not."
     # A map with one setting needs no second axis.
     titles = sweep.axes if len(sweep.axes) > 1 else ("", *sweep.axes)
     return one_chart(identifier, "Sensitivity", caption, heat_chart(rows, titles), sweep.label)
@@ -153,7 +166,8 @@ def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
     own = tuple(sweep.words(sweep.base, setting) for setting in sweep.axes)
     for place, members in sweep.cells.items():
         value = _median(members, key)
-        shown = significant(value) if math.isfinite(value) else "failed"
+        done = any(one.completed for one in members)
+        shown = significant(value) if math.isfinite(value) else "not held" if done else "failed"
         lost = _lost_words(members) if math.isfinite(value) else ""
         where = ", ".join(f"{name} = {given}" for name, given in zip(sweep.axes, place, strict=True))
         yield {
@@ -167,11 +181,11 @@ def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
 
 
 def _lost_words(members: Sequence[ControllerResults]) -> str:
-    """Say how many cases of a cell did not complete; nothing if all did."""
+    """Say how many cases of a cell do not hold their reference; nothing if all do."""
     cases = sum(len(one.cases) for one in members)
-    lost = cases - sum(len(one.completed) for one in members)
-    return f"; {lost} of {cases} cases did not complete" if lost else ""
+    lost = cases - sum(len(one.holding) for one in members)
+    return f"; {lost} of {cases} cases do not hold their reference" if lost else ""
 
 
 def _median(members: Sequence[ControllerResults], key: str) -> float:
-    return summed_up(value for one in members for value in one.by_seed(key).values()).median
+    return summed_up(case.metrics.get(key, math.nan) for one in members for case in one.holding).median

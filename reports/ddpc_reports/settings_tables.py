@@ -225,6 +225,8 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
         (f"scenario {_labelled(name, section.label)}", _scenario_text(section))
         for name, section in study.scenarios.items()
     ]
+    cost = study.metrics.cost
+    facts += [(f"cost: weights of {kind}", text) for kind, text in _others(cost, ())] if cost else []
     facts.append(("seeds", compact_seeds(study.seeds)))
     return facts_table(f"{prefix}loop", "The loop, the same for all controllers", facts, "loop.csv")
 

@@ -9,11 +9,9 @@ from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
 from ddpc_reports.comparison import (
-    TRACKING,
     Condition,
     ControllerResults,
     Spread,
-    metric_keys,
     metric_label,
     metric_signal,
     metric_unit,
@@ -50,21 +48,34 @@ def _completeness(condition: Condition) -> Markup:
     lost = [one for one in condition.controllers if not one.completed_all]
     total = len(condition.cases)
     if not lost:
-        own = " of the controllers with their own settings" if condition.variants else ""
-        return (
-            Markup("All {} cases{} completed.").format(total, own)
-            if total > 1
-            else Markup("The case{} completed.").format(own.replace("controllers", "controller"))
-        )
+        return _all_completed(condition) + _not_held(condition)
     done = sum(len(one.completed) for one in condition.controllers)
     who = join_words([_lost_cases(one) for one in lost])
     head = f"{done} of {total} cases completed" if done else "No case completed, so nothing is ranked"
     text = Markup("{}; not completed: {}.").format(head, who)
-    return (
-        text + " Values of cases that did not complete are not compared with those that did."
-        if done
-        else text
-    )
+    compared = " Values of cases that did not complete are not compared with those that did." if done else ""
+    return text + compared + _not_held(condition)
+
+
+def _all_completed(condition: Condition) -> Markup:
+    total = len(condition.cases)
+    own = " of the controllers with their own settings" if condition.variants else ""
+    if total > 1:
+        return Markup("All {} cases{} completed.").format(total, own)
+    return Markup("The case{} completed.").format(own.replace("controllers", "controller"))
+
+
+def _not_held(condition: Condition) -> Markup:
+    """Name the controllers whose runs completed without holding their reference; nothing without any."""
+    counts = [(len(one.completed) - len(one.holding), one) for one in condition.controllers]
+    who = [Markup("<b>{}</b> {} of {}").format(one.label, n, len(one.cases)) for n, one in counts if n]
+    if not who:
+        return Markup("")
+    return Markup(
+        " <b>The reference is not held</b> by {}: an output settles further from it than half of the "
+        "step, or leaves its limits by more than the reference moves. Such a controller is never the "
+        "best, and comes last."
+    ).format(join_words(who))
 
 
 def _lost_cases(one: ControllerResults) -> Markup:
@@ -140,7 +151,7 @@ def _fallbacks(condition: Condition) -> Markup:
 
 def tracking(condition: Condition) -> list[Statement]:
     """Return who tracks best: at the first seed and over all; of several outputs one line for each."""
-    keys = condition.keys(TRACKING)
+    keys = condition.headline
     if len(keys) > 1:
         return [_each_signal(condition, keys, "Tracking")]
     statements = []
@@ -162,15 +173,28 @@ def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> State
 def _in_short(condition: Condition, key: str) -> Markup:
     order = condition.ranking(key)
     if not order:
-        return Markup("no controller completed every case.")
+        return Markup("no controller holds its reference in every case.")
     show = formatter(key)
     winner = order[0][1]
     text = Markup("<b>{}</b> {}").format(winner.label, median_and_range(winner.over_seeds(key), key))
     if len(order) > 1:
         text += Markup(", then <i>{}</i> {}").format(order[1][1].label, show(order[1][0]))
-    if len(order) > 2:
-        text += Markup("; last is <i>{}</i> with {}").format(order[-1][1].label, show(order[-1][0]))
-    return text + "."
+    return text + _last(order, condition.not_ranked, show) + "."
+
+
+def _last(
+    order: Sequence[tuple[float, ControllerResults]],
+    not_ranked: Sequence[ControllerResults],
+    show: Callable[[float], str],
+) -> Markup:
+    """Say who comes last: those that lost cases, else the last of three or more."""
+    if not_ranked:
+        be = "is" if len(not_ranked) == 1 else "are"
+        whose = "whose reference is not held"
+        return Markup("; last {} {}, {}").format(be, join_words(names(not_ranked)), whose)
+    if len(order) < 3:
+        return Markup("")
+    return Markup("; last is <i>{}</i> with {}").format(order[-1][1].label, show(order[-1][0]))
 
 
 def least(condition: Condition, name: str, topic: str, claim: str) -> list[Statement]:
@@ -184,7 +208,7 @@ def least(condition: Condition, name: str, topic: str, claim: str) -> list[State
 def least_travel(condition: Condition) -> list[Statement]:
     """State who moves the actuators least and, of one that hardly tracks, that too."""
     statements = least(condition, "total_variation", "Actuator", "moves the actuator least")
-    travels, costs = condition.keys("total_variation"), condition.keys(TRACKING)
+    travels, costs = condition.keys("total_variation"), condition.headline
     if not statements or len(travels) > 1 or len(costs) > 1:
         return statements
     tracks = condition.ranking(costs[0])
@@ -200,18 +224,20 @@ def least_travel(condition: Condition) -> list[Statement]:
 
 
 def _first_seed(condition: Condition, key: str) -> Markup:
-    order = ranked(key, condition.controllers, [one.at_first(key) for one in condition.controllers])
+    eligible = [one for one in condition.controllers if one.holds_first]
+    order = ranked(key, eligible, [one.at_first(key) for one in eligible])
+    others = [one for one in condition.controllers if one not in eligible]
     seed = condition.seeds[0]
     if not order:
-        return Markup("No controller completed the case of seed {}.").format(seed)
+        return Markup("No controller holds its reference on seed {}.").format(seed)
     show = formatter(key)
     what = metric_label(key).lower()
     if len(order) == 1:
         return Markup(
-            "On seed {}, <b>{}</b> reaches an {} of {}; no other completed case to compare with."
+            "On seed {}, <b>{}</b> reaches a {} of {}; no other case holds its reference, to compare with."
         ).format(seed, order[0][1].label, what, show(order[0][0]))
-    (best, winner), (second, next_one), (worst, last) = order[0], order[1], order[-1]
-    if show(best) == show(worst):
+    (best, winner), (second, next_one), (worst, _) = order[0], order[1], order[-1]
+    if show(best) == show(worst) and not others:
         return Markup("On seed {} all controllers track alike: {} {}.").format(seed, what, show(best))
     if show(best) == show(second):
         text = Markup("On seed {}, {} track best: {} {}").format(
@@ -224,23 +250,19 @@ def _first_seed(condition: Condition, key: str) -> Markup:
         text = Markup("On seed {}, <b>{}</b> tracks best: {} {}, then <i>{}</i> with {}").format(
             seed, winner.label, what, show(best), next_one.label, show(second)
         )
-    return text + (
-        Markup("; last is <i>{}</i> with {}.").format(last.label, show(worst))
-        if len(order) > 2
-        else Markup(".")
-    )
+    return text + _last(order, others, show) + "."
 
 
 def _over_seeds(condition: Condition, key: str) -> Markup:
     order = condition.ranking(key)
     if not order:
-        return Markup("No controller completed every seed, so medians over the seeds are not compared.")
+        return Markup("No controller holds its reference on every seed, so medians are not compared.")
     winner, rest = order[0][1], [one for _, one in order[1:]]
     shown = median_and_range(winner.over_seeds(key), key)
     if not rest:
-        return Markup("Only <b>{}</b> completed every seed: median {}; nothing to compare with.").format(
-            winner.label, shown
-        )
+        return Markup(
+            "Only <b>{}</b> holds its reference on every seed: median {}; nothing to compare with."
+        ).format(winner.label, shown)
     alike = [one for value, one in order if formatter(key)(value) == formatter(key)(order[0][0])]
     if len(alike) > 1:
         return Markup("Over {} seeds, {} share the smallest median: {}.").format(
@@ -351,7 +373,10 @@ def across_statements(conditions: Sequence[Condition]) -> list[Statement]:
     """Return who tracks best in which scenario; nothing for a single one."""
     if len(conditions) < 2:
         return []
-    lines = [(metric_signal(key), _winners(conditions, key)) for key in metric_keys(conditions, TRACKING)]
+    lines = [
+        (metric_signal(key), _winners(conditions, key))
+        for key in dict.fromkeys(key for one in conditions for key in one.headline)
+    ]
     return [Statement("Tracking", by_signal(lines))] if lines else []
 
 
@@ -363,8 +388,8 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
         if len(order) > 1:
             won.setdefault(order[0][1].label, []).append(Markup("<i>{}</i>").format(condition.label))
     if not won:
-        return Markup("There is no scenario in which two controllers completed every case.")
-    claims = [" has the smallest tracking cost", *[""] * (len(won) - 1)]
+        return Markup("There is no scenario in which two controllers hold their reference in every case.")
+    claims = [f" has the smallest {metric_label(key).lower()}", *[""] * (len(won) - 1)]
     parts = [
         Markup("<b>{}</b>{} in {}").format(label, claim, join_words(where))
         for (label, where), claim in zip(won.items(), claims, strict=True)

@@ -1,6 +1,7 @@
 """Every figure derived again by its definition, on traces made by hand."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 
 from ddpc_cosim import DisplayUnit, FloatArray, Outcome, Trace, Variable
 from ddpc_cosim.controller import Bounds
-from ddpc_cosim.metrics import METRICS, split_key
+from ddpc_cosim.metrics import METRICS, MetricSettings, split_key
 
 DEGREES = DisplayUnit("deg", 180.0 / math.pi)
 H = 0.5
@@ -59,7 +60,10 @@ def figure(trace: Trace, name: str) -> float:
 
 def test_keys_name_figure_signal_and_unit() -> None:
     trace = trace_of([0, 0], [0, 0], output=Variable("angle", "rad", display_unit=DEGREES))
-    assert {split_key(key)[0] for key in trace.metrics()} == METRICS.keys()
+    weighted = MetricSettings(cost={"outputs": {"angle": 1.0}})
+    assert {split_key(key)[0] for key in trace.metrics(weighted)} == METRICS.keys()
+    assert "cost [1]" in trace.metrics(weighted)
+    assert trace.metrics().keys() == trace.metrics(weighted).keys() - {"cost [1]"}
     assert "sum_abs_error.angle [deg]" in trace.metrics()
     assert "iae.y [s]" in trace_of([0], [0], output=Variable("y")).metrics()
     assert split_key("iae.angle [deg.s]") == ("iae", "angle", "deg.s")
@@ -107,11 +111,11 @@ def test_an_offset_of_a_display_unit_cancels_in_differences() -> None:
 
 
 def test_a_step_response_by_hand() -> None:
-    """From 0 to 10: 10 % passed at row 1, 90 % at row 3, 20 % too far at row 4, within 5 % from row 6 on."""
+    """From 0 to 10: within 10 % until row 0, 90 % at row 3, 20 % too far at row 4, within 5 % from row 6."""
     y = [0, 2, 6, 9.5, 12, 9, 10.4, 9.6, 10, 10, 0]
     trace = trace_of([10] * 11, y)
     assert figure(trace, "overshoot") == pytest.approx(20.0)
-    assert figure(trace, "rise_time") == pytest.approx(2 * H)
+    assert figure(trace, "rise_time") == pytest.approx(3 * H)
     assert figure(trace, "settling_time") == pytest.approx(6 * H)
     assert figure(trace, "settled_error") == pytest.approx(0.0)
 
@@ -120,7 +124,7 @@ def test_a_step_downwards_is_a_step() -> None:
     up, down = [0, 2, 6, 9.5, 12, 9, 10.4, 9.6, 10, 10, 0], [10]
     mirrored = trace_of([-value for value in down * 11], [-value for value in up])
     assert figure(mirrored, "overshoot") == pytest.approx(20.0)
-    assert figure(mirrored, "rise_time") == pytest.approx(2 * H)
+    assert figure(mirrored, "rise_time") == pytest.approx(3 * H)
 
 
 def test_of_several_steps_the_worst_counts_and_the_median_rise() -> None:
@@ -128,7 +132,7 @@ def test_of_several_steps_the_worst_counts_and_the_median_rise() -> None:
     y = [*(0, 1.1, 1, 1, 1), *(1, 2, 3, 3.8, 3), 0]
     trace = trace_of(reference, y)
     assert figure(trace, "overshoot") == pytest.approx(40.0)
-    assert figure(trace, "rise_time") == pytest.approx(np.median([0, 1]) * H)
+    assert figure(trace, "rise_time") == pytest.approx(np.median([1, 2]) * H)
     assert figure(trace, "settling_time") == pytest.approx(4 * H)
 
 
@@ -155,6 +159,134 @@ def test_the_settled_error_is_the_mean_over_the_last_fifth_of_each_stretch() -> 
     y = [*[1] * 8, 0.8, 1.1, *[2] * 8, 1.7, 1.5, 0]
     trace = trace_of([1] * 10 + [2] * 10 + [0], y)
     assert figure(trace, "settled_error") == pytest.approx(0.4)
+
+
+def stepping(
+    *levels: float, rows: int = 20, y: FloatArray | None = None, preview: int = 0, **options: Any
+) -> Trace:
+    """Return a run of steps between levels, which the output follows at once, or with other values."""
+    reference = np.repeat(levels, rows)
+    values = reference.copy() if y is None else y
+    trace = trace_of([*reference, 0.0], [*values, 0.0], **options)
+    return replace(trace, preview=preview)
+
+
+def test_who_looks_ahead_is_not_judged_where_it_already_answers_the_next_step() -> None:
+    """With a preview of 3, the first input that knows of the step acts on the last two samples before it."""
+    y = np.repeat([0.0, 1.0, 3.0], 20)
+    y[38:40] = 1.5, 2.5
+    trace = stepping(0, 1, 3, y=y, preview=3)
+    assert figure(trace, "settled_error") == 0.0
+    assert figure(trace, "overshoot") == 0.0
+    assert figure(trace, "settling_time") == 0.0
+    assert figure(trace, "rise_time") == pytest.approx(np.median([1, 3]) * H)
+    assert figure(trace, "anticipation") == pytest.approx(2 * H)
+    assert figure(stepping(0, 1, 3, y=y, preview=1), "settled_error") == pytest.approx(0.5 / 4)
+
+
+def test_the_preview_of_the_study_replaces_that_of_the_run() -> None:
+    trace = stepping(0, 1, y=np.repeat([0.0, 1.0], 20))
+    assert trace.metrics(MetricSettings(15)) == replace(trace, preview=15).metrics()
+    assert math.isnan(replace(trace, preview=16).metrics()["settled_error.y [m]"])
+
+
+def test_a_window_of_fewer_than_five_samples_is_not_judged() -> None:
+    """Of stretches of 9 and 20 samples, a preview of 5 leaves the second alone."""
+    reference = [1.0] * 9 + [2.0] * 20 + [0.0]
+    y = [0.5] * 9 + [1.9] * 20 + [0.0]
+    trace = trace_of(reference, y)
+    assert trace.metrics(MetricSettings(4))["settled_error.y [m]"] == pytest.approx(0.5)
+    assert trace.metrics(MetricSettings(5))["settled_error.y [m]"] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("start", "counts"), [(0.021, False), (0.019, True)])
+def test_the_first_stretch_is_a_step_from_one_percent_of_the_span_on(start: float, counts: bool) -> None:
+    """The reference spans 2; the output begins 0.02 below it, or a little less."""
+    y = np.repeat([0.0, 2.0], 20)
+    y[0], y[1:4] = start - 0.04, 1.0
+    trace = stepping(0, 2, y=np.where(np.arange(40) < 20, y, 2.0))
+    first_is_wild = figure(trace, "overshoot") > 1000
+    assert first_is_wild == counts
+
+
+def test_an_output_that_begins_a_rounding_error_off_a_constant_reference_takes_no_step() -> None:
+    for value in (12.4, 0.0):
+        trace = trace_of([value] * 20, [value - 1e-9, *[value] * 9, *[value + 0.3] * 10])
+        assert math.isnan(figure(trace, "overshoot"))
+        assert figure(trace, "settled_error") == pytest.approx(0.3)
+        assert trace.holds()
+
+
+def test_a_step_is_sized_by_the_reference_and_not_by_where_the_output_is() -> None:
+    """The output is at 0.9 of 1 when the reference steps to 2, and peaks at 2.2: 20 % of 1, not of 1.1."""
+    y = np.repeat([0.9, 2.0], 20)
+    y[25] = 2.2
+    trace = stepping(1, 2, y=y)
+    assert figure(trace, "overshoot") == pytest.approx(20.0)
+
+
+def test_the_end_of_a_ramp_is_no_step() -> None:
+    reference = [*np.zeros(20), *np.linspace(0, 1, 11)[1:], *np.ones(20), 0]
+    y = [*np.zeros(20), *np.zeros(10), *np.linspace(0.2, 1.0, 20), 0]
+    trace = trace_of(reference, y)
+    assert math.isnan(figure(trace, "overshoot"))
+    assert figure(trace, "settled_error") == pytest.approx(float(np.mean(1.0 - np.array(y)[46:50])))
+    assert trace.holds()
+
+
+def test_an_output_whose_reference_stays_has_no_steps_of_the_other_one() -> None:
+    still = stepping(1, 1, 1, y=np.ones(60))
+    assert math.isnan(figure(still, "overshoot"))
+    assert figure(still, "settled_error") == 0.0
+
+
+def test_anticipation_of_an_output_that_had_not_come_to_rest_is_not_known() -> None:
+    y = np.repeat([0.0, 0.5, 3.0], 20)
+    assert figure(stepping(0, 1, 3, y=y, preview=3), "anticipation") == 0.0
+    assert math.isnan(figure(stepping(1, 3, y=np.repeat([0.5, 3.0], 20), preview=3), "anticipation"))
+
+
+@pytest.mark.parametrize(("settled", "holds"), [(0.51, True), (0.49, False), (1.49, True), (1.51, False)])
+def test_a_run_holds_its_reference_within_half_of_each_step(settled: float, holds: bool) -> None:
+    y = np.repeat([0.0, 1.0, 2.0], 20)
+    y[20:40] = settled
+    trace = stepping(0, 1, 2, y=y)
+    assert trace.holds() == holds
+    assert not replace(trace, outcome=Outcome.TIMED_OUT).holds()
+
+
+@pytest.mark.parametrize(("peak", "holds"), [(4.99, True), (5.01, False), (-3.01, False)])
+def test_a_run_that_leaves_its_bounds_by_more_than_the_span_does_not_hold(peak: float, holds: bool) -> None:
+    y = np.repeat([0.0, 2.0], 20)
+    y[30] = peak
+    assert stepping(0, 2, y=y, y_limits=(-1.0, 3.0)).holds() == holds
+
+
+def test_a_run_whose_output_is_not_a_number_does_not_hold() -> None:
+    y = np.repeat([0.0, 2.0], 20)
+    y[35:] = NAN
+    assert not stepping(0, 2, y=y).holds()
+
+
+def test_the_quadratic_cost_by_hand() -> None:
+    """Held are errors 1 and 2, inputs 3 and 1 with rest 1: changes 2 and -2, in the signals' own units."""
+    trace = trace_of(
+        [1, 1, 9],
+        [0, -1, 9],
+        [3, 1, 99],
+        output=Variable("y", "rad", display_unit=DEGREES),
+        actuator=Variable("u", "N", start=1.0),
+    )
+    settings = MetricSettings(cost={"outputs": {"y": 2.0}, "inputs": {"u": 0.5}, "changes": {"u": 0.25}})
+    assert trace.metrics(settings)["cost [1]"] == pytest.approx(2 * (1 + 4) + 0.5 * (4 + 0) + 0.25 * (4 + 4))
+
+
+def test_samples_and_figures_are_in_the_same_units() -> None:
+    trace = trace_of([0.2] * 3, [0.1] * 3, output=Variable("y", "rad", display_unit=DEGREES))
+    frame = trace.frame()
+    error = (frame["reference y [deg]"] - frame["y [deg]"])[:2]
+    assert trace.metrics()["sum_abs_error.y [deg]"] == pytest.approx(float(error.sum()))
+    assert list(trace.columns())[1:3] == ["reference y [rad]", "y [rad]"]
 
 
 def test_bounds_of_the_output_are_measured_on_both_sides() -> None:

@@ -28,7 +28,7 @@ from ddpc_reports.verdict import across_statements
 
 from .synthetic import MakeResults, make_trace
 
-COST = "sum_abs_error.angle [deg]"
+COST = "mean_abs_error.angle [deg]"
 
 
 SCENARIOS = {"calm": {}, "noisy": {"label": "Noisy", "noise": {"angle": 0.01}}}
@@ -48,11 +48,11 @@ def test_scenarios_stand_beside_each_other(make_results: MakeResults) -> None:
     table = across_table(conditions(results), "x-")
     assert table is not None
     assert [heading.title for heading in table.headings] == ["Controller", "calm", "Noisy"]
-    row = next(row for row in table.rows if row.group == "tracking cost of angle / °" and row.key == "quick")
+    row = next(row for row in table.rows if row.group == "mean |error| of angle / °" and row.key == "quick")
     assert [cell.raw for cell in row.cells] == [median_cost(results, "quick", name) for name in SCENARIOS]
     assert [cell.best for cell in row.cells] == [True, True]
     (statement,) = across_statements(conditions(results))
-    assert plain(statement.text) == "quick has the smallest tracking cost in calm and Noisy."
+    assert plain(statement.text) == "quick has the smallest mean absolute error in calm and Noisy."
 
 
 def test_one_scenario_has_nothing_beside_it(make_results: MakeResults) -> None:
@@ -72,7 +72,7 @@ def test_different_winners_are_named_with_their_scenarios(make_results: MakeResu
         for case in results.cases
     )
     (statement,) = across_statements(conditions(replace(results, cases=swapped)))
-    assert plain(statement.text) == "quick has the smallest tracking cost in calm; slow in Noisy."
+    assert plain(statement.text) == "quick has the smallest mean absolute error in calm; slow in Noisy."
 
 
 SEEDS = [7, 0, 1, 2]

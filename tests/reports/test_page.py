@@ -225,8 +225,8 @@ def test_every_table_can_be_saved_as_csv(make_results: MakeResults, tmp_path: Pa
     assert len(reader.all("table")) == len([a for a in reader.all("a") if a.get("download")])
     text = base64.b64decode(files["cases.csv"].partition(",")[2]).decode()
     rows = list(csv.DictReader(io.StringIO(text)))
-    expected = [case.metrics["sum_abs_error.angle [deg]"] for case in results.cases]
-    assert [float(row["tracking cost, angle (°)"]) for row in rows] == pytest.approx(expected)
+    expected = [case.metrics["mean_abs_error.angle [deg]"] for case in results.cases]
+    assert [float(row["mean |error|, angle (°)"]) for row in rows] == pytest.approx(expected)
 
 
 def test_a_thousand_cases_do_not_blow_the_page_up(make_results: MakeResults, tmp_path: Path) -> None:

@@ -78,8 +78,8 @@ def test_the_verdict_names_best_and_worst_settings_and_those_lost(results: Study
     (statement,) = sweep_statements(conditions(results)[0])
     text = re.sub("<[^>]*>", "", str(statement.text))
     assert text.startswith("6 settings of Slow: best ")
-    assert "with a = 1, b = 1, worst " in text
-    assert text.endswith("1 did not complete every case.")
+    assert "with a = 1, b = 1, worst of those that hold the reference " in text
+    assert text.endswith("1 does not hold the reference in every case: a = 2, b = 2.")
 
 
 def test_variants_alone_give_a_report(results: StudyResults) -> None:
@@ -98,7 +98,7 @@ def test_a_cell_that_lost_a_case_is_starred(tmp_path: Path) -> None:
     results = make_results_in(tmp_path, one_lost, sections(), seeds=[7, 8])
     cells = {(row["y"], row["x"]): row for row in rows_of(results, 0)}
     assert cells["1", "1"]["shown"].endswith(" *")
-    assert cells["1", "1"]["text"].endswith("; 1 of 2 cases did not complete")
+    assert cells["1", "1"]["text"].endswith("; 1 of 2 cases do not hold their reference")
     assert not cells["1", "2"]["shown"].endswith("*")
     assert "Starred" in sensitivity_figures(conditions(results)[0], "x-")[0].caption
 
@@ -108,7 +108,7 @@ def test_each_cell_is_the_median_over_the_seeds(results: StudyResults) -> None:
     assert list(cells) == [("1", "1"), ("1", "2"), ("2", "1"), ("2", "2")]
     for (a, b), row in cells.items():
         values = sorted(
-            case.metrics["sum_abs_error.angle [deg]"]
+            case.metrics["mean_abs_error.angle [deg]"]
             for case in results.cases
             if case.controller == f"slow-a-{a}-b-{b}" and case.outcome is Outcome.COMPLETED
         )
@@ -131,7 +131,7 @@ def test_one_setting_makes_a_strip_and_an_object_is_told_by_what_differs(results
 def test_the_page_has_the_section_only_with_sweeps(results: StudyResults, tmp_path: Path) -> None:
     page = render_page([results])
     assert 'id="s1-sensitivity"' in page
-    assert "Slow: absolute integral error of angle in ° over a and b" in page
+    assert "Slow: mean absolute error of angle in ° over a and b" in page
     assert "Median over 3 seeds" in page
     assert 'id="s1-sensitivity"' not in render_page([make_results_in(tmp_path / "plain")])
 

@@ -121,6 +121,7 @@ CONTENT: dict[str, Any] = {
         },
         "plain": {},
     },
+    "metrics": {"cost": {"outputs": {"angle": 2.0}, "inputs": {"torque": 0.1}, "changes": {"torque": 0.2}}},
     "report": {
         "panels": [{"title": "Both", "controllers": ["quick", "slow"]}],
         "limitations": ["One plant only."],

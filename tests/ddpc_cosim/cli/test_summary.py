@@ -11,7 +11,7 @@ from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS
 from ddpc_cosim.study.sections import Study
 
-COST = "sum_abs_error.angle [deg]"
+COST = "mean_abs_error.angle [deg]"
 VALUES = {COST: 0.0, "settled_error.angle [deg]": 0.1, "max_abs_input.torque [N.m]": 3.0}
 
 
@@ -43,7 +43,7 @@ def results(variants: int, lost: str = "") -> StudyResults:
         for seed in told.seeds:
             figures = VALUES | {COST: 100.0 - place + 0.5 * seed, "solve_time_median [s]": 2e-5}
             outcome = Outcome.DIVERGED if key == lost else Outcome.COMPLETED
-            head = (f"{key}_{seed}", key, label, "nominal", seed, outcome, "")
+            head = (f"{key}_{seed}", key, label, "nominal", seed, outcome, "", key != lost)
             cases.append(CaseResult(*head, figures, {}, {}, Path()))
     return StudyResults(Path("out"), told, tuple(cases), {})
 
@@ -85,7 +85,7 @@ def test_a_narrow_window_loses_columns_and_no_figures(width: int) -> None:
     lines = printed(results(4), width)
     assert all(len(line) <= width for line in lines)
     assert not any("…" in line for line in lines)
-    assert any("sum |error|" in line for line in lines)
+    assert any("mean |error|" in line for line in lines)
 
 
 def test_one_seed_needs_no_range() -> None:
@@ -98,6 +98,6 @@ def test_one_seed_needs_no_range() -> None:
 def test_the_best_settings_of_a_sweep_follow_from_the_direction_of_the_metric(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setitem(METRICS, "sum_abs_error", replace(METRICS["sum_abs_error"], better="high"))
+    monkeypatch.setitem(METRICS, "mean_abs_error", replace(METRICS["mean_abs_error"], better="high"))
     rows = [line.strip().split("  ")[0] for line in printed(results(4)) if "horizon" in line]
     assert rows == ["horizon = 0", "horizon = 1"]
