@@ -171,8 +171,8 @@ class Trace:
         Headers are ``name [unit]``, values in the variables' own units, as exchanged with the plant. A
         reference is prefixed with ``reference``; a measurement that differs from the controlled output of its
         name (by noise) with ``measured``, and left out where it does not; an output or input whose header is
-        taken with ``output`` or ``input``; what the plant was given of an input, where that may differ from what
-        a controller commanded, with ``applied``.
+        taken with ``output`` or ``input``; what the plant was given of an input, where that may differ from
+        what a controller commanded, with ``applied``.
         """
         return self._columns(lambda variable, values: (variable.header, values))
 

@@ -173,7 +173,9 @@ class _Resolution:
 
     def _metrics(self) -> MetricSettings:
         cost, loop = self.study.metrics.cost, self.study.loop
-        limits = [loop.preview if one.preview is None else one.preview for one in self.study.scenarios.values()]
+        limits = [
+            loop.preview if one.preview is None else one.preview for one in self.study.scenarios.values()
+        ]
         largest = largest_horizon(self.controllers)
         preview = max(largest if limit == "horizon" else min(limit, largest) for limit in limits)
         return MetricSettings(preview, cost.model_dump() if cost else {})
