@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim.controller import Bounds
-from ddpc_cosim.csv_files import CSVFile, write_table
+from ddpc_cosim.csv_files import write_table
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.sections import Study
@@ -374,12 +374,11 @@ def _write_signals(path: Path, trace: Trace) -> None:
 
 
 def _read_signals(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
-    file = CSVFile(path)
-    if file.faults:
-        raise ValueError(file.faults[0])
-    *numbers, status = (file.cells(i) for i in range(len(file.header)))
-    columns = {name: np.array(cells, dtype=float) for name, cells in zip(file.header, numbers, strict=False)}
-    return columns, tuple(status)
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    cells = list(zip(*rows, strict=True)) or [()] * len(header)
+    columns = {name: np.array(column, dtype=float) for name, column in zip(header[:-1], cells, strict=False)}
+    return columns, tuple(cells[-1])
 
 
 def _variable(stored: dict[str, Any]) -> Variable:
