@@ -122,6 +122,15 @@ def declared_settings(plugin: type[Any]) -> dict[str, SettingInfo]:
     return {f.name: f.metadata["setting"] for f in dataclasses.fields(plugin) if "setting" in f.metadata}
 
 
+def instead_of(plugin: type[Any], setting: str) -> str:
+    """Return what to use instead of a setting that a plug-in does not have any more; empty if it had none.
+
+    ``setting`` is a name, or ``name = value``. The plug-in says so in ``former_settings``, a class attribute:
+    a mapping from these to a clause, such as ``"that is what deepc-published does"``.
+    """
+    return str(getattr(plugin, "former_settings", {}).get(setting, ""))
+
+
 def check_settings(plugin: Any) -> None:
     """Check every declared setting of a plug-in object against its type and range.
 
@@ -136,7 +145,8 @@ def check_settings(plugin: Any) -> None:
         value = getattr(plugin, field.name)
         if info is not None and not _is_possible(value, field.type, info):
             allowed = ", ".join(filter(None, (_type_words(field.type), info.allowed)))
-            found.append(((field.name,), f"{value!r} is not possible; allowed: {allowed}"))
+            hint = instead_of(type(plugin), f"{field.name} = {value}")
+            found.append(((field.name,), f"{value!r} is not possible; {hint or f'allowed: {allowed}'}"))
     if found:
         who = type(plugin).__name__
         raise SettingsError(found, [f"{who}: {name} = {fault}" for (name,), fault in found])
@@ -220,7 +230,8 @@ def _from_table(place: Place, value: Any, kind: Any) -> Any:
     unknown = [key for key in entries if key not in known]
     if unknown:
         what = f"unknown setting of {kind.__name__}"
-        raise SettingsError([((*place, key), f"{what}; {did_you_mean(key, known)}") for key in unknown])
+        hints = {key: instead_of(kind, key) or did_you_mean(key, known) for key in unknown}
+        raise SettingsError([((*place, key), f"{what}; {hint}") for key, hint in hints.items()])
     try:
         return kind(**{key: from_plain(kind, key, entry) for key, entry in entries.items()})
     except SettingsError as error:

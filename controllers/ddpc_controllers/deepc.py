@@ -2,7 +2,13 @@
 
 Sources besides the paper's [8] and [9]: the projection regulariser is that of F. Doerfler, J. Coulson and
 I. Markovsky, *Bridging direct and indirect data-driven control formulations via regularizations and
-relaxations*, IEEE TAC 68(2), 2023, doi:10.1109/TAC.2022.3148374 (arXiv:2101.01273).
+relaxations*, IEEE TAC 68(2), 2023, doi:10.1109/TAC.2022.3148374 (arXiv:2101.01273). The slack on the whole
+window is that of the robust scheme of J. Berberich, J. Koehler, M. A. Mueller, F. Allgoewer, *Data-driven
+model predictive control with stability and robustness guarantees*, IEEE TAC 66(4), 2021 (arXiv:1906.04679).
+The regulariser about the combination of an equilibrium is theirs too: *Linear tracking MPC for nonlinear
+systems, part II: the data-driven case*, IEEE TAC 67(9), 2022 (arXiv:2105.08567). They draw to an equilibrium
+that is known to be reachable. Here it is optimised, and noisy data can be combined to any (u_s, y_s): without
+a price on what the least-squares prediction does not explain of it, the loop drifts.
 """
 
 import copy
@@ -28,14 +34,17 @@ from ddpc_controllers.data.hankel import (
 from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
-from ddpc_controllers.optimisation.problem import ParameterVector, Problem
+from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import Law, make_law
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.optimisation.uncondensed import UncondensedLaw
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, Weight, setting
 
-Regulariser = Literal["ridge", "shifted-ridge", "projection", "l1"]
+Regulariser = Literal["ridge", "equilibrium", "projection", "l1"]
+
+_UNEXPLAINED = 0.3
+"""Weight of |(I - Pi) g_s|^2 in parts of lambda_g: with less than 0.1 loops drift, more than 1 is a bias."""
 
 
 @dataclass(kw_only=True)
@@ -99,13 +108,12 @@ class BehavioralTracking(ScaledSignals):
             "y_ini": (self._past_outputs, p),
             "r": (self.horizon, p),
         }
-        previous = {"h_previous": (1, len(data))} if self._remembers_plan else {}
-        self._parameters = ParameterVector(windows | previous)
+        self._parameters = ParameterVector(windows)
         problem = self._write_down(loop)
         problem.ask(u=steps * m, y=steps * p)
         self._learner = self._make_learner(problem, data, loop, recording)
         self._law = self._make_law(problem, data)
-        changes_answer = np.isfinite(self._rates).any() or self._remembers_plan or self._learner is not None
+        changes_answer = np.isfinite(self._rates).any() or self._learner is not None
         self._applies_answer: bool = steps == 1 and not changes_answer
         self._fill_past(loop, recording)
 
@@ -162,11 +170,6 @@ class BehavioralTracking(ScaledSignals):
         return False
 
     @property
-    def _remembers_plan(self) -> bool:
-        """Whether the data rows of the last plan are a parameter of the next."""
-        return False
-
-    @property
     def _past_outputs(self) -> int:
         return self.initial_length + self.use_current_output
 
@@ -220,7 +223,9 @@ class BehavioralTracking(ScaledSignals):
         """Return the number of the row that sums g, if there is one."""
         return self._layout.rows_of(ONE, {"u": recording.u.shape[1], "y": recording.y.shape[1]})
 
-    def _tracking_problem(self, loop: Loop, prefer_rest: bool = False) -> Problem:
+    def _tracking_problem(
+        self, loop: Loop, *, prefer_rest: bool = False, future_slack: float = 0.0
+    ) -> Problem:
         """Write down the cost, the terminal condition and the bounds; the past outputs are the subclass's."""
         settings = TrackingSettings(
             horizon=self.horizon,
@@ -243,6 +248,7 @@ class BehavioralTracking(ScaledSignals):
             sizes,
             known={"u_ini": "u_ini"} | ({"sum_g": "one"} if self._sums_g else {}),
             prefer_rest=prefer_rest,
+            future_slack=future_slack,
         )
 
     def _plan(self, reference: FloatArray) -> tuple[FloatArray, str]:
@@ -256,8 +262,6 @@ class BehavioralTracking(ScaledSignals):
         self._forecast = answer[planned:forecast]
         if self._applies_answer:
             return answer[:planned], fault
-        if self._remembers_plan and not fault:
-            parameters.fill("h_previous", answer[forecast:])
         plan = answer[:planned].reshape(-1, self._inputs)
         if self._learner:
             self._learner.add_dither(plan)
@@ -289,15 +293,25 @@ class DeePC(OnlineSettings, BehavioralTracking):
     The defaults are those of Table 1 and the problem is the printed one. ``artificial_setpoint`` and
     ``terminal_equality`` off give the regulation form of [8].
 
-    ``regulariser`` is what ``lambda_g`` weighs: ``"ridge"`` |g|^2; ``"shifted-ridge"`` |g - g'|^2, g' being
-    the last plan's combination, which leaves no bias at rest; ``"projection"`` |(I - Pi) g|^2, only what goes
-    beyond the least-squares prediction; ``"l1"`` |g|_1, for which no condensed form is known: the full
-    problem is solved by PIQP's sparse backend at every sample, at a cost that grows with the recording, and
-    where that fails the last input is held.
+    ``regulariser`` is what ``lambda_g`` weighs: ``"ridge"`` |g|^2; ``"equilibrium"``
+    |g - g_s|^2 + 0.3 |(I - Pi) g_s|^2, g_s(u_s, y_s) being the smallest combination that is at the artificial
+    setpoint all along, past and future: being there costs nothing, as far as the data say that the plant
+    rests there; ``"projection"`` |(I - Pi) g|^2, only what goes beyond the least-squares prediction;
+    ``"l1"`` |g|_1, for which no condensed form is known: the full problem is solved by PIQP's sparse backend
+    at every sample, at a cost that grows with the recording, and where that fails the last input is held.
+
+    ``future_slack`` lets predicted outputs differ from the data rows by sigma_y too, in the cost, the
+    terminal condition and the bounds, as in the robust scheme of Berberich et al.
 
     ``online_data`` lets the data follow the plant: see
     :class:`~ddpc_controllers.data.online.OnlineSettings`.
     """
+
+    former_settings: ClassVar[Mapping[str, str]] = {
+        "regulariser = shifted-ridge": 'use "equilibrium", which leaves no bias at rest with noise either',
+        "zero_padding": "that is what deepc-published does",
+        "affine_sum = first-horizon": "that is what deepc-published does",
+    }
 
     regulariser: Regulariser = setting(
         "ridge", choices=get_args(Regulariser), doc="what lambda_g weighs of g: see the class"
@@ -305,10 +319,20 @@ class DeePC(OnlineSettings, BehavioralTracking):
     lambda_g: float = setting(50.0, above=0.0, doc="weight of the regulariser, of |g|^2 with the ridge")
     slack: bool = setting(True, doc="past outputs may be missed by sigma_y; otherwise they are met exactly")
     lambda_sigma: float = setting(1e7, above=0.0, doc="weight of |sigma_y|^2, the misfit of the past outputs")
+    future_slack: bool = setting(
+        False, doc="sigma_y on the predicted outputs too, as in the robust scheme; needs slack"
+    )
     affine_sum: str = setting("none", choices=("none", "all"), doc="which entries of g sum to 1")
 
     def _faults_between_settings(self) -> list[str]:
         faults = super()._faults_between_settings()
+        if self.regulariser == "equilibrium" and not self.artificial_setpoint:
+            faults.append(
+                "DeePC: regulariser = 'equilibrium' draws g to the artificial setpoint: switch "
+                "artificial_setpoint on, or use another regulariser"
+            )
+        if self.future_slack and not self.slack:
+            faults.append("DeePC: future_slack is for outputs missed by sigma_y: switch slack on, or it off")
         if self.online_data != "frozen" and self.regulariser == "l1":
             faults.append(
                 "DeePC: regulariser = 'l1' has no condensed form to update; use another regulariser or "
@@ -320,13 +344,9 @@ class DeePC(OnlineSettings, BehavioralTracking):
     def _sums_g(self) -> bool:
         return self.affine_sum != "none"
 
-    @property
-    def _remembers_plan(self) -> bool:
-        return self.regulariser == "shifted-ridge"
-
     def _write_down(self, loop: Loop) -> Problem:
         """Write down (8), the slack sigma_y = Y_p g - y_ini eliminated."""
-        problem = self._tracking_problem(loop)
+        problem = self._tracking_problem(loop, future_slack=self.lambda_sigma * self.future_slack)
         past_y = np.eye(self._parameters.sizes["y_ini"])
         if self.slack:
             weight = self.lambda_sigma * np.eye(len(loop.outputs))
@@ -335,9 +355,27 @@ class DeePC(OnlineSettings, BehavioralTracking):
             problem.equate({"y_ini": past_y}, {"y_ini": past_y})
         if self.regulariser == "projection":
             problem.regularise({"y": self.lambda_g})
-        elif self.regulariser != "l1":
-            problem.regularise(self.lambda_g, about="h_previous" if self._remembers_plan else "")
+        elif self.regulariser == "equilibrium":
+            own = {"y": _UNEXPLAINED * self.lambda_g}
+            problem.regularise_about(self._rows_at_rest(loop), self.lambda_g, own)
+        elif self.regulariser == "ridge":
+            problem.regularise(self.lambda_g)
         return problem
+
+    def _rows_at_rest(self, loop: Loop) -> Mapping[str, Blocks]:
+        """Return the data rows of a plant that rests at the artificial setpoint (u_s, y_s)."""
+        u_s, y_s, past, n = (
+            np.eye(len(loop.inputs)),
+            np.eye(len(loop.outputs)),
+            self.initial_length,
+            self.horizon,
+        )
+        return {
+            "u_ini": {"u_s": np.tile(u_s, (past, 1))},
+            "y_ini": {"y_s": np.tile(y_s, (self._past_outputs, 1))},
+            "u": {"u_s": np.tile(u_s, (n, 1))},
+            "y": {"y_s": np.tile(y_s, (n, 1))},
+        } | ({"sum_g": {"one": np.eye(1)}} if self._sums_g else {})
 
     def _make_learner(
         self, problem: Problem, data: FloatArray, loop: Loop, recording: Recording

@@ -42,6 +42,9 @@ class WKPC(OnlineSettings, ScaledSignals):
 
     uses_recording: ClassVar[bool] = True
     accepts_missing: ClassVar[bool] = True
+    former_settings: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("zero_padding", "double_shift"), "that is what wkpc-published does"
+    )
 
     initial_length: int = setting(2, low=1, doc="samples of the past that fix the initial condition, Tini")
     horizon: int = setting(5, low=1, doc="prediction horizon N, samples")

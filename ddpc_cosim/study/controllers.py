@@ -17,6 +17,7 @@ from ddpc_cosim.settings import (
     SettingsError,
     declared_settings,
     from_plain,
+    instead_of,
     is_plain,
     map_files,
 )
@@ -196,7 +197,9 @@ def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
     arguments = {}
     for key, value in settings.items():
         if known and key not in known:
-            found.append(((key,), f"unknown setting of {kind}; {did_you_mean(key, known)}"))
+            found.append(
+                ((key,), f"unknown setting of {kind}; {instead_of(plugin, key) or did_you_mean(key, known)}")
+            )
             continue
         try:
             arguments[key] = from_plain(plugin, key, value)

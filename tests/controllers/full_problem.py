@@ -98,22 +98,16 @@ class FullDeePC:
         u_ini: FloatArray,
         y_ini: FloatArray,
         reference: FloatArray,
-        previous: FloatArray | None = None,
     ) -> FullSolution:
-        """Return the optimum for one past and one reference, time along axis 0 of each.
-
-        ``previous`` is the g that the shifted ridge is about; default: zero.
-        """
+        """Return the optimum for one past and one reference, time along axis 0 of each."""
         qp, (n, m, p) = self._qp, self._shape
         qp.right["u_ini"][:], qp.right["y_ini"][:] = u_ini.ravel(), y_ini.ravel()
         if "rate" in qp.right:
             qp.right["rate"][:m] = u_ini[-1]
         if self._settings.artificial_setpoint:
-            qp.linear["y_s"][:] = -2.0 * self._s @ reference.sum(axis=0)
+            qp.linear["y_s"][:] = self._linear_y_s - 2.0 * self._s @ reference.sum(axis=0)
         else:
             qp.linear["y"][:] = -2.0 * (reference @ self._q).ravel()
-        if previous is not None:
-            qp.linear["g"][:] = -2.0 * self._settings.lambda_g * previous
         x, failure = qp.solve()
         g = x["g"][: len(x["g"]) // 2] - x["g"][len(x["g"]) // 2 :] if self._l1 else x["g"]
         return FullSolution(x["u"].reshape(n, m), x["y"].reshape(n, p), g, failure)
@@ -146,6 +140,8 @@ class FullDeePC:
         sizes = {"g": (1 + self._l1) * columns, "u": n * m, "y": n * p}
         if settings.slack:
             sizes["sigma"] = len(self._data["y_ini"])
+        if settings.future_slack:
+            sizes["sigma_future"] = n * p
         if settings.artificial_setpoint:
             sizes |= {"u_s": m, "y_s": p}
         if settings.soft_output_bounds:
@@ -163,16 +159,52 @@ class FullDeePC:
             blocks["g", "g"] = settings.lambda_g * self._weight_of_g(sizes["g"])
         if settings.slack:
             blocks["sigma", "sigma"] = settings.lambda_sigma * sp.eye_array(sizes["sigma"])
+        if settings.future_slack:
+            weight = settings.lambda_sigma * sp.eye_array(sizes["sigma_future"])
+            blocks["sigma_future", "sigma_future"] = weight
         if settings.artificial_setpoint:
             tie_u, tie_y = -np.kron(held, r), -np.kron(held, q)
             blocks |= {("u", "u_s"): tie_u, ("u_s", "u"): tie_u.T, ("u_s", "u_s"): n * r}
             blocks |= {("y", "y_s"): tie_y, ("y_s", "y"): tie_y.T, ("y_s", "y_s"): n * (q + self._s)}
+        if settings.regulariser == "equilibrium":
+            at_rest, weight = self._at_rest()[0], self._weight_of_g_s()
+            for i, of_i in at_rest.items():
+                blocks["g", i] = -settings.lambda_g * of_i
+                blocks[i, "g"] = blocks["g", i].T
+                for j, of_j in at_rest.items():
+                    blocks[i, j] = blocks.get((i, j), 0.0) + of_i.T @ weight @ of_j
         for soft, exact in (("y_held", "y"), ("y_s_held", "y_s")):
             if soft in sizes:  # what of y goes beyond the bounds: the distance to what is held within them
                 weight = settings.soft_output_bounds * np.eye(sizes[soft])
                 blocks |= {(soft, soft): weight, (soft, exact): -weight, (exact, soft): -weight}
                 blocks[exact, exact] = blocks[exact, exact] + weight
         return blocks
+
+    def _at_rest(self) -> tuple[dict[str, FloatArray], FloatArray]:
+        """Return g_s as a function of u_s and y_s, and its constant part."""
+        stacked = np.vstack(list(self._data.values()))
+        inverse = np.linalg.pinv(stacked)
+        (_, m, p), rows = self._shape, {name: len(block) for name, block in self._data.items()}
+        of_u_s = np.vstack(
+            [
+                np.tile(np.eye(m), (k // m, 1)) if name in ("u_ini", "u") else np.zeros((k, m))
+                for name, k in rows.items()
+            ]
+        )
+        of_y_s = np.vstack(
+            [
+                np.tile(np.eye(p), (k // p, 1)) if name in ("y_ini", "y") else np.zeros((k, p))
+                for name, k in rows.items()
+            ]
+        )
+        constant = np.concatenate([np.full(k, float(name == "sum_g")) for name, k in rows.items()])
+        return {"u_s": inverse @ of_u_s, "y_s": inverse @ of_y_s}, inverse @ constant
+
+    def _weight_of_g_s(self) -> FloatArray:
+        """Return lambda_g (I + 0.3 (I - Pi)), Pi projecting on what the outputs are predicted from."""
+        known = np.vstack([rows for name, rows in self._data.items() if name != "y"])
+        one = np.eye(known.shape[1])
+        return self._settings.lambda_g * (one + 0.3 * (one - np.linalg.pinv(known) @ known))
 
     def _weight_of_g(self, columns: int) -> Any:
         if self._settings.regulariser != "projection":
@@ -185,6 +217,8 @@ class FullDeePC:
         every_u, every_y = np.eye(n * m), np.eye(n * p)
         rows: dict[str, dict[str, Any]] = {name: {"g": block} for name, block in self._data.items()}
         rows["u"]["u"], rows["y"]["y"] = -every_u, -every_y
+        if settings.future_slack:
+            rows["y"]["sigma_future"] = -every_y
         if settings.slack:
             rows["y_ini"]["sigma"] = -np.eye(sizes["sigma"])
         if settings.terminal_equality:
@@ -217,6 +251,15 @@ class FullDeePC:
         qp, (n, _, _) = self._qp, self._shape
         if "sum_g" in qp.right:
             qp.right["sum_g"][:] = 1.0
+        self._linear_y_s = np.zeros(self._shape[2])
+        if (
+            self._settings.regulariser == "equilibrium"
+        ):  # of |g - P s - c|^2 and what the data leave of P s + c
+            at_rest, constant = self._at_rest()
+            qp.linear["g"][:] = -2.0 * self._settings.lambda_g * constant
+            weight = self._weight_of_g_s()
+            qp.linear["u_s"][:] = 2.0 * at_rest["u_s"].T @ weight @ constant
+            self._linear_y_s = 2.0 * at_rest["y_s"].T @ weight @ constant
         if self._l1:
             qp.linear["g"][:] = self._settings.lambda_g
         if not self._settings.artificial_setpoint:

@@ -35,7 +35,7 @@ from .loops import ANGLE, close_loop, make_loop, paper_reference, pendulum_loop,
 VARIANTS: list[Any] = [
     DeePC(),
     PublishedDeePC(),
-    DeePC(regulariser="shifted-ridge", apply_steps=2, rate_bounds=0.5, soft_output_bounds=1e3),
+    DeePC(regulariser="equilibrium", apply_steps=2, rate_bounds=0.5, soft_output_bounds=1e3),
     DeePC(online_data="sliding-window", dither=0.2, use_current_output=True),
     SPC(),
     GammaDDPC(),

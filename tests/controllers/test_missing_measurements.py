@@ -24,7 +24,7 @@ CONTROLLERS: dict[str, Callable[[], Controller]] = {
     ),
     "DeePC, rates": lambda: DeePC(affine_sum="all", lambda_g=1e-6, rate_bounds=5.0),
     "DeePC, L1": lambda: DeePC(affine_sum="all", lambda_g=1e-6, regulariser="l1"),
-    "DeePC, shifted": lambda: DeePC(affine_sum="all", lambda_g=1e-6, regulariser="shifted-ridge"),
+    "DeePC, equilibrium": lambda: DeePC(affine_sum="all", lambda_g=1e-6, regulariser="equilibrium"),
     "DeePC, online": lambda: DeePC(affine_sum="all", lambda_g=1e-6, online_data="sliding-window"),
     "SPC": SPC,
     "WKPC": lambda: WKPC(dictionary=Identity(), lambda_g=1e-6),

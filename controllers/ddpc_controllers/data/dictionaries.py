@@ -6,12 +6,12 @@ A state comes as its newest sample, followed by as many past ones as the diction
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations_with_replacement
 from math import comb
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -171,6 +171,10 @@ class ThinPlate(_Radial):
 
     The centres c_i are placed once per run, by default drawn uniformly from a box.
     """
+
+    former_settings: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("redraw_centre", "squared_distance"), "that is what wkpc-published does"
+    )
 
     count: int = setting(10, low=1, doc="number of functions, n_p")
     low: float = setting(0.0, doc="lower end of every coordinate of a centre in the box")

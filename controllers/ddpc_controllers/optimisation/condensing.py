@@ -4,9 +4,10 @@ With a rank-revealing factorisation ``M = B V'`` of the stacked data and ``g = V
 ``h = B v`` and ``|g| = |v|``: the length of the recording is gone, nothing is inverted, and data without full
 row rank (noise-free, lifted) are no special case. What remains is, p being the parameters,
 
-    minimise |G z - T p|^2 + |v - v_0 p|_W^2   subject to   E z = E_p p,   lower <= C z <= upper,
+    minimise |G z - T p|^2 + |v - v_s|_W^2 + |v_s|_U^2   subject to   E z = E_p p,   lower <= C z <= upper,
 
-with ``z = (v, other variables)``. The equalities are eliminated through a null space that reveals their rank,
+with ``z = (v, other variables)`` and v_s, affine in the other variables and p, what g is drawn to, or zero.
+The equalities are eliminated through a null space that reveals their rank,
 ``z = particular p + null_space w``. A triangular factor of what is left of the cost measures the distance t
 from the unconstrained optimum in units of the cost, and so
 
@@ -20,6 +21,7 @@ block of rows, what of them the rows above do not determine.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,10 +48,13 @@ class RowFactor:
         B, of full column rank.
     weights : array, shape (rank,)
         Weight of the square of each coordinate.
+    blocks : array of int, shape (rank,)
+        Number of the block of rows that adds each coordinate to those of the blocks above.
     """
 
     basis: FloatArray
     weights: FloatArray
+    blocks: NDArray[np.intp]
 
 
 def factorise(data: FloatArray, weights: Sequence[tuple[int, float]]) -> RowFactor:
@@ -69,9 +74,10 @@ def factorise(data: FloatArray, weights: Sequence[tuple[int, float]]) -> RowFact
     """
     sizes, values = zip(*weights, strict=True)
     basis, ranks = _block_triangular(data, sizes)
-    weight = np.repeat(values, ranks)
+    block = np.repeat(np.arange(len(ranks)), ranks)
+    weight = np.array(values)[block]
     kept = np.isfinite(weight)
-    return RowFactor(basis[:, kept], weight[kept])
+    return RowFactor(basis[:, kept], weight[kept], block[kept])
 
 
 def _block_triangular(data: FloatArray, sizes: tuple[int, ...]) -> tuple[FloatArray, list[int]]:
@@ -129,21 +135,34 @@ class CondensedProblem:
     labels: tuple[str, ...] = ()
 
 
+class Coordinates(NamedTuple):
+    """A cost of coordinates v of a combination: ``|gain w + law p|_weights^2``.
+
+    Parameters
+    ----------
+    gain, law : arrays, shapes (rank, k) and (rank, parameters)
+        The coordinates.
+    weights : array, shape (rank,)
+        Weight of the square of each.
+    """
+
+    gain: FloatArray
+    law: FloatArray
+    weights: FloatArray
+
+
 @dataclass(frozen=True, slots=True)
 class ReducedProblem:
     """A tracking problem without its equalities, in the free variables w.
 
-    The cost is ``|residual w + offset p|^2 + |own_gain w + own_law p|_weights^2``; everything else is
-    affine in (p, w) too.
+    The cost is ``|residual w + offset p|^2`` and that of g; everything else is affine in (p, w) too.
 
     Parameters
     ----------
     residual, offset : arrays, shapes (r, k) and (r, parameters)
         The tracking cost.
-    own_gain, own_law : arrays, shapes (rank, k) and (rank, parameters)
-        The coordinates v, less where they are drawn to.
-    weights : array, shape (rank,)
-        Weight of the square of each.
+    own : tuple of Coordinates
+        What g costs: the coordinates v, less where they are drawn to; and where there is such, that too.
     excess_gain, excess_law : arrays, shapes (n, k) and (n, parameters)
         By how much each bound is exceeded, in parts of its range.
     move_gain, move_law : arrays, shapes (m, k) and (m, parameters)
@@ -154,9 +173,7 @@ class ReducedProblem:
 
     residual: FloatArray
     offset: FloatArray
-    own_gain: FloatArray
-    own_law: FloatArray
-    weights: FloatArray
+    own: tuple[Coordinates, ...]
     excess_gain: FloatArray
     excess_law: FloatArray
     move_gain: FloatArray
@@ -184,9 +201,11 @@ class ReducedProblem:
 
     def _unconstrained_optimum(self) -> tuple[FloatArray, FloatArray]:
         """Return ``w = law p + gain t`` such that the cost is |t|^2 and a constant."""
-        root = np.sqrt(self.weights)[:, np.newaxis]
-        residual = np.vstack([self.residual, root * self.own_gain])
-        offset = np.vstack([self.offset, root * self.own_law])
+        roots = [np.sqrt(own.weights)[:, np.newaxis] for own in self.own]
+        residual = np.vstack(
+            [self.residual, *(root * v.gain for root, v in zip(roots, self.own, strict=True))]
+        )
+        offset = np.vstack([self.offset, *(root * v.law for root, v in zip(roots, self.own, strict=True))])
         size = residual.shape[1]
         if size == 0:
             return np.zeros((0, offset.shape[1])), np.zeros((0, 0))
@@ -235,23 +254,24 @@ def reduce(problem: Problem, factor: RowFactor) -> ReducedProblem:
     (residual, target), (equality, equality_target) = problem.cost, problem.equality
     quantities, lower, upper = problem.bounded
     particular, null_space, conflict = _eliminate(in_z(equality), equality_target)
-    residual, bounded, move, own = (
-        in_z(residual),
-        in_z(quantities),
-        in_z(problem.wanted),
-        slice(basis.shape[1]),
-    )
+    residual, bounded, move = in_z(residual), in_z(quantities), in_z(problem.wanted)
+    rank = basis.shape[1]
+    own = [Coordinates(null_space[:rank], particular[:rank], factor.weights)]
+    of_x, of_p = problem.origin
+    if of_x.any() or of_p.any():  # v_s = B^+ h_s is the smallest combination that has the rows h_s
+        drawn_to = np.linalg.lstsq(basis, np.hstack([of_x[:, rows:], of_p]))[0]
+        others, constant = np.split(drawn_to, [of_x.shape[1] - rows], axis=1)
+        gain, drawn = others @ null_space[rank:], others @ particular[rank:] + constant
+        own = [
+            Coordinates(own[0].gain - gain, own[0].law - drawn, factor.weights),
+            Coordinates(gain, drawn, np.array(problem.origin_weights)[factor.blocks]),
+        ]
     law, gain = _excess(bounded @ particular, bounded @ null_space, lower, upper)
     kept, labels = _tightest(law, gain), problem.labels
-    drawn_to = np.zeros((basis.shape[1], problem.origin.shape[1]))
-    if problem.origin.any():
-        drawn_to = np.asarray(np.linalg.lstsq(basis, problem.origin)[0])
     return ReducedProblem(
         residual=residual @ null_space,
         offset=residual @ particular - target,
-        own_gain=null_space[own],
-        own_law=particular[own] - drawn_to,
-        weights=factor.weights,
+        own=tuple(own),
         excess_law=law[kept],
         excess_gain=gain[kept],
         move_law=move @ particular,

@@ -27,8 +27,11 @@ class Problem:
     weights : tuple of (int, float)
         What g costs, block by block of the data rows from the top: number of rows and weight. One block
         weighs ``|g|^2``; see :func:`~ddpc_controllers.optimisation.condensing.factorise` for more.
-    origin : array, shape (rows, parameters)
-        ``origin @ p`` are the data rows that g is drawn to; zero where ``|g|`` itself is weighed.
+    origin : (array, array), shapes (rows, variables) and (rows, parameters)
+        The data rows that g is drawn to, as functions of x and p: those of its smallest combination. Zero
+        where ``|g|`` itself is weighed.
+    origin_weights : tuple of float
+        What that smallest combination costs itself, block by block as in ``weights``.
     labels : tuple of str
         What the finite limits are called: the upper ones, and then the lower ones.
     """
@@ -44,24 +47,35 @@ class Problem:
         self._bounds: list[tuple[str, FloatArray, FloatArray, FloatArray]] = []
         self._wanted: list[FloatArray] = []
         self.weights: tuple[tuple[int, float], ...] = ((self.row_count, 0.0),)
-        self.origin = np.zeros((self.row_count, self._columns))
+        self.origin = np.zeros((self.row_count, self._width)), np.zeros((self.row_count, self._columns))
+        self.origin_weights: tuple[float, ...] = (0.0,)
 
     @property
     def row_count(self) -> int:
         """Number of data rows."""
         return sum(self.rows.values())
 
-    def regularise(self, weight: float | Mapping[str, float], about: str = "") -> None:
-        """Add ``weight |g|^2`` to the cost, or weights for what the last blocks of rows add to those above.
-
-        ``about`` names a parameter that holds data rows: their combination takes the place of g = 0.
-        """
+    def regularise(self, weight: float | Mapping[str, float]) -> None:
+        """Add ``weight |g|^2`` to the cost, or weights of what the last blocks of rows add to those above."""
         last = weight if isinstance(weight, Mapping) else {}
         above = self.row_count - sum(self.rows[name] for name in last)
         first = 0.0 if isinstance(weight, Mapping) else weight
         self.weights = ((above, first), *((self.rows[name], size) for name, size in last.items()))
-        if about:
-            self.origin[:, self._parameters[about]] = np.eye(self.row_count)
+
+    def regularise_about(self, rows: Mapping[str, Blocks], weight: float, own: Mapping[str, float]) -> None:
+        """Add ``weight |g - g_s|^2`` to the cost, g_s being the smallest combination with given data rows.
+
+        ``rows`` has coefficients of variables or parameters for each block of data rows; ``own`` has weights
+        of what the last blocks of rows add to g_s.
+        """
+        above = self.row_count - sum(self.rows[name] for name in own)
+        self.weights = ((above, weight), *((self.rows[name], weight) for name in own))
+        self.origin_weights = (0.0, *own.values())
+        of_x, of_p = self.origin
+        for row, blocks in rows.items():
+            for name, block in blocks.items():
+                part, place = (of_x, self._variables) if name in self._variables else (of_p, self._parameters)
+                part[self._variables[row], place[name]] = block
 
     def penalise(self, weight: FloatArray, variables: Blocks, target: Blocks) -> None:
         """Add ``|sum variables - sum target|^2`` to the cost, each sample weighted by ``weight``."""
@@ -89,11 +103,9 @@ class Problem:
         self._bounds.append((name or variable, bounded, *limits))
 
     def ask(self, **counts: int) -> None:
-        """Ask for the first entries of variables; where g is drawn to earlier rows, for all new ones too."""
+        """Ask for the first entries of variables."""
         for name, count in counts.items():
             self._wanted.append(np.eye(self._width)[self._variables[name]][:count])
-        if self.origin.any():
-            self._wanted.append(np.eye(self.row_count, self._width))
 
     @property
     def cost(self) -> tuple[FloatArray, FloatArray]:

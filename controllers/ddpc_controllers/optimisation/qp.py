@@ -12,7 +12,7 @@ before it meets the Gram matrix K of the data does not change with it: in the
 coordinates of :class:`~ddpc_controllers.data.online.OnlineData`, with ``K = L L'``, the cost of the free
 variables w at the parameters p is
 
-    |residual w + offset p|^2 + |L^-1 (own_gain w + own_law p)|_weights^2.
+    |residual w + offset p|^2 + |L^-1 (gain w + law p)|_weights^2.
 
 One triangular solution, one product and one factorisation give its optimum.
 """
@@ -273,16 +273,22 @@ class AdaptiveQP(_BoundedLaw):
         """Eliminate the equalities in the coordinates of the data's factor."""
         self._factor = self._data.factor
         reduced = self._reduced = reduce(self._problem, self._factor)
-        rank, size = reduced.own_gain.shape
+        rank, size = reduced.own[0].gain.shape
+        terms = len(reduced.own)
         self._take(len(reduced.excess_law), reduced.conflict_law)
-        self._split = size + rank
+        self._split = size + terms * rank
         linear = reduced.residual.T @ reduced.offset
-        self._laws = np.vstack([linear, reduced.own_law, reduced.excess_law, reduced.move_law])
+        own_laws = [own.law for own in reduced.own]
+        self._laws = np.vstack([linear, *own_laws, reduced.excess_law, reduced.move_law])
         self._gains = np.vstack([reduced.excess_gain, reduced.move_gain])
         self._curvature = reduced.residual.T @ reduced.residual
-        self._root = np.sqrt(reduced.weights)[:, np.newaxis]
-        self._own = np.zeros((rank, size + 1), order="F")
-        self._own[:, :size] = reduced.own_gain
+        # What g costs, side by side: one triangular solution serves all of it.
+        self._roots = np.sqrt(
+            np.hstack([np.tile(own.weights[:, np.newaxis], size + 1) for own in reduced.own])
+        )
+        self._own = np.zeros((rank, terms * (size + 1)), order="F")
+        for place, own in zip(self._places_of_own(), reduced.own, strict=True):
+            self._own[:, place][:, :size] = own.gain
 
     def _unconstrained_optimum(
         self, gram_factor: FloatArray, affine: FloatArray, parameters: FloatArray
@@ -290,15 +296,22 @@ class AdaptiveQP(_BoundedLaw):
         """Return R, ``R'R`` being the curvature of the cost, and the optimum w."""
         size = len(self._curvature)
         own = self._own
-        own[:, -1] = affine[size:]
+        own[:, size :: size + 1] = affine[size:].reshape(-1, len(own)).T
         deviation = dtrsm(1.0, gram_factor, own, lower=1)
-        deviation *= self._root
+        deviation *= self._roots
+        if own.shape[1] > size + 1:
+            deviation = np.vstack([deviation[:, place] for place in self._places_of_own()])
         products = dsyrk(1.0, deviation, trans=1)
         triangular, info = dpotrf(self._curvature + products[:size, :size])
         diagonal = triangular.diagonal().tolist()
         if info or (size and min(diagonal) < _ILL_CONDITIONED * max(diagonal)):
             return self._optimum_by_roots(deviation, parameters)
         return triangular, -dpotrs(triangular, affine[:size] + products[:size, size])[0]
+
+    def _places_of_own(self) -> list[slice]:
+        """Return where each part of what g costs stands, its gain and its value."""
+        width = len(self._curvature) + 1
+        return [slice(start, start + width) for start in range(0, len(self._reduced.own) * width, width)]
 
     def _optimum_by_roots(
         self, deviation: FloatArray, parameters: FloatArray

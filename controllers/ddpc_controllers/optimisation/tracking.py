@@ -66,6 +66,7 @@ def tracking_problem(
     *,
     known: Mapping[str, str],
     prefer_rest: bool = False,
+    future_slack: float = 0.0,
 ) -> Problem:
     """Write down cost, terminal condition and bounds.
 
@@ -90,6 +91,8 @@ def tracking_problem(
         Which of the rows in ``past`` equal which parameter; the others are the caller's.
     prefer_rest : bool
         Where inputs outnumber outputs, choose among setpoints u_s alike in cost the one nearest to rest.
+    future_slack : float
+        Weight of ``|sigma|^2``, by which predicted outputs may miss those of the data rows; 0: they may not.
 
     Raises
     ------
@@ -107,17 +110,22 @@ def tracking_problem(
     free = {name: {"u_s": m, "y_s": p}[name] for name in names}
     if settings.soft_output_bounds > 0.0:
         free |= {"y_excess": n * p} | ({"y_s_excess": p} if "y_s" in free else {})
+    future_y = "y_slackened" if future_slack else "y"
+    if future_slack:
+        free[future_y] = n * p
     problem = Problem({**past, "u": n * m, "y": n * p}, free, parameters)
     for row, parameter in known.items():
         problem.equate({row: np.eye(past[row])}, {parameter: np.eye(past[row])})
 
     every_u, every_y = np.eye(n * m), np.eye(n * p)
     held_u, held_y = np.tile(np.eye(m), (n, 1)), np.tile(np.eye(p), (n, 1))
+    if future_slack:
+        problem.penalise(future_slack * np.eye(p), {"y": every_y, future_y: -every_y}, {})
     if "y_s" in free:
-        problem.penalise(q, {"y": every_y, "y_s": -held_y}, {})  # |y_k - y_s|_Q^2
+        problem.penalise(q, {future_y: every_y, "y_s": -held_y}, {})  # |y_k - y_s|_Q^2
         problem.penalise(s, {"y_s": held_y}, {"r": every_y})  # |r_t+k - y_s|_S^2
     else:
-        problem.penalise(q, {"y": every_y}, {"r": every_y})  # |y_k - r_t+k|_Q^2
+        problem.penalise(q, {future_y: every_y}, {"r": every_y})  # |y_k - r_t+k|_Q^2
     if "u_s" in free:
         problem.penalise(r, {"u": every_u, "u_s": -held_u}, {})  # |u_k - u_s|_R^2
         if prefer_rest and m > p:
@@ -128,17 +136,17 @@ def tracking_problem(
         before = _inputs_before(problem, m)
         problem.penalise(change, {"u": every_u - before["u"], "u_ini": -before["u_ini"]}, {})
 
-    for name, width in {"u": m, "y": p}.items():  # the horizon's end is at the setpoints
-        if settings.terminal_length and f"{name}_s" in free:
-            last, held = slice(-settings.terminal_length * width, None), {"u": held_u, "y": held_y}[name]
-            problem.equate({name: np.eye(n * width)[last], f"{name}_s": -held[last]}, {})
-    _bound_signals(problem, settings, bounds)
+    for name, setpoint, held in (("u", "u_s", held_u), (future_y, "y_s", held_y)):
+        if settings.terminal_length and setpoint in free:  # the horizon's end is at the setpoints
+            last = slice(-settings.terminal_length * held.shape[1], None)
+            problem.equate({name: np.eye(len(held))[last], setpoint: -held[last]}, {})
+    _bound_signals(problem, settings, bounds, future_y)
     if np.isfinite(rates).any():
         problem.bound("u", -rates, rates, _inputs_before(problem, m), name="change of u")
     return problem
 
 
-def _bound_signals(problem: Problem, settings: TrackingSettings, bounds: Bounds) -> None:
+def _bound_signals(problem: Problem, settings: TrackingSettings, bounds: Bounds, future_y: str) -> None:
     """Bound inputs, outputs and artificial setpoints; soft output bounds give way at a quadratic cost.
 
     The setpoint's output bounds give way with them: the terminal condition would make them hard again.
@@ -156,7 +164,7 @@ def _bound_signals(problem: Problem, settings: TrackingSettings, bounds: Bounds)
             excess[f"{name}_excess"] = np.eye(problem.free[f"{name}_excess"])
             problem.penalise(settings.soft_output_bounds * np.eye(len(lower)), excess, {})
         if name in problem.rows or name in problem.free:
-            problem.bound(name, lower, upper, excess)
+            problem.bound(future_y if name == "y" else name, lower, upper, excess, name=name)
 
 
 def _inputs_before(problem: Problem, m: int) -> dict[str, FloatArray]:

@@ -92,6 +92,13 @@ CASES: dict[str, dict[str, Any]] = {
     "regulation": {**REGULATION, "output_weight": 1e3, "input_weight": 0.5},
     "projection": {"regulariser": "projection"},
     "affine": {"affine_sum": "all"},
+    "equilibrium": {"regulariser": "equilibrium"},
+    "equilibrium, slack on all outputs": {
+        "regulariser": "equilibrium",
+        "affine_sum": "all",
+        "future_slack": True,
+        "lambda_sigma": 1e4,
+    },
     "soft, rates": {"soft_output_bounds": 1e3, "rate_bounds": 1.0},
 }
 
