@@ -4,17 +4,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from itertools import accumulate, pairwise
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ddpc_cosim.csv_files import Column, read_table, write_table
 from ddpc_cosim.errors import DataError
 from ddpc_cosim.settings import check_settings, to_plain
 from ddpc_cosim.variables import FloatArray, Variable
 
 OK = "ok"
 _NO_INFO: Mapping[str, float] = MappingProxyType({})
+_NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +106,93 @@ class Recording:
         u, y, measured = (np.vstack([getattr(p, name) for p in pieces]) for name in ("u", "y", "measured"))
         return cls(u, y, measured, recordings[0].sampling_time, tuple(first[:-1]))
 
+    @classmethod
+    def read_csv(
+        cls,
+        *paths: str | Path,
+        sampling_time: float,
+        inputs: Sequence[Variable | str],
+        outputs: Sequence[Variable | str],
+        measurements: Sequence[Variable | str] = (),
+        columns: Mapping[str, str] = _NO_COLUMNS,
+        time_column: str = "time",
+        time_tolerance: float = 0.01,
+    ) -> "Recording":
+        """Return what was logged in one CSV file or several, which are pieces of a mosaic.
+
+        Parameters
+        ----------
+        *paths : str or Path
+            The files: UTF-8 text with a header, columns separated by commas, semicolons or tabs.
+        sampling_time : float
+            Time between rows [s].
+        inputs, outputs, measurements : sequence of Variable or str
+            The signals, each in a column of its name; no measurements: the outputs. A variable's values are
+            converted from the unit of the column's header to its own; those of a bare name are as they stand.
+        columns : mapping of str to str
+            Headers of the columns that are not called as their signals.
+        time_column : str
+            Header of the time, in seconds, in the unit it has or as ISO 8601 dates; empty: there is none.
+        time_tolerance : float
+            How far rows may be from one sampling time apart, in parts of it.
+
+        Raises
+        ------
+        DataError
+            All that is wrong with the files: missing columns, units that do not fit, cells that are not
+            finite numbers, uneven times, each with file, line and column.
+        """
+        kinds = [list(inputs), list(outputs), list(measurements or outputs)]
+        signals = {_name(signal): signal for kind in kinds for signal in kind}
+        wanted = [
+            Column(None if isinstance(signal, str) else signal, columns.get(name, name))
+            for name, signal in signals.items()
+        ]
+        places = {name: i for i, name in enumerate(signals)}
+        u, y, measured = ([places[_name(signal)] for signal in kind] for kind in kinds)
+        pieces, faults = list[Recording](), list[str]()
+        for path in map(Path, paths):
+            try:
+                _, values = read_table(path, wanted, time_column, sampling_time, time_tolerance)
+                pieces.append(cls(values[:, u], values[:, y], values[:, measured], sampling_time))
+            except DataError as error:
+                faults += error.faults
+        if faults:
+            raise DataError(faults)
+        return cls.join(pieces)
+
+    def write_csv(
+        self,
+        path: str | Path,
+        inputs: Sequence[Variable | str],
+        outputs: Sequence[Variable | str],
+        measurements: Sequence[Variable | str] = (),
+    ) -> None:
+        """Write a CSV file that :meth:`read_csv` gives back; parameters as there.
+
+        Raises
+        ------
+        DataError
+            There are several pieces, which need a file each, other numbers of signals, or two signals with
+            different values under one name.
+        """
+        if self.seams:
+            raise DataError(
+                f"recording: {len(self.pieces)} pieces do not go into one file: write each of them"
+            )
+        table = {"time [s]": np.arange(len(self), dtype=np.float64) * self.sampling_time}
+        kinds = ((inputs, self.u), (outputs, self.y), (measurements or outputs, self.measured))
+        for kind, values in kinds:
+            if len(kind) != values.shape[1]:
+                raise DataError(f"recording: {len(kind)} signals for {values.shape[1]} columns: {kind}")
+            for signal, column in zip(kind, values.T, strict=True):
+                header = signal if isinstance(signal, str) else signal.header
+                if not np.array_equal(table.setdefault(header, column), column):
+                    raise DataError(
+                        f'recording: "{header}" has different values as one signal and as another'
+                    )
+        write_table(Path(path), table, {})
+
     @property
     def pieces(self) -> tuple["Recording", ...]:
         """The experiments that it consists of."""
@@ -113,6 +203,10 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.u)
+
+
+def _name(signal: Variable | str) -> str:
+    return signal if isinstance(signal, str) else signal.name
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ _DELIMITERS = ";\t,"
 # A header with a unit; brackets that touch the name and hold numbers are an array's index.
 _UNIT = re.compile(r"(?P<name>.*\S)(?:\s+|(?!\[[\d,\s]*\]))\[(?P<unit>[^\[\]]*)\]", re.DOTALL)
 _TIME = Variable("time", unit="s")
-_INSTANTS = 1e-6  # what rounding leaves of a time in a file, in parts of the sampling time
+_INSTANTS = 1e-6  # what rounding leaves of a time, in parts of the sampling time
 
 
 class Column(NamedTuple):
@@ -134,8 +134,12 @@ def split_unit(header: str) -> tuple[str, str]:
 
 
 def read_table(
-    path: Path, columns: Sequence[Column], time_column: str
-) -> tuple[FloatArray, FloatArray, list[int]]:
+    path: Path,
+    columns: Sequence[Column],
+    time_column: str,
+    sampling_time: float | None = None,
+    tolerance: float = 0.0,
+) -> tuple[FloatArray, FloatArray]:
     """Read columns of a CSV file.
 
     Parameters
@@ -147,6 +151,10 @@ def read_table(
     time_column : str
         Header of the time, in seconds unless it has a unit, or ISO 8601 dates, which count from the first
         row; empty: the file has none, and times are NaN.
+    sampling_time : float, optional
+        What rows must be apart [s]; default: times only have to increase.
+    tolerance : float
+        How far they may be off, in parts of the sampling time.
 
     Returns
     -------
@@ -154,8 +162,6 @@ def read_table(
         Increasing times [s].
     values : array, shape (T, n)
         The columns in the units of their signals, time along axis 0.
-    lines : list of int
-        The line of the file that each row ends on.
 
     Raises
     ------
@@ -183,52 +189,11 @@ def read_table(
     if timed:
         index, convert = timed
         time = convert(_numbers(file, index, comma, faults)) if dates is None else dates
-        faults += _not_increasing(file, index, time)
+        faults += _irregular(file, file.header[index], time, sampling_time, tolerance)
     if faults:
         more = len(faults) - _MOST_LISTED
         raise DataError([*faults[:_MOST_LISTED], *([f"{path}: and {more} more faults"] if more > 0 else [])])
-    return time, values, file.lines
-
-
-def require_even(
-    path: Path, time: FloatArray, lines: Sequence[int], sampling_time: float, tolerance: float
-) -> None:
-    """Check that rows are one sampling time apart.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    time : array, shape (T,)
-        Times [s]; NaN: not known, and not checked.
-    lines : sequence of int
-        The line of each row.
-    sampling_time : float
-        Wanted distance [s].
-    tolerance : float
-        How far a distance may be off, in parts of the sampling time.
-
-    Raises
-    ------
-    DataError
-        They are not, with the lines.
-    """
-    apart = np.diff(time)
-    wrong = np.flatnonzero(np.abs(apart - sampling_time) > (tolerance + _INSTANTS) * sampling_time)
-    if not wrong.size:
-        return
-    usual = float(np.median(apart))
-    if abs(usual - sampling_time) > (tolerance + _INSTANTS) * sampling_time:
-        raise DataError(
-            f"{path}: rows are {usual:g} s apart (median); needed: the sampling time {sampling_time:g} s"
-        )
-    faults = [
-        f"{path}, line {lines[i + 1]}: {apart[i]:g} s after the row before; needed: the sampling time "
-        f"{sampling_time:g} s, within {100 * tolerance:g} %"
-        for i in wrong[:_MOST_LISTED].tolist()
-    ]
-    more = [f"{path}: and {wrong.size - _MOST_LISTED} more uneven times"] if wrong.size > _MOST_LISTED else []
-    raise DataError([*faults, *more])
+    return time, values
 
 
 def write_table(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> None:
@@ -321,11 +286,25 @@ def _number(cell: str) -> float:
         return np.nan
 
 
-def _not_increasing(file: CSVFile, index: int, time: FloatArray) -> Iterator[str]:
-    """Yield which times are not after the one before."""
-    for i in np.flatnonzero(np.diff(time) <= 0.0).tolist():
-        what = f"{time[i + 1]:.12g} s is not after the time of the row before, {time[i]:.12g} s"
-        yield f'{file.path}, line {file.lines[i + 1]}, column "{file.header[index]}": {what}'
+def _irregular(
+    file: CSVFile, header: str, time: FloatArray, sampling_time: float | None, tolerance: float
+) -> Iterator[str]:
+    """Yield which times are not after the one before, or not one sampling time after it."""
+    apart = np.diff(time)
+    if sampling_time is None:
+        wrong, needed = apart <= 0.0, "it must increase"
+    else:
+        allowed = (tolerance + _INSTANTS) * sampling_time
+        wrong = np.abs(apart - sampling_time) > allowed
+        needed = f"needed: the sampling time {sampling_time:g} s, within {100 * tolerance:g} %"
+        known = apart[np.isfinite(apart)]
+        usual = float(np.median(known)) if known.size else sampling_time
+        if abs(usual - sampling_time) > allowed:
+            yield f'{file.path}, column "{header}": rows are {usual:g} s apart, in the median; {needed}'
+            return
+    for i in np.flatnonzero(wrong).tolist():
+        after = f"{time[i + 1]:.12g} s is {apart[i]:g} s after the row before"
+        yield f'{file.path}, line {file.lines[i + 1]}, column "{header}": {after}; {needed}'
 
 
 def _dates(cells: Sequence[str]) -> FloatArray | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ddpc_cosim import safe_calls
 from ddpc_cosim.conditions import Conditions, changed_inputs
-from ddpc_cosim.controller import Bounds, Controller
+from ddpc_cosim.controller import Bounds, Controller, Recording
 from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImportError, FMUStepError
 from ddpc_cosim.master import OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
@@ -61,6 +61,8 @@ class Case:
         Limits in the variables' own units.
     excitation : Excitation or None
         The experiment.
+    recording : Recording or None
+        What was recorded before, in place of an experiment.
     stabiliser : dict or None
         Type and settings of the controller that keeps the plant during the experiment.
     parameters : dict of str to float
@@ -99,6 +101,7 @@ class Case:
     reference: dict[str, Reference]
     bounds: dict[str, tuple[float, float]]
     excitation: Excitation | None
+    recording: Recording | None
     stabiliser: dict[str, Any] | None
     parameters: dict[str, ParameterValue]
     noise: dict[str, float]
@@ -166,7 +169,15 @@ def _code_and_files(case: Case) -> dict[str, Any]:
     return {
         "code": [code_version(kind) for kind in types_in(sections)],
         "files": [[hash_of_file(path) for path in paths if path != PLANT] for paths in files],
+        "recording": case.recording and _hash_of_recording(case.recording),
     }
+
+
+def _hash_of_recording(recording: Recording) -> str:
+    content = hashlib.sha256(repr((recording.seams, recording.sampling_time)).encode())
+    for array in (recording.u, recording.y, recording.measured):
+        content.update(repr(array.shape).encode() + array.tobytes())
+    return content.hexdigest()
 
 
 def _identifier(case: Case, content: Mapping[str, Any]) -> str:
@@ -215,6 +226,7 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
             duration=case.duration,
             reference=case.reference,
             excitation=case.excitation,
+            recording=case.recording,
             stabiliser=_controller(case.stabiliser, case.plant) if case.stabiliser else None,
             bounds=case.bounds,
             outputs=names(case.outputs),
@@ -319,6 +331,7 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
                     reference=resolved.reference,
                     bounds=resolved.bounds[controller],
                     excitation=None if excitation is None else excitation.with_seed(seed),
+                    recording=resolved.recording,
                     stabiliser=None if stabiliser is None else _type_and_settings(stabiliser),
                     parameters={**study.plant.parameters, **scenario.parameters},
                     noise=dict(scenario.noise),

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from ddpc_cosim.conditions import Conditions, delay_error
+from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import ConfigError, CosimError, DataError, Place
 from ddpc_cosim.loop_setup import late_error, limits_error
 from ddpc_cosim.metrics import MetricSettings
@@ -66,6 +67,8 @@ class ResolvedStudy:
         The inputs that have a signal in each scenario.
     metrics : MetricSettings
         What all runs are judged by alike.
+    recording : Recording or None
+        What was recorded before, in place of an experiment.
     """
 
     study: Study
@@ -79,6 +82,7 @@ class ResolvedStudy:
     conditions: dict[str, Conditions]
     undriven: dict[str, tuple[Variable, ...]]
     metrics: MetricSettings
+    recording: Recording | None
 
 
 def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStudy | None:
@@ -143,6 +147,7 @@ class _Resolution:
         self._check_plant()
         self._select_signals()
         self._check_scenarios()
+        self.recording = self._read_recording()
         self._check_recording()
         self._check_cost()
         self.references = self._references()
@@ -169,6 +174,7 @@ class _Resolution:
                 for name, scenario in self.study.scenarios.items()
             },
             metrics=self._metrics(),
+            recording=self.recording,
         )
 
     def _metrics(self) -> MetricSettings:
@@ -400,7 +406,7 @@ class _Resolution:
     def _check_delay(self, place: Place, delay: float) -> None:
         loop, recording = self.study.loop, self.study.recording
         fault = delay_error(delay, loop.sampling_time, loop.steps)
-        if not fault and recording is not None:
+        if not fault and recording is not None and recording.samples is not None:
             fault = delay_error(delay, loop.sampling_time, recording.samples, "experiment")
         if fault:
             self.errors.add(place, fault)
@@ -426,14 +432,44 @@ class _Resolution:
                 self.errors.add(("controllers", name), lacking, _RECORDING)
             elif recording is not None and controller is not None and all(sizes):
                 self._check_length(recording, name, controller.recording_length(*sizes))
-        if recording is None and self.study.loop.start == "recording-end":
-            self.errors.add(("loop", "start"), '"recording-end" needs a recording section', _RECORDING)
+        if self.study.loop.start == "recording-end" and (recording is None or recording.file):
+            lacking = "a recording section" if recording is None else "an experiment to go on from, not files"
+            self.errors.add(("loop", "start"), f'"recording-end" needs {lacking}', _RECORDING)
 
     @independent
     def _check_length(self, recording: RecordingSection, name: str, needed: int) -> None:
-        if recording.samples < needed:
-            short = f"{recording.samples} is too short for {name}, which needs {needed}"
-            self.errors.add((*_RECORDING, "samples"), short)
+        key, samples = "samples", recording.samples
+        if self.recording is not None:
+            key, samples = "file", len(self.recording)
+        if samples is not None and samples < needed:
+            short = f"{samples} is too short for {name}, which needs {needed}"
+            self.errors.add((*_RECORDING, key), short if key == "samples" else f"the number of rows, {short}")
+
+    @independent
+    def _read_recording(self) -> Recording | None:
+        """Return what the study's files hold of the signals that take part."""
+        section, chosen = self.study.recording, (self.inputs, self.outputs, self.measurements)
+        if section is None or not section.file or not all(selection.is_known for selection in chosen):
+            return None
+        signals = list(dict.fromkeys(name for selection in chosen for name in selection.names))
+        what = "input, output or measurement that takes part"
+        self.errors.require_known((*_RECORDING, "columns"), what, section.columns, signals)
+        inputs, outputs, measurements = (selection.variables for selection in chosen)
+        try:
+            return Recording.read_csv(
+                *section.file,
+                sampling_time=self.study.loop.sampling_time,
+                inputs=inputs,
+                outputs=outputs,
+                measurements=measurements,
+                columns={name: header for name, header in section.columns.items() if name in signals},
+                time_column=section.time_column,
+                time_tolerance=section.time_tolerance,
+            )
+        except DataError as error:
+            for fault in error.faults:
+                self.errors.add((*_RECORDING, "file"), fault)
+            return None
 
     @independent
     def _check_cost(self) -> None:
@@ -482,7 +518,7 @@ class _Resolution:
     def _excitation(self) -> Excitation | None:
         """Return the experiment on all inputs, in their units."""
         recording, place = self.study.recording, (*_RECORDING, "excitation")
-        if recording is None:
+        if recording is None or recording.file:
             return None
         sections = recording.excitation
         self._require_each(place, "input", sections, self.inputs)

@@ -233,7 +233,7 @@ class FileReference(_Signal):
             All that is wrong with the file.
         """
         column = Column(variable, self.column or variable.name, self.unit, self._is_difference)
-        time, values, _ = read_table(Path(self.file), [column], self.time_column)
+        time, values = read_table(Path(self.file), [column], self.time_column)
         kind = Steps if self.interpolation == "hold" else Interpolated
         return kind(tuple(time.tolist()), tuple(values[:, 0].tolist()))
 
@@ -309,21 +309,49 @@ class StabiliserSection(Section):
     settings: dict[str, Any] = Field({}, description="settings that differ from the controller's defaults")
 
 
-class RecordingSection(Section):
-    """The experiment that data-driven controllers learn from."""
+def _one_or_more(value: Any) -> Any:
+    return value if isinstance(value, list) else [value]
 
-    samples: Annotated[int, Field(ge=1)] = Field(description="number of samples T")
-    excitation: dict[str, ExcitationSection] = Field(description="one for each input")
+
+class RecordingSection(Section):
+    """What data-driven controllers learn from: an experiment on the plant, or files of logged data."""
+
+    samples: Annotated[int, Field(ge=1)] | None = Field(
+        None, description="number of samples T of the experiment"
+    )
+    excitation: dict[str, ExcitationSection] = Field({}, description="one for each input")
     controller: StabiliserSection | None = Field(
         None, description="stabilises the plant meanwhile, on the study's references; none: open loop"
     )
+    file: Annotated[list[FilePath], BeforeValidator(_one_or_more)] = Field(
+        [], description="CSV files recorded before, in place of an experiment; one or several"
+    )
+    columns: dict[str, str] = Field(
+        {}, description="headers of the columns in the files that are not called as their signals"
+    )
+    time_column: str = Field("time", description="header of the time in the files; empty: they have none")
+    time_tolerance: Annotated[float, Field(ge=0, lt=0.5)] = Field(
+        0.01, description="how far rows may be from one sampling time apart, in parts of it"
+    )
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is missing of an experiment, or does not go with files."""
+        experiment = {"samples": self.samples, "excitation": self.excitation, "controller": self.controller}
+        if self.file:
+            for key in (key for key, value in experiment.items() if value):
+                yield key, "belongs to an experiment, and file to data recorded before; needed: one of them"
+        else:
+            if self.samples is None:
+                yield "samples", "required key is missing; or give the key file, for data recorded before"
+            if self.columns:
+                yield "columns", "names columns of the key file, which is missing"
 
     def build(self, converters: Mapping[str, Callable[[float], float]]) -> Excitation:
         """Return the excitation of the inputs that there are converters for, in their order and units."""
         sections = {name: self.excitation[name] for name in converters}
         low = tuple(convert(sections[name].low) for name, convert in converters.items())
         high = tuple(convert(sections[name].high) for name, convert in converters.items())
-        return UniformRandom(low, high, self.samples)
+        return UniformRandom(low, high, self.samples or 0)
 
 
 class EventSection(Section):

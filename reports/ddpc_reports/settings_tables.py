@@ -255,7 +255,9 @@ def _timing_facts(loop: LoopSection) -> list[tuple[str, str]]:
 
 
 def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> list[tuple[str, str]]:
-    facts = [("recording", f"{recording.samples} samples")]
+    source = [f"{recording.samples} samples"] if recording.samples else []
+    source += [f"the file {Path(file).name}" for file in recording.file]
+    facts = [("recording", ", ".join(source))]
     if recording.controller:
         section = recording.controller
         settings = f" ({mapping_text(section.settings)})" if section.settings else ""
@@ -264,7 +266,7 @@ def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> l
         (f"excitation of {name}", _signal(one, units.get(name, "")))
         for name, one in recording.excitation.items()
     ]
-    others = _others(recording, {"samples", "controller", "excitation"})
+    others = _others(recording, {"samples", "controller", "excitation", "file"})
     return facts + [(f"recording: {name}", text) for name, text in others]
 
 

@@ -82,6 +82,10 @@ CONTENT: dict[str, Any] = {
         "samples": 200,
         "excitation": {"torque": {"kind": "uniform", "low": -3.0, "high": 3.0, "unit": "N.m"}},
         "controller": {"type": "pid", "settings": {"gains": [1.0, 2.0]}},
+        "file": ["monday.csv", "tuesday.csv"],
+        "columns": {"angle": "Angle"},
+        "time_column": "t",
+        "time_tolerance": 0.25,
     },
     "controllers": {
         "quick": {

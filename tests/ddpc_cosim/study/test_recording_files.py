@@ -1,0 +1,211 @@
+"""Studies whose controllers learn from files of logged data instead of an experiment."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import ConfigError, DataError, GaussianNoise, Recording, UniformRandom, Variable, record
+from ddpc_cosim.study.cases import Case, cases_of, run_case
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.variables import names
+
+CONTROLLERS: Mapping[str, str] = {
+    "deepc": "",
+    "deepc-published": "",
+    "spc": "",
+    "gamma-ddpc": "",
+    "wkpc": "",
+    "wkpc-published": "",
+    "koopman-mpc": "",
+    "mpc": "",
+    "lqr": "",
+    "pid": 'tuning = "step-test"',
+    "scaled": 'controller = { type = "deepc" }',
+    "offset-free": 'controller = { type = "spc" }',
+}
+HEAD = """
+plant = { name = "pendulum", inputs = ["torque"], outputs = ["angle"], measurements = MEASURED }
+loop = { sampling_time = 0.1, duration = 2.0 }
+reference.angle = { kind = "constant", value = 10.0, unit = "deg" }
+bounds.torque = { min = -3.5, max = 3.5 }
+seeds = [3]
+""".replace("MEASURED", '["angle", "angular_velocity"]')
+METHODS = "".join(
+    f'[controllers.{name}]\ntype = "{name}"\nsettings = {{ {settings} }}\n'
+    for name, settings in CONTROLLERS.items()
+)
+EXPERIMENT = "recording = { samples = 150, excitation.torque = { low = -3.5, high = 3.5 } }\n"
+ONE = 'controllers.deepc.type = "deepc"\n'
+
+
+def cases(folder: Path, text: str) -> dict[str, Case]:
+    study = folder / "study.toml"
+    study.write_text(text, encoding="utf-8")
+    resolved = read_study(str(study))
+    return {case.controller: case for case in cases_of(resolved, resolved.plant.built())}
+
+
+@pytest.fixture(scope="module")
+def experiment(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, dict[str, Case]]:
+    """The recording of the experiment's study, and its cases."""
+    found = cases(tmp_path_factory.mktemp("experiment"), HEAD + EXPERIMENT + METHODS)
+    case = found["deepc"]
+    plant = case.plant.open(names(case.inputs), names(case.measurements))
+    try:
+        recording = record(
+            plant,
+            UniformRandom(-3.5, 3.5, 150, seed=3),
+            sampling_time=0.1,
+            outputs=["angle"],
+            noise=GaussianNoise({}),
+        )
+    finally:
+        plant.close()
+    return recording, found
+
+
+def test_a_file_teaches_what_the_experiment_taught(
+    tmp_path: Path, experiment: tuple[Recording, dict[str, Case]]
+) -> None:
+    recording, others = experiment
+    signals = others["deepc"].inputs, others["deepc"].outputs, others["deepc"].measurements
+    recording.write_csv(tmp_path / "log.csv", *signals)
+    found = cases(tmp_path, HEAD + 'recording.file = "log.csv"\n' + METHODS)
+    assert found.keys() == CONTROLLERS.keys()
+    for name, case in found.items():
+        trace, other = run_case(case), run_case(others[name])
+        assert trace.completed, trace.reason
+        assert np.array_equal(trace.u, other.u), name
+        assert np.array_equal(trace.y, other.y), name
+        assert trace.diagnostics == other.diagnostics
+
+
+def row(t: float, scale: float = 1.0) -> str:
+    return f"{t:.1f};{scale * np.sin(31 * t * t):.6f};{np.cos(7 * t):.6f};{np.sin(3 * t):.6f}".replace(
+        ".", ","
+    )
+
+
+def log(folder: Path, name: str = "log.csv", rows: int = 120, scale: float = 1.0) -> Path:
+    path = folder / name
+    header = "t [s];M [N.m];angle [deg];angular_velocity [rev/s]"
+    path.write_text("\n".join([header, *(row(i / 10, scale) for i in range(rows))]), encoding="utf-8")
+    return path
+
+
+FROM_FILES = '[recording]\ncolumns = { torque = "M" }\ntime_column = "t"\n'
+
+
+def test_columns_and_units_are_those_of_the_file(tmp_path: Path) -> None:
+    log(tmp_path)
+    case = cases(tmp_path, HEAD + ONE + FROM_FILES + 'file = "log.csv"')["deepc"]
+    recording = case.recording
+    assert recording is not None
+    t = np.arange(120) / 10
+    assert recording.u[:, 0] == pytest.approx(np.sin(31 * t * t), abs=1e-6)
+    assert recording.y[:, 0] == pytest.approx(np.radians(np.cos(7 * t)), abs=1e-6)
+    assert recording.measured[:, 1] == pytest.approx(2 * np.pi * np.sin(3 * t), abs=1e-5)
+    assert case.excitation is None
+    assert run_case(case).completed
+
+
+def test_several_files_are_a_mosaic_and_their_content_is_part_of_the_case(tmp_path: Path) -> None:
+    log(tmp_path), log(tmp_path, "more.csv", 50)
+    text = HEAD + ONE + FROM_FILES
+
+    def identifier(*files: str) -> str:
+        case = cases(tmp_path, text + f"file = {list(files)}".replace("'", '"'))["deepc"]
+        assert case.recording is not None
+        assert len(case.recording.pieces) == len(files)
+        return case.id
+
+    both = identifier("log.csv", "more.csv")
+    assert identifier("log.csv") != both
+    assert identifier("more.csv", "log.csv") != both
+    log(tmp_path, "more.csv", 50, scale=1.001)
+    changed = identifier("log.csv", "more.csv")
+    assert changed != both
+    moved = log(tmp_path, "moved.csv", 50)
+    moved.write_text(moved.read_text().replace(";M", ";  M "), encoding="utf-8")
+    assert identifier("log.csv", "moved.csv") == both
+
+
+def faults(folder: Path, recording: str, controller: str = ONE, head: str = HEAD) -> list[str]:
+    with pytest.raises(ConfigError) as raised:
+        cases(folder, head + controller + recording)
+    return [fault.replace(f"{folder}/", "") for fault in raised.value.faults]
+
+
+def test_all_that_is_wrong_with_files_in_one_message(tmp_path: Path) -> None:
+    log(tmp_path)
+    lines = log(tmp_path, "bad.csv").read_text().splitlines()
+    lines[0] = lines[0].replace("angle [deg]", "angle [bar]").replace("M [N.m]", "torque")
+    lines[7] = lines[7].replace("0,6", "0,9")
+    lines[9] = "0,8;x;nan;1"
+    (tmp_path / "bad.csv").write_text("\n".join(lines))
+    found = faults(tmp_path, FROM_FILES + 'file = ["log.csv", "bad.csv", "absent.csv"]')
+    assert [fault.removeprefix("study.toml:11: recording.file: ") for fault in found] == [
+        'bad.csv: no column "M"; there are: angle, angular_velocity, t, torque',
+        'bad.csv, column "angle [bar]": unit "bar" does not fit angle; allowed: rad, deg, °, rev',
+        'bad.csv, line 8, column "t [s]": 0.9 s is 0.4 s after the row before; '
+        "needed: the sampling time 0.1 s, within 1 %",
+        'bad.csv, line 9, column "t [s]": 0.7 s is -0.2 s after the row before; '
+        "needed: the sampling time 0.1 s, within 1 %",
+        "absent.csv: no such file",
+    ]
+
+
+def test_what_does_not_go_with_files(tmp_path: Path) -> None:
+    log(tmp_path)
+    (found,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"\nsamples = 100')
+    assert found == (
+        "study.toml:12: recording.samples: belongs to an experiment, and file to data recorded before; "
+        "needed: one of them"
+    )
+    log(tmp_path, rows=15)
+    (found,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"')
+    assert found.endswith("recording.file: the number of rows, 15 is too short for deepc, which needs 21")
+    (found,) = faults(
+        tmp_path, 'recording = { file = "log.csv", columns = { torqe = "M" }, time_column = "t" }'
+    )[:1]
+    assert found.endswith(
+        'recording.columns: no input, output or measurement that takes part "torqe"; did you mean "torque"?'
+    )
+    missing = faults(tmp_path, "recording = { columns = { torque = 'M' } }")
+    assert sorted(fault.split(": ", 1)[1] for fault in missing)[::-1] == [
+        "recording.samples: required key is missing; or give the key file, for data recorded before",
+        "recording.excitation: none for the input torque",
+        "recording.columns: names columns of the key file, which is missing",
+    ]
+    log(tmp_path)
+    at_end = HEAD.replace("duration = 2.0", 'duration = 2.0, start = "recording-end"')
+    (found,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"', head=at_end)
+    assert found.endswith('"recording-end" needs an experiment to go on from, not files')
+
+
+def test_in_python_the_same_rules_hold(tmp_path: Path) -> None:
+    path = log(tmp_path)
+    angle = Variable("angle", unit="rad")
+    keys = {"inputs": ["torque"], "outputs": [angle], "columns": {"torque": "M"}, "time_column": "t"}
+    recording = Recording.read_csv(path, path, sampling_time=0.1, **keys)
+    assert recording.seams == (120,)
+    assert np.array_equal(recording.measured, recording.y)
+    with pytest.raises(
+        DataError, match=r"rows are 0.1 s apart, in the median; needed: the sampling time 0.2 s"
+    ):
+        Recording.read_csv(path, sampling_time=0.2, **keys)
+    piece = recording.pieces[0]
+    piece.write_csv(tmp_path / "copy.csv", ["torque"], [angle])
+    copy = Recording.read_csv(tmp_path / "copy.csv", sampling_time=0.1, inputs=["torque"], outputs=["angle"])
+    assert np.array_equal(copy.u, piece.u)
+    assert np.array_equal(copy.y, piece.y)
+    with pytest.raises(DataError, match="2 pieces do not go into one file"):
+        recording.write_csv(tmp_path / "both.csv", ["torque"], [angle])
+    with pytest.raises(DataError, match="2 signals for 1 columns"):
+        piece.write_csv(tmp_path / "two.csv", ["torque", "force"], [angle])
+    differing = replace(piece, measured=piece.y + 1.0)
+    with pytest.raises(DataError, match=r'"angle \[rad\]" has different values'):
+        differing.write_csv(tmp_path / "differing.csv", ["torque"], [angle])
