@@ -9,6 +9,7 @@ from .controller import (
     Recording as Recording,
     Sample as Sample,
 )
+from .data_quality import judge_prediction as judge_prediction
 from .errors import (
     ConfigError as ConfigError,
     ControllerError as ControllerError,

@@ -360,6 +360,13 @@ class Controller(ABC):
         """
         return {}
 
+    def warnings(self) -> Sequence[str]:
+        """Return what speaks against the recording or the model that it has got; valid after ``start``.
+
+        One sentence each: what, its value, and the remedy. What makes the run hopeless is a ``DataError``.
+        """
+        return ()
+
     def settings(self) -> dict[str, Any]:
         """Return the settings in plain values: what a study file would say."""
         if not is_dataclass(self):

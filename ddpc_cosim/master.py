@@ -13,6 +13,7 @@ import numpy as np
 
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import OK, Action, Bounds, Controller, Loop, Recording, Sample
+from ddpc_cosim.data_quality import recording_warnings
 from ddpc_cosim.errors import (
     ConfigError,
     ControllerError,
@@ -39,6 +40,7 @@ from ddpc_cosim.safe_calls import (
     controller_diagnostics,
     controller_knowledge,
     controller_settings,
+    controller_warnings,
     does_accept_missing,
     horizon_of,
     plant_provenance,
@@ -178,6 +180,8 @@ def cosimulate(
     knowledge = controller_knowledge(controller, loop)
     time = start_time + np.arange(steps + 1 + loop.preview, dtype=np.float64) * sampling_time
     table = setup.references(reference, time)
+    warnings = recording_warnings(loop, table) if controller.uses_recording else ()
+    warnings += controller_warnings(controller)
     rows = _Rows(setup, loop, time, table, steps + 1, horizon, store)
     accepts_missing = conditions is None or not conditions.loss or does_accept_missing(controller)
     setup.start(rows.time, continues=continue_recording, accepts_missing=accepts_missing)
@@ -204,6 +208,7 @@ def cosimulate(
         recorded_samples=len(recording) if recording is not None and controller.uses_recording else 0,
         knowledge=knowledge,
         provenance=provenance,
+        warnings=warnings,
     )
 
 

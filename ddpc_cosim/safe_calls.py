@@ -191,6 +191,13 @@ def controller_diagnostics(controller: Controller) -> dict[str, float]:
         return {str(name): float(value) for name, value in controller.diagnostics().items()}
 
 
+def controller_warnings(controller: Controller) -> tuple[str, ...]:
+    """Return what a controller says against its data or model."""
+    with _controller_errors(controller, "warnings"):
+        # As of a status: a text that no file can hold must not cost the run.
+        return tuple(str(text).encode("utf-8", "replace").decode() for text in controller.warnings())
+
+
 _Own = type[BaseException] | tuple[type[BaseException], ...]
 
 

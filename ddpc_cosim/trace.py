@@ -81,6 +81,8 @@ class Trace:
         that has a delay or a rate limit, and those that no controller drives but a signal.
     applied : array, shape (K, len(changed_inputs))
         What the plant was given of them from ``time[k]`` on.
+    warnings : tuple of str
+        What spoke against the data or the model before the loop was closed.
     """
 
     time: FloatArray
@@ -106,6 +108,7 @@ class Trace:
     provenance: dict[str, str] = field(default_factory=dict)
     changed_inputs: tuple[Variable, ...] = ()
     applied: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    warnings: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.time)

@@ -13,7 +13,7 @@ a price on what the least-squares prediction does not explain of it, the loop dr
 
 import copy
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
@@ -32,6 +32,7 @@ from ddpc_controllers.data.hankel import (
     resting_input,
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
+from ddpc_controllers.data.quality import dead_time_warnings, fit_by_windows
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Problem
@@ -103,6 +104,8 @@ class BehavioralTracking(ScaledSignals):
         self._resting: bool = not loop.continues_recording
         self._pending: list[FloatArray] = []
         data = self._stack(recording)
+        self._tested = fit_by_windows(data, self.horizon * p, p, self._layout.depth)
+        self._data_warnings = self._judge(loop, recording)
         windows = {
             "u_ini": (self.initial_length, m),
             "y_ini": (self._past_outputs, p),
@@ -147,7 +150,12 @@ class BehavioralTracking(ScaledSignals):
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
-        return self._diagnostics.as_dict() | (dict(self._learner.data.counts()) if self._learner else {})
+        online = dict(self._learner.data.counts()) if self._learner else {}
+        return self._diagnostics.as_dict() | (self._tested.as_dict() if self._tested else {}) | online
+
+    def warnings(self) -> Sequence[str]:
+        """Return what speaks against the recording: its signals' size, dead time, a poor prediction."""
+        return [*super().warnings(), *self._data_warnings]
 
     @abstractmethod
     def _write_down(self, loop: Loop) -> Problem:
@@ -218,6 +226,15 @@ class BehavioralTracking(ScaledSignals):
         self._diagnostics = diagnose(windows, u, order, recording.seams)
         require_excitation(self._diagnostics, f"depth {depth} + assumed order {order - depth}", who)
         return data
+
+    def _judge(self, loop: Loop, recording: Recording) -> list[str]:
+        """Return what speaks against predicting with this recording."""
+        # The first predicted output is the present one, which no input changes, or the next.
+        spans = (self.horizon - 1, "horizon"), (self.initial_length, "initial_length")
+        if self.use_current_output:
+            spans = (self.horizon, "horizon"), (self.initial_length + 1, "initial_length")
+        late = dead_time_warnings(recording, [output.name for output in loop.outputs], *spans)
+        return late + (self._tested.warnings(type(self).__name__, self.horizon) if self._tested else [])
 
     def _sum_rows(self, recording: Recording) -> NDArray[np.intp]:
         """Return the number of the row that sums g, if there is one."""

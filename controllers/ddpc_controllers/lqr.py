@@ -70,4 +70,4 @@ class LQR(ModelBased):
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, and its fit."""
-        return {"model_order": float(len(self._observer.state) - 1)} | self._model.fit
+        return {"model_order": float(len(self._observer.state) - 1), **super().diagnostics()}

@@ -17,7 +17,7 @@ Applications, CRC Press, 2013, chapter 4; Z. Hou and S. Jin, IEEE Transactions o
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, sqrt
 from operator import sub
@@ -28,6 +28,7 @@ from scipy.linalg.lapack import dposv
 
 from ddpc_controllers.checks import knowing
 from ddpc_controllers.data.hankel import resting_input
+from ddpc_controllers.data.quality import dead_time_warnings
 from ddpc_controllers.models.data_model import DataModel, Estimation, Form
 from ddpc_controllers.models.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
 from ddpc_controllers.optimisation.limits import HELD, ChangeLimits, rate_limits
@@ -87,6 +88,10 @@ class ModelFreeAdaptive(ScaledSignals):
         rates = rate_limits(self.rate_bounds, m) / self._scales.u
         self._limits = ChangeLimits(loop.bounds, rates, steps, optimise)
         self._u: list[float] = resting_input(loop).tolist()
+        spans = (self.horizon, "horizon"), (self.horizon, "horizon")
+        outputs = [output.name for output in loop.outputs]
+        recording = loop.recording
+        self._data_warnings = dead_time_warnings(recording, outputs, *spans) if recording else []
         if loop.continues_recording and loop.recording is not None:
             self._u = loop.recording.u[-1].tolist()
             self._model.resume(loop.recording.pieces[-1])
@@ -95,6 +100,10 @@ class ModelFreeAdaptive(ScaledSignals):
         """Return the signals it uses, and what it was told of the plant."""
         sign = "the sign of its gain" if self.assume_sign else "a first gain"
         return knowing(f"{sign}, by initial_gradient", loop.outputs)
+
+    def warnings(self) -> Sequence[str]:
+        """Return what speaks against the method here: the signals' size, a dead time."""
+        return [*super().warnings(), *self._data_warnings]
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the last inputs plus the change that the control law finds."""

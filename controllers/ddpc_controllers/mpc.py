@@ -143,6 +143,10 @@ class MPC(TrackingSettings, ModelBased):
             model.a, model.b, model.c, self, loop.bounds, self._scales.u, resting_input(loop)
         )
 
+    @property
+    def _reach(self) -> int:
+        return self.horizon
+
     def _decide(self, sample: Sample) -> tuple[FloatArray, str]:
         """Return the first optimal inputs of the horizon."""
         return self._predictor.solve(self._observer.state, self._u, sample.reference)
@@ -151,7 +155,7 @@ class MPC(TrackingSettings, ModelBased):
         """Return the order of the model with its disturbances, its slowest or most unstable pole, its fit."""
         a = self._observer.a[:-1, :-1]
         poles = {"model_order": float(len(a)), "spectral_radius": float(np.abs(np.linalg.eigvals(a)).max())}
-        return poles | self._model.fit
+        return {**poles, **super().diagnostics()}
 
     def _faults_between_settings(self) -> list[str]:
         return super()._faults_between_settings() + self.tracking_faults()

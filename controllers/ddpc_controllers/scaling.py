@@ -7,7 +7,7 @@ The methods that weigh errors are :class:`ScaledSignals`; :class:`Scaled` does t
 """
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -28,6 +28,8 @@ from ddpc_cosim import (
 )
 
 ScaleBy = Literal["nominal", "range", "none"]
+# A signal's largest value in parts of its scale. Beyond, a weight on it counts for nothing, or for all.
+_SMALLEST, _LARGEST = 1e-3, 1e3
 SCALES: tuple[str, ...] = get_args(ScaleBy)
 
 
@@ -57,6 +59,7 @@ class Scales:
 
     def __init__(self, loop: Loop, by: ScaleBy) -> None:
         self.u, self.y, self.measured = _scales_of(loop, by)
+        self._variables = loop.inputs, loop.outputs
         self._trivial = all(bool(np.all(scale == 1.0)) for scale in (self.u, self.y, self.measured))
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
         self.loop = loop if self._trivial else self._scaled(loop)
@@ -76,6 +79,23 @@ class Scales:
         if isinstance(answer, Action):
             return answer._replace(u=self._in_units(answer.u))
         return self._in_units(answer)
+
+    def misfits(self) -> list[str]:
+        """Return which inputs and outputs are far from their scale, as the limits or the recording tell."""
+        bounds, recording = self.loop.bounds, self.loop.recording
+        u, y = (None, None) if recording is None else (recording.u, recording.y)
+        known = {
+            "input": (self._variables[0], self.u, bounds.u_min, bounds.u_max, u),
+            "output": (self._variables[1], self.y, bounds.y_min, bounds.y_max, y),
+        }
+        return [
+            f'the {what} "{variable.name}" is {_times(size)} its nominal value of {scale:g} '
+            f"{variable.unit}".rstrip()
+            + ', on which the weights rest: set it, or scaling = "range"'
+            for what, (variables, scales, low, high, values) in known.items()
+            for variable, scale, size in zip(variables, scales, _largest(low, high, values), strict=True)
+            if not (_SMALLEST <= size <= _LARGEST)
+        ]
 
     def _in_units(self, u: FloatArray) -> FloatArray:
         inputs: FloatArray = u * self.u
@@ -102,6 +122,20 @@ class Scales:
                 measured=recording.measured / self.measured,
             ),
         )
+
+
+def _largest(low: FloatArray, high: FloatArray, values: FloatArray | None) -> FloatArray:
+    """Return the largest size of scaled signals: recorded, or else in their limits; 1 where nothing tells."""
+    if values is not None:
+        return np.asarray(np.abs(values).max(axis=0))
+    limits = np.abs([low, high])
+    largest = np.where(np.isfinite(limits), limits, 0.0).max(axis=0)
+    return np.where(largest > 0.0, largest, 1.0)
+
+
+def _times(size: float) -> str:
+    """Return a ratio in words."""
+    return f"{size:.2g} times" if size >= 1.0 else f"1/{1.0 / size:.2g} of" if size > 0.0 else "0 times"
 
 
 def _scales_of(loop: Loop, by: ScaleBy) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -180,7 +214,20 @@ class ScaledSignals(Controller):
             A setting does not fit the loop, or a nominal value cannot be a scale.
         """
         self._scales = Scales(loop, self.scaling)
-        self._start(self._scales.loop)
+        self._start_scaled()
+
+    def _start_scaled(self) -> None:
+        """Start the method; where a setting does not fit, signals of another size may be the cause."""
+        try:
+            self._start(self._scales.loop)
+        except ConfigError as error:
+            if misfits := self._scales.misfits():
+                raise ConfigError([*error.faults, *misfits]) from error
+            raise
+
+    def warnings(self) -> Sequence[str]:
+        """Return which signals are far from the size that the method takes them to have."""
+        return self._scales.misfits()
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the inputs that the method finds, in their units."""

@@ -1,7 +1,7 @@
 """Willems-Koopman predictive control, equations (10)-(12)."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -21,6 +21,7 @@ from ddpc_controllers.data.hankel import (
     without_first,
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
+from ddpc_controllers.data.quality import dead_time_warnings, fit_by_windows
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem
@@ -84,6 +85,10 @@ class WKPC(OnlineSettings, ScaledSignals):
             }
         )
         self._data = self._stack(recording, lifted)
+        self._tested = fit_by_windows(self._data, self.horizon * p, p, self._layout.depth)
+        spans = (self.horizon - 1, "horizon"), (past, "initial_length")
+        late = dead_time_warnings(recording, [output.name for output in loop.outputs], *spans)
+        self._data_warnings = late + (self._tested.warnings("WKPC", self.horizon) if self._tested else [])
         self._problem = self._write_down(loop)
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
         self._learner: Learner | None = None
@@ -159,7 +164,11 @@ class WKPC(OnlineSettings, ScaledSignals):
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
         online = self._learner.data.counts() if self._learner else {}
-        return {**self._diagnostics.as_dict(), **online}
+        return {**self._diagnostics.as_dict(), **(self._tested.as_dict() if self._tested else {}), **online}
+
+    def warnings(self) -> Sequence[str]:
+        """Return what speaks against the recording: its signals' size, dead time, a poor prediction."""
+        return [*super().warnings(), *self._data_warnings]
 
     def _faults_between_settings(self) -> list[str]:
         faults = []

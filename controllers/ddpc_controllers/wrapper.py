@@ -55,6 +55,10 @@ class Inner:
         """Return what it says about its data or model."""
         return self._named(self.controller.diagnostics())
 
+    def warnings(self) -> list[str]:
+        """Return what it says against its data or model."""
+        return [f"{self._name}: {text}" if self._name else text for text in self.controller.warnings()]
+
     def _named(self, values: Mapping[str, float]) -> dict[str, float]:
         prefix = f"{self._name}." if self._name else ""
         return {prefix + name: value for name, value in values.items()}
@@ -119,6 +123,10 @@ class Wrapper(Controller):
     def diagnostics(self) -> Mapping[str, float]:
         """Return what all controllers say about their data or models."""
         return {name: value for inner in self._running for name, value in inner.diagnostics().items()}
+
+    def warnings(self) -> Sequence[str]:
+        """Return what all controllers say against their data or models."""
+        return [text for inner in self._running for text in inner.warnings()]
 
     @abstractmethod
     def _faults_between_settings(self) -> list[str]:

@@ -53,12 +53,24 @@ def run_command(
     screen.print(summary_table(results, screen))
     if report:
         print(write_report([results], folder / REPORT_FILE))
+    _print_warnings(results)
     failed = [case for case in results.cases if case.outcome is not Outcome.COMPLETED]
     for case in failed[:_FAILED_LISTED]:
         print(f"{case.id}: {case.outcome}: {case.reason}", file=sys.stderr)
     if len(failed) > _FAILED_LISTED:
         print(f"and {len(failed) - _FAILED_LISTED} more: {folder / METRICS_FILE}", file=sys.stderr)
     return 1 if failed else 0
+
+
+def _print_warnings(results: StudyResults) -> None:
+    """Print what spoke against data and models before the loops were closed, each text once."""
+    cases_of: dict[str, list[CaseResult]] = {}
+    for (_, text), cases in results.warnings().items():
+        cases_of.setdefault(text, []).extend(cases)
+    for text, all_cases in cases_of.items():
+        controllers = ", ".join(dict.fromkeys(case.controller for case in all_cases))
+        count = f"{len(all_cases)} {'case' if len(all_cases) == 1 else 'cases'}"
+        print(f"warning: {controllers} ({count}): {text}", file=sys.stderr)
 
 
 @contextmanager

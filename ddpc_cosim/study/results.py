@@ -6,6 +6,7 @@ import io
 import json
 import math
 import os
+import re
 import shutil
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -32,6 +33,7 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
 )
 
 
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 # What reading a file raises that has been cut off or changed.
 _DAMAGED = (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration)
 
@@ -60,6 +62,8 @@ class CaseResult:
         Values of the run, and of the controller's data or model.
     settings : dict
         The controller's settings, defaults filled in.
+    warnings : tuple of str
+        What spoke against the data or the model before the loop was closed.
     folder : Path
         Where its files are.
     """
@@ -75,6 +79,7 @@ class CaseResult:
     metrics: dict[str, float]
     diagnostics: dict[str, float]
     settings: dict[str, Any]
+    warnings: tuple[str, ...]
     folder: Path
 
     def trace(self) -> Trace:
@@ -113,6 +118,19 @@ class StudyResults:
     study: Study
     cases: tuple[CaseResult, ...]
     provenance: dict[str, str]
+
+    def warnings(self) -> dict[tuple[str, str], tuple[CaseResult, ...]]:
+        """Return the cases of every warning, by controller and text.
+
+        Those of a controller that differ in numbers only are one, in the words of its first case.
+        """
+        words: dict[tuple[str, str], str] = {}
+        found: dict[tuple[str, str], dict[str, CaseResult]] = {}
+        for case in self.cases:
+            for text in case.warnings:
+                first = words.setdefault((case.controller, _NUMBER.sub("#", text)), text)
+                found.setdefault((case.controller, first), {})[case.id] = case
+        return {key: tuple(cases.values()) for key, cases in found.items()}
 
 
 def load_results(folder: str | Path) -> StudyResults:
@@ -162,7 +180,8 @@ def load_case(folder: Path) -> CaseResult:
         run = read_run(folder)
         head = {key: run[key] for key in ("id", "controller", "label", "scenario", "seed", "reason")}
         values = {key: run[key] for key in ("holds", "metrics", "diagnostics", "settings")}
-        return CaseResult(**head, **values, outcome=Outcome(run["outcome"]), folder=folder)
+        outcome, warnings = Outcome(run["outcome"]), tuple(run["warnings"])
+        return CaseResult(**head, **values, outcome=outcome, warnings=warnings, folder=folder)
     except _DAMAGED as error:
         raise ConfigError(f"{folder}: this case cannot be read ({error!r}); run the study again") from error
 
@@ -244,6 +263,7 @@ def write_case(
         "reason": trace.reason,
         **_judged(trace, settings),
         "diagnostics": trace.diagnostics,
+        "warnings": list(trace.warnings),
         "settings": trace.settings,
         "sampling_time": trace.sampling_time,
         "planned_samples": trace.planned_samples,
@@ -366,6 +386,7 @@ def read_trace(folder: Path) -> Trace:
         recorded_samples=run["recorded_samples"],
         knowledge=run["knowledge"],
         provenance=run["provenance"],
+        warnings=tuple(run["warnings"]),
     )
 
 

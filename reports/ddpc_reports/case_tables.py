@@ -162,6 +162,31 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
     )
 
 
+def warnings_table(results: StudyResults, prefix: str) -> Table | None:
+    """Return what spoke against data and models before the loops were closed; None if nothing did."""
+    names, numbers = labels(results), indices(results)
+    rows = tuple(
+        Row(
+            names[key],
+            (Cell(text), _count(len(cases)), Cell(str(cases[0].seed), cases[0].seed)),
+            key,
+            numbers[key],
+        )
+        for (key, text), cases in results.warnings().items()
+    )
+    if not rows:
+        return None
+    return Table(
+        f"{prefix}warnings",
+        "Warnings before the loop",
+        (*text_headings("Controller", "warning"), Heading("cases"), Heading("first seed")),
+        rows,
+        ("Known of data and models before the loop was closed; the numbers are those of the first seed.",),
+        kind="failures",
+        download="warnings.csv",
+    )
+
+
 def provenance_table(results: StudyResults, prefix: str) -> Table:
     """Return where the results come from, as the run recorded it."""
     facts = [(_spelled(name), value) for name, value in results.provenance.items()]

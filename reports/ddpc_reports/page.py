@@ -16,6 +16,7 @@ from ddpc_reports.case_tables import (
     fallbacks_table,
     provenance_table,
     step_time_table,
+    warnings_table,
 )
 from ddpc_reports.charts import COLOURS, CONFIG
 from ddpc_reports.comparison import Condition, conditions
@@ -126,7 +127,8 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
         return _figures(figures, place)
 
     overview = [*_statements(across_statements(seen)), *_tables(across_table(seen, prefix))]
-    lost = _tables(fallbacks_table(seen, prefix), failures_table(results, prefix))
+    told = _tables(warnings_table(results, prefix))
+    lost = [*told, *_tables(fallbacks_table(seen, prefix), failures_table(results, prefix))]
     drawn = each(time_blocks)
     parameters = [("see parameters", reproduction.parameters)] if reproduction else _tables(*families)
     sections = [

@@ -17,7 +17,9 @@ from ddpc_controllers.data.hankel import (
     matching_recording,
     require_informative,
     window_starts,
+    without_first,
 )
+from ddpc_controllers.data.quality import PredictionTest, fit_by_model, head_of
 from ddpc_controllers.models.control_api import realise
 from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_cosim import DataError, FloatArray, Loop, Recording, check_settings, setting
@@ -68,6 +70,32 @@ class Identified(ModelSource):
         past, newest_u = _past(_standardised(recording)[0], lags, recording.seams), slice(p, p + m)
         require_informative(past[:, newest_u], np.delete(past, newest_u, axis=1), "Identified")
         return reduced(fit_arx(recording, lags, self.ridge), self.order)
+
+    def test(self, loop: Loop, steps: int) -> PredictionTest | None:
+        """Return how a model of the recording's first samples predicts its last ones so many steps ahead.
+
+        None for a model that is reduced, whose state the samples before do not give, and where too few
+        samples are left.
+        """
+        recording = matching_recording(loop, "Identified")
+        m, p = recording.u.shape[1], recording.y.shape[1]
+        first = head_of(recording)
+        fewest, depth = self.recording_length(m, p), self.lags + 1
+        if self.order or count_windows(len(first), depth, first.seams) < fewest - depth + 1:
+            return None
+        lags = self.lags or choose_lags(first)
+        model = fit_arx(first, lags, self.ridge)
+        used = without_first(recording, lags)
+        moved = replace(used, u=used.u - model.u_0, y=used.y - model.y_0)
+        known = window_starts(len(recording), lags + 1, recording.seams) + lags
+        # What is known when an input is decided includes the output of that sample: the state after it.
+        return fit_by_model(
+            model,
+            _observed(model, recording, lags),
+            moved,
+            max(steps - 1, 1),
+            int(np.searchsorted(known, len(first))),
+        )
 
 
 def fit_arx(recording: Recording, lags: int, ridge: float = 0.0) -> SampledModel:
@@ -146,6 +174,16 @@ def choose_lags(recording: Recording) -> int:
 def _samples_to_choose(lags: int, signals: int) -> int:
     """Return the samples that leave two equations for every coefficient of a model with so many lags."""
     return lags + 2 * (1 + lags * signals)
+
+
+def _observed(model: SampledModel, recording: Recording, lags: int) -> FloatArray:
+    """Return the states of a model in observer form given by the samples before, shape (T - lags, n)."""
+    u, y = recording.u - model.u_0, recording.y - model.y_0
+    p, m = y.shape[1], u.shape[1]
+    by_lag = np.hstack([model.a[:, :p], model.b]).reshape(lags, p, p + m)
+    past = _past(np.hstack([y, u]), lags, recording.seams).reshape(-1, lags, p + m)
+    blocks = [np.einsum("tls,lps->tp", past[:, : lags - i], by_lag[i:]) for i in range(lags)]
+    return np.hstack(blocks)
 
 
 def _standardised(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ model-predictive control, AIChE J. 49(2), 2003, doi:10.1002/aic.690490213).
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
@@ -18,18 +18,21 @@ import numpy as np
 
 from ddpc_controllers.checks import check_settings_and, knowing
 from ddpc_controllers.data.hankel import numerical_rank, resting_input
+from ddpc_controllers.data.quality import PredictionTest, dead_time_warnings
 from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_controllers.optimisation.limits import PREDICTED
 from ddpc_controllers.scaling import ScaledSignals, Scales
-from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, setting
+from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Recording, Sample, setting
 
 Disturbance = Literal["auto", "output", "input", "none"]
 DISTURBANCES: tuple[str, ...] = get_args(Disturbance)
 
 _DETECTABLE = 1e-9
 _EVERY_STATE = 1e-9
+_FEWEST_STEPS = 5
+"""Samples ahead that a model is tested at least: a regulator without a horizon needs its prediction too."""
 
 
 class Observer:
@@ -203,7 +206,35 @@ class ModelBased(ScaledSignals):
         """
         scales = self._scales = Scales(loop, self.scaling)
         self._model = self._scaled_model(loop, scales)
-        self._start(scales.loop)
+        self._tested: PredictionTest | None = None
+        self._data_warnings: list[str] = []
+        if isinstance(self.model, Identified) and scales.loop.recording is not None:
+            self._judge(self.model, scales.loop, scales.loop.recording)
+        self._start_scaled()
+
+    def _judge(self, model: Identified, loop: Loop, recording: Recording) -> None:
+        """Test the identified model's prediction, and what speaks against it."""
+        steps = max(self.horizon, _FEWEST_STEPS)
+        self._tested = model.test(loop, steps)
+        names = [output.name for output in loop.outputs]
+        memory = int(self._model.fit["lags"]), "lags"
+        self._data_warnings = dead_time_warnings(
+            recording, names, (self._reach or memory[0], "horizon"), memory
+        )
+        self._data_warnings += self._tested.warnings(type(self).__name__, steps) if self._tested else []
+
+    @property
+    def _reach(self) -> int:
+        """Samples ahead that the method looks, 0 for all."""
+        return 0
+
+    def warnings(self) -> Sequence[str]:
+        """Return what speaks against the recording: its signals' size, dead time, a poor prediction."""
+        return [*super().warnings(), *self._data_warnings]
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """Return the quality of the model's identification."""
+        return self._model.fit | (self._tested.as_dict() if self._tested else {})
 
     def _scaled_model(self, loop: Loop, scales: Scales) -> SampledModel:
         """Return the model of scaled signals: identified from them, or given for the signals themselves."""

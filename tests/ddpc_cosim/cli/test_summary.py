@@ -44,7 +44,7 @@ def results(variants: int, lost: str = "") -> StudyResults:
             figures = VALUES | {COST: 100.0 - place + 0.5 * seed, "solve_time_median [s]": 2e-5}
             outcome = Outcome.DIVERGED if key == lost else Outcome.COMPLETED
             head = (f"{key}_{seed}", key, label, "nominal", seed, outcome, "", key != lost)
-            cases.append(CaseResult(*head, figures, {}, {}, Path()))
+            cases.append(CaseResult(*head, figures, {}, {}, (), Path()))
     return StudyResults(Path("out"), told, tuple(cases), {})
 
 

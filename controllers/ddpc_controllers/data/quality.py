@@ -1,0 +1,220 @@
+"""What a recording is worth to a predictor: its error on samples held out, the dead time it has to span."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import fdtrc
+
+from ddpc_controllers.data.hankel import count_windows, window_starts
+from ddpc_controllers.models.linear import SampledModel
+from ddpc_cosim import FloatArray, Recording, judge_prediction
+
+_HELD_OUT = 0.25
+# For each unknown: with fewer, what the head fits says nothing of what the whole recording does.
+_EQUATIONS = 1.5
+_MOST_LAGS = 40
+_SIGNIFICANT = 1e-4
+# Of a standardised signal: what explains less is rounding.
+_EXPLAINED = 1e-6
+_RANK = 1e-9
+
+
+class PredictionTest(NamedTuple):
+    """A predictor's errors at the end of its horizon, of the output that it predicts worst.
+
+    Parameters
+    ----------
+    error : float
+        Root mean square over the recording's tail, which the predictor was not fitted to, in parts of the
+        output's standard deviation.
+    fitted : float
+        The same over the rest, which it was fitted to.
+    """
+
+    error: float
+    fitted: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the errors as diagnostics."""
+        return {"prediction_error": self.error, "prediction_error_fitted": self.fitted}
+
+    def warnings(self, who: str, horizon: int) -> list[str]:
+        """Return a warning where the prediction is poor."""
+        judgement = judge_prediction(self.error, self.fitted)
+        if not judgement.startswith("poor"):
+            return []
+        return [
+            f"{who}: {horizon} samples ahead it is off by {100 * self.error:.0f} % of the output's standard "
+            f"deviation on the recording's last quarter, held out; {judgement}"
+        ]
+
+
+def fit_by_windows(data: FloatArray, future: int, outputs: int, depth: int) -> PredictionTest | None:
+    """Test the least-squares prediction of recorded windows: fitted to the first, tested on the last quarter.
+
+    Parameters
+    ----------
+    data : array, shape (rows, windows)
+        Stacked windows in the order of time, the predicted outputs in the last rows.
+    future : int
+        Number of these rows.
+    outputs : int
+        Number of outputs: the last rows of all are those at the end of the horizon.
+    depth : int
+        Samples of one window: as many windows between head and tail share samples with both.
+
+    Returns
+    -------
+    test : PredictionTest or None
+        None if the head has too few windows to fit a predictor at all.
+    """
+    rows, windows = data.shape
+    known, last = data[: rows - future].T, data[rows - outputs :].T
+    tail = windows - max(1, round(_HELD_OUT * windows))
+    head = tail - depth + 1
+    if head < _EQUATIONS * known.shape[1]:
+        return None
+    size = np.maximum(np.sqrt(np.mean(np.square(known), axis=0)), np.finfo(float).tiny)
+    # The triangular factor of the head has all that its least squares need, in a few rows.
+    factor = np.asarray(np.linalg.qr(np.hstack([known[:head] / size, last[:head]]), mode="r"))
+    split = known.shape[1]
+    solution = np.linalg.lstsq(factor[:, :split], factor[:, split:], rcond=_RANK)[0]
+    errors = last - known / size @ solution
+    return _in_parts(errors[:head], errors[tail:], last)
+
+
+def fit_by_model(
+    model: SampledModel, states: FloatArray, recording: Recording, steps: int, head: int
+) -> PredictionTest | None:
+    """Test a model that was fitted to the first samples of a recording.
+
+    Parameters
+    ----------
+    model : SampledModel
+        The model.
+    states : array, shape (T, n)
+        Its state at every sample: what is known before the input of the sample is decided.
+    recording : Recording
+        Inputs and outputs at the same samples, off the operating point.
+    steps : int
+        Samples that are predicted.
+    head : int
+        Samples that the model was fitted to.
+
+    Returns
+    -------
+    test : PredictionTest or None
+        None if no prediction fits into head or tail.
+    """
+    if count_windows(len(states), steps + 1, recording.seams) == 0:
+        return None
+    first = window_starts(len(states), steps + 1, recording.seams)
+    x = states[first]
+    for step in range(steps):
+        x = x @ model.a.T + recording.u[first + step] @ model.b.T
+    errors = recording.y[first + steps] - x @ model.c.T
+    fitted, held_out = errors[first + steps < head], errors[first >= head]
+    return _in_parts(fitted, held_out, recording.y) if len(fitted) and len(held_out) else None
+
+
+def head_of(recording: Recording) -> Recording:
+    """Return the first samples of a recording, to which a model is fitted that is tested on the rest."""
+    head = len(recording) - max(1, round(_HELD_OUT * len(recording)))
+    return replace(
+        recording,
+        u=recording.u[:head],
+        y=recording.y[:head],
+        measured=recording.measured[:head],
+        seams=tuple(seam for seam in recording.seams if seam < head),
+    )
+
+
+def dead_times(recording: Recording, most: int) -> list[int]:
+    """Return after how many samples the inputs begin to show in each output.
+
+    An autoregressive model is fitted with as many past samples of all signals; the dead time ends with the
+    first sample of the inputs that explains more of the output than chance would (F-test).
+
+    Parameters
+    ----------
+    recording : Recording
+        The experiment.
+    most : int
+        Look no further than so many samples, fewer where the recording is short.
+
+    Returns
+    -------
+    samples : list of int
+        For each output: at least 1; one more than was looked at if nothing shows.
+    """
+    m, p, samples = recording.u.shape[1], recording.y.shape[1], len(recording)
+    lags, seams = min(most, _MOST_LAGS, (samples // 3 - 1) // (m + p + 1)), recording.seams
+    while lags > 0 and count_windows(samples, lags + 1, seams) < 2 * (1 + lags * (m + p)):
+        lags -= 1
+    if lags < 1:
+        return [1] * p
+    y, u = _standardised(recording.y), _standardised(recording.u)
+    now = window_starts(samples, lags + 1, seams) + lags
+    past_y = [y[now - i] for i in range(1, lags + 1)]
+    past_u = [u[now - i] for i in range(lags, 0, -1)]
+    # The newest inputs last: the rows of the factor show what they explain beyond all else.
+    rows, system = len(now), np.hstack([np.ones((len(now), 1)), *past_y, *past_u, y[now]])
+    factor = np.square(np.asarray(np.linalg.qr(system, mode="r"))[:, -p:])
+    free = rows - (system.shape[1] - p)
+    left = factor[-p:].sum(axis=0) / free
+    newest = factor[-p - lags * m : -p][::-1].reshape(lags, m, p).sum(axis=1).cumsum(axis=0)
+    number = m * np.arange(1, lags + 1)[:, np.newaxis]
+    chance = fdtrc(number, free, newest / number / np.maximum(left, np.finfo(float).tiny))
+    shows = (chance < _SIGNIFICANT) & (newest > rows * _EXPLAINED**2)
+    first: list[int] = np.where(shows.any(axis=0), shows.argmax(axis=0) + 1, lags + 1).tolist()
+    return first
+
+
+def dead_time_warnings(
+    recording: Recording, names: Sequence[str], horizon: tuple[int, str], memory: tuple[int, str]
+) -> list[str]:
+    """Return a warning for every output whose dead time a predictor does not span.
+
+    Parameters
+    ----------
+    recording : Recording
+        The experiment.
+    names : sequence of str
+        Of the outputs.
+    horizon : (int, str)
+        The longest dead time with which the first input still shows in the prediction, and the setting that
+        lengthens it.
+    memory : (int, str)
+        The longest dead time whose inputs on their way the predictor remembers, and the setting.
+    """
+    found = dead_times(recording, max(horizon[0], memory[0]) + 1)
+    texts = []
+    for name, samples in zip(names, found, strict=True):
+        short = [
+            f"{setting} covers {spanned}"
+            for spanned, setting in dict.fromkeys((horizon, memory))
+            if spanned < samples
+        ]
+        if short:
+            texts.append(
+                f'in the recording "{name}" does not answer the inputs before {samples} samples have passed, '
+                f"and {' and '.join(short)}: lengthen it, or sample more slowly"
+            )
+    return texts
+
+
+def _standardised(signals: FloatArray) -> FloatArray:
+    moves = signals - signals.mean(axis=0)
+    size = moves.std(axis=0)
+    return np.asarray(moves / np.where(size > 0.0, size, 1.0))
+
+
+def _in_parts(head: FloatArray, tail: FloatArray, y: FloatArray) -> PredictionTest:
+    """Return errors in parts of the standard deviations of the outputs, of the worst output."""
+    size = y.std(axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    error, fitted = (np.sqrt(np.mean(np.square(part), axis=0)) / size for part in (tail, head))
+    worst = int(np.argmax(error))
+    return PredictionTest(float(error[worst]), float(fitted[worst]))

@@ -1,0 +1,108 @@
+"""What can be known of a recording before the loop is closed: whether it can serve for this reference."""
+
+from itertools import chain
+
+import numpy as np
+
+from ddpc_cosim.controller import Loop
+from ddpc_cosim.errors import DataError
+from ddpc_cosim.variables import FloatArray, Variable
+
+# Relative to the largest value: what changes by less has not changed.
+_STANDSTILL = 1e-12
+# The farthest reference, in root mean squares of the recorded output about its mean: excited up to the
+# limits, a plant is seldom asked for more than 3; what was learned from a hundredth of the way is noise.
+_FAR = 10.0
+_BEYOND = 3.0
+# Root mean square of a recorded input about its mean, in parts of half its range; 0.58 fills the range.
+_FAINT = 0.01
+
+# Prediction errors up to which a prediction is good, and fair, in parts of the output's standard deviation.
+_GOOD, _FAIR = 0.2, 0.5
+
+
+def recording_warnings(loop: Loop, reference: FloatArray) -> tuple[str, ...]:
+    """Return why a loop's recording hardly tells what the reference asks for.
+
+    Parameters
+    ----------
+    loop : Loop
+        The loop, with a recording.
+    reference : array, shape (K, p)
+        All references of the run, in the outputs' units, time along axis 0.
+
+    Raises
+    ------
+    DataError
+        An input stands still or an output never moves: there is nothing to learn of it.
+    """
+    recording = loop.recording
+    if recording is None:
+        return ()
+    still = [f'the input "{v.name}" stands still' for v in _still(loop.inputs, recording.u)]
+    still += [f'the output "{v.name}" never moves' for v in _still(loop.outputs, recording.y)]
+    if still:
+        raise DataError(
+            f"the recording of {len(recording)} samples cannot serve: {'; '.join(still)}; excite every input "
+            "so that every controlled output answers"
+        )
+    center, size = recording.y.mean(axis=0), recording.y.std(axis=0)
+    way = np.abs(reference - center).max(axis=0, initial=0.0) / size
+    return tuple(chain(_far_references(loop, way, size), _faint_inputs(loop, recording.u, way)))
+
+
+def judge_prediction(error: float, fitted: float) -> str:
+    """Return ``"good"``, ``"fair"``, or ``"poor"`` and why, for a prediction tested on samples held out.
+
+    Parameters
+    ----------
+    error : float
+        Root mean square error at the end of the horizon over samples that were held out, in parts of the
+        output's standard deviation.
+    fitted : float
+        The same over the samples that the predictor was fitted to.
+    """
+    if error < _FAIR:
+        return "good" if error < _GOOD else "fair"
+    if fitted < 0.5 * error:
+        return (
+            "poor: what it was fitted to is predicted far better, so that the recording is too short, or "
+            "the plant changed during it"
+        )
+    return (
+        "poor: what it was fitted to is not predicted either, for noise, for a plant that is not linear over "
+        "the recording, or for too short a past"
+    )
+
+
+def _still(variables: tuple[Variable, ...], values: FloatArray) -> list[Variable]:
+    moving = np.ptp(values, axis=0) > _STANDSTILL * np.abs(values).max(axis=0, initial=0.0)
+    return [variable for variable, moves in zip(variables, moving, strict=True) if not moves]
+
+
+def _far_references(loop: Loop, way: FloatArray, size: FloatArray) -> list[str]:
+    return [
+        f'the reference of "{variable.name}" goes {times:.0f} times as far as the recording, which moves '
+        f"it by {_shown(variable, rms)} (root mean square about its mean): record with a larger excitation"
+        for variable, times, rms in zip(loop.outputs, way, size, strict=True)
+        if times > _FAR
+    ]
+
+
+def _faint_inputs(loop: Loop, u: FloatArray, way: FloatArray) -> list[str]:
+    """Faint against its limits is an input only where the outputs did not get to the reference with it."""
+    bounds = loop.bounds
+    half = bounds.u_max / 2 - bounds.u_min / 2
+    size = u.std(axis=0)
+    if not (way > _BEYOND).any():
+        return []
+    return [
+        f'the recorded input "{variable.name}" moves by {_shown(variable, rms)} (root mean square about its '
+        f"mean), {100 * rms / room:.2g} % of half its range: record with a larger excitation"
+        for variable, rms, room in zip(loop.inputs, size, half, strict=True)
+        if np.isfinite(room) and rms < _FAINT * room
+    ]
+
+
+def _shown(variable: Variable, value: float) -> str:
+    return f"{value:.3g} {variable.unit}".strip()
