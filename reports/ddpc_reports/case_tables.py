@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from ddpc_cosim import CaseResult, Outcome, StudyResults
+from ddpc_cosim import CaseResult, Outcome, StudyResults, judge_prediction
 from ddpc_cosim.metrics import METRICS, split_key
 from ddpc_reports.comparison import (
     STEP_TIMES,
@@ -305,7 +305,10 @@ _DIAGNOSTICS = {
     "data_columns": "data columns",
     "data_rank": "rank",
     "smallest_singular_value": "smallest singular value",
+    "prediction_error": "prediction error, held out",
+    "prediction_error_fitted": "prediction error, fitted",
 }
+_HELD_OUT = "prediction_error"
 
 
 def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
@@ -326,7 +329,9 @@ def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
         tuple(row for one in reporting for row in _diagnostic_rows(one, several=several)),
         (
             "PE order: order of persistent excitation of the recorded inputs. "
-            "Rank and singular value: of the stacked data.",
+            "Rank and singular value: of the stacked data. Prediction error: root mean square at the end of "
+            "the horizon, in parts of the output's standard deviation, of the output predicted worst; held "
+            "out: on the last quarter of the recording, by what was fitted to the rest.",
         ),
         kind="grouped facts",
         download="diagnostics.csv",
@@ -342,11 +347,20 @@ def _diagnostic_rows(one: ControllerResults, *, several: bool) -> list[Row]:
     for name in ordered:
         values = [case.diagnostics.get(name, math.nan) for case in one.cases]
         first = one.cases[0].diagnostics.get(name, math.nan)
-        cells = [Cell(_written(first), first)]
+        cells = [Cell(_written(first) + _judged(one.cases[0], name), first)]
         if several:
             cells.append(Cell(_range(spread(values))))
-        rows.append(Row(_DIAGNOSTICS.get(name, name.replace("_", " ")), tuple(cells), group=one.label))
+        part, _, last = name.rpartition(".")
+        title = " ".join(filter(None, (part, _DIAGNOSTICS.get(last, last.replace("_", " ")))))
+        rows.append(Row(title, tuple(cells), group=one.label))
     return rows
+
+
+def _judged(case: CaseResult, name: str) -> str:
+    """Return the judgement of a prediction that was tested on what was held out; empty for other figures."""
+    if not name.endswith(_HELD_OUT) or name not in case.diagnostics:
+        return ""
+    return f": {judge_prediction(case.diagnostics[name], case.diagnostics.get(f'{name}_fitted', math.nan))}"
 
 
 def _range(figure: Spread) -> str:

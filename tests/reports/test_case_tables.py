@@ -1,9 +1,9 @@
-"""The reasons for fallbacks, as the table of them tells."""
+"""The tables of fallbacks, of warnings before the loop, and of what is known of the data."""
 
 from dataclasses import replace
 
 from ddpc_cosim import Outcome, Trace
-from ddpc_reports.case_tables import fallbacks_table
+from ddpc_reports.case_tables import diagnostics_table, fallbacks_table, warnings_table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.page import render_page
 
@@ -44,3 +44,33 @@ def test_the_fault_that_ends_a_case_is_no_fallback(make_results: MakeResults) ->
     (condition,) = conditions(make_results(trace_of))
     assert fallbacks_table([condition], "x-") is None
     assert [one.total("failures [1]") for one in condition.controllers] == [0, 0]
+
+
+def test_warnings_before_the_loop_have_a_table_with_their_cases(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        said = (f"a dead time of {seed} samples",) if key == "slow" else ()
+        return replace(make_trace(0.5, noise_seed=seed), warnings=said)
+
+    results = make_results(trace_of, seeds=[7, 8])
+    table = warnings_table(results, "x-")
+    assert table is not None
+    (row,) = table.rows
+    assert (row.header, [cell.text for cell in row.cells]) == ("slow", ["a dead time of 7 samples", "2", "7"])
+    assert "a dead time of 7 samples" in render_page([results])
+
+
+def test_there_is_no_table_of_warnings_without_any(make_results: MakeResults) -> None:
+    assert warnings_table(make_results(lambda key, seed: make_trace(0.5)), "x-") is None
+
+
+def test_predictions_on_what_was_held_out_are_judged(make_results: MakeResults) -> None:
+    found = {"level.prediction_error": 0.04, "level.prediction_error_fitted": 0.03}
+    poor = {"prediction_error": 0.9, "prediction_error_fitted": 0.1}
+    results = make_results(lambda key, seed: make_trace(0.5, diagnostics=found if key == "slow" else poor))
+    (condition,) = conditions(results)
+    table = diagnostics_table(condition, "x-")
+    assert table is not None
+    texts = {row.header: row.cells[0].text for row in table.rows}
+    assert texts["level prediction error, held out"] == "0.04: good"
+    assert texts["level prediction error, fitted"] == "0.03"
+    assert texts["prediction error, held out"].startswith("0.9: poor: what it was fitted to")
