@@ -71,6 +71,6 @@ def test_predictions_on_what_was_held_out_are_judged(make_results: MakeResults) 
     table = diagnostics_table(condition, "x-")
     assert table is not None
     texts = {row.header: row.cells[0].text for row in table.rows}
-    assert texts["level prediction error, held out"] == "0.04: good"
-    assert texts["level prediction error, fitted"] == "0.03"
-    assert texts["prediction error, held out"].startswith("0.9: poor: what it was fitted to")
+    assert texts["level prediction error, held out"] == "0.04000: good"
+    assert texts["level prediction error, fitted"] == "0.03000"
+    assert texts["prediction error, held out"].startswith("0.9000: poor: what it was fitted to")
