@@ -17,10 +17,9 @@ import numpy as np
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import make_backend
-from ddpc_controllers.optimisation.condensing import condense
 from ddpc_controllers.optimisation.limits import InputLimits, rate_limits
 from ddpc_controllers.optimisation.problem import ParameterVector
-from ddpc_controllers.optimisation.qp import ParametricQP
+from ddpc_controllers.optimisation.qp import make_law
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_cosim import Bounds, FloatArray, Loop, Sample, setting
 
@@ -90,8 +89,8 @@ class Predictor:
             prefer_rest=True,
         )
         problem.ask(u=m)
-        condensed = condense(problem, trajectories(a, b, c, settings.horizon))
-        self._law = ParametricQP(condensed, self._limits, make_backend(settings.backend))
+        data = trajectories(a, b, c, settings.horizon)
+        self._law = make_law(problem, data, self._limits, make_backend(settings.backend), None)
 
     def solve(
         self, state: FloatArray, last_input: FloatArray, reference: FloatArray

@@ -1,6 +1,6 @@
 """Inputs within their limits, and their changes: the box QP in dU, or the first change clipped."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import accumulate
 from math import isfinite
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_controllers.checks import per_signal
-from ddpc_controllers.optimisation.backends import PIQPBackend
+from ddpc_controllers.optimisation.backends import PIQPBackend, contradiction
 from ddpc_cosim import Bounds, FloatArray, Weight
 
 _CORRECTIONS = 5
@@ -31,21 +31,19 @@ def past_not_recorded(distance: float) -> str:
     )
 
 
-def bounds_not_met(failure: str, conflicting: Iterable[str]) -> str:
-    """Say that a solver failed, and which bounds contradict each other where that is known."""
-    names = ", ".join(sorted(set(conflicting)))
-    which = f": {names}" if names else ""
-    return f"no way to meet all bounds ({failure}{which}): unconstrained optimum, clipped at the input limits"
+CLIPPED = "unconstrained optimum, clipped at the input limits"
+LAST_HELD = "the last input is held"
 
 
-def limits_not_kept(failure: str) -> str:
-    """Say that no changes of the inputs keep all limits."""
-    return f"no changes keep all limits ({failure}): unconstrained optimum, clipped"
+def bounds_not_met(unmet: str, *instead: str) -> str:
+    """Say which bounds could not be met together, and what was done instead."""
+    return f"no way to meet {unmet}: {', '.join(instead)}"
 
 
-def not_solved(failure: str) -> str:
-    """Say that the solver of an uncondensed problem failed."""
-    return f"PIQP on the full problem: {failure}; the last input is held"
+def unmet_bounds(gain: FloatArray, excess: FloatArray, labels: Sequence[str]) -> str:
+    """Name bounds ``excess + gain t <= 0`` that contradict each other; where none do, those exceeded."""
+    rows = contradiction(gain, excess) or np.flatnonzero(excess > 0.0).tolist()
+    return ", ".join(sorted({labels[row] for row in rows})) if labels else "all bounds"
 
 
 def rate_limits(rate_bounds: Weight, inputs: int) -> FloatArray:
@@ -202,13 +200,20 @@ class ChangeLimits:
             sides = np.append(low > -np.inf, high < np.inf)
             gain = np.linalg.solve(root, np.vstack([-self._limited, self._limited])[sides].T).T
             self._backend.load(gain)
-            t, found, failure = self._backend.solve(np.append(low - levels, levels - high)[sides])
+            excess = np.append(low - levels, levels - high)[sides]
+            t, found, failure = self._backend.solve(excess)
             active = np.zeros(len(sides), dtype=bool)
             active[np.flatnonzero(sides)[list(found)]] = True
             # Whatever the solver says of itself: what satisfies the optimality conditions is the optimum.
             optimum = self._exact(hessian, slope, low, high, *np.split(active, 2))
             if optimum is None and failure:
-                return plan, limits_not_kept(failure)
+                kinds = [
+                    f"{kind} at its {side} bound"
+                    for side in ("lower", "upper")
+                    for kind in ("u", "change of u")
+                ]
+                labels = np.repeat(kinds, len(slope))[sides].tolist()
+                return plan, bounds_not_met(unmet_bounds(gain, excess, labels), CLIPPED)
             if optimum is None:
                 optimum = free + np.linalg.solve(root.T, t)
         changes: list[float] = (optimum * scales).tolist()

@@ -1,6 +1,7 @@
 """Quadratic problems written down in named variables as the papers print them, and their parameters."""
 
 from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,6 +9,24 @@ from ddpc_cosim import FloatArray
 
 Blocks = Mapping[str, FloatArray]
 """Coefficient blocks by the name of the variable or parameter that they multiply."""
+
+
+class _Equality(NamedTuple):
+    """Rows over x and over p that are equal, and the weight of their difference where they give way."""
+
+    left: FloatArray
+    right: FloatArray
+    relaxed: float
+
+
+class _Bound(NamedTuple):
+    """What a limited quantity is called, its rows over x, its limits, and the weight of an excess."""
+
+    name: str
+    rows: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    relaxed: float
 
 
 class Problem:
@@ -34,17 +53,21 @@ class Problem:
         What that smallest combination costs itself, block by block as in ``weights``.
     labels : tuple of str
         What the finite limits are called: the upper ones, and then the lower ones.
+    given_up : tuple of str
+        What :meth:`relaxed` has made of a problem that cannot be solved as it was written down.
     """
 
     def __init__(
         self, rows: Mapping[str, int], free: Mapping[str, int], parameters: Mapping[str, int]
     ) -> None:
         self.rows, self.free = dict(rows), dict(free)
+        self._sizes = dict(parameters)
         self._variables, self._parameters = _places({**rows, **free}), _places(parameters)
         self._width, self._columns = sum(rows.values()) + sum(free.values()), sum(parameters.values())
         self._costs: list[tuple[FloatArray, FloatArray]] = []
-        self._equalities: list[tuple[FloatArray, FloatArray]] = []
-        self._bounds: list[tuple[str, FloatArray, FloatArray, FloatArray]] = []
+        self._equalities: list[_Equality] = []
+        self._bounds: list[_Bound] = []
+        self.given_up: tuple[str, ...] = ()
         self._wanted: list[FloatArray] = []
         self.weights: tuple[tuple[int, float], ...] = ((self.row_count, 0.0),)
         self.origin = np.zeros((self.row_count, self._width)), np.zeros((self.row_count, self._columns))
@@ -83,16 +106,23 @@ class Problem:
         root = np.kron(np.eye(len(left) // len(weight)), _square_root(weight))
         self._costs.append((root @ left, root @ right))
 
-    def equate(self, variables: Blocks, target: Blocks) -> None:
-        """Require ``sum variables = sum target``."""
-        self._equalities.append(self._assembled(variables, target))
+    def equate(self, variables: Blocks, target: Blocks, relaxed: float = 0.0) -> None:
+        """Require ``sum variables = sum target``; ``relaxed`` weighs misses where that gives way."""
+        self._equalities.append(_Equality(*self._assembled(variables, target), relaxed))
 
     def bound(
-        self, variable: str, lower: FloatArray, upper: FloatArray, less: Blocks | None = None, name: str = ""
+        self,
+        variable: str,
+        lower: FloatArray,
+        upper: FloatArray,
+        less: Blocks | None = None,
+        name: str = "",
+        relaxed: float = 0.0,
     ) -> None:
         """Keep every sample of a variable within limits; infinite where there is none.
 
-        With ``less`` it is the variable minus these others; ``name`` is what messages call it.
+        With ``less`` it is the variable minus these others; ``name`` is what messages call it; ``relaxed`` is
+        the weight of an excess where the limits give way.
         """
         blocks = {variable: np.eye({**self.rows, **self.free}[variable])}
         for other, block in (less or {}).items():
@@ -100,7 +130,44 @@ class Problem:
         bounded, _ = self._assembled(blocks, {})
         samples = len(bounded) // len(lower)
         limits = np.tile(lower, samples), np.tile(upper, samples)
-        self._bounds.append((name or variable, bounded, *limits))
+        self._bounds.append(_Bound(name or variable, bounded, *limits, relaxed))
+
+    def relaxed(self) -> "Problem | None":
+        """Return the next easier problem, None if there is none.
+
+        First what equalities there are to give way (the terminal condition) become costs, then bounds (of
+        outputs) too.
+        """
+        equalities = [equality for equality in self._equalities if equality.relaxed]
+        bounds = [] if equalities else [bound for bound in self._bounds if bound.relaxed]
+        if not equalities and not bounds:
+            return None
+        excess = {f"excess of {bound.name}": len(bound.rows) for bound in bounds}
+        easier = Problem(self.rows, {**self.free, **excess}, self._sizes)
+
+        def wider(rows: FloatArray) -> FloatArray:
+            return np.pad(rows, ((0, 0), (0, sum(excess.values()))))
+
+        easier.weights, easier.origin_weights = self.weights, self.origin_weights
+        easier.origin = wider(self.origin[0]), self.origin[1]
+        easier._costs = [(wider(left), right) for left, right in self._costs]
+        easier._wanted = [wider(rows) for rows in self._wanted]
+        for left, right, weight in self._equalities:
+            if weight:
+                easier._costs.append((weight**0.5 * wider(left), weight**0.5 * right))
+            else:
+                easier._equalities.append(_Equality(wider(left), right, 0.0))
+        for bound in self._bounds:
+            rows = wider(bound.rows)
+            if bounds and bound.relaxed:
+                name = f"excess of {bound.name}"
+                one = np.eye(len(rows))
+                rows[:, easier._variables[name]] = -one
+                easier.penalise(bound.relaxed * np.eye(1), {name: one}, {})
+            easier._bounds.append(bound._replace(rows=rows, relaxed=0.0 if bounds else bound.relaxed))
+        what = "output bounds softened" if bounds else "terminal condition relaxed"
+        easier.given_up = (*self.given_up, what)
+        return easier
 
     def ask(self, **counts: int) -> None:
         """Ask for the first entries of variables."""
@@ -115,12 +182,12 @@ class Problem:
     @property
     def equality(self) -> tuple[FloatArray, FloatArray]:
         """E and E_p of ``E x = E_p p``, shapes (e, variables) and (e, parameters)."""
-        return _stacked(self._equalities)
+        return _stacked([(left, right) for left, right, _ in self._equalities])
 
     @property
     def bounded(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """C and the limits of C x, shapes (b, variables), (b,) and (b,); infinite where there is none."""
-        _, rows, lower, upper = zip(*self._bounds, strict=True)
+        _, rows, lower, upper, _ = zip(*self._bounds, strict=True)
         return np.vstack(rows), np.concatenate(lower), np.concatenate(upper)
 
     @property
@@ -144,7 +211,7 @@ class Problem:
         return left, right
 
     def _labels(self, side: str) -> Iterator[str]:
-        for name, _, lower, upper in self._bounds:
+        for name, _, lower, upper, _ in self._bounds:
             count = np.isfinite(upper if side == "upper" else lower).sum()
             yield from [f"{name} at its {side} bound"] * int(count)
 

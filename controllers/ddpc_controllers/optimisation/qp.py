@@ -17,7 +17,8 @@ variables w at the parameters p is
 One triangular solution, one product and one factorisation give its optimum.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
@@ -27,11 +28,18 @@ from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 
 from ddpc_controllers.checks import all_finite
 from ddpc_controllers.data.online import OnlineData
-from ddpc_controllers.optimisation.backends import ActiveSet, Backend, PIQPBackend, contradiction
+from ddpc_controllers.optimisation.backends import ActiveSet, Backend, PIQPBackend
 from ddpc_controllers.optimisation.condensing import CondensedProblem, condense, reduce
-from ddpc_controllers.optimisation.limits import HELD, InputLimits, bounds_not_met, past_not_recorded
+from ddpc_controllers.optimisation.limits import (
+    CLIPPED,
+    HELD,
+    InputLimits,
+    bounds_not_met,
+    past_not_recorded,
+    unmet_bounds,
+)
 from ddpc_controllers.optimisation.problem import Problem
-from ddpc_cosim import FloatArray
+from ddpc_cosim import ConfigError, FloatArray
 
 _FEASIBLE = 1e-11
 _NO_CONFLICT = 1e-6
@@ -64,12 +72,54 @@ class Law(Protocol):
         """Return the optimal move, or the documented fallback with its reason."""
 
 
+@dataclass(frozen=True, slots=True)
+class Relaxation:
+    """What takes over where a problem has no solution: the same on the same data, made easier.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem that has no solution.
+    data : array or OnlineData
+        What it meets.
+    """
+
+    problem: Problem
+    data: FloatArray | OnlineData
+
+    def law(self, limits: InputLimits, backend: Backend) -> "_BoundedLaw | None":
+        """Return the law of the easier problem, None if there is none."""
+        easier = self.problem.relaxed()
+        if easier is None:
+            return None
+        try:
+            law = _law(easier, self.data, limits, type(backend)())
+        except ConfigError:  # weights so far apart that it is not determined to rounding
+            return None
+        law.given_up = easier.given_up
+        return law
+
+
 class _BoundedLaw:
     """What the laws share: how the unconstrained optimum is admitted, corrected or refused."""
 
-    def __init__(self, limits: InputLimits, backend: Backend) -> None:
-        self._limits, self._backend = limits, backend
+    given_up: tuple[str, ...] = ()
+    unmet = ""
+
+    def __init__(self, limits: InputLimits, backend: Backend, relaxation: Relaxation | None) -> None:
+        self._limits, self._backend, self._relaxation = limits, backend, relaxation
         self._active: ActiveSet = ()
+        self._easier: _BoundedLaw | None = None
+
+    def solve(self, parameters: FloatArray) -> Move:
+        """Return the optimal move, or the documented fallback with its reason.
+
+        Parameters
+        ----------
+        parameters : array, shape (parameters,)
+            The parameter vector p; its last entry is 1.
+        """
+        raise NotImplementedError
 
     def _take(self, bounds: int, conflict_law: FloatArray) -> None:
         """Take the number of bounds, and what must vanish, of new matrices."""
@@ -87,12 +137,24 @@ class _BoundedLaw:
         if self._bounds and not max(excess.tolist()) <= 0.0:
             if not all_finite(excess):
                 return Move(None, HELD)
-            fault = correct(excess, u) or fault
+            unmet = correct(excess, u)
             self._limits.reach(u)
+            if unmet:
+                return self._relax(u, parameters, self.unmet or unmet)
         elif self._checks_inputs and not np.isfinite(u).all():
             return Move(None, HELD)
         self._limits.hold(u)
-        return Move(u, fault)
+        return Move(u, bounds_not_met(self.unmet, *self.given_up) if self.given_up else fault)
+
+    def _relax(self, u: FloatArray, parameters: FloatArray, unmet: str) -> Move:
+        """Return the move of the easier problem; where there is none clip ``u``."""
+        if self._easier is None and self._relaxation:
+            self._easier = self._relaxation.law(self._limits, self._backend)
+        if self._easier is not None:
+            self._easier.unmet = unmet
+            return self._easier.solve(parameters)
+        self._limits.hold(u)
+        return Move(u, bounds_not_met(unmet, CLIPPED))
 
 
 class ParametricQP(_BoundedLaw):
@@ -106,18 +168,24 @@ class ParametricQP(_BoundedLaw):
         Input limits, held exactly.
     backend : Backend, optional
         The solver for active sets not seen before; default: PIQP.
+    relaxation : Relaxation, optional
+        What takes over where there is no solution; default: the inputs are clipped.
     """
 
     def __init__(
-        self, problem: CondensedProblem, limits: InputLimits, backend: Backend | None = None
+        self,
+        problem: CondensedProblem,
+        limits: InputLimits,
+        backend: Backend | None = None,
+        relaxation: Relaxation | None = None,
     ) -> None:
-        super().__init__(limits, backend or PIQPBackend())
+        super().__init__(limits, backend or PIQPBackend(), relaxation)
         self._active_sets: dict[ActiveSet, ActiveSet] = {}
         self.replace(problem)
 
     def replace(self, problem: CondensedProblem) -> None:
         """Take new matrices; active sets seen before stay the first guesses."""
-        self._problem = problem
+        self._problem, self._easier = problem, None
         self._take(len(problem.excess_law), problem.conflict_law)
         self._law = np.vstack([problem.excess_law, problem.move_law])
         self._laws: dict[ActiveSet, FloatArray | None] = {}
@@ -182,7 +250,7 @@ class ParametricQP(_BoundedLaw):
             self._active_sets[pattern] = active
             return ""
         if failure:
-            return infeasible(failure, self._problem.excess_gain, excess, self._problem.labels)
+            return unmet_bounds(self._problem.excess_gain, excess, self._problem.labels)
         u += self._problem.move_gain @ t
         return ""
 
@@ -197,10 +265,18 @@ def make_law(
     ConfigError
         The weights leave the optimum undetermined.
     """
-    condensed = condense(problem, data)
-    return (
-        AdaptiveQP(problem, online, limits, backend) if online else ParametricQP(condensed, limits, backend)
-    )
+    if online:
+        condense(problem, data)  # weights that leave the optimum undetermined are refused here, not in a step
+    return _law(problem, online or data, limits, backend)
+
+
+def _law(
+    problem: Problem, data: FloatArray | OnlineData, limits: InputLimits, backend: Backend
+) -> _BoundedLaw:
+    relaxation = Relaxation(problem, data)
+    if isinstance(data, OnlineData):
+        return AdaptiveQP(problem, data, limits, backend, relaxation)
+    return ParametricQP(condense(problem, data), limits, backend, relaxation)
 
 
 def find_conflict(conflict_law: FloatArray, parameters: FloatArray) -> str:
@@ -211,11 +287,6 @@ def find_conflict(conflict_law: FloatArray, parameters: FloatArray) -> str:
     if size <= _NO_CONFLICT * float((np.abs(conflict_law) @ np.abs(parameters)).max()):
         return ""
     return past_not_recorded(size)
-
-
-def infeasible(failure: str, gain: FloatArray, excess: FloatArray, labels: Sequence[str]) -> str:
-    """Say that a solver failed, and which bounds contradict each other."""
-    return bounds_not_met(failure, [labels[row] for row in contradiction(gain, excess)] if labels else [])
 
 
 def _make_room(store: dict[ActiveSet, Any]) -> None:
@@ -236,10 +307,19 @@ class AdaptiveQP(_BoundedLaw):
         Input limits, held exactly.
     backend : Backend
         The solver for active sets that the last one does not lead to.
+    relaxation : Relaxation
+        What takes over where there is no solution.
     """
 
-    def __init__(self, problem: Problem, data: OnlineData, limits: InputLimits, backend: Backend) -> None:
-        super().__init__(limits, backend)
+    def __init__(
+        self,
+        problem: Problem,
+        data: OnlineData,
+        limits: InputLimits,
+        backend: Backend,
+        relaxation: Relaxation,
+    ) -> None:
+        super().__init__(limits, backend, relaxation)
         self._problem, self._data = problem, data
         self._adopt_factor()
 
@@ -335,7 +415,7 @@ class AdaptiveQP(_BoundedLaw):
             # Whatever the solver says of itself: what satisfies the optimality conditions is the optimum.
             exact = _certified(gain, excess, active)
             if failure and exact is None:
-                return infeasible(failure, gain, excess, self._reduced.labels)
+                return unmet_bounds(gain, excess, self._reduced.labels)
             t, self._active = (t if exact is None else exact), active
         u += move_gain @ t
         return ""

@@ -15,6 +15,8 @@ Setpoint = Literal["input", "input-output", "none"]
 SETPOINTS = ("input", "input-output", "none")
 
 _PREFERENCE = 1e-6
+_TERMINAL, _OUTPUTS = 1e2, 1e4
+"""Weights of what gives way where nothing else helps, in parts of the largest weight."""
 
 
 @dataclass(kw_only=True)
@@ -136,17 +138,20 @@ def tracking_problem(
         before = _inputs_before(problem, m)
         problem.penalise(change, {"u": every_u - before["u"], "u_ini": -before["u_ini"]}, {})
 
+    largest = max(float(np.abs(weight).max()) for weight in (q, r, s))
     for name, setpoint, held in (("u", "u_s", held_u), (future_y, "y_s", held_y)):
         if settings.terminal_length and setpoint in free:  # the horizon's end is at the setpoints
             last = slice(-settings.terminal_length * held.shape[1], None)
-            problem.equate({name: np.eye(len(held))[last], setpoint: -held[last]}, {})
-    _bound_signals(problem, settings, bounds, future_y)
+            problem.equate({name: np.eye(len(held))[last], setpoint: -held[last]}, {}, _TERMINAL * largest)
+    _bound_signals(problem, settings, bounds, future_y, _OUTPUTS * largest)
     if np.isfinite(rates).any():
         problem.bound("u", -rates, rates, _inputs_before(problem, m), name="change of u")
     return problem
 
 
-def _bound_signals(problem: Problem, settings: TrackingSettings, bounds: Bounds, future_y: str) -> None:
+def _bound_signals(
+    problem: Problem, settings: TrackingSettings, bounds: Bounds, future_y: str, relaxed: float
+) -> None:
     """Bound inputs, outputs and artificial setpoints; soft output bounds give way at a quadratic cost.
 
     The setpoint's output bounds give way with them: the terminal condition would make them hard again.
@@ -164,7 +169,8 @@ def _bound_signals(problem: Problem, settings: TrackingSettings, bounds: Bounds,
             excess[f"{name}_excess"] = np.eye(problem.free[f"{name}_excess"])
             problem.penalise(settings.soft_output_bounds * np.eye(len(lower)), excess, {})
         if name in problem.rows or name in problem.free:
-            problem.bound(future_y if name == "y" else name, lower, upper, excess, name=name)
+            gives_way = relaxed if name in ("y", "y_s") and not excess else 0.0
+            problem.bound(future_y if name == "y" else name, lower, upper, excess, name, gives_way)
 
 
 def _inputs_before(problem: Problem, m: int) -> dict[str, FloatArray]:

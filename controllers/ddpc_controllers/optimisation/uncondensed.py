@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ddpc_controllers.optimisation.backends import SparseQP
-from ddpc_controllers.optimisation.limits import HELD, InputLimits, not_solved
+from ddpc_controllers.optimisation.condensing import factorise, reduce
+from ddpc_controllers.optimisation.limits import HELD, LAST_HELD, InputLimits, bounds_not_met, unmet_bounds
 from ddpc_controllers.optimisation.problem import Problem
 from ddpc_controllers.optimisation.qp import Move
 from ddpc_cosim import FloatArray
@@ -35,6 +36,8 @@ class UncondensedLaw:
     def __init__(self, problem: Problem, weight: float, data: FloatArray, limits: InputLimits) -> None:
         self._problem, self._weight, self._data, self._limits = problem, weight, data, limits
         self._qp: SparseQP | None = self._set_up()
+        self._easier: UncondensedLaw | None = None
+        self._unmet = ""
 
     def solve(self, parameters: FloatArray) -> Move:
         """Return the optimal move, or why the last inputs are to be held.
@@ -53,10 +56,25 @@ class UncondensedLaw:
         qp.right["equality"][:] = self._problem.equality[1] @ parameters
         solution, failure = qp.solve()
         if failure:
-            return Move(None, not_solved(failure))
+            return self._relax(parameters)
         u = self._problem.wanted[:, self._past :] @ solution["x"]
         self._limits.hold(u)
-        return Move(u, "")
+        return Move(u, bounds_not_met(self._unmet, *self._problem.given_up) if self._unmet else "")
+
+    def _relax(self, parameters: FloatArray) -> Move:
+        """Return the move of the easier problem; where there is none hold the last inputs."""
+        problem, easier = self._problem, self._easier
+        unmet = self._unmet
+        if not unmet:  # whatever g costs, what it can reach is the same
+            reduced = reduce(problem, factorise(self._data, [(problem.row_count, 1.0)]))
+            unmet = unmet_bounds(reduced.excess_gain, reduced.excess_law @ parameters, reduced.labels)
+        relaxed = problem.relaxed() if easier is None else None
+        if relaxed is not None:
+            easier = UncondensedLaw(relaxed, self._weight, self._data, self._limits)
+        if easier is None:
+            return Move(None, bounds_not_met(unmet, LAST_HELD))
+        self._easier, easier._unmet = easier, unmet
+        return easier.solve(parameters)
 
     def _set_up(self) -> SparseQP:
         """Write the problem in ``g = g+ - g-``, the variables x below the past, and differences of these.
