@@ -289,7 +289,8 @@ class Metric(Generic[Samples]):
     better : {"low", "high", ""}
         Which values are better; empty where neither are.
     if_held : bool
-        Whether it says something only of a run that holds its reference.
+        Whether it is a figure of the step response, which says something only of a run that holds its
+        reference.
     over_seeds : {"median", "largest", "total"}
         How the cases of several seeds are summed up in one value.
     title, group : str
@@ -455,6 +456,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         _overshoot,
         "%",
         if_held=True,
+        title="overshoot",
     ),
     "rise_time": Metric(
         Response,
@@ -463,6 +465,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         _rise_time,
         "s",
         if_held=True,
+        title="rise time",
     ),
     "settling_time": Metric(
         Response,
@@ -471,6 +474,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         _settling_time,
         "s",
         if_held=True,
+        title="settling time",
     ),
     "anticipation": Metric(
         Response,
@@ -480,6 +484,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "s",
         better="",
         if_held=True,
+        title="anticipation",
     ),
     "bound_violation_max": Metric(
         Response,

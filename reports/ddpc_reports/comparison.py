@@ -255,8 +255,9 @@ def metric_unit(key: str) -> str:
 
 
 def shown_as(key: str, values: Iterable[float]) -> Scale:
-    """Return the unit symbol and the factor with which values of a metric are shown."""
-    return time_scale(values) if metric_unit(key) == "s" else Scale(metric_unit(key), 1.0)
+    """Return the unit symbol and the factor with values of a metric are shown: step times scaled."""
+    is_step_time = metric_unit(key) == "s" and not metric_signal(key)
+    return time_scale(values) if is_step_time else Scale(metric_unit(key), 1.0)
 
 
 def metric_signal(key: str) -> str:

@@ -1,7 +1,8 @@
 """Controllers compared: in one scenario, from scenario to scenario, and with published values."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
@@ -37,7 +38,7 @@ from ddpc_reports.verdict import Statement
 
 def verdict_table(condition: Condition, prefix: str) -> Table:
     """Return the metrics that have a title, and the cases completed: a row per controller."""
-    by_name = {name: columns for name in shown_metrics() if (columns := _columns(condition, name))}
+    by_name = {name: columns for name in _overall(shown_metrics()) if (columns := _columns(condition, name))}
     completed = [_counted(len(one.completed), len(one.cases)) for one in condition.controllers]
     columns = [column for columns in by_name.values() for column in columns]
     columns.append((Heading("cases completed"), completed))
@@ -52,6 +53,58 @@ def verdict_table(condition: Condition, prefix: str) -> Table:
         _notes(condition, list(by_name)),
         "verdict.csv",
     )
+
+
+def _overall(metrics: Mapping[str, Metric[Any]]) -> dict[str, Metric[Any]]:
+    """Return the metrics without those of the step response, of which the settled error stands for all."""
+    return {name: one for name, one in metrics.items() if not one.if_held or name == "settled_error"}
+
+
+def response_table(condition: Condition, prefix: str) -> Table | None:
+    """Return the figures of the step response, a row per controller; None if the references have no steps."""
+    columns = [
+        _response_column(condition, key)
+        for name, metric in shown_metrics().items()
+        if metric.if_held
+        for key in condition.keys(name)
+    ]
+    if all(math.isnan(float(cell.raw)) for _, cells in columns for cell in cells):
+        return None
+    preview = condition.results.provenance.get("largest preview", "as many samples as anyone looks ahead")
+    notes = [
+        f"From each step of the reference until {preview} before the next one: until then, every controller "
+        "answers the same step. Of a run that does not hold its reference there are none.",
+        *(
+            f"{metric.title.capitalize()}: {metric.description}."
+            for metric in shown_metrics().values()
+            if metric.if_held
+        ),
+        "A dash for a time: not reached." + (" Medians over the seeds." if len(condition.seeds) > 1 else ""),
+    ]
+    return controller_table(
+        f"{prefix}response",
+        "Figures of the step response, per controller",
+        condition.controllers,
+        columns,
+        (" ".join(notes),),
+        "response.csv",
+    )
+
+
+def _response_column(condition: Condition, key: str) -> Column:
+    metric = METRICS[split_key(key)[0]]
+    values = [_response_value(one, key) for one in condition.controllers]
+    cells = number_cells(values, eligible=_all_hold(condition), better=metric.better, digits=3)
+    return Heading(metric.title, metric_unit(key), group=metric_signal(key)), cells
+
+
+def _response_value(one: ControllerResults, key: str) -> float:
+    """Return the median over the seeds; what is not reached in a case is worse than any value."""
+    values = [case.metrics.get(key, math.nan) for case in one.holding]
+    if not METRICS[split_key(key)[0]].better:
+        return spread(values).median
+    middle = median([math.inf if math.isnan(value) else value for value in values]) if values else math.nan
+    return middle if math.isfinite(middle) else math.nan
 
 
 def _counted(count: int, total: int) -> Cell:
@@ -113,7 +166,7 @@ def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
         )
     metrics = [METRICS[name] for name in shown]
     meanings = [
-        f"{metric.title.capitalize()}: {metric.description.replace(' - ', f' {MINUS} ')}."
+        f"{metric.title[0].upper()}{metric.title[1:]}: {metric.description.replace(' - ', f' {MINUS} ')}."
         for metric in metrics
         if metric.group != "step time"
     ]
@@ -141,7 +194,7 @@ def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
         return None
     rows = [
         row
-        for name, metric in response_metrics().items()
+        for name, metric in _overall(response_metrics()).items()
         if metric.over_seeds == "median"
         for key in metric_keys(conditions, name)
         for row in _across_rows(conditions, key)

@@ -24,6 +24,7 @@ from ddpc_reports.comparison_tables import (
     across_table,
     reproduction_statements,
     reproduction_table,
+    response_table,
     verdict_table,
 )
 from ddpc_reports.embedding import (
@@ -167,7 +168,10 @@ def _verdict_blocks(condition: Condition, prefix: str) -> list[Block]:
     if not condition.controllers:
         return _statements(sweep_statements(condition))
     statements = verdict(condition) + sweep_statements(condition)
-    return [*_statements(statements), *_tables(verdict_table(condition, prefix))]
+    return [
+        *_statements(statements),
+        *_tables(verdict_table(condition, prefix), response_table(condition, prefix)),
+    ]
 
 
 def _step_time_blocks(condition: Condition, prefix: str) -> list[Block]:

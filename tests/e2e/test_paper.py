@@ -1,10 +1,12 @@
 """The study of the paper, from equations to report, against the recorded figures."""
 
 import csv
+import io
 import json
 import re
 import shutil
 import subprocess
+from base64 import b64decode
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +14,8 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import StudyResults, load_results
+
+from .recomputed import figures_of, holds
 
 # What its fixtures run or build is run and built in one process.
 pytestmark = pytest.mark.xdist_group("paper")
@@ -82,6 +86,51 @@ def test_figures_of_the_paper_and_of_the_authors_programs(
 ) -> None:
     (found,) = figures(results, controller, metric)
     assert found == pytest.approx(expected, abs=tolerance)
+
+
+NAMES = {
+    "mean_abs_error.angle [deg]": "mean |error|, angle (°)",
+    "rmse.angle [deg]": "RMSE, angle (°)",
+    "settled_error.angle [deg]": "settled error, angle (°)",
+    "overshoot.angle [%]": "overshoot, angle (%)",
+    "rise_time.angle [s]": "rise time, angle (s)",
+    "settling_time.angle [s]": "settling time, angle (s)",
+}
+
+
+def test_figures_in_files_and_report_are_those_of_the_samples(
+    first_run: tuple[Path, str], results: StudyResults
+) -> None:
+    page = (first_run[0] / "report.html").read_text(encoding="utf-8")
+    (packed,) = re.findall(r'download="cases.csv" href="data:text/csv[^,]*,([^"]+)"', page)
+    shown = csv.DictReader(io.StringIO(b64decode(packed).decode()))
+    assert results.provenance["largest preview"] == "5 samples"
+    for case, row in zip(results.cases, shown, strict=True):
+        figures = figures_of(case.folder, 5)
+        assert case.holds
+        assert holds(case.folder, 5)
+        assert {key: case.metrics[key] for key in figures} == pytest.approx(figures, abs=1e-9, nan_ok=True)
+        own = {key: float(row[NAMES[key]] or "nan") for key in figures}
+        assert own == pytest.approx(figures, abs=1e-9, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("controller", "settled", "overshoot", "rise", "settling"),
+    [
+        ("mfapc", 0.0050, 1.75, 2.1, 3.1),
+        ("mfapc-lambda-025", 0.0306, 9.45, 1.3, 6.3),
+        ("mfapc-lambda-070", 0.0841, 0.0, 3.15, 4.3),
+        ("deepc", 0.688, 0.0, 0.7, 0.8),
+        ("wkpc", 0.583, 17.8, 0.4, 1.2),
+    ],
+)
+def test_figures_of_the_response_on_the_papers_seed(
+    results: StudyResults, controller: str, settled: float, overshoot: float, rise: float, settling: float
+) -> None:
+    assert figures(results, controller, "settled_error") == [pytest.approx(settled, rel=2e-3, abs=5e-5)]
+    assert figures(results, controller, "overshoot") == [pytest.approx(overshoot, rel=2e-3, abs=5e-3)]
+    assert figures(results, controller, "rise_time") == [pytest.approx(rise)]
+    assert figures(results, controller, "settling_time") == [pytest.approx(settling)]
 
 
 @pytest.mark.parametrize(

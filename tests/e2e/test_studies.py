@@ -1,5 +1,6 @@
 """The built-in studies show what their summaries say."""
 
+import csv
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,8 @@ from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
 from fmu_plants import cstr
 from fmu_plants.linear import linearise
+
+from .recomputed import figures_of, holds
 
 # What its fixtures run or build is run and built in one process.
 pytestmark = pytest.mark.xdist_group("studies")
@@ -88,6 +91,24 @@ def test_every_case_ends_and_holds_its_input_bounds_exactly(name: str, results_o
         assert (trace.u >= trace.bounds.u_min).all()
         assert (trace.u <= trace.bounds.u_max).all()
         assert any(key.startswith("bound_violation_max.") for key in case.metrics)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_figures_of_the_response_are_those_of_the_samples(name: str, results_of: Results) -> None:
+    results = results_of(name)
+    preview = int(results.provenance["largest preview"].removesuffix(" samples"))
+    with (results.folder / "metrics.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for case, row in zip(results.cases, rows, strict=True):
+        figures = figures_of(case.folder, preview)
+        own = {key: float(row[key] or "nan") for key in figures}
+        assert own == pytest.approx(figures, rel=1e-9, abs=1e-9, nan_ok=True), case.id
+        assert (row["holds"] == "true") == case.holds == holds(case.folder, preview), case.id
+
+
+def test_of_the_sweeps_one_setting_does_not_hold_the_reference(results_of: Results) -> None:
+    lost = [case.controller for case in results_of("tuning").cases if not case.holds]
+    assert lost == ["deepc-setpoint_weight-30-lambda_g-500"]
 
 
 @pytest.mark.parametrize("controller", ["deepc", "wkpc", "mfapc"])
