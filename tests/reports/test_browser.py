@@ -111,8 +111,8 @@ def test_a_click_on_a_legend_entry_hides_a_controller_and_a_second_shows_it(
 
 
 def test_the_legend_says_which_run_did_not_complete(browser: webdriver.Chrome) -> None:
-    assert "(not completed)" in one(browser, "button.entry[data-name=c2]").text
-    assert "(not completed)" not in one(browser, "button.entry[data-name=c0]").text
+    assert "(diverged)" in one(browser, "button.entry[data-name=c2]").text
+    assert "(diverged)" not in one(browser, "button.entry[data-name=c0]").text
 
 
 def test_the_pointer_reads_all_controllers_at_the_nearest_sample(browser: webdriver.Chrome) -> None:
