@@ -98,8 +98,11 @@ class ModelFreeAdaptive(ScaledSignals):
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and what it was told of the plant."""
-        sign = "the sign of its gain" if self.assume_sign else "a first gain"
-        return knowing(f"{sign}, by initial_gradient", loop.outputs)
+        if not isinstance(self.initial_gradient, float | int):
+            told = "its gradient to begin with"
+        else:
+            told = "the sign of its gain" if self.assume_sign else "a first gain"
+        return knowing(f"{told}, by initial_gradient", loop.outputs)
 
     def warnings(self) -> Sequence[str]:
         """Return what speaks against the method here: the signals' size, a dead time."""

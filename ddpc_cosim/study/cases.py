@@ -313,7 +313,7 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
     for controller, section in study.controllers.items():
         for name, scenario in study.scenarios.items():
             for seed in seeds:
-                excitation = resolved.excitation
+                excitation = resolved.excitations[name]
                 yield Case(
                     controller=controller,
                     scenario=name,

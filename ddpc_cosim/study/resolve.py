@@ -59,8 +59,8 @@ class ResolvedStudy:
         Of each controlled output, in its own unit.
     bounds : dict of str to dict of str to (float, float)
         For each controller the limits of inputs and controlled outputs, in their own units.
-    excitation : Excitation or None
-        The experiment; each case draws it with its own seed.
+    excitations : dict of str to (Excitation or None)
+        The experiment of each scenario; each case draws it with its own seed.
     conditions : dict of str to Conditions
         Of each scenario, in the variables' own units.
     undriven : dict of str to tuple of Variable
@@ -78,7 +78,7 @@ class ResolvedStudy:
     measurements: tuple[Variable, ...]
     reference: dict[str, Reference]
     bounds: dict[str, Limits]
-    excitation: Excitation | None
+    excitations: dict[str, Excitation | None]
     conditions: dict[str, Conditions]
     undriven: dict[str, tuple[Variable, ...]]
     metrics: MetricSettings
@@ -153,6 +153,7 @@ class _Resolution:
         self.references = self._references()
         self.bounds = self._bounds()
         self.excitation = self._excitation()
+        self.excitations = {name: self._changed_excitation(name) for name in study.scenarios}
         self.conditions = {name: self._conditions(name) for name in study.scenarios}
 
     def result(self) -> ResolvedStudy | None:
@@ -167,7 +168,7 @@ class _Resolution:
             measurements=self.measurements.variables,
             reference=self.references,
             bounds={controller.name: self.bounds[controller.of] for controller in self.controllers},
-            excitation=self.excitation,
+            excitations=self.excitations,
             conditions={name: conditions or Conditions() for name, conditions in self.conditions.items()},
             undriven={
                 name: tuple(self.variables.inputs[signal] for signal in scenario.inputs)
@@ -431,7 +432,10 @@ class _Resolution:
                 lacking = "learns from a recording, and the study has no recording section"
                 self.errors.add(("controllers", name), lacking, _RECORDING)
             elif recording is not None and controller is not None and all(sizes):
-                self._check_length(recording, name, controller.recording_length(*sizes))
+                needed = controller.recording_length(*sizes)
+                self._check_length(recording, name, needed)
+                for scenario in self.study.scenarios:
+                    self._check_changed_length(scenario, name, needed)
         if self.study.loop.start == "recording-end" and (recording is None or recording.file):
             lacking = "a recording section" if recording is None else "an experiment to go on from, not files"
             self.errors.add(("loop", "start"), f'"recording-end" needs {lacking}', _RECORDING)
@@ -444,6 +448,13 @@ class _Resolution:
         if samples is not None and samples < needed:
             short = f"{samples} is too short for {name}, which needs {needed}"
             self.errors.add((*_RECORDING, key), short if key == "samples" else f"the number of rows, {short}")
+
+    @independent
+    def _check_changed_length(self, scenario: str, name: str, needed: int) -> None:
+        changes, place = self.study.scenarios[scenario].recording, ("scenarios", scenario, "recording")
+        if changes is not None and changes.samples is not None and changes.samples < needed:
+            short = f"{changes.samples} is too short for {name}, which needs {needed}"
+            self.errors.add((*place, "samples"), short)
 
     @independent
     def _read_recording(self) -> Recording | None:
@@ -526,6 +537,26 @@ class _Resolution:
         if self.errors.found or not self.inputs.names:
             return None
         return recording.build({name: converters[name] for name in self.inputs.names})
+
+    @independent
+    def _changed_excitation(self, scenario: str) -> Excitation | None:
+        """Return the experiment of a scenario on all inputs, in their units."""
+        changes = self.study.scenarios[scenario].recording
+        place: Place = ("scenarios", scenario, "recording")
+        if changes is None:
+            return self.excitation
+        if self.study.recording is None or self.study.recording.file:
+            what = "changes an experiment, and the study has no recording section with one"
+            self.errors.add(place, what, _RECORDING)
+            return None
+        place = (*place, "excitation")
+        self.errors.require_known(place, "input", changes.excitation, self.inputs.names)
+        self._converters(place, changes.excitation, self.variables.inputs)
+        if self.errors.found or not self.inputs.names:
+            return None
+        sections = changes.of(self.study.recording)
+        converters = self._converters(place, sections.excitation, self.variables.inputs)
+        return sections.build({name: converters[name] for name in self.inputs.names})
 
     def _require_each(self, place: Place, what: str, given: Iterable[str], wanted: _Selection) -> None:
         """Check that a table has an entry for each signal, and no others."""

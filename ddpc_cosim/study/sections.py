@@ -379,6 +379,21 @@ def _as_list(tables: Any) -> Any:
     return [tables] if isinstance(tables, dict) else tables
 
 
+class RecordingChanges(Section):
+    """In what a scenario's experiment differs from the study's."""
+
+    samples: Annotated[int, Field(ge=1)] | None = Field(None, description="number of samples T")
+    excitation: dict[str, ExcitationSection] = Field({}, description="of inputs that are excited otherwise")
+
+    def of(self, recording: RecordingSection) -> RecordingSection:
+        """Return the study's section with the changes."""
+        changes = {
+            "samples": recording.samples if self.samples is None else self.samples,
+            "excitation": recording.excitation | self.excitation,
+        }
+        return recording.model_copy(update=changes)
+
+
 class ScenarioSection(Section):
     """What every controller is run under: see :mod:`ddpc_cosim.conditions` for the order of effects."""
 
@@ -406,6 +421,9 @@ class ScenarioSection(Section):
         {}, description="probability that a measurement is lost at a sample"
     )
     preview: Preview | None = Field(None, description="in place of the loop's")
+    recording: RecordingChanges | None = Field(
+        None, description="`samples` and `excitation` in place of the recording's"
+    )
 
 
 Weights = dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]]

@@ -36,27 +36,32 @@ def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) 
         return []
     first = conditions[0]
     return [
-        *_preview(conditions),
+        *_by_scenario("Preview", conditions, _preview),
         Statement("Measurements", _measurements(first)),
         Statement("Limits", _limits(first)),
-        Statement("Recording", _recording(results, first)),
+        *_by_scenario("Recording", conditions, _recording),
         Statement("Prior knowledge", _prior_knowledge(results, first)),
         Statement("Tuning", _tuning(results, first)),
     ]
 
 
-def _preview(conditions: Sequence[Condition]) -> list[Statement]:
-    """State how far each controller saw ahead, once for scenarios that are alike."""
+def _by_scenario(
+    topic: str, conditions: Sequence[Condition], text_of: Callable[[Condition], Markup]
+) -> list[Statement]:
+    """State what may differ from scenario to scenario, once for those that are alike."""
     said: dict[Markup, list[Markup]] = {}
     for condition in conditions:
-        text = _sentence(condition, _seen, "how far ahead the reference was seen")
-        said.setdefault(text, []).append(Markup("<i>{}</i>").format(condition.label))
+        said.setdefault(text_of(condition), []).append(Markup("<i>{}</i>").format(condition.label))
     if len(said) == 1:
-        return [Statement("Preview", next(iter(said)))]
+        return [Statement(topic, next(iter(said)))]
     return [
-        Statement("Preview", Markup("In {}: {}").format(join_words(labels), text))
+        Statement(topic, Markup("In {}: {}").format(join_words(labels), text))
         for text, labels in said.items()
     ]
+
+
+def _preview(condition: Condition) -> Markup:
+    return _sentence(condition, _seen, "how far ahead the reference was seen")
 
 
 def _seen(one: ControllerResults, trace: Trace | None) -> _Fact:
@@ -103,8 +108,9 @@ def _limits(first: Condition) -> Markup:
     return Markup(" ").join(differing) or Markup("The limits of inputs and outputs are the same for all.")
 
 
-def _recording(results: StudyResults, first: Condition) -> Markup:
-    text, study = _sentence(first, _learned, "whether a recording was learned from"), results.study
+def _recording(condition: Condition) -> Markup:
+    study = condition.results.study
+    text = _sentence(condition, _learned, "whether a recording was learned from")
     if study.recording is None:
         return text
     if stabiliser := study.recording.controller:

@@ -17,6 +17,7 @@ from ddpc_cosim.study.sections import (
     DriftSection,
     LoopSection,
     PlantSection,
+    RecordingChanges,
     RecordingSection,
     ScenarioSection,
 )
@@ -317,10 +318,17 @@ def _scenario_text(section: ScenarioSection) -> str:
         *(_drift_text(one) for one in section.drifts),
         *(
             f"{name}: {text}"
-            for name, text in _others(section, {"label", "parameters", "noise", "events", "drifts"})
+            for name, text in _others(
+                section, {"label", "parameters", "noise", "events", "drifts", "recording"}
+            )
         ),
+        _recording_text(section.recording) if section.recording else "",
     ]
     return "; ".join(filter(None, parts)) or "nothing changed"
+
+
+def _recording_text(changes: RecordingChanges) -> str:
+    return f"recording with {mapping_text(changes.model_dump(exclude_defaults=True))}"
 
 
 def _drift_text(drift: DriftSection) -> str:

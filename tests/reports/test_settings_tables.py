@@ -122,6 +122,10 @@ CONTENT: dict[str, Any] = {
                 }
             ],
             "preview": 1,
+            "recording": {
+                "samples": 60,
+                "excitation": {"torque": {"kind": "uniform", "low": -1.0, "high": 1.0, "unit": "N.m"}},
+            },
         },
         "plain": {},
     },

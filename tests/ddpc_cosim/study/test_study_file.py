@@ -234,3 +234,31 @@ def test_a_controller_is_built_once_before_it_runs(tmp_path: Path, monkeypatch: 
     found = cases(text.replace("[plant]", "seeds = [0, 1]\n[plant]"), tmp_path)
     assert len(found) == 6
     assert Counted.built == 4
+
+
+def test_scenarios_change_the_experiment_in_the_plant_s_units(tmp_path: Path) -> None:
+    text = (
+        SMALL.replace('outputs = ["angle"]', 'inputs = ["torque"]\noutputs = ["angle"]')
+        + """
+[recording]
+samples = 50
+excitation.torque = { low = -2.0, high = 2.0 }
+[scenarios.all]
+[scenarios.short]
+recording.samples = 20
+[scenarios.weak]
+recording.excitation.torque = { low = -500.0, high = 500.0, unit = "mN.m" }
+"""
+    )
+    drawn = {}
+    for case in cases(text, tmp_path):
+        assert case.excitation is not None
+        drawn[case.scenario] = case.excitation.draw(1)
+    assert {name: table.shape for name, table in drawn.items()} == {
+        "all": (50, 1),
+        "short": (20, 1),
+        "weak": (50, 1),
+    }
+    assert np.allclose(drawn["weak"], drawn["all"] / 4.0)
+    assert np.array_equal(drawn["short"], drawn["all"][:20])
+    assert len({case.id for case in cases(text, tmp_path)}) == 3

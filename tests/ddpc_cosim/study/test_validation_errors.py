@@ -515,8 +515,8 @@ def test_an_error_of_a_field_hides_no_error_that_does_not_depend_on_it(tmp_path:
     assert [error.partition(": ")[0] for error in errors_of(HIDING, tmp_path)] == [
         "seeds",
         "plant.step_timeout",
-        "loop.start",
         "loop.step_timeout",
+        "loop.start",
         "reference.angle.value",
         "reference.angle.unit",
         "controllers.a.type",
@@ -643,3 +643,43 @@ def test_variants_of_a_sweep_were_not_tuned(tmp_path: Path) -> None:
     controllers = read_study(str(path)).study.controllers
     assert controllers["deepc"].tuned is not None
     assert controllers["deepc-lambda_g-5"].tuned is None
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "words"),
+    [
+        ({"samples": 36}, "samples", "36 is too short for wkpc, which needs 37"),
+        ({"samples": 0}, "samples", "must be greater than or equal to 1, got 0"),
+        (
+            {"excitation": {"torqe": {"low": -1.0, "high": 1.0}}},
+            "excitation",
+            'no input "torqe"; did you mean',
+        ),
+        (
+            {"excitation": {"torque": {"low": -1.0, "high": 1.0, "unit": "deg"}}},
+            "excitation.torque.unit",
+            'unit "deg" does not fit torque',
+        ),
+        (
+            {"excitation": {"torque": {"low": 1.0, "high": -1.0}}},
+            "excitation.torque",
+            "uniform excitation: low (1.0) must be below high (-1.0)",
+        ),
+    ],
+)
+def test_a_scenario_s_experiment_is_checked_as_the_study_s(
+    change: dict[str, Any], place: str, words: str, tmp_path: Path
+) -> None:
+    study = changed(scenarios={"s": {"recording": change}, "as-it-is": {}})
+    del study["controllers"]["wkpc-published-code"], study["report"]
+    (error,) = errors_of(study, tmp_path)
+    assert error.startswith(f"scenarios.s.recording.{place}: ")
+    assert words in error
+
+
+def test_a_scenario_without_an_experiment_to_change_is_refused(tmp_path: Path) -> None:
+    study = changed(scenarios={"s": {"recording": {"samples": 50}}}, recording=None, report=None)
+    study["controllers"] = {"mfapc": study["controllers"]["mfapc"]}
+    assert errors_of(study, tmp_path) == [
+        "scenarios.s.recording: changes an experiment, and the study has no recording section with one"
+    ]
