@@ -8,7 +8,7 @@ controllers that the reader hid).
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import altair as alt
 
@@ -85,13 +85,26 @@ CONFIG: dict[str, Any] = {
 }
 
 
+class Mark(NamedTuple):
+    """Something that happens during a run: its label, and from when to when [s], which may be an instant."""
+
+    label: str
+    begin: float
+    end: float
+
+
 def colour(index: int) -> str:
     """Return the colour of a controller as a CSS variable."""
     return f"var(--c{index % COLOURS})"
 
 
 def time_chart(
-    signal: Signal, names: Sequence[str], dashes: dict[str, int], sampling_time: float, last: bool
+    signal: Signal,
+    names: Sequence[str],
+    dashes: dict[str, int],
+    sampling_time: float,
+    marks: Sequence[Mark],
+    last: bool,
 ) -> Any:
     """Return the chart of one signal over time, for the controllers of one panel.
 
@@ -105,6 +118,8 @@ def time_chart(
         Number of the dash pattern of every column.
     sampling_time : float
         Time between samples [s].
+    marks : sequence of Mark
+        What happens at an instant or during a span of time.
     last : bool
         Whether this is the lowest chart of the figure, which carries the title of the time axis.
     """
@@ -117,6 +132,7 @@ def time_chart(
     samples = alt.Chart(alt.NamedData(signal.id))
     layers = [
         *_limits(signal),
+        *_marks(marks, x),
         _band(x),
         *([_reference(samples, signal, x, sampling_time)] if signal.has_reference else []),
         _lines(samples, signal, names, dashes, x, sampling_time),
@@ -187,6 +203,25 @@ def _limits(signal: Signal) -> list[Any]:
         return []
     rows = alt.InlineData(values=[{"value": limit} for limit in signal.limits])
     return [alt.Chart(rows).mark_rule(color="var(--limit)", strokeDash=[3, 3]).encode(y=_y(signal))]
+
+
+def _marks(marks: Sequence[Mark], x: alt.X) -> list[Any]:
+    """Shade spans and rule instants, their labels at the upper edge: once for all that begin at one time."""
+    labels: dict[float, str] = {}
+    for mark in marks:
+        labels[mark.begin] = ", ".join(filter(None, (labels.get(mark.begin), mark.label)))
+    spans = [{"t": mark.begin, "to": mark.end} for mark in marks if mark.end > mark.begin]
+    rules = [{"t": time, "label": label} for time, label in labels.items()]
+    shade = alt.Chart(alt.InlineData(values=spans)).mark_rect(clip=True, color="var(--ink)", opacity=0.06)
+    named = alt.Chart(alt.InlineData(values=rules))
+    rule = named.mark_rule(clip=True, color="var(--ink-soft)", strokeWidth=0.8, strokeDash=[1, 2])
+    words = named.mark_text(
+        clip=True, align="left", baseline="top", dx=3, dy=3, fontSize=11, color="var(--ink-soft)"
+    )
+    return [
+        *([shade.encode(x=x, x2=alt.X2("to:Q"))] if spans else []),
+        *([rule.encode(x=x), words.encode(x=x, y=alt.value(0), text="label:N")] if rules else []),
+    ]
 
 
 def _band(x: alt.X) -> Any:

@@ -4,12 +4,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from string import ascii_lowercase
 from typing import Any
 
 from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
-from ddpc_reports.charts import COLOURS, DASHES, spread_chart, step_time_chart, time_chart
+from ddpc_reports.charts import COLOURS, DASHES, Mark, spread_chart, step_time_chart, time_chart
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
@@ -22,6 +23,7 @@ from ddpc_reports.comparison import (
 from ddpc_reports.embedding import static_svg
 from ddpc_reports.numbers import duration, given_duration, significant, with_unit
 from ddpc_reports.samples import Column, FirstSeed, Signal, column_name, first_seed, known
+from ddpc_reports.settings_tables import own_units, scenario_effects
 
 _LOGARITHMIC_FROM = 8.0
 _PANEL_HEIGHT = 168
@@ -78,18 +80,59 @@ def time_figures(condition: Condition, prefix: str) -> tuple[list[Figure], dict[
     panels = _panels(condition)
     kinds = {
         "Responses": (seen.outputs, "controlled output and reference (thin solid line)"),
-        "Control signals": (seen.inputs, "control signal, drawn as it is held from sample to sample"),
+        "Control signals": (
+            seen.inputs,
+            f"control signal{_commanded(condition)}, drawn as it is held from sample to sample",
+        ),
         "Change of control signals": (
             seen.changes,
             "change of the control signal from one sample to the next; each panel has its own scale",
         ),
     }
+    marks, words = _scenario(condition)
+    briefly = " Letters as with the responses." if marks else ""
     figures = [
-        _time_figure(condition, panels, signals, title, what, f"{prefix}{_slug(title)}")
+        _time_figure(
+            condition,
+            panels,
+            signals,
+            title,
+            what,
+            (marks, words if signals is seen.outputs else briefly),
+            f"{prefix}{_slug(title)}",
+        )
         for title, (signals, what) in kinds.items()
         if signals
     ]
     return figures, {signal.id: signal.columns for signal in _signals(seen)}
+
+
+def _scenario(condition: Condition) -> tuple[list[Mark], str]:
+    """Return what a scenario does during the run, each with a letter, and in words this and all the rest."""
+    results, traces = condition.results, condition.first_traces.values()
+    section = results.study.scenarios.get(condition.scenario)
+    start = results.study.loop.start_time
+    end = start + results.study.loop.duration
+    marks, key, rest = list[Mark](), list[str](), list[str]()
+    for effect in scenario_effects(section, own_units(traces)) if section else []:
+        spans = [*((time, time) for time in effect.instants), *effect.spans]
+        within = [(first, last) for first, last in spans if start < last and first < end]
+        if within:
+            letter = ascii_lowercase[len(key) % len(ascii_lowercase)] * (len(key) // len(ascii_lowercase) + 1)
+            key.append(f"({letter}) {effect.text}")
+            marks += [Mark(letter, max(first, start), last) for first, last in within]
+        else:
+            rest.append(effect.text)
+    words = f" Marked, and shaded where it takes a while: {'; '.join(key)}." if key else ""
+    return marks, words + (f" Throughout: {'; '.join(rest)}." if rest else "")
+
+
+def _commanded(condition: Condition) -> str:
+    """Say that the plant may have been given something else."""
+    for trace in condition.first_traces.values():
+        if set(trace.changed_inputs) & set(trace.inputs):
+            return " as commanded, before the actuator and disturbances"
+    return ""
 
 
 def _signals(seen: FirstSeed) -> list[Signal]:
@@ -131,13 +174,15 @@ def _time_figure(
     signals: Sequence[Signal],
     title: str,
     what: str,
+    scenario: tuple[list[Mark], str],
     identifier: str,
 ) -> Figure:
+    marks, words = scenario
     names = [column_name(one) for one in condition.controllers]
     dashes = dash_numbers([[column_name(one) for one in panel.members] for panel in panels], names)
     places = [(panel, signal) for panel in panels for signal in signals]
     views = tuple(
-        _time_view(condition, place, dashes, f"{identifier}-{number}", last=number == len(places))
+        _time_view(condition, place, dashes, marks, f"{identifier}-{number}", last=number == len(places))
         for number, place in enumerate(places, start=1)
     )
     shown = {one for panel in panels for one in panel.members}
@@ -147,7 +192,8 @@ def _time_figure(
         title,
         f"{title} at seed {condition.seeds[0]}: {what}."
         + _limits_words(signals)
-        + _beyond_words(condition, signals),
+        + _beyond_words(condition, signals)
+        + words,
         views,
         legend,
         reference=any(signal.has_reference for signal in signals),
@@ -185,14 +231,20 @@ def _entry(one: ControllerResults, dashes: Mapping[str, int]) -> Entry:
 
 
 def _time_view(
-    condition: Condition, place: tuple[_Panel, Signal], dashes: dict[str, int], identifier: str, *, last: bool
+    condition: Condition,
+    place: tuple[_Panel, Signal],
+    dashes: dict[str, int],
+    marks: Sequence[Mark],
+    identifier: str,
+    *,
+    last: bool,
 ) -> View:
     panel, signal = place
     names = [column_name(one) for one in panel.members if column_name(one) in signal.columns]
     sampling_time = condition.results.study.loop.sampling_time
     # Restless lines at the back: they would hide the calm ones.
     order = sorted(names, key=lambda name: -_travel(signal.columns[name]))
-    chart = time_chart(signal, order, dashes, sampling_time, last).properties(height=_PANEL_HEIGHT)
+    chart = time_chart(signal, order, dashes, sampling_time, marks, last).properties(height=_PANEL_HEIGHT)
     who = ", ".join(one.label for one in panel.members)
     description = f"{signal.title} over time of {who}"
     spec = _specification(chart)

@@ -4,6 +4,7 @@ import json
 import math
 import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -31,9 +32,7 @@ def settings_tables(results: StudyResults, condition: Condition | None, prefix: 
 
     With the tables of :func:`family_tables`, studies that differ in anything that they set read differently.
     """
-    traces = condition.first_traces.values() if condition else ()
-    # The units that hold where the study names none.
-    units = {variable.name: variable.unit for trace in traces for variable in _bounded(trace)}
+    units = own_units([*(condition.first_traces.values() if condition else ()), *_other_inputs(results)])
     tables = [
         _loop_table(results, units, prefix),
         _controllers_table(results, units, prefix),
@@ -41,6 +40,25 @@ def settings_tables(results: StudyResults, condition: Condition | None, prefix: 
         _variants_table(results, prefix),
     ]
     return [table for table in tables if table]
+
+
+def own_units(traces: Iterable[Trace]) -> dict[str, str]:
+    """Return the units of signals by name, which hold where the study names none."""
+    return {
+        variable.name: variable.unit
+        for trace in traces
+        for variable in (*_bounded(trace), *trace.measurements, *trace.changed_inputs)
+    }
+
+
+def _other_inputs(results: StudyResults) -> Iterator[Trace]:
+    """Yield a run of each scenario in which inputs have signals of their own."""
+    with_inputs = {name for name, section in results.study.scenarios.items() if section.inputs}
+    yield from (
+        case.trace()
+        for case in {case.scenario: case for case in results.cases}.values()
+        if case.scenario in with_inputs
+    )
 
 
 def family_tables(condition: Condition, prefix: str) -> list[Table]:
@@ -223,7 +241,10 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
     ]
     facts += _recording_facts(study.recording, units) if study.recording else []
     facts += [
-        (f"scenario {_labelled(name, section.label)}", _scenario_text(section))
+        (
+            f"scenario {_labelled(name, section.label)}",
+            ";\n".join(effect.text for effect in scenario_effects(section, units)) or "nothing changed",
+        )
         for name, section in study.scenarios.items()
     ]
     cost = study.metrics.cost
@@ -310,21 +331,62 @@ def _signal(section: Any, own_unit: str) -> str:
     return f"{kind}{words or 'none'} (values in {unit or own})"
 
 
-def _scenario_text(section: ScenarioSection) -> str:
-    parts = [
-        f"parameters {mapping_text(section.parameters)}" if section.parameters else "",
-        f"noise, standard deviation {mapping_text(section.noise)}" if section.noise else "",
-        *(f"at {as_given(one.time)} s: {mapping_text(one.parameters)}" for one in section.events),
-        *(_drift_text(one) for one in section.drifts),
+@dataclass(frozen=True)
+class Effect:
+    """What a scenario does: in words, and the instants and spans of time [s] at which it does it."""
+
+    text: str
+    instants: tuple[float, ...] = ()
+    spans: tuple[tuple[float, float], ...] = ()
+
+
+def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list[Effect]:
+    """Return all that a scenario changes, in the order of a study file."""
+
+    def values(of: Mapping[str, float], words: str, per: str = "") -> list[Effect]:
+        """Write values in the signals' own units; ``{}`` stands for the name in the words."""
+        told = {
+            name: f"{with_unit(as_given(value), unit_symbol(units.get(name, '')))}{per}"
+            for name, value in of.items()
+        }
+        return [Effect(f"{words.format(_plain(name))} {text}") for name, text in told.items()]
+
+    disturbances = [(name, part) for name, parts in section.disturbances.items() for part in parts]
+    said = {"parameters", "noise", "events", "drifts", "disturbances", "inputs"}
+    said |= {"label", "rate_limit", "delay", "quantum", "loss", "recording"}
+    return [
+        *([Effect(f"parameters {mapping_text(section.parameters)}")] if section.parameters else []),
+        *values(section.noise, "noise of {}, standard deviation"),
         *(
-            f"{name}: {text}"
-            for name, text in _others(
-                section, {"label", "parameters", "noise", "events", "drifts", "recording"}
-            )
+            Effect(f"at {as_given(one.time)} s: {mapping_text(one.parameters)}", (one.time,))
+            for one in section.events
         ),
-        _recording_text(section.recording) if section.recording else "",
+        *(Effect(_drift_text(one), spans=((one.from_time, one.to_time),)) for one in section.drifts),
+        *(
+            _signal_effect(f"disturbance of {_plain(name)}", one, units.get(name, ""))
+            for name, one in disturbances
+        ),
+        *(
+            _signal_effect(f"input {_plain(name)}", one, units.get(name, ""), first=1)
+            for name, one in section.inputs.items()
+        ),
+        *values(section.rate_limit, "rate limit of {}", " per second"),
+        *(Effect(f"delay of {_plain(name)} {as_given(delay)} s") for name, delay in section.delay.items()),
+        *values(section.quantum, "{} rounded to multiples of"),
+        *(
+            Effect(f"samples of {_plain(name)} lost with a probability of {as_given(share)}")
+            for name, share in section.loss.items()
+        ),
+        *(Effect(f"{name}: {text}") for name, text in _others(section, said)),
+        *([Effect(_recording_text(section.recording))] if section.recording else []),
     ]
-    return "; ".join(filter(None, parts)) or "nothing changed"
+
+
+def _signal_effect(what: str, section: Any, own_unit: str, first: int = 0) -> Effect:
+    """Write a signal, and when it changes: the steps from the ``first`` on, or while it is a ramp."""
+    instants = tuple(getattr(section, "times", ()))[first:]
+    spans = ((section.from_time, section.to_time),) if section.kind == "ramp" else ()
+    return Effect(f"{what}: {_signal(section, own_unit)}", instants, spans)
 
 
 def _recording_text(changes: RecordingChanges) -> str:

@@ -163,3 +163,72 @@ def test_a_page_of_one_sample_has_an_axis(make_results: MakeResults, tmp_path: P
     signal = first_seed(condition, "x-").outputs[0]
     assert signal.end == (-0.5, 0.5)
     assert signal.extent(["c0"])[0] < signal.extent(["c0"])[1]
+
+
+ROUGH: dict[str, Any] = {
+    "events": [{"time": 1.0, "parameters": {"mass": 0.5}}, {"time": 0.0, "parameters": {"mass": 0.7}}],
+    "drifts": [
+        {"parameter": name, "from_value": 1.0, "to_value": 0.5, "from_time": 1.0, "to_time": 2.0}
+        for name in ("length", "damping")
+    ],
+    "disturbances": {
+        "torque": [
+            {"kind": "steps", "times": [0.5, 1.5], "values": [0.2, 0.0]},
+            {"kind": "noise", "standard_deviation": 0.1},
+        ],
+        "angle": [
+            {"kind": "ramp", "from_value": 0.0, "to_value": 1.0, "from_time": 2.5, "to_time": 99.0}
+        ],
+    },
+    "inputs": {"wind": {"kind": "steps", "times": [0.0, 2.0], "values": [1.0, 2.0], "unit": "m/s"}},
+    "delay": {"torque": 0.2},
+    "loss": {"angle": 0.05},
+}  # fmt: skip
+
+
+def marked(spec: dict[str, Any]) -> tuple[set[tuple[float, str]], set[tuple[float, float]]]:
+    """Return the labelled instants and the shaded spans of a chart."""
+    inline = [
+        (layer["mark"]["type"], spec["datasets"].get(layer["data"]["name"], [])) for layer in spec["layer"]
+    ]
+    labels = {
+        (row["t"], row["label"]) for mark, rows in inline if mark == "rule" for row in rows if "t" in row
+    }
+    assert labels == {(row["t"], row["label"]) for mark, rows in inline if mark == "text" for row in rows}
+    return labels, {
+        (row["t"], row["to"]) for mark, rows in inline if mark == "rect" for row in rows if "to" in row
+    }
+
+
+def test_what_a_scenario_does_is_marked_and_told_in_words(make_results: MakeResults) -> None:
+    results = make_results(scenarios={"rough": ROUGH, "calm": {}})
+    rough, calm = (time_figures(condition, "x-")[0] for condition in conditions(results))
+    for figure in rough:
+        labels, spans = marked(figure.views[0].spec)
+        assert labels == {(0.5, "d"), (1.0, "a, b, c"), (1.5, "d"), (2.0, "f"), (2.5, "e")}
+        assert spans == {(1.0, 2.0), (2.5, 99.0)}
+        assert figure.views[0].svg.count(">a, b, c<") == 1
+    for told in (
+        "(a) at 1 s: mass = 0.5",
+        "(c) damping from 1 to 0.5 between 1 s and 2 s",
+        "(d) disturbance of torque: steps: times [0.5, 1.5], values [0.2, 0] (values in N·m, its own unit)",
+        "(f) input wind: steps: times [0, 2], values [1, 2] (values in m/s)",
+        "Throughout: at 0 s: mass = 0.7; disturbance of torque: noise: standard deviation 0.1, mean 0",
+        "delay of torque 0.2 s; samples of angle lost with a probability of 0.05.",
+    ):
+        assert told in rough[0].caption
+    assert rough[1].caption.endswith("Letters as with the responses.")
+    assert marked(calm[0].views[0].spec) == (set(), set())
+    assert "Marked" not in calm[0].caption
+
+
+def test_a_control_signal_that_the_plant_was_not_given_is_said_to_be_a_command(
+    make_results: MakeResults,
+) -> None:
+    trace = make_trace(0.3)
+    changed = replace(trace, changed_inputs=trace.inputs, applied=trace.u + 1.0)
+    said = [
+        time_figures(conditions(make_results(lambda *_, one=one: one))[0], "x-")[0][1].caption
+        for one in (trace, changed)
+    ]
+    assert ["as commanded" in caption for caption in said] == [False, True]

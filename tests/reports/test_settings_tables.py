@@ -121,6 +121,24 @@ CONTENT: dict[str, Any] = {
                     "to_time": 5.0,
                 }
             ],
+            "disturbances": {
+                "angle": [
+                    {"kind": "noise", "standard_deviation": 0.1, "mean": 0.2, "unit": "deg"},
+                    {
+                        "kind": "file",
+                        "file": "gusts.csv",
+                        "column": "Gust",
+                        "time_column": "t",
+                        "interpolation": "linear",
+                        "unit": "deg",
+                    },
+                ]
+            },
+            "inputs": {"wind": {"kind": "steps", "times": [0.0, 2.0], "values": [1.0, 2.0], "unit": "m/s"}},
+            "rate_limit": {"torque": 2.0},
+            "delay": {"torque": 0.2, "angle": 0.1},
+            "quantum": {"angle": 0.01},
+            "loss": {"angle": 0.05},
             "preview": 1,
             "recording": {
                 "samples": 60,
