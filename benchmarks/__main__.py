@@ -1,10 +1,11 @@
-"""Run a benchmark by name; exit 1 if it misses one of its bounds."""
+"""Run a benchmark by name; exit 1 if it misses one of its bounds. ``tuning STUDY`` prints settings."""
 
 import argparse
 import sys
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
-from benchmarks import fmu, inspection, isolation, mfapc, online, peers, step
+from benchmarks import fmu, inspection, isolation, mfapc, online, peers, step, tuning
 
 BENCHMARKS: Mapping[str, Callable[[], bool]] = {
     "fmu": fmu.main,
@@ -19,8 +20,19 @@ BENCHMARKS: Mapping[str, Callable[[], bool]] = {
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__, allow_abbrev=False)
-    parser.add_argument("name", choices=sorted(BENCHMARKS), help="what to measure")
-    return 0 if BENCHMARKS[parser.parse_args().name]() else 1
+    commands = parser.add_subparsers(dest="name", required=True, metavar="NAME")
+    for name in BENCHMARKS:
+        commands.add_parser(name, help="print a table")
+    command = commands.add_parser("tuning", help="search the settings of a comparative study's controllers")
+    command.add_argument("study", choices=tuning.STUDIES)
+    command.add_argument("--out", type=Path, help="folder of the trials; default: runs/STUDY-tuning")
+    command.add_argument("--jobs", type=int, default=1, help="number of workers")
+    command.add_argument("--shown", type=int, default=1, help="how many settings of each controller to print")
+    given = parser.parse_args()
+    if given.name == "tuning":
+        tuning.main(given.study, given.out or Path("runs") / f"{given.study}-tuning", given.jobs, given.shown)
+        return 0
+    return 0 if BENCHMARKS[given.name]() else 1
 
 
 if __name__ == "__main__":
