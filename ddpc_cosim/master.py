@@ -43,6 +43,7 @@ from ddpc_cosim.safe_calls import (
     controller_warnings,
     does_accept_missing,
     horizon_of,
+    learns_from_recording,
     plant_provenance,
     require_finite,
     reset_plant,
@@ -159,7 +160,7 @@ def cosimulate(
         raise ConfigError(
             "continue_recording needs an excitation: the experiment whose end the loop starts from"
         )
-    if controller.uses_recording and excitation is None and recording is None:
+    if learns_from_recording(controller) and excitation is None and recording is None:
         raise DataError(
             f"{type(controller).__name__} learns from a recording; give an excitation or a recording"
         )
@@ -256,7 +257,7 @@ class ExcitingController(Controller):
     def start(self, loop: Loop) -> None:
         """Start the stabilising controller."""
         if self._stabiliser is not None:
-            if self._stabiliser.uses_recording:
+            if learns_from_recording(self._stabiliser):
                 name = type(self._stabiliser).__name__
                 raise ConfigError(f"stabiliser: {name} learns from a recording itself")
             start_controller(self._stabiliser, loop)

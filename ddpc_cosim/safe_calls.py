@@ -6,10 +6,12 @@ contract lets them raise themselves pass unchanged.
 
 import math
 import reprlib
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from queue import Empty, SimpleQueue
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +49,7 @@ class NotFiniteError(Exception):
     """The plant returned a value that is not finite."""
 
 
+T = TypeVar("T")
 Announce = Callable[[str, str, float], None]
 """Called when a call begins, with ``"plant"`` or ``"controller"``, the method and the time of the run [s];
 and when it has returned, with empty names."""
@@ -117,6 +120,73 @@ def make_controller(make: Callable[[], Controller], name: str) -> Controller:
     """Make a controller, which may raise any CosimError itself."""
     with _controller_errors(name, "constructor", own=CosimError):
         return make()
+
+
+class CallsInTime:
+    """Makes calls of plug-ins in this process, each of which has to return within so many seconds.
+
+    They are made in a thread. A call that is late is ended if it computes; one that waits is left behind, and
+    ends with this process.
+
+    Parameters
+    ----------
+    seconds : float
+        The limit [s].
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self._thread: threading.Thread | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._thread is not None:
+            self._calls.put(None)
+
+    def __call__(self, call: Callable[[], T]) -> T:
+        """Return what the call returns, or raise what it raises; TimeoutError: it is late."""
+        if self._thread is None:
+            self._calls: SimpleQueue[Callable[[], Any] | None] = SimpleQueue()
+            self._answers: SimpleQueue[tuple[Any, BaseException | None]] = SimpleQueue()
+            self._thread = threading.Thread(target=_serve, args=(self._calls, self._answers), daemon=True)
+            self._thread.start()
+        self._calls.put(call)
+        try:
+            result, error = self._answers.get(timeout=self.seconds)
+        except Empty:
+            import ctypes  # seldom needed
+
+            identifier = ctypes.c_ulong(self._thread.ident or 0)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(identifier, ctypes.py_object(SystemExit))
+            self._thread = None
+            raise TimeoutError from None
+        if error is not None:
+            raise error
+        return cast("T", result)
+
+
+def _serve(calls: "SimpleQueue[Callable[[], Any] | None]", answers: "SimpleQueue[Any]") -> None:
+    while (call := calls.get()) is not None:
+        try:
+            answers.put((call(), None))
+        except BaseException as error:
+            answers.put((None, error))
+            if type(error) is SystemExit:  # that of a call that was late: no other one follows
+                return
+
+
+def learns_from_recording(controller: Controller) -> bool:
+    """Return whether a controller uses a recording."""
+    with _controller_errors(controller, "uses_recording"):
+        return bool(controller.uses_recording)
+
+
+def recording_length(controller: Controller, inputs: int, outputs: int, measurements: int) -> int:
+    """Return the fewest samples of a recording that a controller can start with, for so many signals."""
+    with _controller_errors(controller, "recording_length"):
+        return int(controller.recording_length(inputs, outputs, measurements))
 
 
 def start_controller(controller: Controller, loop: Loop) -> None:

@@ -20,6 +20,7 @@ from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError, did_you_mean
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.plugins import load_plugin, load_target, plugin_names
+from ddpc_cosim.safe_calls import CallsInTime
 from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
@@ -94,8 +95,10 @@ class ControllerSubject:
         return make_controller(self.plugin, self.settings)
 
 
-def find_subject(name: str, settings: Sequence[str]) -> Subject:
+def find_subject(name: str, settings: Sequence[str], timeout: float) -> Subject:
     """Return what a command line names, with its settings, each of them a line of TOML.
+
+    A controller is made once, for which it has ``timeout`` [s].
 
     Raises
     ------
@@ -110,7 +113,12 @@ def find_subject(name: str, settings: Sequence[str]) -> Subject:
         return _plant(name)
     subject = ControllerSubject(name, _parse(settings))
     try:
-        subject.make()
+        load_plugin("controllers", name)  # here: not every module can be imported in another thread
+        with CallsInTime(timeout) as in_time:
+            in_time(subject.make)
+    except TimeoutError:
+        late = f"{name}: timed out: no return within {timeout:g} s in constructor"
+        raise ConfigError(f"{late}; raise --timeout if it needs longer") from None
     except PluginError as error:
         raise ConfigError(str(error)) from error
     except ConfigError as error:
@@ -155,7 +163,7 @@ def check_command(
     subject: str, sampling_time: float | None, timeout: float, settings: Sequence[str] = ()
 ) -> int:
     """Check a plant or a controller and print a table; return 1 if a check failed."""
-    found = find_subject(subject, settings)
+    found = find_subject(subject, settings, timeout)
     step = sampling_time or _natural_step(found)
     with ScratchFolder() as folder, _CheckWorker(folder) as worker:
         results = [worker.check(found, name, step, timeout) for name in found.check_names()]

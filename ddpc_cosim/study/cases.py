@@ -26,7 +26,13 @@ from ddpc_cosim.signals import Excitation, GaussianNoise, ParameterChange, Ramp,
 from ddpc_cosim.study.controllers import controller_class, make_controller
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.resolve import ResolvedStudy
-from ddpc_cosim.study.sections import ControllerSection, LoopSection, ScenarioSection, StabiliserSection
+from ddpc_cosim.study.sections import (
+    DEFAULT_STEP_TIMEOUT,
+    ControllerSection,
+    LoopSection,
+    ScenarioSection,
+    StabiliserSection,
+)
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable, names
 
@@ -81,6 +87,8 @@ class Case:
         The inputs that have a signal.
     metrics : MetricSettings
         What its figures depend on besides its samples, which they do not decide.
+    late : str
+        Why it is not run: what the controller was asked before has not returned in time; empty: it is run.
     id : str
         Readable name and a hash of everything that decides the result, code version included.
     """
@@ -107,10 +115,11 @@ class Case:
     noise: dict[str, float]
     events: tuple[ParameterChange, ...] = ()
     preview: int | None = None
-    step_timeout: float = 60.0
     conditions: Conditions = field(default_factory=Conditions)
     undriven: tuple[Variable, ...] = ()
     metrics: MetricSettings = field(default_factory=MetricSettings)
+    step_timeout: float = DEFAULT_STEP_TIMEOUT
+    late: str = ""
     id: str = ""
 
     @property
@@ -185,7 +194,8 @@ def _identifier(case: Case, content: Mapping[str, Any]) -> str:
     decisive = {one.name: getattr(case, one.name) for one in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
     decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements", "undriven")}
-    del decisive["label"], decisive["id"], decisive["step_timeout"], decisive["metrics"]
+    for key in ("label", "id", "step_timeout", "late", "metrics"):
+        del decisive[key]
     text = json.dumps(decisive, sort_keys=True, default=repr)
     return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
 
@@ -341,6 +351,7 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
                     conditions=resolved.conditions[name],
                     undriven=resolved.undriven[name],
                     metrics=resolved.metrics,
+                    late=resolved.late.get(controller, ""),
                 )
 
 

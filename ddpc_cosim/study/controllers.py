@@ -1,17 +1,20 @@
 """From the controller sections of a study to controllers: sweeps written out, each one built once."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
 from itertools import product
 from pathlib import Path
-from threading import Thread
 from typing import Any, NamedTuple
 
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, ControllerError, Place, PluginError, did_you_mean
 from ddpc_cosim.plugins import load_plugin
-from ddpc_cosim.safe_calls import controller_settings
+from ddpc_cosim.safe_calls import (
+    CallsInTime,
+    controller_settings,
+    horizon_of,
+    learns_from_recording,
+)
 from ddpc_cosim.settings import (
     PLANT,
     SettingsError,
@@ -21,11 +24,15 @@ from ddpc_cosim.settings import (
     is_plain,
     map_files,
 )
-from ddpc_cosim.study.sections import ControllerSection, StabiliserSection, Study
-from ddpc_cosim.study.validation_errors import ValidationErrors, independent
+from ddpc_cosim.study.sections import (
+    DEFAULT_STEP_TIMEOUT,
+    ControllerSection,
+    StabiliserSection,
+    Study,
+)
+from ddpc_cosim.study.validation_errors import InvalidFieldError, ValidationErrors, independent
 
 _LONGEST_NAME = 60
-_HORIZON_SECONDS = 5.0
 
 
 class StudyController(NamedTuple):
@@ -44,7 +51,13 @@ class StudyController(NamedTuple):
     settings : dict
         Its settings in plain values, every default filled in, paths absolute.
     controller : Controller or None
-        To be asked what it needs; where it runs, another one is built. None if it has errors.
+        To be asked what it needs; where it runs, another one is built. None if it has errors, or is late.
+    uses_recording : bool
+        Whether it learns from a recording.
+    horizon : int
+        How many future references it wants.
+    late : str
+        Which of its calls has not returned in time; empty: none.
     """
 
     name: str
@@ -52,7 +65,10 @@ class StudyController(NamedTuple):
     varied: dict[str, Any]
     place: Place
     settings: dict[str, Any]
-    controller: Controller | None
+    controller: Controller | None = None
+    uses_recording: bool = False
+    horizon: int = 0
+    late: str = ""
 
     def section(self, section: ControllerSection) -> ControllerSection:
         """Return its section in a study without sweeps, with all its settings."""
@@ -65,52 +81,53 @@ class StudyController(NamedTuple):
 
 
 @independent
-def resolve_controllers(study: Study, folder: Path, errors: ValidationErrors) -> list[StudyController]:
+def resolve_controllers(
+    study: Study, folder: Path, errors: ValidationErrors, in_time: CallsInTime
+) -> list[StudyController]:
     """Return the controllers of a study; paths among their settings are relative to a folder."""
     controllers: list[StudyController] = []
-    taken = set(study.controllers)
+    taken, late = set(study.controllers), dict[str, str]()
     for of, section in study.controllers.items():
         place: Place = ("controllers", of)
         for name, varied, sweep in _variants(of, section, with_sweeps=(*place, "sweep") not in errors.found):
             if varied and name in taken:
                 errors.add((*place, "sweep"), f'two controllers are called "{name}"; change a value')
             taken.add(name)
-            built = _build(section, varied, folder, errors, place, sweep) or (None, {})
-            controller, settings = built
-            controllers.append(StudyController(name, of, varied, (*place, "settings"), settings, controller))
+            one = StudyController(name, of, varied, (*place, "settings"), {**section.settings, **varied})
+            controllers.append(_build(one, section, folder, errors, in_time, late, sweep) or one)
     return controllers
 
 
-def largest_horizon(controllers: Iterable[StudyController]) -> int:
-    """Return how far any of the controllers looks ahead, in samples.
-
-    One that does not tell, or not within some seconds, has none: its run shows the same.
-    """
-    horizons = [0]
-
-    def ask(controller: Controller) -> None:
-        with suppress(Exception):
-            horizons.append(int(controller.horizon))
-
-    for one in controllers:
-        if one.controller is not None:
-            asking = Thread(target=ask, args=(one.controller,), daemon=True)
-            asking.start()
-            asking.join(_HORIZON_SECONDS)
-    return max(horizons)
-
-
 @independent
-def resolve_stabiliser(study: Study, folder: Path, errors: ValidationErrors) -> StudyController | None:
+def resolve_stabiliser(
+    study: Study, folder: Path, errors: ValidationErrors, in_time: CallsInTime
+) -> StudyController | None:
     """Return the controller that keeps the plant while it is recorded, if there is one."""
     section = study.recording.controller if study.recording is not None else None
     if section is None:
         return None
     place = ("recording", "controller")
-    controller, settings = _build(section, {}, folder, errors, place) or (None, {})
-    if controller is not None and controller.uses_recording:
+    named = StudyController("", "", {}, (*place, "settings"), section.settings)
+    built = _build(named, section, folder, errors, in_time, {}) or named
+    if built.uses_recording:
         errors.add(place, "learns from a recording itself; needed: one that controls without")
-    return StudyController("", "", {}, (*place, "settings"), settings, controller)
+    if built.late:
+        errors.add(place, late_call(section.type, built.late, in_time.seconds))
+    return built
+
+
+def time_limit(study: Study) -> float:
+    """Return the longest time for any call of a controller [s], also where the loop has errors."""
+    try:
+        return study.loop.step_timeout
+    except InvalidFieldError:
+        return DEFAULT_STEP_TIMEOUT
+
+
+def late_call(kind: str, call: str, seconds: float) -> str:
+    """Return what is wrong with a controller one of whose calls has not returned within so many seconds."""
+    hint = "raise loop.step_timeout if it needs longer"
+    return f"controller {kind}: no return within {seconds:g} s in {call} when the study was read; {hint}"
 
 
 def _variants(
@@ -129,14 +146,19 @@ def _variants(
 
 @independent
 def _build(
+    named: StudyController,
     section: ControllerSection | StabiliserSection,
-    varied: Mapping[str, Any],
     folder: Path,
     errors: ValidationErrors,
-    place: Place,
+    in_time: CallsInTime,
+    late: dict[str, str],
     sweep: Place = (),
-) -> tuple[Controller, dict[str, Any]] | None:
-    """Return a controller and all its settings; None if it has errors, which are reported."""
+) -> StudyController | None:
+    """Return a controller with all its settings and what it needs; None if it has errors, which are reported.
+
+    ``late`` holds, by type, the call that has not returned in time: others would not either.
+    """
+    place, varied, given, doing = named.place[:-1], named.varied, named.settings, "constructor"
 
     def absolute(path: str) -> str:
         if path == PLANT:
@@ -146,12 +168,32 @@ def _build(
             errors.add((*place, "settings"), f"{file}: no such file")
         return str(file)
 
-    given = {**section.settings, **varied}
-    try:
+    def asked() -> tuple[Controller, dict[str, Any], bool, int]:
+        nonlocal doing
         controller = make_controller(section.type, given)
+        doing = "settings"
+        settings = controller_settings(controller)
+        doing = "uses_recording"
+        uses_recording = learns_from_recording(controller)
+        doing = "horizon"
+        return controller, settings, uses_recording, horizon_of(controller)
+
+    try:
+        kind = controller_class(section.type)  # here: not every module can be imported in another thread
+        if section.type in late:
+            return named._replace(settings=map_files(kind, given, absolute), late=late[section.type])
+        controller, settings, uses_recording, horizon = in_time(asked)
         # What a file cannot say is a default, or what the controller has made of what the file says.
-        own = {name: value for name, value in controller_settings(controller).items() if is_plain(value)}
-        return controller, map_files(type(controller), given | own, absolute)
+        own = {name: value for name, value in settings.items() if is_plain(value)}
+        return named._replace(
+            settings=map_files(kind, given | own, absolute),
+            controller=controller,
+            uses_recording=uses_recording,
+            horizon=horizon,
+        )
+    except TimeoutError:
+        late[section.type] = doing
+        return named._replace(settings=map_files(kind, given, absolute), late=doing)
     except SettingsError as error:
         for setting, fault in error.found:
             at = (*place, "settings", *setting)

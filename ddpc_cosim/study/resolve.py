@@ -1,23 +1,26 @@
 """From a parsed study to a resolved one: plant, controllers, units and limits looked up and checked once."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from ddpc_cosim.conditions import Conditions, delay_error
-from ddpc_cosim.controller import Recording
-from ddpc_cosim.errors import ConfigError, CosimError, DataError, Place
+from ddpc_cosim.controller import Controller, Recording
+from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
 from ddpc_cosim.loop_setup import late_error, limits_error
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue
+from ddpc_cosim.safe_calls import CallsInTime, recording_length
 from ddpc_cosim.settings import PLANT, files_of
 from ddpc_cosim.signals import Excitation, Reference
 from ddpc_cosim.study.controllers import (
     StudyController,
-    largest_horizon,
+    late_call,
     resolve_controllers,
     resolve_stabiliser,
+    time_limit,
 )
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables
 from ddpc_cosim.study.sections import (
@@ -69,6 +72,8 @@ class ResolvedStudy:
         What all runs are judged by alike.
     recording : Recording or None
         What was recorded before, in place of an experiment.
+    late : dict of str to str
+        Why a controller cannot be run: one of its calls has not returned within the time limit.
     """
 
     study: Study
@@ -83,6 +88,7 @@ class ResolvedStudy:
     undriven: dict[str, tuple[Variable, ...]]
     metrics: MetricSettings
     recording: Recording | None
+    late: dict[str, str]
 
 
 def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStudy | None:
@@ -102,7 +108,8 @@ def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStu
     resolved : ResolvedStudy or None
         None if there are errors.
     """
-    return _Resolution(study, folder, errors).result()
+    with CallsInTime(time_limit(study)) as in_time:
+        return _Resolution(study, folder, errors, in_time).result()
 
 
 def _dotted_names(settings: Mapping[str, Any], before: str = "") -> Iterator[str]:
@@ -132,10 +139,10 @@ class _Selection(NamedTuple):
 class _Resolution:
     """The way of one study; what does not fit is reported, and what depends on it is left out."""
 
-    def __init__(self, study: Study, folder: Path, errors: ValidationErrors) -> None:
-        self.study, self.errors = study, errors
-        self.controllers = resolve_controllers(study, folder, errors) or []
-        self.stabiliser = resolve_stabiliser(study, folder, errors)
+    def __init__(self, study: Study, folder: Path, errors: ValidationErrors, in_time: CallsInTime) -> None:
+        self.study, self.errors, self.in_time = study, errors, in_time
+        self.controllers = resolve_controllers(study, folder, errors, in_time) or []
+        self.stabiliser = resolve_stabiliser(study, folder, errors, in_time)
         self._check_report()
         for controller in self.controllers:
             self._check_tuned(controller)
@@ -176,6 +183,11 @@ class _Resolution:
             },
             metrics=self._metrics(),
             recording=self.recording,
+            late={
+                one.name: late_call(self.study.controllers[one.of].type, one.late, self.in_time.seconds)
+                for one in self.controllers
+                if one.late
+            },
         )
 
     def _metrics(self) -> MetricSettings:
@@ -183,7 +195,7 @@ class _Resolution:
         limits = [
             loop.preview if one.preview is None else one.preview for one in self.study.scenarios.values()
         ]
-        largest = largest_horizon(self.controllers)
+        largest = max((one.horizon for one in self.controllers), default=0)
         preview = max(largest if limit == "horizon" else min(limit, largest) for limit in limits)
         return MetricSettings(preview, cost.model_dump() if cost else {})
 
@@ -427,18 +439,28 @@ class _Resolution:
         """Check that there is a recording, and a long one, where something learns from it."""
         recording = self.study.recording
         sizes = [selection.size for selection in (self.inputs, self.outputs, self.measurements)]
-        for name, controller in ((one.name, one.controller) for one in self.controllers):
-            if recording is None and controller is not None and controller.uses_recording:
+        for i, one in enumerate(self.controllers):
+            if recording is None and one.uses_recording:
                 lacking = "learns from a recording, and the study has no recording section"
-                self.errors.add(("controllers", name), lacking, _RECORDING)
-            elif recording is not None and controller is not None and all(sizes):
-                needed = controller.recording_length(*sizes)
-                self._check_length(recording, name, needed)
+                self.errors.add(("controllers", one.name), lacking, _RECORDING)
+            elif recording is not None and one.controller is not None and all(sizes):
+                needed = self._length_needed(i, one.controller, sizes)
+                self._check_length(recording, one.name, needed)
                 for scenario in self.study.scenarios:
-                    self._check_changed_length(scenario, name, needed)
+                    self._check_changed_length(scenario, one.name, needed)
         if self.study.loop.start == "recording-end" and (recording is None or recording.file):
             lacking = "a recording section" if recording is None else "an experiment to go on from, not files"
             self.errors.add(("loop", "start"), f'"recording-end" needs {lacking}', _RECORDING)
+
+    def _length_needed(self, i: int, controller: Controller, sizes: Sequence[int]) -> int:
+        """Return how long a recording a controller needs; none where it does not tell, which is noted."""
+        try:
+            return self.in_time(partial(recording_length, controller, *sizes))
+        except TimeoutError:
+            self.controllers[i] = self.controllers[i]._replace(late="recording_length")
+        except ControllerError as error:
+            self.errors.add(("controllers", self.controllers[i].name), str(error))
+        return 0
 
     @independent
     def _check_length(self, recording: RecordingSection, name: str, needed: int) -> None:

@@ -24,7 +24,7 @@ from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import load_plugin, package_version
 from ddpc_cosim.rows import Call
 from ddpc_cosim.scratch import ScratchFolder
-from ddpc_cosim.study.cases import Case, cases_of, partial_trace, row_store, run_case
+from ddpc_cosim.study.cases import Case, cases_of, no_samples, partial_trace, row_store, run_case
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import (
@@ -202,6 +202,11 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
             while waiting or running:
                 while waiting and len(running) < jobs:
                     case = waiting.popleft()
+                    if case.late:
+                        trace = no_samples(case, Outcome.TIMED_OUT, f"before the first sample: {case.late}")
+                        write_case(folder / case.id, trace, case.head(), staging)
+                        yield case
+                        continue
                     reused = None if case.plant.isolated or not idle else idle.pop()
                     worker = reused or Worker(serve_calls, folder=temporary, preload=preload)
                     running.append(_Run(case, worker, folder, staging, temporary))

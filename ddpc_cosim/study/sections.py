@@ -32,6 +32,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Value = bool | int | Finite | str
 
 
+DEFAULT_STEP_TIMEOUT = 60.0
 _MOST_VARIANTS = 1000
 _SEEDS = 2**32
 _LONGEST_RANGE = 1_000_000
@@ -122,7 +123,7 @@ class LoopSection(Section):
         "rest", description="start from the plant's initial state, or where the recording ended"
     )
     step_timeout: Positive = Field(
-        60.0, description="longest time for any call of the plant or of a controller [s]"
+        DEFAULT_STEP_TIMEOUT, description="longest time for any call of the plant or of a controller [s]"
     )
     preview: Preview = Field(
         "horizon",

@@ -316,7 +316,31 @@ class HangsWhenAsked(Hangs):
     @property
     def horizon(self):
         threading.Event().wait()
+
+@dataclass(kw_only=True)
+class HangsWhenItIsMade(Hangs):
+    gain: float = 1.0
+    def __post_init__(self):
+        while True:
+            pass
+
+@dataclass(kw_only=True)
+class HangsAboutItsSettings(Hangs):
+    def settings(self):
+        threading.Event().wait()
+
+@dataclass(kw_only=True)
+class HangsAboutItsRecording(Hangs):
+    @property
+    def uses_recording(self):
+        threading.Event().wait()
+
+@dataclass(kw_only=True)
+class HangsAboutItsLength(Hangs):
+    def recording_length(self, inputs, outputs, measurements):
+        threading.Event().wait()
 """
+WITH_A_RECORDING = "[recording]\nsamples = 60\nexcitation.u = { low = -1.0, high = 1.0 }\n"
 
 
 def test_a_controller_that_never_returns_costs_its_case_and_no_other(
@@ -336,10 +360,64 @@ def test_a_controller_that_never_returns_costs_its_case_and_no_other(
     }
     late = "no return within 2 s in"
     assert cases["hangs"].reason.startswith(f"controller hanging:Hangs: {late} step at t = 0.3 s; ")
-    for kind, call in zip(kinds[1:], ("start", "constructor", "horizon"), strict=True):
+    for kind, call in zip(kinds[1:3], ("start", "constructor"), strict=True):
         early = f"before the first sample: controller hanging:{kind}: {late} {call}; "
         assert cases[kind.lower()].reason.startswith(early)
+    assert (
+        f"controller hanging:{kinds[3]}: {late} horizon when the study was read"
+        in cases[kinds[3].lower()].reason
+    )
     assert cases["hangs"].trace().status == ("ok", "as well as it can", "ok", "error")
+
+
+def test_one_that_never_returns_when_the_study_is_read_costs_its_cases_and_no_others(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    """Each limit is waited for once: the variants of a sweep and other seeds are not tried."""
+    (tmp_path / "hanging.py").write_text(HANGING, encoding="utf-8")
+    calls = {
+        "HangsWhenItIsMade": "constructor",
+        "HangsAboutItsSettings": "settings",
+        "HangsAboutItsRecording": "uses_recording",
+        "HangsAboutItsLength": "recording_length",
+    }
+    study = write_study(*(f"hanging:{kind}" for kind in calls), "mfapc")
+    text = (
+        study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nstep_timeout = 1.0") + WITH_A_RECORDING
+    )
+    text = text.replace(
+        "[controllers.mfapc]", "[controllers.hangswhenitismade.sweep]\ngain = [2.0, 3.0]\n[controllers.mfapc]"
+    )
+    study.write_text(text, encoding="utf-8")
+    done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--seeds", "0:2", "--out", "out")
+    assert done.returncode == 1
+    results = load_results(tmp_path / "out").cases
+    assert [case.outcome for case in results] == ["timed-out"] * 2 * (len(calls) + 2) + ["completed"] * 2
+    cases = {case.controller: case for case in results}
+    for kind, call in calls.items():
+        assert cases[kind.lower()].reason == (
+            f"before the first sample: controller hanging:{kind}: no return within 1 s in {call} when the "
+            "study was read; raise loop.step_timeout if it needs longer"
+        )
+    assert cases["hangswhenitismade-gain-3"].settings == {"gain": 3.0}
+
+
+def test_a_stabilising_controller_that_never_returns_is_an_error(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    """Without it there is no recording for anyone."""
+    (tmp_path / "hanging.py").write_text(HANGING, encoding="utf-8")
+    study = write_study("mfapc")
+    text = (
+        study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nstep_timeout = 1.0") + WITH_A_RECORDING
+    )
+    study.write_text(text + 'controller = { type = "hanging:HangsWhenItIsMade" }\n', encoding="utf-8")
+    done = run_program("run", "study.toml")
+    assert done.returncode == 2
+    assert (
+        "recording.controller: controller hanging:HangsWhenItIsMade: no return within 1 s in constr"
+        in done.stderr
+    )
 
 
 LINGERING = """

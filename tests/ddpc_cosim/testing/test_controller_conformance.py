@@ -269,6 +269,27 @@ def test_settings_on_the_command_line_are_those_of_a_study() -> None:
     assert "not TOML" in check("pid", "--setting", "tuning = step-test").stderr
 
 
+def test_a_constructor_that_never_returns_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = """
+        from ddpc_cosim import Controller
+        class Endless(Controller):
+            def __init__(self):
+                while True:
+                    pass
+            def start(self, loop):
+                pass
+            def step(self, sample):
+                return [0.0]
+    """
+    (tmp_path / "loops.py").write_text("\n".join(line[8:] for line in source.splitlines()), encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    result = check("loops:Endless", "--timeout", "0.5")
+    assert result.exit_code == 2
+    assert "loops:Endless: timed out: no return within 0.5 s in constructor; raise --timeout" in result.stderr
+
+
 def test_an_unknown_name_lists_what_there_is() -> None:
     result = check("mfapcc")
     assert result.exit_code == 2
