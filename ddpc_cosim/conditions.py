@@ -272,6 +272,7 @@ class _Delay:
     def __init__(self, signals: Sequence[str], conditions: Conditions, sampling_time: float) -> None:
         samples = [round(conditions.delay.get(name, 0.0) / sampling_time) for name in signals]
         self._samples, self._columns = np.array(samples, dtype=np.intp), np.arange(len(samples))
+        self._is_late = any(samples)
         self._count = 0
         self.empty()
 
@@ -282,7 +283,7 @@ class _Delay:
         self._past = np.tile(values, (int(self._samples.max(initial=0)) + 1, 1))
 
     def __call__(self, values: FloatArray) -> FloatArray:
-        if not self._samples.any():
+        if not self._is_late:
             return values
         if not len(self._past):
             self.fill(values)

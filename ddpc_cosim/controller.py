@@ -312,7 +312,11 @@ class Controller(ABC):
 
     @property
     def accepts_missing(self) -> bool:
-        """Whether ``step`` answers NaN in a sample (missing measurements) by finite inputs and a status."""
+        """Whether ``step`` answers NaN in a sample (missing measurements) by finite inputs and a status.
+
+        Where it does not, a loop that loses measurements hands it the last values that arrived instead, and
+        counts such samples as fallbacks.
+        """
         return False
 
     def __post_init__(self) -> None:

@@ -380,7 +380,7 @@ class _Resolution:
         for signal in scenario.inputs:
             self._check_undriven((*place, "inputs", signal), scenario, signal)
         for signal, delay in scenario.delay.items():
-            self._check_delay((*place, "delay", signal), delay)
+            self._check_delay((*place, "delay", signal), delay, scenario)
         variables, disturbances = {**self.variables.outputs, **self.variables.inputs}, {}
         for signal, parts in scenario.disturbances.items():
             at = (*place, "disturbances", signal)
@@ -416,9 +416,11 @@ class _Resolution:
             self.errors.add(place, f"this input is set by {what} too; leave one of them out")
 
     @independent
-    def _check_delay(self, place: Place, delay: float) -> None:
+    def _check_delay(self, place: Place, delay: float, scenario: ScenarioSection) -> None:
         loop, recording = self.study.loop, self.study.recording
         fault = delay_error(delay, loop.sampling_time, loop.steps)
+        if recording is not None and scenario.recording is not None:
+            recording = scenario.recording.of(recording)
         if not fault and recording is not None and recording.samples is not None:
             fault = delay_error(delay, loop.sampling_time, recording.samples, "experiment")
         if fault:

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmus.builder import Fault
 
-from ddpc_cosim import CaseResult, Conditions, ConfigError, FMUPlant, Trace
+from ddpc_cosim import CaseResult, Conditions, ConfigError, FMUPlant, Outcome, Trace
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
@@ -244,6 +245,11 @@ def test_a_delay_leaves_something_to_record(tmp_path: Path) -> None:
     assert fault == "delay.pump_1: 50 s is too long: the experiment ends after 45 s; choose a shorter delay"
 
 
+def test_a_delay_leaves_something_to_record_in_the_scenario_s_own_experiment(tmp_path: Path) -> None:
+    (fault,) = faults_of(tmp_path, "recording.samples = 9\ndelay = { pump_1 = 50.0 }")
+    assert fault == "delay.pump_1: 50 s is too long: the experiment ends after 45 s; choose a shorter delay"
+
+
 def test_all_faults_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
     faults = faults_of(
         tmp_path,
@@ -299,3 +305,54 @@ def test_a_supplied_fmu_too_has_inputs_with_signals_of_their_own(tmp_path: Path)
     assert np.allclose(traces["signal"].y, traces["parameter"].y, atol=1e-9)
     assert np.all(traces["signal"].applied == 2.4)
     assert np.abs(traces["signal"].y - traces["calm"].y).max() > 0.1
+
+
+def test_what_was_given_to_an_fmu_before_it_crashed_is_kept(write_study: Callable[..., Path]) -> None:
+    path = write_study("mfac", fault=Fault.SEGMENTATION_FAULT)
+    scenario = """
+    [scenarios.gust]
+    disturbances.u = { kind = "constant", value = 0.25 }
+    """
+    path.write_text(path.read_text(encoding="utf-8") + scenario, encoding="utf-8")
+    (case,) = run_study(read_study(str(path)), path.parent / "out", Selection(), Silent()).cases
+    trace = case.trace()
+    assert trace.outcome is Outcome.CRASHED
+    assert len(trace) > 3
+    assert np.array_equal(trace.applied, trace.u + 0.25)
+
+
+def test_a_plant_in_python_has_inputs_with_signals_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the order of its inputs."""
+    plant = """
+import numpy as np
+from ddpc_cosim import Plant, Variable
+
+class Room(Plant):
+    def __init__(self):
+        self.inputs = (Variable("outside", unit="degC", start=9.0), Variable("heating"))
+        self.outputs = (Variable("inside"),)
+    def reset(self, parameters=None, t0=0.0):
+        self.inside = np.array([20.0])
+        return self.inside.copy()
+    def step(self, u, h):
+        self.inside = 0.9 * self.inside + 0.1 * u[0] + u[1]
+        return self.inside.copy()
+"""
+    (tmp_path / "room_of_scenarios.py").write_text(plant, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    trace = results_of(
+        tmp_path,
+        """
+        plant = { name = "room_of_scenarios:Room", inputs = ["heating"] }
+        loop = { sampling_time = 1.0, duration = 10.0 }
+        reference.inside = { kind = "constant", value = 21.0 }
+        controllers.mfac = { type = "mfac" }
+        scenarios.frost.inputs.outside = { kind = "steps", times = [0.0, 5.0], values = [5.0, -5.0] }
+        """,
+    )["frost"].trace()
+    outside = np.where(np.arange(11) < 5, 5.0, -5.0)
+    assert trace.completed
+    inside = 0.9 * trace.y[:-1, 0] + 0.1 * outside[:-1] + trace.u[:-1, 0]
+    assert np.allclose(trace.y[1:, 0], inside)
