@@ -25,6 +25,7 @@ from .errors import (
 from .fmu.linearisation import LinearModel as LinearModel
 from .fmu.plant import FMUPlant as FMUPlant
 from .master import cosimulate as cosimulate, record as record
+from .metrics import Metric as Metric, MetricSettings as MetricSettings
 from .plant import ParameterValue as ParameterValue, Plant as Plant
 from .settings import (
     SettingInfo as SettingInfo,

@@ -6,15 +6,21 @@ in the variables' display units, and NaN where there is none.
 """
 
 import math
+import re
+import warnings
+from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from itertools import pairwise
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ddpc_cosim.errors import CosimWarning
+from ddpc_cosim.plugins import Plugin, installed, source_hash
 from ddpc_cosim.variables import FloatArray, Variable
 
 _SETTLED_FRACTION = 0.2
@@ -26,6 +32,9 @@ _CONSTANT_ROWS = 3
 _SMALLEST_FIRST_STEP = 0.01
 _SMALLEST_LONE_STEP = 0.001
 _LARGEST_SETTLED_ERROR = 0.5
+_TRACE = "ddpc_cosim.trace.Trace"
+"""The class that metrics of third parties are of; its module imports this one."""
+_OF_A_SIGNAL = ("difference", "value", "difference.s")
 
 
 @dataclass(frozen=True)
@@ -40,10 +49,13 @@ class MetricSettings:
     cost : mapping of str to mapping of str to float
         Weights of the quadratic cost: ``outputs`` by controlled output, ``inputs`` and ``changes`` by input,
         in the reciprocal squares of their units; empty for no such cost.
+    versions : mapping of str to str
+        Of the installed metrics of third parties, a hash of their source.
     """
 
     preview: int = 0
     cost: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -276,16 +288,17 @@ class Metric(Generic[Samples]):
     Parameters
     ----------
     of : type
-        What it is computed from: a controlled output, an input, the whole run, or the controller's steps.
+        What it is computed from: a controlled output, an input, the whole run, or the controller's steps; a
+        metric of a third party from the :class:`ddpc_cosim.Trace`.
     label : str
         Its name in sentences.
     description : str
         What it is, in one line.
     compute : callable
         Takes the samples and returns the value.
-    unit : {"difference", "value", "difference.s", "%", "s", "1"}
-        Its unit: that of the signal, for a difference of two values or for a value; the same times seconds;
-        or the one given.
+    unit : str
+        Its unit as FMUs write it, "1" for none; of a metric of one signal also ``"value"``, ``"difference"``
+        and ``"difference.s"``: the unit of the signal, for a value or a difference, or that times seconds.
     better : {"low", "high", ""}
         Which values are better; empty where neither are.
     if_held : bool
@@ -295,22 +308,29 @@ class Metric(Generic[Samples]):
         How the cases of several seeds are summed up in one value.
     title, group : str
         Heading in the report's tables, and the heading above it; without a title the metric stands in
-        ``metrics.csv`` alone.
+        ``metrics.csv`` alone. A third party's has its label.
     short : str
-        Heading in the terminal's table; empty if it is not shown there.
+        Heading in the terminal's table; empty if it is not shown there. A third party's has its label.
     """
 
     of: type[Samples]
     label: str
     description: str
     compute: Callable[[Samples], float]
-    unit: Literal["difference", "value", "difference.s", "%", "s", "1"] = "difference"
+    unit: str = "difference"
     better: Literal["low", "high", ""] = "low"
     if_held: bool = False
     over_seeds: Literal["median", "largest", "total"] = "median"
     title: str = ""
     group: str = ""
     short: str = ""
+
+    def __str__(self) -> str:
+        """Return what it is, its unit and which values are better, in one line."""
+        better = {"low": "lower is better", "high": "higher is better"}.get(self.better, "")
+        of_signal = {"difference": "unit of the signal", "value": "unit of the signal", "1": ""}
+        unit = of_signal.get(self.unit, self.unit.replace("difference.s", "unit of the signal times s"))
+        return "; ".join(filter(None, (self.description, unit and f"[{unit}]", better)))
 
     def rank(self, value: float) -> float:
         """Return a number by which values are sorted, the best first."""
@@ -338,7 +358,7 @@ def compute_metrics(
     step_times: StepTimes,
     cost: Mapping[str, Mapping[str, float]],
 ) -> dict[str, float]:
-    """Return the metrics of a run by key: of every output, of every input, its cost, and of the steps."""
+    """Return the built-in metrics of a run: of every output, of every input, its cost, and of the steps."""
     table: dict[str, float] = {}
     registry: Mapping[str, Metric[Any]] = METRICS
     whole = [WholeRun(responses, actuations, cost)] if cost else []
@@ -348,6 +368,91 @@ def compute_metrics(
                 if isinstance(samples, metric.of):
                     table[_key(name, metric.unit, samples)] = metric.compute(samples)
     return table
+
+
+def compute_installed_metrics(trace: Any) -> dict[str, float]:
+    """Return the metrics of third parties of a trace by key.
+
+    One that fails has no value, and neither costs others nor changes the trace; a warning tells why.
+    """
+    table = {}
+    found, _, faults = _third_parties()
+    for name, metric in found.items():
+        value = math.nan
+        try:
+            value = float(metric.compute(deepcopy(trace)))
+        except (Exception, SystemExit) as error:  # a third party's function can fail in any way
+            faults = (*faults, f"metric {name}: {type(error).__name__}: {error}")
+        table[_key(name, metric.unit, trace)] = value
+    for fault in faults:
+        warnings.warn(fault, CosimWarning, stacklevel=2)
+    return table
+
+
+def all_metrics() -> Mapping[str, Metric[Any]]:
+    """Return all metrics by name, in the order of files and tables: built-in ones, then installed ones."""
+    return ChainMap(_third_parties().metrics, cast("dict[str, Metric[Any]]", METRICS))
+
+
+def metric_of(key: str) -> Metric[Any]:
+    """Return the metric of a key; of one that is installed no more, what the key says of it."""
+    name, _, unit = split_key(key)
+    return all_metrics().get(name) or Metric(object, name, "", lambda _: math.nan, unit, "")
+
+
+def installed_versions() -> dict[str, str]:
+    """Return for each installed metric of a third party a hash of its source."""
+    return {name: source_hash(module) for name, module in _third_parties().modules.items()}
+
+
+class _ThirdParties(NamedTuple):
+    """The metrics of third parties, the modules they come from, and why others are left out."""
+
+    metrics: dict[str, Metric[Any]]
+    modules: dict[str, str]
+    faults: tuple[str, ...]
+
+
+@cache
+def _third_parties() -> _ThirdParties:
+    found: dict[str, Metric[Any]] = {}
+    modules, faults = {}, []
+    for plugin in installed("metrics"):
+        fault = plugin.error or _fault(plugin)
+        if fault:
+            faults.append(f"metric {plugin.name} ({plugin.package}): {fault}")
+        else:
+            metric = plugin.value
+            titles = {key: getattr(metric, key) or metric.label for key in ("title", "short")}
+            found[plugin.name] = replace(metric, **titles)
+            modules[plugin.name] = plugin.target.partition(":")[0]
+    return _ThirdParties(found, modules, tuple(faults))
+
+
+def describe_metric(plugin: Plugin) -> tuple[str, bool]:
+    """Return one line about a metric of a third party, or why it is broken; and whether it works."""
+    fault = plugin.error or _fault(plugin)
+    return (f"broken: {fault}", False) if fault else (str(plugin.value), True)
+
+
+def _fault(plugin: Plugin) -> str:
+    """Return why an installed object cannot be a metric; empty if it can."""
+    metric = plugin.value
+    if plugin.name in METRICS:
+        return "there is a built-in metric of this name; choose another"
+    if not re.fullmatch(r"[A-Za-z0-9_-]+", plugin.name):
+        return "a name may have letters, digits, _ and - only"
+    if not isinstance(metric, Metric):
+        return f"a {type(metric).__name__} is not a ddpc_cosim.Metric"
+    if f"{getattr(metric.of, '__module__', '')}.{getattr(metric.of, '__name__', '')}" != _TRACE:
+        return f"it is of {metric.of!r}; needed: ddpc_cosim.Trace"
+    if metric.better not in ("low", "high", ""):
+        return f'better = {metric.better!r}; allowed: "low", "high" or ""'
+    if not callable(metric.compute):
+        return f"{metric.compute!r} cannot be called"
+    if not metric.unit or metric.unit in _OF_A_SIGNAL or set(metric.unit) & set("[]"):
+        return f'unit = {metric.unit!r}; needed: a unit such as "N.m.s", or "1"'
+    return ""
 
 
 def _key(name: str, unit: str, samples: Any) -> str:
@@ -610,4 +715,4 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
     ),
     "samples": Metric(StepTimes, "Samples", "rows of the trace", lambda s: float(s.rows), "1", better=""),
 }
-"""All metrics, in the order of files and tables."""
+"""The built-in metrics, in the order of files and tables."""

@@ -19,7 +19,7 @@ from typing import Any
 
 from ddpc_cosim.errors import PluginError, did_you_mean
 
-KINDS = ("plants", "controllers", "studies", "reports")
+KINDS = ("plants", "controllers", "studies", "metrics", "reports")
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ddpc_cosim.controller import OK, Bounds
-from ddpc_cosim.metrics import Actuation, MetricSettings, Response, StepTimes, compute_metrics
+from ddpc_cosim.metrics import (
+    Actuation,
+    MetricSettings,
+    Response,
+    StepTimes,
+    compute_installed_metrics,
+    compute_metrics,
+)
 from ddpc_cosim.variables import FloatArray, Variable
 
 if TYPE_CHECKING:
@@ -137,11 +144,16 @@ class Trace:
         settings : MetricSettings, optional
             What they depend on besides the samples, in a study; default: the preview of this run's own
             controller, and no quadratic cost.
+
+        Warns
+        -----
+        CosimWarning
+            A metric of a third party fails; its value is NaN.
         """
         settings = settings or MetricSettings(self.preview)
         rows, h, bounds = slice(0, self.held), self.sampling_time, self.bounds
         u_limits = zip(bounds.u_min, bounds.u_max, strict=True)
-        return compute_metrics(
+        table = compute_metrics(
             self._responses(settings),
             [
                 Actuation(variable, self.u[rows, i], limits, h)
@@ -150,6 +162,7 @@ class Trace:
             StepTimes(self.solve_time, h, self.failures, len(self)),
             settings.cost,
         )
+        return table | compute_installed_metrics(self)
 
     def holds(self, settings: MetricSettings | None = None) -> bool:
         """Return whether the run completed and held its reference; parameters as in :meth:`metrics`.

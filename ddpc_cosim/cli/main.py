@@ -15,7 +15,7 @@ from types import FrameType
 import click
 
 FAILED, MISUSED, INTERRUPTED, TERMINATED = 1, 2, 130, 143
-_LISTED = ("plants", "controllers", "studies")
+_LISTED = ("plants", "controllers", "studies", "metrics")
 _GOES_ON = "finished cases are kept; the same command goes on from there"
 
 
@@ -118,15 +118,19 @@ def list_(kind: str | None) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from ddpc_cosim.plugins import describe, installed
+    from ddpc_cosim.metrics import METRICS, describe_metric
+    from ddpc_cosim.plugins import describe, installed, package_version
 
     console, broken = Console(), False
     for each in (kind,) if kind else _LISTED:
         table = Table(title=each, title_justify="left", title_style="bold", box=None, pad_edge=False)
         for column in ("name", "what", "from"):
             table.add_column(column, overflow="fold")
+        built_in = METRICS if each == "metrics" else {}
+        for name, metric in built_in.items():
+            table.add_row(name, Text(str(metric)), f"ddpc-cosim {package_version()}")
         for plugin in installed(each):
-            what, works = describe(plugin)
+            what, works = describe_metric(plugin) if each == "metrics" else describe(plugin)
             broken = broken or not works
             origin = f"{plugin.package} ({plugin.target})"
             table.add_row(plugin.name, Text(what, "" if works else "red"), origin)

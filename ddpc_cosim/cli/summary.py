@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ddpc_cosim.metrics import METRICS, headline, split_key
+from ddpc_cosim.metrics import all_metrics, headline, metric_of, split_key
 from ddpc_cosim.study.results import METRICS_FILE, CaseResult, StudyResults
 from ddpc_cosim.trace import Outcome
 
@@ -47,7 +47,7 @@ def summary_table(results: StudyResults, console: Console) -> Table:
 
 
 def _shown() -> list[str]:
-    return [name for name, metric in METRICS.items() if metric.short]
+    return [name for name, metric in all_metrics().items() if metric.short]
 
 
 def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
@@ -112,7 +112,7 @@ def _rank(cases: Sequence[CaseResult], key: str) -> tuple[int, float]:
     """Order by cases that do not hold their reference, then by the median of a metric, the best first."""
     values = _completed_values(cases, key)
     lost = sum(not case.holds for case in cases)
-    return lost, METRICS[split_key(key)[0]].rank(median(values)) if values else math.inf
+    return lost, metric_of(key).rank(median(values)) if values else math.inf
 
 
 def _completed_values(cases: Sequence[CaseResult], key: str) -> list[float]:
@@ -122,7 +122,7 @@ def _completed_values(cases: Sequence[CaseResult], key: str) -> list[float]:
 
 def _value(case: CaseResult, key: str) -> float:
     """Return a metric of a case, NaN where it would say nothing of such a run."""
-    counts = case.holds if METRICS[split_key(key)[0]].if_held else case.outcome is Outcome.COMPLETED
+    counts = case.holds if metric_of(key).if_held else case.outcome is Outcome.COMPLETED
     return case.metrics.get(key, math.nan) if counts else math.nan
 
 
@@ -143,8 +143,9 @@ def _title(results: StudyResults) -> Text:
 
 
 def _heading(key: str) -> Text:
-    name, signal, unit = split_key(key)
-    return Text(f"{METRICS[name].short}\n{f'{signal} [{unit}]' if signal else ''}")
+    _, signal, unit = split_key(key)
+    below = f"{signal} [{unit}]" if signal else f"[{unit}]" if unit != "1" else ""
+    return Text(f"{metric_of(key).short}\n{below}")
 
 
 def _spread(cases: Sequence[CaseResult], key: str) -> str:

@@ -10,7 +10,7 @@ from ddpc_cosim.conditions import Conditions, delay_error
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
 from ddpc_cosim.loop_setup import late_error, limits_error
-from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.metrics import MetricSettings, installed_versions
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.safe_calls import CallsInTime, recording_length
 from ddpc_cosim.settings import PLANT, files_of
@@ -197,7 +197,7 @@ class _Resolution:
         ]
         largest = max((one.horizon for one in self.controllers), default=0)
         preview = max(largest if limit == "horizon" else min(limit, largest) for limit in limits)
-        return MetricSettings(preview, cost.model_dump() if cost else {})
+        return MetricSettings(preview, cost.model_dump() if cost else {}, installed_versions())
 
     def _written_out(self) -> Study:
         """Return the study with every default filled in, every sweep written out and every path absolute."""

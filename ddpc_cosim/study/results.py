@@ -8,6 +8,7 @@ import math
 import os
 import re
 import shutil
+import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -18,7 +19,7 @@ import numpy as np
 
 from ddpc_cosim.controller import Bounds
 from ddpc_cosim.csv_files import write_table
-from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.sections import Study
 from ddpc_cosim.trace import Outcome, Trace
@@ -63,7 +64,7 @@ class CaseResult:
     settings : dict
         The controller's settings, defaults filled in.
     warnings : tuple of str
-        What spoke against the data or the model before the loop was closed.
+        What spoke against the data or the model before the loop was closed, and metrics that failed.
     folder : Path
         Where its files are.
     """
@@ -180,8 +181,8 @@ def load_case(folder: Path) -> CaseResult:
         run = read_run(folder)
         head = {key: run[key] for key in ("id", "controller", "label", "scenario", "seed", "reason")}
         values = {key: run[key] for key in ("holds", "metrics", "diagnostics", "settings")}
-        outcome, warnings = Outcome(run["outcome"]), tuple(run["warnings"])
-        return CaseResult(**head, **values, outcome=outcome, warnings=warnings, folder=folder)
+        told = (*run["warnings"], *run["metric_warnings"])
+        return CaseResult(**head, **values, outcome=Outcome(run["outcome"]), warnings=told, folder=folder)
     except _DAMAGED as error:
         raise ConfigError(f"{folder}: this case cannot be read ({error!r}); run the study again") from error
 
@@ -313,9 +314,13 @@ def judge_again(folder: Path, settings: MetricSettings) -> None:
 
 def _judged(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
     """Return what is said of a run, and what that depends on."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        metrics = trace.metrics(settings)
     return {
         "holds": trace.holds(settings),
-        "metrics": trace.metrics(settings),
+        "metrics": metrics,
+        "metric_warnings": [str(one.message) for one in caught if issubclass(one.category, CosimWarning)],
         "metric_settings": asdict(settings),
     }
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults, judge_prediction
-from ddpc_cosim.metrics import METRICS, split_key
+from ddpc_cosim.metrics import metric_of
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
@@ -123,12 +123,12 @@ def _case_keys(conditions: Sequence[Condition]) -> list[str]:
 
 
 def _case_title(key: str) -> str:
-    title = METRICS[split_key(key)[0]].title
+    title = metric_of(key).title
     return _CASE_STEP_TIMES.get(key) or ", ".join(filter(None, (title, metric_signal(key))))
 
 
 def _value(case: CaseResult, key: str) -> float:
-    shown = case.holds or not METRICS[split_key(key)[0]].if_held
+    shown = case.holds or not metric_of(key).if_held
     return case.metrics.get(key, math.nan) if shown else math.nan
 
 

@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
-from ddpc_cosim.metrics import METRICS, Metric, StepTimes, headline, split_key
+from ddpc_cosim.metrics import Metric, StepTimes, all_metrics, headline, metric_of, split_key
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
 
 
@@ -85,7 +85,7 @@ class ControllerResults:
 
     def by_seed(self, key: str) -> dict[int, float]:
         """Return a metric by seed: of the cases that completed, or held their reference, and have it."""
-        cases = self.holding if METRICS[split_key(key)[0]].if_held else self.completed
+        cases = self.holding if metric_of(key).if_held else self.completed
         values = {case.seed: case.metrics.get(key, math.nan) for case in cases}
         return {seed: value for seed, value in values.items() if not math.isnan(value)}
 
@@ -102,7 +102,7 @@ class ControllerResults:
 
         Medians and largest values are those of the completed cases, totals those of all.
         """
-        how = METRICS[split_key(key)[0]].over_seeds
+        how = metric_of(key).over_seeds
         if how == "total":
             return self.total(key)
         return self.over_seeds(key).high if how == "largest" else self.over_seeds(key).median
@@ -227,7 +227,7 @@ def _controllers_in(results: StudyResults, scenario: str) -> tuple[ControllerRes
 
 def shown_metrics() -> dict[str, Metric[Any]]:
     """Return the metrics that tables show, by name."""
-    return {name: metric for name, metric in METRICS.items() if metric.title}
+    return {name: metric for name, metric in all_metrics().items() if metric.title}
 
 
 def response_metrics() -> dict[str, Metric[Any]]:
@@ -243,15 +243,13 @@ def outcome_words(case: CaseResult) -> str:
 
 def metric_label(key: str) -> str:
     """Return the name of a metric for people, without signal and unit."""
-    name = split_key(key)[0]
-    return METRICS[name].label if name in METRICS else name.replace("_", " ")
+    return metric_of(key).label
 
 
 def metric_unit(key: str) -> str:
     """Return the unit symbol of a metric; empty for counts and ratios."""
-    name, _, unit = split_key(key)
-    is_value = name in METRICS and METRICS[name].unit == "value"
-    return unit_symbol(unit) if is_value else difference_symbol(unit)
+    unit = split_key(key)[2]
+    return unit_symbol(unit) if metric_of(key).unit == "value" else difference_symbol(unit)
 
 
 def shown_as(key: str, values: Iterable[float]) -> Scale:
@@ -270,5 +268,5 @@ def ranked(
 ) -> list[tuple[float, ControllerResults]]:
     """Return the controllers that have a value of a metric, the best first; equal ones as in the study."""
     pairs = [(value, one) for value, one in zip(values, controllers, strict=True) if not math.isnan(value)]
-    metric = METRICS[split_key(key)[0]]
+    metric = metric_of(key)
     return sorted(pairs, key=lambda pair: metric.rank(pair[0]))

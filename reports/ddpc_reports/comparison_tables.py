@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
-from ddpc_cosim.metrics import METRICS, Metric, StepTimes, split_key
+from ddpc_cosim.metrics import Metric, StepTimes, all_metrics, metric_of, split_key
 from ddpc_cosim.study.sections import PublishedMethod, Reproduction
 from ddpc_reports.comparison import (
     Condition,
@@ -92,7 +92,7 @@ def response_table(condition: Condition, prefix: str) -> Table | None:
 
 
 def _response_column(condition: Condition, key: str) -> Column:
-    metric = METRICS[split_key(key)[0]]
+    metric = metric_of(key)
     values = [_response_value(one, key) for one in condition.controllers]
     cells = number_cells(values, eligible=_all_hold(condition), better=metric.better, digits=3)
     return Heading(metric.title, metric_unit(key), group=metric_signal(key)), cells
@@ -101,7 +101,7 @@ def _response_column(condition: Condition, key: str) -> Column:
 def _response_value(one: ControllerResults, key: str) -> float:
     """Return the median over the seeds; what is not reached in a case is worse than any value."""
     values = [case.metrics.get(key, math.nan) for case in one.holding]
-    if not METRICS[split_key(key)[0]].better:
+    if not metric_of(key).better:
         return spread(values).median
     middle = median([math.inf if math.isnan(value) else value for value in values]) if values else math.nan
     return middle if math.isfinite(middle) else math.nan
@@ -125,7 +125,7 @@ def _columns(condition: Condition, name: str) -> list[Column]:
 def _column(condition: Condition, key: str) -> Column:
     """Return the column of a metric, under the head of the metric where several signals have it."""
     name = split_key(key)[0]
-    metric = METRICS[name]
+    metric = metric_of(key)
     values = [one.summed(key) for one in condition.controllers]
     unit, factor = shown_as(key, values)
     shown = [value * factor for value in values]
@@ -138,7 +138,7 @@ def _column(condition: Condition, key: str) -> Column:
 
 def _tracking(condition: Condition, key: str) -> list[Column]:
     """Return first seed, median and range; with several outputs there is room for the medians only."""
-    metric = METRICS[split_key(key)[0]]
+    metric = metric_of(key)
     group = " / ".join(filter(None, (metric.title, metric_unit(key))))
     firsts = [one.at_first(key) for one in condition.controllers]
     eligible = [one.holds_first for one in condition.controllers]
@@ -164,14 +164,14 @@ def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
         best += (
             ", among controllers that hold their reference in every case (for the first seed: in that one)"
         )
-    metrics = [METRICS[name] for name in shown]
+    metrics = [all_metrics()[name] for name in shown]
     meanings = [
         f"{metric.title[0].upper()}{metric.title[1:]}: {metric.description.replace(' - ', f' {MINUS} ')}."
         for metric in metrics
         if metric.group != "step time"
     ]
     # With one output, its columns say it themselves.
-    own = METRICS[split_key(condition.headline[0])[0]] if len(condition.headline) == 1 else None
+    own = metric_of(condition.headline[0]) if len(condition.headline) == 1 else None
     summed = [metric for metric in metrics if metric is not own]
     words = [_summing_words(condition, summed)] if len(condition.seeds) > 1 else []
     return f"{best}; where most are equal, none is marked.", " ".join([*meanings, *words])
@@ -217,7 +217,7 @@ def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
 
 
 def _across_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
-    metric = METRICS[split_key(key)[0]]
+    metric = metric_of(key)
     group = " / ".join(
         filter(None, (" of ".join(filter(None, (metric.title, metric_signal(key)))), metric_unit(key)))
     )
@@ -233,7 +233,7 @@ def _across_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
 def _across_column(members: Sequence[ControllerResults | None], key: str) -> list[Cell]:
     values = [one.summed(key) if one else math.nan for one in members]
     eligible = [bool(one and one.holds_all) for one in members]
-    return number_cells(values, eligible=eligible, better=METRICS[split_key(key)[0]].better)
+    return number_cells(values, eligible=eligible, better=metric_of(key).better)
 
 
 _HEADINGS = (
@@ -343,8 +343,8 @@ def _times_words(order: list[tuple[float, str]]) -> Markup:
 
 def _is_step_time(key: str) -> bool:
     """Whether a metric is a wall-clock time, which says as much of the machine as of the method."""
-    metric = METRICS.get(split_key(key)[0])
-    return metric is not None and metric.of is StepTimes and metric.unit == "s"
+    metric = metric_of(key)
+    return metric.of is StepTimes and metric.unit == "s"
 
 
 def _rows(

@@ -8,7 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from ddpc_cosim.metrics import METRICS, split_key
+from ddpc_cosim.metrics import metric_of
 from ddpc_reports.charts import heat_chart
 from ddpc_reports.comparison import (
     Condition,
@@ -107,7 +107,7 @@ def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
             for sweep, one in members
             if one.holds_all and not math.isnan(value := _median([one], key))
         ),
-        key=lambda entry: METRICS[split_key(key)[0]].rank(entry[0]),
+        key=lambda entry: metric_of(key).rank(entry[0]),
     )
     text = Markup("{} settings of <b>{}</b>").format(len(members), group[0].label)
     if not order:
