@@ -4,7 +4,9 @@ from pathlib import Path
 
 _FOLDER = Path(__file__).parent
 
+claims = _FOLDER / "claims.toml"
 direction_change = _FOLDER / "direction-change.toml"
+excitation = _FOLDER / "excitation.toml"
 mimo = _FOLDER / "mimo.toml"
 noise = _FOLDER / "noise.toml"
 paper = _FOLDER / "paper.toml"

@@ -1,0 +1,153 @@
+"""The paper's claims on other seeds, without preview and on other data, recomputed from signals.csv."""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from ddpc_cosim import CaseResult, StudyResults
+from ddpc_cosim.study.controllers import make_controller
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.runner import Selection, run_study
+
+from .recomputed import figures_of, holds, read_case
+from .test_studies import STUDIES, Silent
+
+# What its fixtures run is run in one process.
+pytestmark = pytest.mark.xdist_group("claims")
+
+METHODS = ("mfapc", "deepc", "wkpc")
+HORIZON = 5
+
+
+def run_all(name: str, folder: Path) -> StudyResults:
+    return run_study(read_study(str(STUDIES / f"{name}.toml")), folder, Selection(jobs=2), Silent())
+
+
+@pytest.fixture(scope="module")
+def claims(tmp_path_factory: pytest.TempPathFactory) -> StudyResults:
+    return run_all("claims", tmp_path_factory.mktemp("claims"))
+
+
+@pytest.fixture(scope="module")
+def excitation(tmp_path_factory: pytest.TempPathFactory) -> StudyResults:
+    return run_all("excitation", tmp_path_factory.mktemp("excitation"))
+
+
+def figure(name: str) -> Callable[[CaseResult], float]:
+    """Return what computes a figure of the response from the files of a case."""
+
+    def of(case: CaseResult) -> float:
+        found = figures_of(case.folder, HORIZON)
+        return next(value for key, value in found.items() if key.startswith(f"{name}."))
+
+    return of
+
+
+def sum_of_errors(case: CaseResult) -> float:
+    _, columns = read_case(case.folder)
+    rows = zip(columns["reference angle [rad]"][:-1], columns["angle [rad]"][:-1], strict=True)
+    return sum(abs(math.degrees(reference - angle)) for reference, angle in rows)
+
+
+def rms_change(case: CaseResult) -> float:
+    _, columns = read_case(case.folder)
+    changes = [after - before for before, after in pairwise([0.0, *columns["torque [N.m]"][:-1]])]
+    return math.sqrt(sum(change**2 for change in changes) / len(changes))
+
+
+def by_seed(
+    results: StudyResults, controller: str, scenario: str, figure: Callable[[CaseResult], float]
+) -> dict[int, float]:
+    cases = [case for case in results.cases if (case.controller, case.scenario) == (controller, scenario)]
+    assert len(cases) == len(results.study.seeds)
+    return {case.seed: figure(case) for case in cases}
+
+
+Table = dict[str, dict[int, float]]
+
+
+def of_each(results: StudyResults, scenario: str, figure: Callable[[CaseResult], float]) -> Table:
+    return {controller: by_seed(results, controller, scenario, figure) for controller in METHODS}
+
+
+def below(one: dict[int, float], other: dict[int, float]) -> int:
+    """Return on how many seeds one is below the other."""
+    return sum(one[seed] < other[seed] for seed in one)
+
+
+@pytest.mark.parametrize("scenario", ["preview", "no-preview"])
+def test_on_every_seed_mfapc_changes_its_input_least_and_wkpc_most(
+    claims: StudyResults, scenario: str
+) -> None:
+    found = of_each(claims, scenario, rms_change)
+    assert below(found["mfapc"], found["deepc"]) == 11
+    assert below(found["deepc"], found["wkpc"]) == 11
+
+
+@pytest.mark.parametrize("scenario", ["preview", "no-preview"])
+def test_on_every_seed_wkpc_overshoots_most_and_rises_first(claims: StudyResults, scenario: str) -> None:
+    beyond, risen = (
+        of_each(claims, scenario, figure("overshoot")),
+        of_each(claims, scenario, figure("rise_time")),
+    )
+    for other in ("mfapc", "deepc"):
+        assert below(beyond[other], beyond["wkpc"]) == 11
+        assert below(risen["wkpc"], risen[other]) == 11
+
+
+@pytest.mark.parametrize("scenario", ["preview", "no-preview"])
+def test_on_every_seed_the_error_of_mfapc_alone_vanishes(claims: StudyResults, scenario: str) -> None:
+    found = of_each(claims, scenario, figure("settled_error"))
+    assert max(found["mfapc"].values()) < 0.01
+    assert min(*found["deepc"].values(), *found["wkpc"].values()) > 0.2
+
+
+def test_the_figures_of_the_paper_s_data_are_those_of_the_summary(claims: StudyResults) -> None:
+    changes, settled = (
+        of_each(claims, "preview", rms_change),
+        of_each(claims, "preview", figure("settled_error")),
+    )
+    told = claims.study.summary
+    rms = [f"{changes[name][5489]:.3f}" for name in METHODS]
+    ends = [f"{settled[name][5489]:.2g}" for name in METHODS]
+    assert f"is {rms[0]}, {rms[1]} and {rms[2]} N m with MFAPC, DeePC and WKPC" in told
+    assert f"settled error {ends[0]}, {ends[1]} and {ends[2]} degrees" in told
+
+
+def test_lambda_g_matters_as_much_as_the_summary_says(claims: StudyResults) -> None:
+    for scenario in ("preview", "no-preview"):
+        five, fifty, most = (
+            by_seed(claims, name, scenario, sum_of_errors)
+            for name in ("deepc-lambda_g-5", "deepc", "deepc-lambda_g-500")
+        )
+        assert below(five, fifty) == 10
+        assert below(fifty, most) == 11
+        if scenario == "preview":
+            told = f"to {five[5489]:.0f} degrees with 5, to {fifty[5489]:.0f} with the 50"
+            assert told in claims.study.summary
+            assert f"and to {most[5489]:.0f} with 500" in claims.study.summary
+
+
+def test_the_shortest_recordings_are_in_the_order_of_excitation(excitation: StudyResults) -> None:
+    sections = {name: excitation.study.controllers[name] for name in METHODS}
+    built = {name: make_controller(one.type, one.settings) for name, one in sections.items()}
+    needed = {name: one.recording_length(1, 1, 2) for name, one in built.items()}
+    assert needed == {"mfapc": 0, "deepc": 21, "wkpc": 37}
+    assert not built["mfapc"].uses_recording
+
+
+def test_with_little_data_the_order_shows_and_with_much_it_turns(excitation: StudyResults) -> None:
+    few, many = (of_each(excitation, name, sum_of_errors) for name in ("n40", "n200"))
+    assert below(few["deepc"], few["wkpc"]) == below(few["mfapc"], few["wkpc"]) == 10
+    assert below(many["deepc"], many["mfapc"]) == below(many["wkpc"], many["mfapc"]) == 10
+
+
+def test_a_faint_excitation_needs_another_ridge(excitation: StudyResults) -> None:
+    held = {
+        name: sum(by_seed(excitation, name, "faint", lambda case: holds(case.folder, HORIZON)).values())
+        for name in ("deepc", "wkpc", "deepc-lambda-5")
+    }
+    assert held == {"deepc": 0, "wkpc": 0, "deepc-lambda-5": 10}
