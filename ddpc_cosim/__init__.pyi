@@ -22,6 +22,15 @@ from .errors import (
     PluginError as PluginError,
     StepStatus as StepStatus,
 )
+from .excitations import (
+    PRBS as PRBS,
+    Chirp as Chirp,
+    Excitation as Excitation,
+    MixedExcitation as MixedExcitation,
+    Multisine as Multisine,
+    SignalExcitation as SignalExcitation,
+    UniformRandom as UniformRandom,
+)
 from .fmu.linearisation import LinearModel as LinearModel
 from .fmu.plant import FMUPlant as FMUPlant
 from .master import cosimulate as cosimulate, record as record
@@ -37,7 +46,6 @@ from .settings import (
 )
 from .signals import (
     Constant as Constant,
-    Excitation as Excitation,
     GaussianNoise as GaussianNoise,
     Interpolated as Interpolated,
     ParameterChange as ParameterChange,
@@ -45,7 +53,6 @@ from .signals import (
     Reference as Reference,
     Sine as Sine,
     Steps as Steps,
-    UniformRandom as UniformRandom,
     WhiteNoise as WhiteNoise,
 )
 from .study.results import (

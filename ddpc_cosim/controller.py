@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ddpc_cosim.csv_files import Column, read_table, write_table
+from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table, write_table
 from ddpc_cosim.errors import DataError
 from ddpc_cosim.settings import check_settings, to_plain
 from ddpc_cosim.variables import FloatArray, Variable
@@ -116,7 +116,7 @@ class Recording:
         measurements: Sequence[Variable | str] = (),
         columns: Mapping[str, str] = _NO_COLUMNS,
         time_column: str = "time",
-        time_tolerance: float = 0.01,
+        time_tolerance: float = TIME_TOLERANCE,
     ) -> "Recording":
         """Return what was logged in one CSV file or several, which are pieces of a mosaic.
 

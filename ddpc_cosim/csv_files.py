@@ -19,6 +19,9 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError, DataError, did_you_mean
 from ddpc_cosim.variables import FloatArray, Variable, converter
 
+TIME_TOLERANCE = 0.01
+"""How far rows may be from one sampling time apart, in parts of it, unless one says otherwise."""
+
 _LARGEST = 100_000_000
 _MOST_LISTED = 8
 _DELIMITERS = ";\t,"

@@ -22,6 +22,7 @@ from ddpc_cosim.errors import (
     FMUStepError,
     StepStatus,
 )
+from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import (
     CONTROLLER_STREAM,
     STABILISER_STREAM,
@@ -51,7 +52,7 @@ from ddpc_cosim.safe_calls import (
     start_controller,
     step_plant,
 )
-from ddpc_cosim.signals import Excitation, GaussianNoise, ParameterChange, Reference
+from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import FloatArray
 

@@ -1,10 +1,9 @@
-"""References, excitations, noise and events."""
+"""References, noise and events."""
 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Integral
 
 import numpy as np
 
@@ -173,84 +172,6 @@ class WhiteNoise(Reference):
         """Return the values at the given times [s]; same shape as ``time``."""
         drawn = np.random.default_rng(self.seed).standard_normal(time.shape)
         return self.mean + self.standard_deviation * drawn
-
-
-class Excitation(ABC):
-    """What an experiment applies to a plant, or adds to the inputs of a controller that stabilises it."""
-
-    @abstractmethod
-    def draw(self, inputs: int) -> FloatArray:
-        """Return the excitation of all inputs, shape (T, inputs), in their units, time along axis 0.
-
-        Raises
-        ------
-        ConfigError
-            It is made for another number of inputs.
-        """
-
-    def with_seed(self, seed: int) -> "Excitation":
-        """Return the excitation with the random numbers of another seed; itself where it has none."""
-        return self
-
-
-@dataclass(frozen=True, slots=True)
-class UniformRandom(Excitation):
-    """An excitation: independent uniform samples, one stream of ``numpy.random.RandomState`` for all inputs.
-
-    Sample by sample the stream serves the inputs in their order, so that one input's data of a seed equal
-    MATLAB's ``rng(seed); rand(1, T)``.
-
-    Parameters
-    ----------
-    low, high : float or sequence of float
-        Range, for all inputs or one for each, in their units.
-    samples : int
-        Number of samples T.
-    seed : int
-        Seed of the stream; a study replaces it by the seed of the case.
-    """
-
-    low: float | Sequence[float]
-    high: float | Sequence[float]
-    samples: int
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        faults = []
-        if not isinstance(self.samples, Integral) or self.samples < 1:
-            faults.append(f"samples = {self.samples} is not possible; allowed: an integer >= 1")
-        if not isinstance(self.seed, Integral) or not 0 <= self.seed < 2**32:
-            faults.append(f"seed = {self.seed} is not possible; allowed: an integer from 0 to 2**32 - 1")
-        if not np.all(np.isfinite(self.low)) or not np.all(np.isfinite(self.high)):
-            faults.append(f"low ({self.low}) and high ({self.high}) must be finite")
-        elif np.ndim(self.low) == np.ndim(self.high) == 1 and np.shape(self.low) != np.shape(self.high):
-            faults.append(f"low ({self.low}) and high ({self.high}) need the same length")
-        elif not np.all(np.asarray(self.low) < np.asarray(self.high)):
-            faults.append(f"low ({self.low}) must be below high ({self.high})")
-        if faults:
-            raise ConfigError([f"uniform excitation: {fault}" for fault in faults])
-
-    def with_seed(self, seed: int) -> "UniformRandom":
-        """Return the excitation with the random numbers of another seed."""
-        return replace(self, seed=seed)
-
-    def draw(self, inputs: int) -> FloatArray:
-        """Return the excitation of all inputs, shape (samples, inputs), time along axis 0.
-
-        Raises
-        ------
-        ConfigError
-            There are ranges for another number of inputs.
-        """
-        for name in ("low", "high"):
-            if np.shape(getattr(self, name)) not in ((), (inputs,)):
-                values = getattr(self, name)
-                raise ConfigError(f"uniform excitation: {name} = {values}; needed: a number, or {inputs}")
-        unit = np.random.RandomState(self.seed).random_sample((self.samples, inputs))
-        low, high = np.asarray(self.low, dtype=float), np.asarray(self.high, dtype=float)
-        # Twice the centred half range, in the order of the authors' program, gives its data to the last bit.
-        drawn: FloatArray = (low + high) / 2 + (high - low) / 2 * (2 * unit - 1)
-        return drawn
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,13 +16,14 @@ from ddpc_cosim import safe_calls
 from ddpc_cosim.conditions import Conditions, changed_inputs
 from ddpc_cosim.controller import Bounds, Controller, Recording
 from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImportError, FMUStepError
+from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.master import OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, types_in
 from ddpc_cosim.rows import RowStore
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files
-from ddpc_cosim.signals import Excitation, GaussianNoise, ParameterChange, Ramp, Reference
+from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference
 from ddpc_cosim.study.controllers import controller_class, make_controller
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.resolve import ResolvedStudy

@@ -4,17 +4,18 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 from ddpc_cosim.conditions import Conditions, delay_error
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
-from ddpc_cosim.loop_setup import late_error, limits_error
+from ddpc_cosim.excitations import Excitation, MixedExcitation
+from ddpc_cosim.loop_setup import excitation_table, late_error, limits_error
 from ddpc_cosim.metrics import MetricSettings, installed_versions
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.safe_calls import CallsInTime, recording_length
 from ddpc_cosim.settings import PLANT, files_of
-from ddpc_cosim.signals import Excitation, Reference
+from ddpc_cosim.signals import Reference
 from ddpc_cosim.study.controllers import (
     StudyController,
     late_call,
@@ -27,6 +28,8 @@ from ddpc_cosim.study.sections import (
     BoundsSection,
     DriftSection,
     EventSection,
+    Excited,
+    Experiment,
     RampReference,
     RecordingSection,
     ScenarioSection,
@@ -557,10 +560,47 @@ class _Resolution:
             return None
         sections = recording.excitation
         self._require_each(place, "input", sections, self.inputs)
-        converters = self._converters(place, sections, self.variables.inputs)
+        is_added = recording.controller is not None
+        converters = self._converters(place, sections, self.variables.inputs, difference=is_added)
+        groups: dict[str, list[str]] = {}
+        for name in (name for name in self.inputs.names if name in converters):
+            groups.setdefault(sections[name].group(name), []).append(name)
+        parts = [self._excitation_part(recording, group, converters) for group in groups.values()]
         if self.errors.found or not self.inputs.names:
             return None
-        return recording.build({name: converters[name] for name in self.inputs.names})
+        numbers = [tuple(map(self.inputs.names.index, group)) for group in groups.values()]
+        served = [(part, group) for part, group in zip(parts, numbers, strict=True) if part is not None]
+        return served[0][0] if len(served) == 1 else MixedExcitation(tuple(served))
+
+    @independent
+    def _excitation_part(
+        self,
+        recording: RecordingSection,
+        group: Sequence[str],
+        converters: Mapping[str, Callable[[float], float]],
+    ) -> Excitation | None:
+        """Return the excitation of inputs that are excited together."""
+        place = (*_RECORDING, "excitation", group[0])
+        if recording.samples is None or place in self.errors.found:
+            return None
+        is_added = recording.controller is not None
+        experiment = Experiment(recording.samples, self.study.loop.sampling_time, is_added)
+        inputs = [
+            Excited(recording.excitation[name], self.variables.inputs[name], converters[name])
+            for name in group
+        ]
+        try:
+            excitation = inputs[0].section.build(inputs, experiment)
+            excitation_table(excitation, len(inputs))
+        except DataError as error:
+            for fault in error.faults:
+                self.errors.add((*place, "file"), fault)
+        except ConfigError as error:
+            for fault in error.faults:
+                self.errors.add(place, fault)
+        else:
+            return cast("Excitation", excitation)
+        return None
 
     @independent
     def _changed_excitation(self, scenario: str) -> Excitation | None:

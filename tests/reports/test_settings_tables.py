@@ -80,7 +80,36 @@ CONTENT: dict[str, Any] = {
     "bounds": {"torque": {"min": -3.0, "max": 3.5, "unit": "N.m"}, "angle": {"max": 70.0, "unit": "deg"}},
     "recording": {
         "samples": 200,
-        "excitation": {"torque": {"kind": "uniform", "low": -3.0, "high": 3.0, "unit": "N.m"}},
+        "excitation": {
+            "torque": {"kind": "uniform", "low": -3.0, "high": 3.0, "unit": "N.m"},
+            "prbs": {"kind": "prbs", "low": -3.0, "high": 3.0, "unit": "N.m", "clock_period": 3},
+            "multisine": {
+                "kind": "multisine",
+                "low": -3.0,
+                "high": 3.0,
+                "unit": "N.m",
+                "min_frequency": 0.5,
+                "max_frequency": 2.0,
+                "phases": "random",
+            },
+            "chirp": {
+                "kind": "chirp",
+                "low": -3.0,
+                "high": 3.0,
+                "unit": "N.m",
+                "from_frequency": 0.5,
+                "to_frequency": 2.0,
+                "sweep": "logarithmic",
+            },
+            "steps": {"kind": "steps", "times": [0.0, 3.0], "values": [10.0, 20.0], "unit": "N.m"},
+            "recorded": {
+                "kind": "recorded",
+                "file": "torque.csv",
+                "column": "M",
+                "time_column": "t",
+                "unit": "N.m",
+            },
+        },
         "controller": {"type": "pid", "settings": {"gains": [1.0, 2.0]}},
         "file": ["monday.csv", "tuesday.csv"],
         "columns": {"angle": "Angle"},
@@ -191,7 +220,7 @@ def alternatives(value: Any) -> list[Any]:
     if isinstance(value, list):
         return [value[:-1], [*value, *alternatives(value[-1])[:1]]] if value else []
     if isinstance(value, str):
-        return ["model-exchange", "rest", "hold", f"{value}x"]
+        return ["model-exchange", "rest", "hold", "schroeder", "linear", f"{value}x"]
     return []
 
 

@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ddpc_cosim import ConfigError, DataError, GaussianNoise, Recording, UniformRandom, Variable, record
+from ddpc_cosim import (
+    ConfigError,
+    DataError,
+    FloatArray,
+    GaussianNoise,
+    Recording,
+    UniformRandom,
+    Variable,
+    record,
+)
 from ddpc_cosim.study.cases import Case, cases_of, run_case
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.variables import names
@@ -209,3 +218,84 @@ def test_in_python_the_same_rules_hold(tmp_path: Path) -> None:
     differing = replace(piece, measured=piece.y + 1.0)
     with pytest.raises(DataError, match=r'"angle \[rad\]" has different values'):
         differing.write_csv(tmp_path / "differing.csv", ["torque"], [angle])
+
+
+TANKS = """
+plant = { name = "quadruple-tank" }
+loop = { sampling_time = 5.0, duration = 50.0 }
+reference.level_1 = { kind = "constant", value = 12.4, unit = "cm" }
+reference.level_2 = { kind = "constant", value = 12.7, unit = "cm" }
+seeds = [3, 4]
+controllers.mfapc.type = "mfapc"
+"""
+
+
+def excitation(folder: Path, text: str, seed: int = 3) -> FloatArray:
+    study = folder / "study.toml"
+    study.write_text(TANKS + text, encoding="utf-8")
+    resolved = read_study(str(study))
+    assert resolved.excitation is not None
+    return resolved.excitation.with_seed(seed).draw(len(resolved.inputs))
+
+
+def test_inputs_can_be_excited_each_in_its_way(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(
+        "time [min],pump_2 [V]\n" + "".join(f"{i / 12:.9f},{i / 10}\n" for i in range(50)), encoding="utf-8"
+    )
+    head = "[recording]\nsamples = 40\n[recording.excitation]\n"
+    prbs = 'pump_1 = { kind = "prbs", low = 2500, high = 3.5e3, unit = "mV", clock_period = 2 }\n'
+    u = excitation(tmp_path, head + prbs + 'pump_2 = { kind = "recorded", file = "log.csv" }')
+    assert set(np.round(u[:, 0], 12)) == {2.5, 3.5}
+    assert np.array_equal(u[::2, 0], u[1::2, 0])
+    assert u[:, 1] == pytest.approx(np.arange(40) / 10)
+    steps = 'pump_2 = { kind = "steps", times = [0, 50], values = [2, 3] }'
+    u = excitation(tmp_path, head + prbs + steps)
+    assert u[:, 1].tolist() == [2.0] * 10 + [3.0] * 30
+    one = 'pump_{} = {{ kind = "{}", low = 2.0, high = 4.0{} }}\n'
+    for kind, keys in {
+        "uniform": "",
+        "prbs": "",
+        "multisine": ', max_frequency = 0.08, phases = "random"',
+        "chirp": ", from_frequency = 0.01, to_frequency = 0.1",
+    }.items():
+        both = head + one.format(1, kind, keys) + one.format(2, kind, keys)
+        u = excitation(tmp_path, both)
+        assert 2.0 - 1e-12 <= u.min() < u.max() <= 4.0 + 1e-12
+        assert abs(np.corrcoef(u.T)[0, 1]) < 0.9
+        assert not np.array_equal(u, excitation(tmp_path, both, seed=4))
+    alike = one.format(1, "uniform", "") + "pump_2 = { low = 2.0, high = 4.0 }\n"
+    assert np.array_equal(excitation(tmp_path, head + alike), UniformRandom(2.0, 4.0, 40, 3).draw(2))
+
+
+def test_all_that_is_wrong_with_an_excitation(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time,pump_2\n0,1\n5,x\n", encoding="utf-8")
+    study = tmp_path / "study.toml"
+
+    def faults_of(pump_1: str, pump_2: str) -> list[str]:
+        text = f"[recording]\nsamples = 40\nexcitation.pump_1 = {pump_1}\nexcitation.pump_2 = {pump_2}\n"
+        study.write_text(TANKS + text, encoding="utf-8")
+        with pytest.raises(ConfigError) as raised:
+            read_study(str(study))
+        return [fault.replace(f"{tmp_path}/", "") for fault in raised.value.faults]
+
+    assert faults_of(
+        '{ kind = "chirp", low = 1, high = 2, from_frequency = 0.01, to_frequency = 1 }',
+        '{ kind = "recorded", file = "log.csv" }',
+    ) == [
+        "study.toml:10: recording.excitation.pump_1: chirp excitation: to_frequency = 1 Hz is not possible; "
+        "allowed: above 0, up to half the sampling frequency, 0.1 Hz",
+        'study.toml:11: recording.excitation.pump_2.file: log.csv, line 3, column "pump_2": '
+        '"x" is not a finite number',
+    ]
+    (tmp_path / "log.csv").write_text("time,pump_2\n0,1\n5,2\n", encoding="utf-8")
+    assert faults_of('{ kind = "prbs", low = 1, high = 0 }', '{ kind = "recorded", file = "log.csv" }') == [
+        "study.toml:10: recording.excitation.pump_1: PRBS excitation: low (1.0) must be below high (0.0)",
+        "study.toml:11: recording.excitation.pump_2.file: log.csv: 2 rows; needed: samples = 40",
+    ]
+    (first, second) = faults_of(
+        '{ kind = "square", low = 1, high = 2 }', '{ low = 1, high = 2, unit = "bar" }'
+    )
+    assert (
+        "must be one of 'uniform', 'prbs', 'multisine', 'chirp', 'steps', 'recorded', got 'square'" in first
+    )
+    assert 'unit "bar" does not fit pump_2' in second
