@@ -558,14 +558,17 @@ class _Resolution:
         recording, place = self.study.recording, (*_RECORDING, "excitation")
         if recording is None or recording.file:
             return None
-        sections = recording.excitation
-        self._require_each(place, "input", sections, self.inputs)
-        is_added = recording.controller is not None
+        self._require_each(place, "input", recording.excitation, self.inputs)
+        return self._experiment(recording, place)
+
+    def _experiment(self, recording: RecordingSection, place: Place) -> Excitation | None:
+        """Return the excitation of all inputs, in their units; what is wrong with it is reported there."""
+        sections, is_added = recording.excitation, recording.controller is not None
         converters = self._converters(place, sections, self.variables.inputs, difference=is_added)
         groups: dict[str, list[str]] = {}
         for name in (name for name in self.inputs.names if name in converters):
             groups.setdefault(sections[name].group(name), []).append(name)
-        parts = [self._excitation_part(recording, group, converters) for group in groups.values()]
+        parts = [self._excitation_part(recording, place, group, converters) for group in groups.values()]
         if self.errors.found or not self.inputs.names:
             return None
         numbers = [tuple(map(self.inputs.names.index, group)) for group in groups.values()]
@@ -576,11 +579,12 @@ class _Resolution:
     def _excitation_part(
         self,
         recording: RecordingSection,
+        place: Place,
         group: Sequence[str],
         converters: Mapping[str, Callable[[float], float]],
     ) -> Excitation | None:
         """Return the excitation of inputs that are excited together."""
-        place = (*_RECORDING, "excitation", group[0])
+        place = (*place, group[0])
         if recording.samples is None or place in self.errors.found:
             return None
         is_added = recording.controller is not None
@@ -616,11 +620,7 @@ class _Resolution:
         place = (*place, "excitation")
         self.errors.require_known(place, "input", changes.excitation, self.inputs.names)
         self._converters(place, changes.excitation, self.variables.inputs)
-        if self.errors.found or not self.inputs.names:
-            return None
-        sections = changes.of(self.study.recording)
-        converters = self._converters(place, sections.excitation, self.variables.inputs)
-        return sections.build({name: converters[name] for name in self.inputs.names})
+        return None if self.errors.found else self._experiment(changes.of(self.study.recording), place)
 
     def _require_each(self, place: Place, what: str, given: Iterable[str], wanted: _Selection) -> None:
         """Check that a table has an entry for each signal, and no others."""

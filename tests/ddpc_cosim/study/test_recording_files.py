@@ -234,8 +234,9 @@ def excitation(folder: Path, text: str, seed: int = 3) -> FloatArray:
     study = folder / "study.toml"
     study.write_text(TANKS + text, encoding="utf-8")
     resolved = read_study(str(study))
-    assert resolved.excitation is not None
-    return resolved.excitation.with_seed(seed).draw(len(resolved.inputs))
+    case = next(case for case in cases_of(resolved, resolved.plant.built()) if case.seed == seed)
+    assert case.excitation is not None
+    return case.excitation.draw(len(resolved.inputs))
 
 
 def test_inputs_can_be_excited_each_in_its_way(tmp_path: Path) -> None:
@@ -299,3 +300,35 @@ def test_all_that_is_wrong_with_an_excitation(tmp_path: Path) -> None:
         "must be one of 'uniform', 'prbs', 'multisine', 'chirp', 'steps', 'recorded', got 'square'" in first
     )
     assert 'unit "bar" does not fit pump_2' in second
+
+
+def test_a_scenario_can_excite_in_another_way(tmp_path: Path) -> None:
+    study = tmp_path / "study.toml"
+    text = (
+        TANKS
+        + """
+[recording]
+samples = 40
+excitation.pump_1 = { low = 2.0, high = 4.0 }
+excitation.pump_2 = { low = 2.0, high = 4.0 }
+[scenarios.uniform]
+[scenarios.binary]
+recording.excitation.pump_2 = { kind = "prbs", low = 2.5, high = 3.5 }
+"""
+    )
+    study.write_text(text, encoding="utf-8")
+    resolved = read_study(str(study))
+    drawn = {
+        case.scenario: case.excitation.draw(2)
+        for case in cases_of(resolved, resolved.plant.built())
+        if case.excitation is not None and case.seed == 3
+    }
+    assert np.array_equal(drawn["uniform"], UniformRandom(2.0, 4.0, 40, 3).draw(2))
+    assert set(drawn["binary"][:, 1]) == {2.5, 3.5}
+    study.write_text(
+        text.replace('kind = "prbs"', 'kind = "multisine", min_frequency = 0.2'), encoding="utf-8"
+    )
+    with pytest.raises(
+        ConfigError, match="scenarios.binary.recording.excitation.pump_2: multisine excitation: 0"
+    ):
+        read_study(str(study))
