@@ -329,6 +329,6 @@ recording.excitation.pump_2 = { kind = "prbs", low = 2.5, high = 3.5 }
         text.replace('kind = "prbs"', 'kind = "multisine", min_frequency = 0.2'), encoding="utf-8"
     )
     with pytest.raises(
-        ConfigError, match="scenarios.binary.recording.excitation.pump_2: multisine excitation: 0"
+        ConfigError, match=r"scenarios\.binary\.recording\.excitation\.pump_2: multisine excitation: 0"
     ):
         read_study(str(study))
