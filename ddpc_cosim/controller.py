@@ -283,7 +283,7 @@ class Action(NamedTuple):
     status : str
         ``"ok"``, or in a few words why ``u`` is a fallback. Anything but ``"ok"`` is counted and reported.
     info : mapping of str to float
-        Values about this step, by name.
+        Values about this step, by name: finite numbers, NaN for none. They are recorded, of 64 names a run.
     """
 
     u: FloatArray

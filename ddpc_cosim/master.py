@@ -269,7 +269,7 @@ class ExcitingController(Controller):
         excitation: FloatArray = self._excitation[sample.k]
         if self._stabiliser is None:
             return excitation
-        u, status, _ = ask_controller(self._stabiliser, sample, len(excitation))
+        u, status, *_ = ask_controller(self._stabiliser, sample, len(excitation))
         self.fallbacks += status != OK
         return Action(u + excitation, status)
 
@@ -428,5 +428,6 @@ def _write_row(
     decision = ask_controller(controller, sample, rows.store.u.shape[1]).with_status(status)
     held = clip_inputs(decision, rows.bounds)
     applied = setup.actuators.apply(k, held.u)
-    rows.store.complete(k, *held, setup.actuators.changed(applied))
+    given = setup.actuators.changed(applied)
+    rows.store.complete(k, held.u, held.status, held.seconds, given, held.info)
     return applied

@@ -5,12 +5,15 @@ opens it knows how far the run is, whether it hangs, and where it was when its p
 """
 
 import mmap
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ddpc_cosim.controller import OK
+from ddpc_cosim.errors import ControllerError
 from ddpc_cosim.variables import FloatArray
 
 # Rows begun, calls begun, bytes of texts, and the time of the call; then the call.
@@ -20,6 +23,7 @@ _HEADER = 96
 _TEXTS = 1 << 16
 _NOTHING: FloatArray = np.empty(0)
 _END = "\n"
+_MOST_INFO, _LONGEST_NAME = 64, 400
 _FAILED, _NOT_KEPT = "error", "(not kept: too many different statuses)"
 
 
@@ -93,6 +97,8 @@ class RowStore:
         self.reference, self.y, self.measured, self.u, self.applied, solve_time, status = tables
         self.solve_time: FloatArray = solve_time[:, 0]
         self._status = status[:, 0].view(np.int64)
+        self._info_path = info_path(path) if path else None
+        self._info = self._stored_info()
         self._text_memory = memoryview(self._memory)[start:]
         written = bytes(self._text_memory[: self._numbers_of[_TEXT_BYTES]]).decode("utf-8", "replace")
         self._texts = {text: number for number, text in enumerate([OK, _FAILED, *written.split(_END)[:-1]])}
@@ -122,9 +128,25 @@ class RowStore:
         self._numbers_of[_ROWS] = k + 1
 
     def complete(
-        self, k: int, u: FloatArray, status: str, solve_time: float, applied: FloatArray = _NOTHING
+        self,
+        k: int,
+        u: FloatArray,
+        status: str,
+        solve_time: float,
+        applied: FloatArray = _NOTHING,
+        info: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
-        """Complete row k with what the controller has decided, and what the plant is given instead."""
+        """Complete row k with what the controller has decided and says of it, and what the plant is given.
+
+        Raises
+        ------
+        ControllerError
+            It has more to say than is kept: values of too many names.
+        """
+        for name, value in info.items():
+            if name not in self._info:
+                self._add_info(name)
+            self._info[name][k] = value
         if status not in self._texts:
             self._add(status)
         self.u[k], self._status[k], self.solve_time[k] = u, self._texts[status], solve_time
@@ -137,7 +159,32 @@ class RowStore:
         tables = {name: getattr(self, name)[:n] for name in numbers}
         texts = {number: text for text, number in self._texts.items()}
         status = tuple(texts.get(number, _NOT_KEPT) for number in self._status[:n].tolist())
-        return {**tables, "status": status}
+        info = {name: values[:n] for name, values in self._info.items()}
+        return {**tables, "status": status, **({"info": info} if info else {})}
+
+    def _add_info(self, name: str) -> None:
+        """Make room for values of a name, NaN until there are some."""
+        if len(self._info) >= _MOST_INFO:
+            raise ControllerError(f'info: "{name}" is one name too many; allowed: {_MOST_INFO} in a run')
+        values: FloatArray = np.full(len(self.y), np.nan)
+        if self._info_path is None:
+            self._info[name] = values
+        else:
+            with self._info_path.open("ab") as file:
+                file.write(name.encode()[:_LONGEST_NAME].ljust(_LONGEST_NAME, b"\0") + values.tobytes())
+            self._info[name] = list(self._stored_info().values())[-1]
+
+    def _stored_info(self) -> dict[str, FloatArray]:
+        """Return the values by name that lie in the file beside the rows'."""
+        if self._info_path is None or not self._info_path.exists():
+            return {}
+        samples, size = len(self.y), self._info_path.stat().st_size
+        width = _LONGEST_NAME + 8 * samples
+        memory = _mapped(self._info_path, size) if size >= width else b""
+        starts = range(0, len(memory) - width + 1, width)
+        names = [memory[i : i + _LONGEST_NAME].rstrip(b"\0").decode("utf-8", "replace") for i in starts]
+        columns = [np.frombuffer(memory, np.float64, samples, i + _LONGEST_NAME) for i in starts]
+        return dict(zip(names, columns, strict=True))
 
     def _add(self, status: str) -> None:
         """Remember a status, in a file too as long as there is room for it."""
@@ -150,6 +197,11 @@ class RowStore:
             self._numbers_of[_TEXT_BYTES] = end
         else:  # later ones would have other numbers there
             self._text_memory = self._text_memory[:0]
+
+
+def info_path(path: Path) -> Path:
+    """Return the file of what a controller says of its steps, beside that of the rows."""
+    return path.with_name(f"{path.name}-info")
 
 
 def _mapped(path: Path, size: int) -> mmap.mmap:

@@ -8,9 +8,10 @@ import math
 import reprlib
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from time import perf_counter
+from types import MappingProxyType
 from typing import Any, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
@@ -27,16 +28,18 @@ CLIPPED = "input beyond its bounds, clipped"
 # A plug-in can fail in any way, exit() included; an interrupt is the user's.
 _ANY_FAULT = (Exception, SystemExit)
 _REAL_KINDS = "fiub"
+_LONGEST_INFO_NAME = 100
 # An input may exceed its bounds by a rounding error, relative to the largest finite bound.
 _ROUNDING = 1e-9
 
 
 class Decision(NamedTuple):
-    """What a controller decided: inputs, shape (m,); ``"ok"`` or why they are a fallback; wall time [s]."""
+    """What a controller decided: inputs, shape (m,); ``"ok"`` or why not; wall time [s]; values by name."""
 
     u: NDArray[Any]
     status: str
     seconds: float
+    info: Mapping[str, float] = MappingProxyType({})
 
     def with_status(self, status: str) -> "Decision":
         """Return the decision with one more reason why it is a fallback; itself for an empty one."""
@@ -217,18 +220,34 @@ def does_accept_missing(controller: Controller) -> bool:
 
 def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decision:
     """Let a controller decide on its inputs, shape (inputs,), which have to be finite."""
-    status = OK
+    status, info = OK, dict[str, float]()
     with _controller_errors(controller, "step", own=ControllerError):
         started = perf_counter()
         answer = controller.step(sample)
         seconds = perf_counter() - started
         if isinstance(answer, Action):
+            info = {name: _info_value(controller, name, value) for name, value in answer.info.items()}
             status, answer = _storable(answer.status), answer.u
         u = np.asarray(answer)
     if u.shape != (inputs,) or u.dtype.kind not in _REAL_KINDS or not np.isfinite(u).all():
         needed = f"needed: finite values, shape ({inputs},)"
         raise ControllerError(f"{type(controller).__name__}.step {_returned(u)}; {needed}")
-    return Decision(u, status, seconds)
+    return Decision(u, status, seconds, info)
+
+
+def _info_value(controller: Controller, name: Any, value: Any) -> float:
+    """Return a value of ``Action.info`` as it is recorded: a finite number, or NaN for none."""
+    said = f"{type(controller).__name__}.step: info[{reprlib.repr(name)}]"
+    if not (isinstance(name, str) and name.isprintable() and 0 < len(name) <= _LONGEST_INFO_NAME):
+        raise ControllerError(f"{said} needs another name: 1 to {_LONGEST_INFO_NAME} printable characters")
+    if isinstance(value, float | int | np.number | np.bool_) and not isinstance(value, np.complexfloating):
+        with suppress(OverflowError):
+            number = float(value)
+            if not math.isinf(number):
+                return number
+    raise ControllerError(
+        f"{said} = {reprlib.repr(value)} is not a number; allowed: finite ones, NaN for none"
+    )
 
 
 def clip_inputs(decision: Decision, bounds: Bounds) -> Decision:

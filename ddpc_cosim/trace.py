@@ -88,6 +88,8 @@ class Trace:
         that has a delay or a rate limit, and those that no controller drives but a signal.
     applied : array, shape (K, len(changed_inputs))
         What the plant was given of them from ``time[k]`` on.
+    info : dict of str to array, shape (K,)
+        What the controller said of its steps, by name; NaN where it said nothing.
     warnings : tuple of str
         What spoke against the data or the model before the loop was closed.
     """
@@ -115,6 +117,7 @@ class Trace:
     provenance: dict[str, str] = field(default_factory=dict)
     changed_inputs: tuple[Variable, ...] = ()
     applied: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    info: dict[str, FloatArray] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -188,7 +191,7 @@ class Trace:
         reference is prefixed with ``reference``; a measurement that differs from the controlled output of its
         name (by noise) with ``measured``, and left out where it does not; an output or input whose header is
         taken with ``output`` or ``input``; what the plant was given of an input, where that may differ from
-        what a controller commanded, with ``applied``.
+        what a controller commanded, with ``applied``. What the controller said of its steps is ``info.NAME``.
         """
         return self._columns(lambda variable, values: (variable.header, values))
 
@@ -207,7 +210,8 @@ class Trace:
     ) -> dict[str, FloatArray]:
         """Return header and values of all columns, of each variable as it is to be shown."""
         table = {"time [s]": self.time}
-        reserved = {"time [s]", "solve_time [s]"}
+        info = {f"info.{name}": values for name, values in self.info.items()}
+        reserved = {"time [s]", "solve_time [s]", *info}
         for i, output in enumerate(self.outputs):
             header, values = shown(output, self.y[:, i])
             _, table[f"reference {header}"] = shown(output, self.reference[:, i])
@@ -225,4 +229,4 @@ class Trace:
             header, values = shown(variable, self.applied[:, i])
             table[f"applied {header}"] = values
         table["solve_time [s]"] = self.solve_time
-        return table
+        return table | info

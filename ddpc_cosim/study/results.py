@@ -264,6 +264,7 @@ def write_case(
         "reason": trace.reason,
         **_judged(trace, settings),
         "diagnostics": trace.diagnostics,
+        "info": list(trace.info),
         "warnings": list(trace.warnings),
         "settings": trace.settings,
         "sampling_time": trace.sampling_time,
@@ -391,6 +392,7 @@ def read_trace(folder: Path) -> Trace:
         recorded_samples=run["recorded_samples"],
         knowledge=run["knowledge"],
         provenance=run["provenance"],
+        info={name: columns[f"info.{name}"] for name in run["info"]},
         warnings=tuple(run["warnings"]),
     )
 

@@ -22,7 +22,7 @@ from typing import NamedTuple, Protocol
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import load_plugin, package_version
-from ddpc_cosim.rows import Call
+from ddpc_cosim.rows import Call, info_path
 from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.study.cases import Case, cases_of, no_samples, partial_trace, row_store, run_case
 from ddpc_cosim.study.plants import PlantSpec
@@ -289,7 +289,8 @@ class _Run:
             self._end_worker(self._limit(self._store.call))
         else:
             return False
-        self._rows.unlink(missing_ok=True)
+        for path in (self._rows, info_path(self._rows)):
+            path.unlink(missing_ok=True)
         return True
 
     def _hangs(self) -> bool:

@@ -257,6 +257,41 @@ def test_a_horizon_is_a_number_of_samples(horizon: Any) -> None:
         close_loop(Strange())
 
 
+@pytest.mark.parametrize(
+    ("info", "words"),
+    [
+        ({"cost": "low"}, "Answering.step: info['cost'] = 'low' is not a number; allowed: finite ones, NaN"),
+        ({"cost": None}, "info['cost'] = None is not a number"),
+        ({"cost": np.inf}, "info['cost'] = inf is not a number"),
+        ({"cost": 10**400}, "is not a number"),
+        ({"cost": 1j}, "info['cost'] = 1j is not a number"),
+        ({"cost": np.ones(1)}, "info['cost'] = array([1.]) is not a number"),
+        ({"": 1.0}, "info[''] needs another name: 1 to 100 printable characters"),
+        ({"a\nb": 1.0}, "needs another name"),
+        ({3: 1.0}, "info[3] needs another name"),
+        ({f"n{i}": 1.0 for i in range(65)}, 'info: "n64" is one name too many; allowed: 64 in a run'),
+        ([1.0], "Answering.step raised AttributeError"),
+    ],
+)
+def test_what_a_controller_says_of_a_step_is_in_numbers(info: Any, words: str) -> None:
+    trace = close_loop(Answering(third=Action(np.array([0.5]), info=info)))
+    assert trace.outcome is Outcome.CONTROLLER_ERROR
+    assert words in trace.reason
+    assert trace.reason.endswith("at t = 1 s")
+    assert len(trace) == 3
+
+
+def test_what_a_controller_says_of_its_steps_is_kept() -> None:
+    said = {"cost": np.float32(0.25), "on": True, "count": 3, "unknown": np.nan}
+    trace = close_loop(Answering(third=Action(np.array([0.5]), info=said)))
+    assert trace.completed
+    expected = {"cost": 0.25, "on": 1.0, "count": 3.0, "unknown": np.nan}
+    nothing = np.nan
+    for name, value in expected.items():
+        np.testing.assert_array_equal(trace.info[name], [nothing, nothing, value, nothing, nothing])
+        np.testing.assert_array_equal(trace.columns()[f"info.{name}"], trace.info[name])
+
+
 def test_a_horizon_stays_when_the_controller_is_started() -> None:
     class Late(Answering):
         def start(self, loop: Loop) -> None:

@@ -25,7 +25,7 @@ DEADLY = """
 import ctypes, os, signal
 from dataclasses import dataclass
 import numpy as np
-from ddpc_cosim import Controller
+from ddpc_cosim import Action, Controller
 
 @dataclass(kw_only=True)
 class Deadly(Controller):
@@ -34,7 +34,7 @@ class Deadly(Controller):
     def step(self, sample):
         if sample.k == 3:
             self.die()
-        return np.ones(1)
+        return Action(np.ones(1), info={"sample": sample.k})
 
 class Exits(Deadly):
     def die(self): os._exit(3)
@@ -195,6 +195,7 @@ def test_a_worker_that_dies_costs_one_case(write_study: WriteStudy, tmp_path: Pa
         trace = case.trace()
         np.testing.assert_allclose(trace.time, [0.0, 0.1, 0.2, 0.3])
         np.testing.assert_array_equal(trace.u[:, 0], [1.0, 1.0, 1.0, np.nan])
+        np.testing.assert_array_equal(trace.info["sample"], [0.0, 1.0, 2.0, np.nan])
         np.testing.assert_allclose(trace.y[:, 0], trace.time, atol=1e-12)
         np.testing.assert_array_equal(trace.reference, 1.0)
         assert trace.status == ("ok", "ok", "ok", "error")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import Action, Constant, Controller, FMUPlant, Loop, Sample, cosimulate, safe_calls
-from ddpc_cosim.rows import RowStore
+from ddpc_cosim.rows import RowStore, info_path
 
 
 @dataclass(kw_only=True)
@@ -89,6 +89,19 @@ def test_the_texts_of_statuses_are_limited_in_length(tmp_path: Path) -> None:
     assert list(found[:16]) == texts[:16]
     assert set(found[16:]) == {"(not kept: too many different statuses)"}
     assert (tmp_path / "rows").stat().st_size < 100_000
+
+
+def test_what_is_said_of_a_step_outlives_the_process_that_says_it(tmp_path: Path) -> None:
+    store = RowStore(3, 1, 0, 1, tmp_path / "rows")
+    for k, info in enumerate([{}, {"cost": 2.0}, {"gradient \N{GREEK SMALL LETTER PHI}": -1.0, "cost": 3.0}]):
+        store.begin(k, np.zeros(1), np.empty(0))
+        store.complete(k, np.ones(1), "ok", 0.0, info=info)
+    for seen in (store, RowStore(3, 1, 0, 1, tmp_path / "rows")):
+        info = seen.written()["info"]
+        np.testing.assert_array_equal(info["cost"], [np.nan, 2.0, 3.0])
+        np.testing.assert_array_equal(info["gradient \N{GREEK SMALL LETTER PHI}"], [np.nan, np.nan, -1.0])
+    info_path(tmp_path / "rows").write_bytes(b"\xff" * 10)
+    assert "info" not in RowStore(3, 1, 0, 1, tmp_path / "rows").written()
 
 
 def test_provenance_is_a_call_too(announced: RowStore) -> None:

@@ -82,6 +82,7 @@ def traces(draw: st.DrawFn) -> Trace:
         provenance={"fmu": "größe.fmu"},
         changed_inputs=changed_inputs,
         applied=table(len(changed_inputs)),
+        info={name: table(1)[:, 0] for name in draw(st.sets(st.sampled_from(["cost", "a, b", "größe"])))},
     )
 
 
