@@ -227,6 +227,14 @@ def test_upright_mfapc_alone_falls_and_the_others_hold(results_of: Results) -> N
     assert max(ends["deepc"], ends["wkpc"]) < 0.02
 
 
+def test_upright_the_full_form_of_mfapc_holds_where_the_compact_one_falls(results_of: Results) -> None:
+    cases = results_of("unstable").cases
+    held = {case.holds for case in cases if case.controller == "mfapc-ffdl"}
+    assert held == {True}
+    assert not any(case.holds for case in cases if case.controller == "mfapc")
+    assert max(mean_error(case, 8.0, 10.0) for case in cases if case.controller == "mfapc-ffdl") < 0.01
+
+
 def test_predictive_control_of_recorded_data_is_faster_than_its_stabiliser(results_of: Results) -> None:
     rise = {case.controller: mean_error(case, 0.5, 2.5) for case in results_of("unstable").cases}
     assert max(rise["deepc"], rise["wkpc"]) < 0.5 * min(rise["ipid"], rise["cascade"], rise["spsa"])
