@@ -11,15 +11,19 @@ is a constant. The time t since y_before is h, and longer after missing measurem
 the reference of the next sample: the first that this input can reach.
 
 Gains from a step test, or any other experiment, by the SIMC rules: a second-order model with delay, ``k
-exp(-theta s) / (tau^2 s^2 + 2 zeta tau s + 1)``, is fitted to the recording; the gains make the closed loop a
-first-order lag with delay (S. Skogestad, Simple analytic rules for model reduction and PID controller tuning,
-J. Process Control 13, 2003, doi:10.1016/S0959-1524(02)00062-8). An inverse response counts as delay. A lag
-that is long against the delay gets his shorter integral time; an oscillatory pair has none to shorten.
+exp(-theta s) / (tau^2 s^2 + 2 zeta tau s + 1)``, is fitted to the recording; the gains make the closed loop
+a first-order lag with delay (S. Skogestad, Simple analytic rules for model reduction and PID controller
+tuning, J. Process Control 13, 2003, doi:10.1016/S0959-1524(02)00062-8). An inverse response counts as
+delay. A lag that is long against the delay gets his shorter integral time; an oscillatory pair has none to
+shorten. The rules know neither sampling nor zeros: the sampled loop with the fitted model is made slower
+until it is stable and its maximum sensitivity ``M_s = max |1 / (1 + P C)|`` is 1.7 at most (Astrom and
+Hagglund ask for 1.4 to 2), which is a gain margin of 2.4; a time that was asked for is kept, with a
+warning. Loops are judged one by one.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import log, sqrt
+from math import isfinite, log, sqrt
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -47,6 +51,9 @@ _LARGEST_DELAY = 20
 _FASTEST_POLE = 1e-3
 _FILTER = 0.1
 _SAMPLES = 4
+_LARGEST_SENSITIVITY = 1.7
+_SLOWER, _SLOWEST = 1.02, 1e3
+_FREQUENCIES, _NEAR = np.geomspace(1e-6, np.pi, 1000), np.linspace(-3.0, 3.0, 25)
 
 
 class Gains(NamedTuple):
@@ -66,6 +73,40 @@ class Gains(NamedTuple):
     filter_time: FloatArray
 
 
+class TunedLoops(NamedTuple):
+    """Loops tuned on a recording, one entry of every array per loop.
+
+    Parameters
+    ----------
+    gains : Gains
+        Their gains.
+    maximum_sensitivity : array, shape (loops,)
+        M_s of the sampled loop with the fitted model; infinite if that is not stable.
+    closed_loop_time : array, shape (loops,)
+        Time constant of the closed loop that keeps the margin [s]: the loop's, unless one was asked for.
+    """
+
+    gains: Gains
+    maximum_sensitivity: FloatArray
+    closed_loop_time: FloatArray
+
+
+class SampledModel(NamedTuple):
+    """``y = z^-delay (b_1 z + b_2) / (z^2 + a_1 z + a_2) u``.
+
+    Parameters
+    ----------
+    numerator, denominator : array, shapes (2,) and (3,)
+        Coefficients of falling powers of z.
+    delay : int
+        Samples.
+    """
+
+    numerator: FloatArray
+    denominator: FloatArray
+    delay: int
+
+
 @dataclass(frozen=True, slots=True)
 class SecondOrder:
     """A second-order model with delay.
@@ -78,11 +119,14 @@ class SecondOrder:
         The poles [1/s].
     delay : float
         theta [s], inverse response included.
+    sampled : SampledModel, optional
+        The model as it was fitted.
     """
 
     gain: float
     poles: tuple[complex, complex]
     delay: float
+    sampled: SampledModel | None = None
 
 
 def fewest_test_samples(inputs: int) -> int:
@@ -90,24 +134,78 @@ def fewest_test_samples(inputs: int) -> int:
     return _LAGS * (2 + inputs) + _LAGS + 1
 
 
-def tune_from_recording(recording: Recording, pairs: Sequence[int], closed_loop_time: float = 0.0) -> Gains:
-    """Return the gains of one loop per output, the input of output i being ``pairs[i]``.
+def tune_from_recording(
+    recording: Recording, pairs: Sequence[int], closed_loop_time: float = 0.0
+) -> TunedLoops:
+    """Tune one loop per output, the input of output i being ``pairs[i]``.
 
     Raises
     ------
     DataError
-        The recording is too short, or shows a loop that the rules do not cover.
+        The recording is too short, shows a loop that the rules do not cover, or one without gains that keep
+        the margins.
     """
     needed = fewest_test_samples(recording.u.shape[1])
     if count_windows(len(recording), _LAGS + 1, recording.seams) < needed - _LAGS:
         raise DataError(
             f"PID: the recording has {len(recording)} samples; a step test takes at least {needed}"
         )
-    loops = [
-        simc(fit_second_order(recording, output, chosen), recording.sampling_time, closed_loop_time)
-        for output, chosen in enumerate(pairs)
-    ]
-    return Gains(*(np.array(values) for values in zip(*loops, strict=True)))
+    loops = [_tune_one(recording, output, chosen, closed_loop_time) for output, chosen in enumerate(pairs)]
+    *gains, sensitivities, times = (np.array(values) for values in zip(*loops, strict=True))
+    return TunedLoops(Gains(*gains), sensitivities, times)
+
+
+def _tune_one(recording: Recording, output: int, chosen: int, wanted: float) -> tuple[float, ...]:
+    """Return the gains of a loop, its maximum sensitivity, and the time constant that keeps the margin."""
+    h, model = recording.sampling_time, fit_second_order(recording, output, chosen)
+    first = time = wanted or _rule_of_thumb(model, h)
+    while time <= _SLOWEST * first:
+        gains = simc(model, h, time)
+        found = sensitivity(model.sampled, gains, h) if model.sampled else 0.0
+        if found <= _LARGEST_SENSITIVITY:
+            if wanted:
+                gains = simc(model, h, wanted)
+                found = sensitivity(model.sampled, gains, h) if model.sampled else 0.0
+            return *gains, found, time
+        time *= _SLOWER
+    raise DataError(
+        f"PID: no closed_loop_time up to {time:.4g} s gives the loop of output {output} and input {chosen} a "
+        f"maximum sensitivity of {_LARGEST_SENSITIVITY} on the model of the recording: tune by hand"
+    )
+
+
+def sensitivity(model: SampledModel, gains: Sequence[float], sampling_time: float) -> float:
+    """Return the maximum sensitivity M_s of the sampled loop; infinite if that is not stable.
+
+    Parameters
+    ----------
+    model : SampledModel
+        The plant.
+    gains : sequence of float
+        K_p, K_i, K_d and T_f.
+    sampling_time : float
+        h [s].
+    """
+    kp, ki, kd, filter_time = gains
+    integrates, filters = np.array([1.0, -1.0]), np.array([filter_time + sampling_time, -filter_time])
+    # C = K_p + h K_i z / (z - 1) + K_d (z - 1) / ((T_f + h) z - T_f)
+    denominator = np.convolve(integrates, filters)
+    numerator = kp * denominator + np.convolve([sampling_time * ki, 0.0], filters)
+    numerator = numerator + kd * np.convolve(integrates, integrates)
+    open_loop = np.convolve(np.append(model.denominator, np.zeros(model.delay)), denominator)
+    closed_loop = np.polyadd(open_loop, np.convolve(model.numerator, numerator))
+    poles = np.roots(closed_loop)
+    if np.abs(poles).max() >= 1.0:
+        return float("inf")
+    # Peaks are as narrow as the poles near them are close to the circle.
+    near_poles = np.angle(poles) + np.outer(_NEAR, 1.0 - np.abs(poles))
+    z = np.exp(1j * np.append(_FREQUENCIES, near_poles))
+    return float(np.abs(np.polyval(open_loop, z) / np.polyval(closed_loop, z)).max())
+
+
+def _rule_of_thumb(model: SecondOrder, sampling_time: float) -> float:
+    """Return SIMC's closed-loop time, the delay, or the four samples that are the least [s]."""
+    return max(model.delay + sampling_time / 2.0, _SAMPLES * sampling_time)
 
 
 def fit_second_order(recording: Recording, output: int, chosen: int) -> SecondOrder:
@@ -136,13 +234,15 @@ def fit_second_order(recording: Recording, output: int, chosen: int) -> SecondOr
         )
     # What is slower than the experiment counts as ten times as long, what is faster than sampling as instant.
     slowest = np.exp(-0.1 / samples)
+    held = np.poly([pole * min(1.0, slowest / max(abs(pole), _FASTEST_POLE)) for pole in discrete])
+    sampled = SampledModel(model.b[:, chosen], np.asarray(held.real, dtype=np.float64), delay)
     discrete = np.array([_within(pole, _FASTEST_POLE, slowest) for pole in discrete])
     gain = float(model.b[:, chosen].sum() / np.prod(1.0 - discrete).real)
     if gain == 0.0 or not np.isfinite(gain):
         raise DataError(f"PID: output {output} of the recording does not follow input {chosen}: tune by hand")
     first, second = np.log(discrete.astype(complex)) / h
     inverse = _inverse_response(model.b[:, chosen], h)
-    return SecondOrder(gain, (complex(first), complex(second)), delay * h + inverse)
+    return SecondOrder(gain, (complex(first), complex(second)), delay * h + inverse, sampled)
 
 
 def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0) -> tuple[float, ...]:
@@ -159,7 +259,7 @@ def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0
         samples per rise time of K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, section 3.3.
     """
     delay = model.delay + sampling_time / 2.0
-    rest = (closed_loop_time or max(delay, _SAMPLES * sampling_time)) + delay
+    rest = (closed_loop_time or _rule_of_thumb(model, sampling_time)) + delay
     if model.poles[0].imag == 0.0:
         long, short = sorted((-1.0 / model.poles[0].real, -1.0 / model.poles[1].real), reverse=True)
         series = long / (model.gain * rest)
@@ -230,7 +330,8 @@ class PID(Controller):
         0.0,
         low=0.0,
         unit="s",
-        doc="step-test: time constant asked of the closed loop; 0: SIMC's, or four samples",
+        doc="step-test: time constant asked of the closed loop; 0: SIMC's, or four samples, or what "
+        "keeps a maximum sensitivity of 1.7",
     )
     pairing: Sequence[int] = setting((), doc="number of the input for each output; empty: in their order")
 
@@ -255,7 +356,8 @@ class PID(Controller):
             The pairing or a gain does not fit the number of signals.
         """
         self._pairs = self._checked_pairs(len(loop.inputs), len(loop.outputs))
-        self._gains = self._tuned(loop) if self.tuning == "step-test" else self._given()
+        self._tuned = self._tune(loop) if self.tuning == "step-test" else None
+        self._gains = self._tuned.gains if self._tuned else self._given()
         h = loop.sampling_time
         self._sampling_time = self._elapsed = h
         # A loop without integral action has nothing that winds up, and would not get its bias back.
@@ -300,13 +402,32 @@ class PID(Controller):
         return knowing(told, loop.outputs)
 
     def diagnostics(self) -> Mapping[str, float]:
-        """Return the gains in use."""
-        gains = self._gains._asdict()
+        """Return the gains in use; with tuned ones the maximum sensitivity, infinite if unstable."""
+        shown = self._gains._asdict()
+        if self._tuned:
+            shown["maximum_sensitivity"] = self._tuned.maximum_sensitivity
         return {
             f"{name}[{i}]": float(value)
-            for name, values in gains.items()
+            for name, values in shown.items()
             for i, value in enumerate(np.broadcast_to(values, len(self._pairs)))
         }
+
+    def warnings(self) -> Sequence[str]:
+        """Return which loops are faster, as asked for, than the model of the recording lets them."""
+        if not self._tuned:
+            return ()
+        _, sensitivities, times = self._tuned
+        return [
+            f"PID: closed_loop_time = {self.closed_loop_time:g} s "
+            + (
+                f"gives loop {i} a maximum sensitivity of {found:.3g}"
+                if isfinite(found)
+                else f"makes loop {i} unstable"
+            )
+            + f" on the model of the recording; {_LARGEST_SENSITIVITY} takes {time:.4g} s"
+            for i, (found, time) in enumerate(zip(sensitivities.tolist(), times.tolist(), strict=True))
+            if found > _LARGEST_SENSITIVITY
+        ]
 
     def _hold(self, why: str) -> Action:
         """Return the last inputs; the next change of the outputs spans a sample more."""
@@ -341,6 +462,6 @@ class PID(Controller):
         proportional, integral, derivative = values
         return Gains(proportional, integral, derivative, np.full(loops, self.filter_time))
 
-    def _tuned(self, loop: Loop) -> Gains:
+    def _tune(self, loop: Loop) -> TunedLoops:
         recording = matching_recording(loop, "PID")
         return tune_from_recording(recording, self._pairs, self.closed_loop_time)

@@ -5,6 +5,7 @@ from typing import Any
 import control
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings, strategies as st
 
 from ddpc_controllers.pid import PID, SecondOrder, fit_second_order, simc
 from ddpc_cosim import Action, ConfigError, DataError, FloatArray, Recording, Sample
@@ -175,11 +176,11 @@ def test_the_tuned_loop_tracks_the_pendulum_without_offset() -> None:
 
 
 def tuned_error(plant: LinearPlant) -> float:
-    """Return the largest error of the last 100 of 1500 samples after a unit step of the reference."""
+    """Return the largest error of the last 100 of 6000 samples after a unit step of the reference."""
     u = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 1))
     recording = experiment(plant.advance, u, 2, plant.c)
     loop = make_loop(recording, np.array([np.inf]), np.array([np.inf]))
-    run = close_loop(PID(tuning="step-test"), loop, plant.advance, plant.c, np.ones((1502, 1)), steps=1500)
+    run = close_loop(PID(tuning="step-test"), loop, plant.advance, plant.c, np.ones((6002, 1)), steps=6000)
     return float(np.abs(run.y[-100:] - 1.0).max())
 
 
@@ -215,6 +216,61 @@ def test_an_inverse_response_counts_as_delay(zero: float) -> None:
 def test_a_recording_without_a_step_is_refused(recording: Recording, message: str) -> None:
     with pytest.raises(DataError, match=message):
         PID(tuning="step-test").start(pendulum_loop(recording))
+
+
+def maximum_sensitivity(controller: PID, plant: control.TransferFunction) -> float:
+    """Return max |1 / (1 + P C)|, C measured by the controller's answer to one wrong measurement."""
+    zero = np.zeros(1)
+    answers = []
+    for k in range(800):
+        y = np.array([float(k == 2)])
+        answers.append(float(np.ravel(controller.step(Sample(k, k * H, y, y, zero[np.newaxis], zero)))[0]))
+    settled = answers[-1]
+    transient = -(np.array(answers[2:]) - settled)
+    z = np.exp(1j * np.geomspace(1e-4, np.pi, 4000))
+    # What stays, from the first answer on, is the integral part: settled z / (z - 1).
+    c = np.polyval(transient[::-1], 1.0 / z) - settled * z / (z - 1.0)
+    return float(np.abs(1.0 / (1.0 + plant(z) * c)).max())
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.tuples(st.floats(0.3, 0.99), st.floats(-0.3, 0.95)),
+    st.floats(-0.8, 1.5),
+    st.integers(0, 6),
+    st.sampled_from([-3.0, 0.01, 1.0, 200.0]),
+    st.sampled_from([0.0, 0.1, 2.0]),
+)
+def test_tuned_loops_keep_the_maximum_sensitivity(
+    poles: tuple[float, float], zero: float, delay: int, gain: float, wanted: float
+) -> None:
+    assume(abs(zero - 1.0) > 0.2)
+    a, b = np.poly(poles), np.array([1.0, -zero])
+    b *= gain * a.sum() / b.sum()
+    u, y = np.random.default_rng(1).uniform(-1.0, 1.0, (300, 1)), np.zeros((300, 1))
+    for k in range(delay + 2, 300):
+        y[k] = -a[1] * y[k - 1] - a[2] * y[k - 2] + b[0] * u[k - delay - 1] + b[1] * u[k - delay - 2]
+    controller = PID(tuning="step-test", closed_loop_time=wanted)
+    loop = make_loop(Recording(u, y, y, H), np.array([np.inf]), np.array([np.inf]))
+    controller.start(loop)
+    plant = control.tf(b, np.append(a, np.zeros(delay)), H)
+    found, told = maximum_sensitivity(controller, plant), controller.diagnostics()
+    assert wanted or found <= 1.7 * 1.001
+    if np.isfinite(told["maximum_sensitivity[0]"]):
+        assert told["maximum_sensitivity[0]"] == pytest.approx(found, rel=1e-2)
+    assert bool(controller.warnings()) == (told["maximum_sensitivity[0]"] > 1.7)
+
+
+def test_a_loop_that_is_asked_to_be_too_fast_says_so_and_what_would_do() -> None:
+    loop = pendulum_loop(step_test())
+    fast = PID(tuning="step-test", closed_loop_time=0.01)
+    fast.start(loop)
+    (warning,) = fast.warnings()
+    assert "closed_loop_time = 0.01 s" in warning
+    assert "on the model of the recording; 1.7 takes" in warning
+    enough = PID(tuning="step-test", closed_loop_time=1.001 * float(warning.split()[-2]))
+    enough.start(loop)
+    assert enough.warnings() == []
 
 
 def test_an_unstable_plant_is_not_tuned() -> None:
