@@ -613,7 +613,8 @@ class CostSection(Section):
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong where nothing is weighted."""
-        if not any((*self.outputs.values(), *self.inputs.values(), *self.changes.values())):
+        weights = (*self.outputs.values(), *self.inputs.values(), *self.changes.values())
+        if not self._errors and not any(weights):
             yield "", "needs a weight above 0 in outputs, inputs or changes"
 
 

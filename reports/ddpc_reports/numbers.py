@@ -13,6 +13,7 @@ _PUNCTUATION_SPACE = "\u2008"
 _NARROW_SPACE = "\u202f"
 _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-3
+_MOST_DIGITS = 7
 
 _UNIT_SYMBOLS = {"deg": "°", "degC": "°C", "Ohm": "Ω", "us": "µs", "1": "", "percent": "%"}
 
@@ -149,7 +150,8 @@ def column(values: Sequence[float], digits: int = 4) -> list[str]:
 
 
 def _in_column(value: float, decimals: int) -> str:
-    if not math.isfinite(value) or value == 0 or abs(value) >= _LARGEST_PLAIN:
+    too_long = abs(value) >= 10.0 ** (_MOST_DIGITS - decimals)  # more digits than anyone can mean
+    if not math.isfinite(value) or value == 0 or abs(value) >= _LARGEST_PLAIN or too_long:
         return significant(value)
     # One digit alone says too little of a small value, unless it is all that the column shows.
     enough = 10.0 ** (1 - decimals) if decimals > 1 else 10.0**-decimals

@@ -3,8 +3,10 @@
 import csv
 import importlib
 import math
+import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -87,7 +89,8 @@ def install(site: Path, **targets: str) -> None:
     info = site / "measures-1.2.dist-info"
     info.mkdir(exist_ok=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: measures\nVersion: 1.2\n", encoding="utf-8")
-    lines = [f"{name} = measures:{target}" for name, target in targets.items()]
+    values = {name: target if ":" in target else f"measures:{target}" for name, target in targets.items()}
+    lines = [f"{name} = {value}" for name, value in values.items()]
     (info / "entry_points.txt").write_text("\n".join(["[ddpc_cosim.metrics]", *lines, ""]), encoding="utf-8")
     importlib.invalidate_caches()
     metrics._third_parties.cache_clear()
@@ -127,6 +130,19 @@ def test_it_stands_in_files_terminal_report_and_list(site: Path, run: Run, run_p
     assert "integral of u^2; [J]; higher is better" in listed.stdout
     assert "measures 1.2 (measures:energy)" in listed.stdout
     assert "settled_error" in listed.stdout
+
+
+def test_the_one_of_the_documentation(site: Path, run: Run) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")
+    files = dict(re.findall(r"^```\w+ (\S+)\n(.*?)^```$", page, re.MULTILINE | re.DOTALL))
+    (site / "ddpc_effort.py").write_text(files["ddpc_effort.py"], encoding="utf-8")
+    ((name, target),) = tomllib.loads(files["pyproject.toml"])["project"]["entry-points"][
+        "ddpc_cosim.metrics"
+    ].items()
+    install(site, **{name: target})
+    run("--no-report")
+    expected = [float((case.trace().u[:-1] ** 2).sum() * 0.1) for case in load_results(site / "out").cases]
+    assert [float(row["effort [J]"]) for row in rows(site)] == pytest.approx(expected)
 
 
 def test_those_that_fail_cost_their_values_and_are_told(site: Path, run: Run) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim import Bounds, CaseResult, DisplayUnit, Outcome, StudyResults, Trace, Variable
+from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.results import load_case, write_case
 from ddpc_cosim.study.sections import Study
 
@@ -85,13 +86,14 @@ def make_results_in(
     trace_of: Callable[[str, int], Trace] | None = None,
     controllers: dict[str, dict[str, Any]] | None = None,
     provenance: dict[str, str] | None = None,
+    settings: MetricSettings | None = None,
     **changes: Any,
 ) -> StudyResults:
     """Make results: the trace of a controller and a seed for each controller, scenario and seed."""
     study = make_study(controllers or {"quick": {"type": "quick"}, "slow": {"type": "slow"}}, **changes)
     trace_of = trace_of or (lambda key, seed: make_trace(0.3 if key == "quick" else 1.0, noise_seed=seed))
     cases = [
-        _write_one(folder, study, key, scenario, seed, trace_of(key, seed))
+        _write_one(folder, study, key, scenario, seed, trace_of(key, seed), settings)
         for key in study.controllers
         for scenario in study.scenarios
         for seed in study.seeds
@@ -101,10 +103,18 @@ def make_results_in(
     )
 
 
-def _write_one(folder: Path, study: Study, key: str, scenario: str, seed: int, trace: Trace) -> CaseResult:
+def _write_one(
+    folder: Path,
+    study: Study,
+    key: str,
+    scenario: str,
+    seed: int,
+    trace: Trace,
+    settings: MetricSettings | None,
+) -> CaseResult:
     """Write one case and read it back."""
     case_id = f"{key}_{scenario}_{seed}"
     label = study.controllers[key].label or key
     head = {"id": case_id, "controller": key, "label": label, "scenario": scenario, "seed": seed}
-    write_case(folder / "cases" / case_id, trace, head)
+    write_case(folder / "cases" / case_id, trace, head, settings=settings)
     return load_case(folder / "cases" / case_id)

@@ -7,8 +7,10 @@ from statistics import median
 import pytest
 
 from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim.metrics import MetricSettings
+from ddpc_reports.case_tables import cases_table
 from ddpc_reports.comparison import Condition, conditions
-from ddpc_reports.comparison_tables import verdict_table
+from ddpc_reports.comparison_tables import response_table, verdict_table
 from ddpc_reports.table import Table
 from ddpc_reports.verdict import join_words, verdict
 
@@ -98,6 +100,82 @@ def test_a_controller_that_lost_cases_is_named_and_not_ranked_over_the_seeds(
     marks = best(verdict_table(only(results), ""))
     assert marks["mean |error| / ° seed 7"] == ["quick"]
     assert marks["mean |error| / ° median"] == []
+
+
+def losing(key: str, seed: int) -> Trace:
+    """Let `quick` settle at a third of the step on one seed, quickly and without moving the input."""
+    trace = make_trace(0.3 if key == "quick" else 1.0, noise_seed=seed)
+    if key != "quick" or seed != 0:
+        return trace
+    return replace(trace, y=trace.y / 3, u=trace.u * 0, solve_time=trace.solve_time / 10)
+
+
+def test_a_run_that_does_not_hold_its_reference_is_told_and_ranked_last(make_results: MakeResults) -> None:
+    results = make_results(losing, seeds=[0, 7, 8])
+    said = statements(results)
+    assert said["Completed"].startswith("All 6 cases completed. The reference is not held by quick 1 of 3:")
+    assert said["Tracking"].startswith("On seed 0, slow reaches a mean absolute error of ")
+    assert said["Spread"].startswith("Only slow holds its reference on every seed")
+    assert not {"Settling", "Actuator"} & said.keys()
+    assert "is fastest" not in said["Step time"]
+    table = verdict_table(only(results), "")
+    marked = {who for names in best(table).values() for who in names}
+    assert marked <= {"slow"}
+    ends = {row.header: [cell.text for cell in row.cells[-2:]] for row in table.rows}
+    assert ends == {"quick": ["3 of 3", "2 of 3"], "slow": ["3 of 3", "3 of 3"]}
+
+
+def test_of_three_the_one_that_does_not_hold_is_last(make_results: MakeResults) -> None:
+    results = make_results(losing, {key: {"type": "x"} for key in ("quick", "slow", "other")}, seeds=[0, 7])
+    said = statements(results)["Tracking"]
+    assert said.startswith("On seed 0, slow and other track best")
+    assert said.endswith("; last is quick, whose reference is not held.")
+
+
+def test_figures_of_the_step_response_are_those_of_runs_that_hold(make_results: MakeResults) -> None:
+    """With one seed, the one that does not hold has dashes, in this table and in that of all cases."""
+    results = make_results(losing, seeds=[0])
+    table = response_table(only(results), "")
+    assert table is not None
+    quick, slow = table.rows
+    assert {cell.text for cell in quick.cells} == {"\N{EN DASH}"}
+    (case,) = (case for case in results.cases if case.controller == "slow")
+    rise = next(value for key, value in case.metrics.items() if key.startswith("rise_time."))
+    assert [
+        cell.raw for cell, head in zip(slow.cells, table.headings[1:], strict=True) if "rise" in head.words
+    ] == [pytest.approx(rise)]
+    every = cases_table(results, conditions(results), "")
+    (row,) = (row for row in every.rows if row.key == "quick")
+    texts = dict(
+        zip([head.title for head in every.headings[1:]], [cell.text for cell in row.cells], strict=True)
+    )
+    assert texts["outcome"] == "completed, reference not held"
+    assert texts["overshoot, angle"] == texts["settled error, angle"] == "\N{EN DASH}"
+    assert texts["mean |error|, angle"] != "\N{EN DASH}"
+
+
+def test_a_time_that_most_seeds_do_not_reach_has_no_median(make_results: MakeResults) -> None:
+    """A lag of 3 s does not settle in 6 s: on two of three seeds there is no settling time."""
+    results = make_results(
+        lambda key, seed: make_trace(3.0 if (key, seed) in (("quick", 7), ("quick", 8)) else 0.3),
+        seeds=[0, 7, 8],
+    )
+    table = response_table(only(results), "")
+    assert table is not None
+    place = next(i for i, head in enumerate(table.headings[1:]) if head.title == "settling time")
+    assert table.rows[0].cells[place].text == "\N{EN DASH}"
+    assert float(table.rows[1].cells[place].raw) > 0
+
+
+def test_a_study_with_weights_is_ranked_by_its_cost(make_results: MakeResults) -> None:
+    """The cost is of the whole run: one ranking, whatever the number of outputs."""
+
+    def trace_of(key: str, seed: int) -> Trace:
+        return make_trace(0.3 if key == "quick" else 1.0, outputs=(ANGLE, SPEED), inputs=(TORQUE, FORCE))
+
+    settings = MetricSettings(cost={"outputs": {"angle": 1.0, "speed": 2.0}})
+    said = statements(make_results(trace_of, settings=settings))
+    assert said["Tracking"].startswith("On seed 7, quick tracks best: quadratic cost ")
 
 
 def test_where_nothing_completed_nothing_is_ranked(make_results: MakeResults) -> None:

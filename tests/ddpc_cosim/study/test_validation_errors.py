@@ -287,6 +287,23 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
         {"scenarios": {"s": {"drifts": [DRIFT | {"from_time": -2.0, "to_time": 0.0}]}}},
         "scenarios.s.drifts[0].to_time: it would be over when the run starts at t = 0 s; use the scenario's",
     ),
+    (
+        {"metrics": {"cost": {"outputs": {"angel": 1.0}}}},
+        'metrics.cost.outputs: no controlled output "angel"; did you mean "angle"?',
+    ),
+    (
+        {"metrics": {"cost": {"changes": {"angle": 1.0}}}},
+        'metrics.cost.changes: no input "angle"; there are: torque',
+    ),
+    (
+        {"metrics": {"cost": {"inputs": {"torque": -1.0}}}},
+        "metrics.cost.inputs.torque: must be greater than or equal to 0, got -1.0",
+    ),
+    (
+        {"metrics": {"cost": {"inputs": {"torque": 0.0}}}},
+        "metrics.cost: needs a weight above 0 in outputs, inputs or changes",
+    ),
+    ({"metrics": {"costs": {}}}, 'metrics.costs: unknown key; did you mean "cost"?'),
 ]
 
 
