@@ -329,6 +329,19 @@ def _order(published: list[tuple[float, str]], here: list[tuple[float, str]]) ->
     )
 
 
+def step_time_order(condition: Condition) -> list[Statement]:
+    """Return the order of the median steps that this run measured; nothing for one controller alone."""
+    order = [
+        (value, one.label)
+        for one in condition.controllers
+        if not math.isnan(value := one.over_seeds("solve_time_median [s]").median)
+    ]
+    if len(order) < 2:
+        return []
+    text = Markup("Median steps in this run, shortest first: {}.").format(_times_words(sorted(order)))
+    return [Statement("Order", text)]
+
+
 def _times_words(order: list[tuple[float, str]]) -> Markup:
     least = order[0][0]
     first = Markup("<i>{}</i>").format(order[0][1])

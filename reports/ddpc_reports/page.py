@@ -25,6 +25,7 @@ from ddpc_reports.comparison_tables import (
     reproduction_statements,
     reproduction_table,
     response_table,
+    step_time_order,
     verdict_table,
 )
 from ddpc_reports.embedding import (
@@ -178,7 +179,11 @@ def _step_time_blocks(condition: Condition, prefix: str) -> list[Block]:
     if not condition.controllers:
         return []
     table = step_time_table(condition, prefix)
-    return [*_tables(table), *_figures([step_time_figure(condition, prefix)], prefix)]
+    return [
+        *_statements(step_time_order(condition)),
+        *_tables(table),
+        *_figures([step_time_figure(condition, prefix)], prefix),
+    ]
 
 
 def _reproduction_blocks(

@@ -233,7 +233,7 @@ def _interval(variable: Variable, low: float, high: float) -> str:
 def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) -> Table:
     """Return plant, timing, references, limits, recording and scenarios: everything that the study sets."""
     study = results.study
-    facts = [("study", study.name), *_plant_facts(study.plant), *_timing_facts(study.loop)]
+    facts = [("study", study.name), *_plant_facts(study.plant, units), *_timing_facts(study.loop)]
     facts += [
         (f"{what} of {name}", _signal(section, units.get(name, "")))
         for what, sections in (("reference", study.reference), ("limits", study.bounds))
@@ -253,25 +253,31 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
     return facts_table(f"{prefix}loop", "The loop, the same for all controllers", facts, "loop.csv")
 
 
-def _plant_facts(plant: PlantSection) -> list[tuple[str, str]]:
-    said = {"name", "fmu", "inputs", "outputs", "measurements", "parameters"}
+def _plant_facts(plant: PlantSection, units: Mapping[str, str]) -> list[tuple[str, str]]:
+    said = {"name", "fmu", "inputs", "outputs", "measurements", "parameters", "nominal"}
     return [
         ("plant", plant.name) if plant.name else ("FMU", plant.fmu),
         ("inputs", _names(plant.inputs) or "all of the plant"),
         ("controlled outputs", _names(plant.outputs) or "all of the plant"),
         ("measurements", _names(plant.measurements) or "the controlled outputs"),
         ("plant parameters changed", mapping_text(plant.parameters)),
+        *(
+            (f"nominal value of {name}", with_unit(as_given(value), unit_symbol(units.get(name, ""))))
+            for name, value in plant.nominal.items()
+        ),
         *((f"plant: {name}", text) for name, text in _others(plant, said)),
     ]
 
 
 def _timing_facts(loop: LoopSection) -> list[tuple[str, str]]:
     starts = {"rest": "from rest", "recording-end": "where the recording ended"}
-    said = {"sampling_time", "duration", "start"}
+    said = {"sampling_time", "duration", "start", "start_time", "step_timeout"}
+    seconds = {"start time": loop.start_time, "longest time for a call": loop.step_timeout}
     return [
         ("sampling time", with_unit(as_given(loop.sampling_time), "s")),
         ("duration", f"{with_unit(as_given(loop.duration), 's')}, {loop.steps} samples"),
         ("start", starts.get(loop.start, loop.start)),
+        *((name, with_unit(as_given(value), "s")) for name, value in seconds.items()),
         *((f"loop: {name}", text) for name, text in _others(loop, said)),
     ]
 

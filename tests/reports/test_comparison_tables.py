@@ -19,6 +19,7 @@ from ddpc_reports.comparison_tables import (
     across_table,
     reproduction_statements,
     reproduction_table,
+    step_time_order,
     verdict_table,
 )
 from ddpc_reports.numbers import MINUS
@@ -236,3 +237,11 @@ def test_of_times_on_another_machine_the_order_alone_is_compared(
     assert "A &lt;1&gt;" in statement.text
     told = html.unescape(plain(statement.text))
     assert told == f"Published, shortest first: A <1>, B (2.00 times as long). In this run, {words}."
+
+
+def test_the_order_of_steps_is_that_of_the_run(make_results: MakeResults) -> None:
+    (condition,) = conditions(timed(make_results, 4e-5, 1e-5))
+    (statement,) = step_time_order(condition)
+    assert plain(statement.text) == ("Median steps in this run, shortest first: b, a (4.00 times as long).")
+    assert plain(statement.text) in plain(html.unescape(render_page([condition.results])))
+    assert step_time_order(conditions(make_results(controllers={"quick": {"type": "quick"}}))[0]) == []

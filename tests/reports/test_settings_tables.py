@@ -412,6 +412,16 @@ def loop_rows(results: StudyResults) -> dict[str, str]:
     return {row.header: row.cells[0].text for row in table.rows}
 
 
+def test_times_and_nominal_values_have_their_units(make_results: MakeResults) -> None:
+    plant = {"name": "pendulum", "nominal": {"angle": 0.5, "torque": 2.0}}
+    loop = {"sampling_time": 0.1, "duration": 6.0, "start_time": -2.5, "step_timeout": 5.0}
+    told = loop_rows(make_results(plant=plant, loop=loop))
+    assert told["nominal value of angle"] == "0.5\N{NO-BREAK SPACE}rad"
+    assert told["nominal value of torque"] == "2\N{NO-BREAK SPACE}N·m"
+    assert told["start time"] == "\N{MINUS SIGN}2.5\N{NO-BREAK SPACE}s"
+    assert told["longest time for a call"] == "5\N{NO-BREAK SPACE}s"
+
+
 LEAVES = st.one_of(st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=4))
 NAMES = st.text(max_size=3)
 VALUES = st.recursive(
