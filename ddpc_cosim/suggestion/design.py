@@ -49,6 +49,7 @@ _LEAST_SAMPLES_PER_SETPOINT = 30
 _REACHED = 0.6  # share of what the inputs could hold that the setpoints ask for
 _DRIFT = 0.1  # of the largest response: how far an output at rest may still move
 _MARGIN = 0.05  # of an output's range, kept from its limits
+_ROOM = 0.5  # share of the way from rest to a limit that a setpoint takes: the rest is for overshoot
 
 
 def input_bounds(inputs: Sequence[Variable]) -> dict[str, Bounds]:
@@ -151,17 +152,20 @@ def setpoints(
 ) -> tuple[dict[str, Setpoints], float]:
     """Return a reference in steps for each chosen output, and the duration of the loop [s].
 
-    One after the other the outputs go up, then down: as far as the inputs can hold them.
+    One after the other the outputs go up, then down: as far as the inputs can hold them, and half of the way
+    to a limit of the output at most.
     """
     hold = max(_LEAST_SAMPLES_PER_SETPOINT, math.ceil(_SETTLING_PER_SETPOINT * choice.time_scale / sample))
     n, rest = len(choice.outputs), where_it_rests(tested)
     up, down = reachable(choice.gains, working)
     references = {}
     for position, j in enumerate(choice.outputs):
-        values = [rest[j], rest[j] + up[position], rest[j] - down[position]]
-        values = [_inside(value, outputs[j]) for value in values]
+        first, output = _inside(rest[j], outputs[j]), outputs[j]
+        rise = min(up[position], _ROOM * (output.max - first))
+        fall = min(down[position], _ROOM * (first - output.min))
+        values = [first, first + rise, first - fall]
         steps = dict(zip((0, position, n + position), values, strict=True))  # the first output starts at once
-        resolution = max(up[position], down[position]) / 100
+        resolution = max(rise, fall) / 100
         references[outputs[j].name] = Setpoints(
             tuple(_clean(k * hold * sample) for k in steps),
             tuple(rounded(value, resolution) for value in steps.values()),

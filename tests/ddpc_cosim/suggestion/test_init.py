@@ -12,7 +12,10 @@ from ddpc_cosim import ConfigError, CosimError, FMUImportError, Outcome, load_re
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.suggestion import suggest_study, write_study
-from ddpc_cosim.variables import names
+from ddpc_cosim.suggestion.choice import Choice
+from ddpc_cosim.suggestion.design import Range, setpoints
+from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
+from ddpc_cosim.variables import Variable, names
 
 
 def ddpc(*arguments: object) -> Result:
@@ -92,6 +95,34 @@ def test_setpoints_are_within_reach_of_the_inputs(study_of) -> None:
     # y1 = 5 + 2 u1 + 0.5 u2, y2 = 100 (0.4 u1 - 30 u2), with |u1| <= 10 and 0 <= u2 <= 1
     assert np.max(np.abs(np.array(values["y1"]["values"]) - 5.0)) < 20.0
     assert -3000.0 < min(values["y2"]["values"]) < max(values["y2"]["values"]) < 0.0
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "rest", "lowest", "highest"),
+    [
+        (0.0, 2.0, 1.0, 0.5, 1.5),  # a tank of 2 m, half full, whose pump could empty or flood it
+        (0.0, 2.0, 0.4, 0.2, 1.2),
+        (0.0, np.inf, 1.0, 0.5, 7.0),  # 6: what the inputs can hold
+        (-np.inf, np.inf, 1.0, -5.0, 7.0),
+        (0.0, 2.0, 0.0, 0.05, 1.05),  # empty at first: 5 % are kept from the limit
+    ],
+)
+def test_setpoints_leave_as_much_room_to_the_limits_as_they_take(
+    low: float, high: float, rest: float, lowest: float, highest: float
+) -> None:
+    integrating = Response(ResponseType.INTEGRATING, effect=30.0, slope=1.0, rise_time=0.0, peak=30.0)
+    tested = StepTest(
+        time=np.arange(1.0, 31.0),
+        rest=np.full((30, 1), rest),
+        steps=np.ones(1),
+        responses=((integrating,),),
+    )
+    choice = Choice((0,), (0,), np.ones((1, 1)), 10.0, False)
+    working = Range(np.zeros(1), np.full(1, -10.0), np.full(1, 10.0))
+    level = Variable("level", "m", min=low, max=high)
+    references, _ = setpoints(tested, choice, [level], working, 1.0)
+    values = references["level"].values
+    assert (min(values), max(values)) == pytest.approx((lowest, highest), abs=0.01 * (highest - lowest))
 
 
 def test_an_unstable_plant_gets_no_open_loop_experiment(study_of, tmp_path) -> None:
