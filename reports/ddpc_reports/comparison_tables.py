@@ -370,7 +370,7 @@ def _rows(
     own = method.model_copy(update={"values": {key: math.nan}, "rest_samples": 0})
     return [
         _row(f"{title}, from the first decision on", key, own, controllers),
-        _row(f"{title}, {samples} before it counted, as published", key, method, controllers),
+        _row(f"{title}, {samples} counted too, as published", key, method, controllers),
     ]
 
 

@@ -1,6 +1,9 @@
 """The paper's claims on other seeds, without preview and on other data, recomputed from signals.csv."""
 
+import html
 import math
+import re
+import tomllib
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +14,7 @@ from ddpc_cosim import CaseResult, StudyResults
 from ddpc_cosim.study.controllers import make_controller
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
+from ddpc_reports.page import render_page
 
 from .recomputed import figures_of, holds, read_case
 from .test_studies import STUDIES, Silent
@@ -147,7 +151,42 @@ def test_with_little_data_the_order_shows_and_with_much_it_turns(excitation: Stu
 
 def test_a_faint_excitation_needs_another_ridge(excitation: StudyResults) -> None:
     held = {
-        name: sum(by_seed(excitation, name, "faint", lambda case: holds(case.folder, HORIZON)).values())
+        (name, scenario): sum(
+            by_seed(excitation, name, scenario, lambda case: holds(case.folder, HORIZON)).values()
+        )
         for name in ("deepc", "wkpc", "deepc-lambda-5")
+        for scenario in ("faint", "weak")
     }
-    assert held == {"deepc": 0, "wkpc": 0, "deepc-lambda-5": 10}
+    assert held["deepc", "faint"] == held["wkpc", "faint"] == 0
+    assert held["deepc-lambda-5", "faint"] == 10
+    assert held["deepc", "weak"] == held["wkpc", "weak"] == 10
+    assert held["deepc-lambda-5", "weak"] == 9
+
+
+def test_the_report_states_the_terms_of_the_comparison_as_the_study_sets_them(claims: StudyResults) -> None:
+    """Each figure under Fairness is looked up in study.toml."""
+    study = tomllib.loads((claims.folder / "study.toml").read_text(encoding="utf-8"))
+    page = render_page([claims])
+    section = page[page.index('id="s1-fairness"') :]
+    section = section[: section.index("</section>")]
+    found = re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", section, re.DOTALL)
+    told = [(topic, html.unescape(re.sub("<[^>]*>", "", text))) for topic, text in found]
+    labels = {name: one["label"] for name, one in study["controllers"].items() if name in METHODS}
+    horizons = {study["controllers"][name]["settings"]["horizon"] for name in METHODS}
+    (horizon,) = horizons
+    ahead = {"preview": horizon, "no-preview": study["scenarios"]["no-preview"]["preview"]}
+    h = study["loop"]["sampling_time"]
+    previews = [text for topic, text in told if topic == "Preview"]
+    assert previews == [
+        f"In {study['scenarios'][name]['label']}: All controllers see {samples} of the future reference "
+        f"({n * h:.1f}\N{NO-BREAK SPACE}s)."
+        for (name, n), samples in zip(ahead.items(), ("5 samples", "1 sample"), strict=True)
+    ]
+    rest = {topic: text for topic, text in told if topic != "Preview"}
+    wide, own = study["controllers"]["wkpc"]["bounds"]["angle"], study["bounds"]["angle"]
+    assert f"{labels['wkpc']} has \N{MINUS SIGN}{-wide['min']:.0f} … {wide['max']:.0f}°" in rest["Limits"]
+    assert f"have \N{MINUS SIGN}{-own['min']:.0f} … {own['max']:.0f}°" in rest["Limits"]
+    assert f"{labels['wkpc']} uses {', '.join(study['plant']['measurements'])}" in rest["Measurements"]
+    learning = f"{labels['deepc']} and {labels['wkpc']} learn from a recording of"
+    assert f"{learning} {study['recording']['samples']} samples" in rest["Recording"]
+    assert rest["Tuning"] == "Of all controllers it is not known how settings were found."

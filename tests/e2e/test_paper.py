@@ -172,7 +172,7 @@ def test_the_published_sum_compares_with_the_one_that_counts_the_sample_at_rest(
     first_run: tuple[Path, str], results: StudyResults
 ) -> None:
     page = (first_run[0] / "report.html").read_text(encoding="utf-8")
-    row = page[page.index("1 sample at rest before it counted, as published") :]
+    row = page[page.index("1 sample at rest counted too, as published") :]
     cells = re.findall(r"<td[^>]*>([^<]*)</td>", row[: row.index("</tr>")])
     (sum_here,) = figures(results, "mfapc", "sum_abs_error")
     assert cells[1] == "730.4181"
