@@ -109,7 +109,7 @@ class Response(_Signal):
     @cached_property
     def stretches(self) -> list["_Stretch"]:
         """The stretches of constant reference whose windows are long enough."""
-        edges = [0, *(np.flatnonzero(np.diff(self.reference)) + 1).tolist(), len(self.reference)]
+        edges = [0, *(np.flatnonzero(self._moves) + 1).tolist(), len(self.reference)]
         rows = [end - first for first, end in pairwise(edges)]
         return [
             _Stretch(self, first, end - self.preview, self._value_before(first, rows[n - 1] if n else 0))
@@ -126,6 +126,13 @@ class Response(_Signal):
     def span(self) -> float:
         """How far the reference moves; of a constant one, how far the output has to."""
         return float(np.ptp(self.reference)) or abs(self._first_step)
+
+    @property
+    def _moves(self) -> NDArray[np.bool_]:
+        """Whether the reference changes from row to row, by more than a rounding error."""
+        r = self.reference
+        smallest = 1e-9 * np.ptp(r) + 1e-12 * np.abs(r).max() if r.size else 0.0
+        return np.abs(np.diff(r)) > smallest
 
     @property
     def _first_step(self) -> float:

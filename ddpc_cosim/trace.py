@@ -174,7 +174,8 @@ class Trace:
         leads to it, or where an output leaves its bounds by more than its reference's span.
         """
         settings = settings or MetricSettings(self.preview)
-        return self.completed and all(response.holds for response in self._responses(settings))
+        with np.errstate(over="ignore", invalid="ignore"):  # a run can have values of any size
+            return self.completed and all(response.holds for response in self._responses(settings))
 
     def _responses(self, settings: MetricSettings) -> list[Response]:
         rows, h = slice(0, self.held), self.sampling_time

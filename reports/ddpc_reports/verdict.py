@@ -12,6 +12,7 @@ from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
     Spread,
+    metric_keys,
     metric_label,
     metric_signal,
     metric_unit,
@@ -408,7 +409,12 @@ def limitations(conditions: tuple[Condition, ...], drawn: int) -> list[str]:
         How many of them have figures.
     """
     found = [*conditions[0].results.study.report.limitations] if conditions else []
-    found += _of_cases(conditions) + _of_seeds(conditions) + _of_drawing(conditions, drawn)
+    found += (
+        _of_cases(conditions)
+        + _of_windows(conditions)
+        + _of_seeds(conditions)
+        + _of_drawing(conditions, drawn)
+    )
     if conditions:
         found.append(
             "Step times are wall-clock times of one machine under the load it had; they rank "
@@ -427,6 +433,22 @@ def _of_cases(conditions: tuple[Condition, ...]) -> list[str]:
         "those of the others, which may be the easier ones."
         for label, count in lost.items()
         if count
+    ]
+
+
+def _of_windows(conditions: tuple[Condition, ...]) -> list[str]:
+    """Name the outputs of which no run has a settled error."""
+    keys = metric_keys(conditions, "settled_error")
+    values = {
+        key: [case.metrics.get(key, math.nan) for condition in conditions for case in condition.cases]
+        for key in keys
+    }
+    return [
+        f"Whether {metric_signal(key)} settles cannot be judged: its reference moves all the time, or its "
+        "steps follow each other within five samples of the largest preview. That a run holds this reference says "
+        "that it kept near its limits."
+        for key in keys
+        if values[key] and all(map(math.isnan, values[key]))
     ]
 
 

@@ -234,6 +234,19 @@ def test_the_end_of_a_ramp_is_no_step() -> None:
     assert trace.holds()
 
 
+def test_a_rounding_error_of_the_reference_is_no_step() -> None:
+    reference = np.repeat([0.3, 0.1 + 0.2, 1.0, 0.7 + 0.3 - 1e-16], 20)
+    trace = trace_of([*reference, 0.0], [*np.repeat([0.3, 0.3, 1.0, 1.0], 20), 0.0])
+    assert figure(trace, "overshoot") == pytest.approx(0.0, abs=1e-9)
+    assert trace.holds()
+
+
+def test_values_of_any_size_do_not_hold_and_do_not_warn() -> None:
+    y = np.repeat([0.0, 1e308], 20)
+    y[30:] *= -1
+    assert not stepping(0, 1, y=y).holds()
+
+
 def test_an_output_whose_reference_stays_has_no_steps_of_the_other_one() -> None:
     still = stepping(1, 1, 1, y=np.ones(60))
     assert math.isnan(figure(still, "overshoot"))

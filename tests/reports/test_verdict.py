@@ -12,7 +12,7 @@ from ddpc_reports.case_tables import cases_table
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.comparison_tables import response_table, verdict_table
 from ddpc_reports.table import Table
-from ddpc_reports.verdict import join_words, verdict
+from ddpc_reports.verdict import join_words, limitations, verdict
 
 from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
 
@@ -176,6 +176,12 @@ def test_a_study_with_weights_is_ranked_by_its_cost(make_results: MakeResults) -
     settings = MetricSettings(cost={"outputs": {"angle": 1.0, "speed": 2.0}})
     said = statements(make_results(trace_of, settings=settings))
     assert said["Tracking"].startswith("On seed 7, quick tracks best: quadratic cost ")
+
+
+def test_what_cannot_be_judged_is_a_limitation(make_results: MakeResults) -> None:
+    said = limitations(conditions(make_results(settings=MetricSettings(56))), 4)
+    assert any(text.startswith("Whether angle settles cannot be judged: ") for text in said)
+    assert not any("cannot be judged" in text for text in limitations(conditions(make_results()), 4))
 
 
 def test_where_nothing_completed_nothing_is_ranked(make_results: MakeResults) -> None:
