@@ -445,8 +445,8 @@ def _of_windows(conditions: tuple[Condition, ...]) -> list[str]:
     }
     return [
         f"Whether {metric_signal(key)} settles cannot be judged: its reference moves all the time, or its "
-        "steps follow each other within five samples of the largest preview. That a run holds this reference says "
-        "that it kept near its limits."
+        "steps follow each other within five samples of the largest preview. That a run holds this "
+        "reference says that it kept near its limits."
         for key in keys
         if values[key] and all(map(math.isnan, values[key]))
     ]
