@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,10 @@ def blocks(language: str) -> list[object]:
 
 @pytest.fixture
 def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder that holds the files beside the pages, and nothing else."""
     monkeypatch.chdir(tmp_path)
+    for path in (ROOT / "docs").glob("*.csv"):
+        shutil.copy(path, tmp_path)
     return tmp_path
 
 
@@ -41,6 +45,8 @@ def test_python_blocks_run(code: str, empty_folder: Path) -> None:
 def test_studies_run(text: str, empty_folder: Path) -> None:
     study = empty_folder / "study.toml"
     study.write_text(text, encoding="utf-8")
+    for name in re.findall(r'^fmu = "(\w+)\.fmu"', text, re.MULTILINE):
+        assert CliRunner().invoke(main, ["export", name.replace("_", "-")]).exit_code == 0
     assert read_study(str(study)).study.controllers
     result = CliRunner().invoke(main, ["run", str(study), "--jobs", "1", "--no-report", "--seeds", "0"])
     assert result.exit_code == 0, result.output
