@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim.controller import OK, Controller
-from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.settings import SettingInfo, declared_settings, from_plain
 from ddpc_cosim.testing.check_results import CheckFailedError, NotApplicableError
 from ddpc_cosim.testing.reference_plant import LoopResult, ReferencePlant, TestLoop
 from ddpc_cosim.variables import FloatArray
 
 _UNKNOWN = "no_such_setting"
+_SAME_LAW = 1e-3  # what a method that is not exact may make of the order of its data
 
 
 def stores_its_settings(controller: Controller) -> None:
@@ -285,6 +286,28 @@ def stabilises_it_without_preview(subject: ControllerUnderTest) -> None:
     _require_approach(subject, plant, controller)
 
 
+def learns_from_no_window_across_a_seam(subject: ControllerUnderTest) -> None:
+    """Require that the order of two recordings does not decide the first inputs, or a DataError."""
+    plant = subject.plant()
+    if not subject.make_controller().uses_recording:
+        raise NotApplicableError("it does not use a recording")
+    first = []
+    for turned in (False, True):
+        controller = subject.make_controller()
+        try:
+            controller.start(plant.mosaic(plant.loop_for(controller, 0), turned=turned))
+        except DataError as error:
+            raise NotApplicableError(f"it refuses several recordings: {error}") from error
+        test_loop = TestLoop(plant, controller)
+        test_loop.step()
+        first.append(test_loop.result().u)
+    if not np.abs(first[0] - first[1]).max() <= _SAME_LAW * plant.input_limit:
+        raise CheckFailedError(
+            f"the first inputs are {first[0][0].tolist()} with two recordings, {first[1][0].tolist()} with "
+            "the second one first; no window may cross one of recording.seams: see recording.pieces"
+        )
+
+
 def _require_approach(subject: ControllerUnderTest, plant: ReferencePlant, controller: Controller) -> None:
     run = subject.run(plant, controller)
     target = plant.target()
@@ -374,5 +397,6 @@ CONTROLLER_CHECKS: Mapping[str, Callable[[ControllerUnderTest], None]] = {
         knows_its_horizon_before_its_start,
         stabilises_the_reference_plant,
         stabilises_it_without_preview,
+        learns_from_no_window_across_a_seam,
     )
 }

@@ -1,7 +1,7 @@
 """A plant that every controller ought to master: stable, well scaled, of unit gain, nearly decoupled."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,9 +69,18 @@ class ReferencePlant:
         target: FloatArray = scale * TARGET[: self.size]
         return target
 
-    def _record(self, samples: int) -> Recording:
-        u = np.random.default_rng(0).uniform(-INPUT_LIMIT, INPUT_LIMIT, (samples, self.size))
-        y = np.zeros_like(u)
+    def mosaic(self, loop: Loop, *, turned: bool) -> Loop:
+        """Return a loop with two recordings as long as its own, in one order or the other.
+
+        The second one begins at the limits of the outputs, so that they jump between the two.
+        """
+        samples = len(loop.recording or ())
+        pieces = [self._record(samples), self._record(samples, 1, OUTPUT_LIMIT)]
+        return replace(loop, recording=Recording.join(pieces[::-1] if turned else pieces))
+
+    def _record(self, samples: int, seed: int = 0, start: float = 0.0) -> Recording:
+        u = np.random.default_rng(seed).uniform(-INPUT_LIMIT, INPUT_LIMIT, (samples, self.size))
+        y = np.full_like(u, start)
         for k in range(1, samples):
             y[k] = self.advance(y[k - 1], u[k - 1])
         return Recording(u, y, y.copy(), self.sampling_time)

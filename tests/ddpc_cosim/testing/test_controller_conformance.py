@@ -178,6 +178,17 @@ class LivesOnPreview(Proportional):
         self.gain *= loop.preview
 
 
+class SeesNoSeam(Proportional):
+    uses_recording: ClassVar[bool] = True
+
+    def start(self, loop: Loop) -> None:
+        super().start(loop)
+        assert loop.recording is not None
+        u, y = loop.recording.u, loop.recording.y
+        known = np.hstack([u[:-1], y[:-1]])
+        self.gain *= float(np.linalg.lstsq(known, y[1:], rcond=None)[0][0, 0])
+
+
 @pytest.mark.parametrize(
     ("controller", "check", "reason"),
     [
@@ -201,6 +212,7 @@ class LivesOnPreview(Proportional):
         (WrongWay, "stabilises the reference plant", r"begin \[0\.5\] off"),
         (ChangesItsHorizon, "knows its horizon before its start", "from 1 to 5; set it before"),
         (LivesOnPreview, "stabilises it without preview", r"begin \[0\.5\] off"),
+        (SeesNoSeam, "learns from no window across a seam", r"recording\.seams: see recording\.pieces"),
     ],
 )
 def test_each_breach_is_caught_and_named(controller: Any, check: str, reason: str) -> None:
