@@ -178,12 +178,15 @@ def read_table(
                 "columns and rows that are needed"
             )
     file = CSVFile(path)
-    faults = file.faults
-    if not file.rows and not faults:
+    faults = list[str]()
+    if not file.rows and not file.faults:
         faults.append(f"{path}: a header and no rows; needed: one row per sample")
     time, values = np.full(len(file.rows), np.nan), np.full((len(file.rows), len(columns)), np.nan)
     found = dict(_found(file, columns, faults))
     timed = dict(_found(file, [Column(_TIME, time_column)] if time_column else [], faults)).get(0)
+    if time_column and timed is None and ": no column" in faults[-1]:
+        faults[-1] += " (time_column says which column the time is)"
+    faults += file.faults
     dates = _dates(file.cells(timed[0])) if timed else None
     numeric = [index for index, _ in found.values()] + ([timed[0]] if timed and dates is None else [])
     comma = _decimal_comma(file, numeric, faults)

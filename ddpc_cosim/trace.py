@@ -3,11 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ddpc_cosim.controller import OK, Bounds
+from ddpc_cosim.csv_files import write_table
 from ddpc_cosim.metrics import (
     Actuation,
     MetricSettings,
@@ -195,6 +197,13 @@ class Trace:
         what a controller commanded, with ``applied``. What the controller said of its steps is ``info.NAME``.
         """
         return self._columns(lambda variable, values: (variable.header, values))
+
+    def write_csv(self, path: str | Path) -> None:
+        """Write the samples as a study does: ``columns`` and ``status``, one row per sample.
+
+        ``Recording.read_csv`` reads them back as data to learn from.
+        """
+        write_table(Path(path), self.columns(), {"status": self.status})
 
     def frame(self) -> "pd.DataFrame":
         """Return the samples as a DataFrame: ``status``, and ``columns`` in the variables' display units."""

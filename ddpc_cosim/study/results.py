@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim.controller import Bounds
-from ddpc_cosim.csv_files import write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.sections import Study
@@ -286,7 +285,7 @@ def write_case(
     try:
         staged.mkdir(parents=True)
         (staged / "run.json").write_bytes(_json(run))
-        _write_signals(staged / "signals.csv", trace)
+        trace.write_csv(staged / "signals.csv")
         _move_into_place(staged, folder)
     except OSError as error:
         reason = error.strerror or str(error)
@@ -395,10 +394,6 @@ def read_trace(folder: Path) -> Trace:
         info={name: columns[f"info.{name}"] for name in run["info"]},
         warnings=tuple(run["warnings"]),
     )
-
-
-def _write_signals(path: Path, trace: Trace) -> None:
-    write_table(path, trace.columns(), {"status": trace.status})
 
 
 def _read_signals(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:

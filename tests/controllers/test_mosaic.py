@@ -50,6 +50,7 @@ from .loops import (
 LEARNING: dict[str, Controller] = {
     "deepc": DeePC(),
     "deepc-projection": DeePC(regulariser="projection", affine_sum="all"),
+    "deepc-equilibrium": DeePC(regulariser="equilibrium"),
     "deepc-l1": DeePC(regulariser="l1", lambda_g=1e-3),
     "deepc-sliding": DeePC(online_data="sliding-window", dither=0.2),
     "deepc-forgetting": DeePC(online_data="forgetting", dither=0.2, use_current_output=True),

@@ -118,7 +118,18 @@ def test_columns_and_units_are_those_of_the_file(tmp_path: Path) -> None:
     assert recording.y[:, 0] == pytest.approx(np.radians(np.cos(7 * t)), abs=1e-6)
     assert recording.measured[:, 1] == pytest.approx(2 * np.pi * np.sin(3 * t), abs=1e-5)
     assert case.excitation is None
-    assert run_case(case).completed
+    trace = run_case(case)
+    assert trace.completed
+    trace.write_csv(tmp_path / "run.csv")
+    again = Recording.read_csv(
+        tmp_path / "run.csv",
+        sampling_time=0.1,
+        inputs=case.inputs,
+        outputs=case.outputs,
+        measurements=case.measurements,
+    )
+    assert np.array_equal(again.u, trace.u)
+    assert np.array_equal(again.measured, trace.measured)
 
 
 def test_several_files_are_a_mosaic_and_their_content_is_part_of_the_case(tmp_path: Path) -> None:
