@@ -150,17 +150,24 @@ def _told(results: StudyResults, one: ControllerResults, trace: Trace | None) ->
 
 
 def _tuning(results: StudyResults, first: Condition) -> Markup:
+    """State which settings were found how, those together that were found alike."""
     sections = results.study.controllers
     tuned = {one.key: sections[one.key].tuned if one.key in sections else None for one in first.controllers}
-
-    def found(one: ControllerResults, trace: Trace | None) -> _Fact:
-        table = tuned[one.key]
-        if table is None:
-            return _NOT_KNOWN
-        words = _tuned_words(table, [case.seed for case in one.cases])
-        return _Fact(f"has {words}", f"have {words}")
-
-    text = _sentence(first, found, "how settings were found")
+    alike: dict[tuple[str, str], list[Markup]] = {}
+    for one in first.controllers:
+        if table := tuned[one.key]:
+            how = counted(table.trials, "trial"), _tuned_words(table, [case.seed for case in one.cases])
+            named = Markup("<i>{}</i> ({})").format(one.label, ", ".join(table.settings))
+            alike.setdefault(how, []).append(named)
+    parts = [
+        Markup("settings found in {}{} {}: {}").format(
+            trials, " each" if len(who) > 1 else "", how, join_words(who)
+        )
+        for (trials, how), who in alike.items()
+    ]
+    if unknown := [one for one in first.controllers if not tuned[one.key]]:
+        parts.append(Markup("of {} it is not known how settings were found").format(_who(unknown, first)))
+    text = _capitalised(Markup("; ").join(parts))
     if len({table.trials if table else 0 for table in tuned.values()}) > 1:
         text += " So the effort spent on tuning is not known to be equal."
     return text
@@ -171,9 +178,8 @@ def _tuned_words(tuned: TunedSection, reported: Sequence[int]) -> str:
     source = f" ({tuned.source})" if tuned.source else ""
     shared = [seed for seed in dict.fromkeys(reported) if seed in tuned.seeds]
     # With `run --seeds` a study can be reported on seeds that are not its own.
-    again = f"; seeds of the tuning are reported here: {compact_seeds(shared)}" if shared else ""
-    listed = join_words(tuned.settings)
-    return f"{listed} found in {counted(tuned.trials, 'trial')} on {seeds}, by {tuned.by}{source}{again}"
+    again = f", seeds of the tuning reported here: {compact_seeds(shared)}" if shared else ""
+    return f"on {seeds}, by {tuned.by}{source}{again}"
 
 
 def _sentence(condition: Condition, telling: _Telling, what: str) -> Markup:
@@ -189,7 +195,10 @@ def _sentence(condition: Condition, telling: _Telling, what: str) -> Markup:
     ]
     if unknown:
         parts.append(Markup("of {} it is not known {}").format(_who(unknown, condition), what))
-    text = Markup("; ").join(parts)
+    return _capitalised(Markup("; ").join(parts))
+
+
+def _capitalised(text: Markup) -> Markup:
     return text[:1].upper() + text[1:] + "."
 
 

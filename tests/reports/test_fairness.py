@@ -57,9 +57,9 @@ def test_each_fact_is_told_of_those_whom_it_holds_for(make_results: MakeResults)
         "Prior knowledge": "Data-driven was told nothing of the plant beforehand; "
         "Model-based was told beforehand of the plant: a linear model, by FMUModel; "
         "of <b>Their</b> & own it is not known what was told beforehand of the plant.",
-        "Tuning": "Data-driven has horizon and weight found in 20 trials on seeds 100\N{EN DASH}102, "
-        "by median rmse; of Model-based and <b>Their</b> & own it is not known how settings were found. "
-        "So the effort spent on tuning is not known to be equal.",
+        "Tuning": "Settings found in 20 trials on seeds 100\N{EN DASH}102, by median rmse: "
+        "Data-driven (horizon, weight); of Model-based and <b>Their</b> & own it is not known how settings "
+        "were found. So the effort spent on tuning is not known to be equal.",
     }
 
 
@@ -74,7 +74,8 @@ def test_what_holds_for_all_is_told_once(make_results: MakeResults) -> None:
     )
     assert said["Preview"] == "All controllers see 5 samples of the future reference (0.5\xa0s)."
     assert said["Tuning"] == (
-        "All controllers have horizon and weight found in 1 trial on seed 3, by median rmse (a file)."
+        "Settings found in 1 trial each on seed 3, by median rmse (a file): Data-driven (horizon, weight), "
+        "Model-based (horizon, weight) and <b>Their</b> & own (horizon, weight)."
     )
 
 
@@ -99,7 +100,7 @@ def test_an_unlimited_view_of_nothing_is_told_as_such(make_results: MakeResults)
 def test_results_on_seeds_of_the_tuning_are_told(make_results: MakeResults) -> None:
     """With run --seeds a study can be reported on other seeds than its own."""
     said = told(make_results(run, controllers(data=TUNED), seeds=[5, 101, 102]))
-    assert "; seeds of the tuning are reported here: 101\N{EN DASH}102" in said["Tuning"]
+    assert ", seeds of the tuning reported here: 101\N{EN DASH}102" in said["Tuning"]
 
 
 def test_settings_that_name_the_plant_s_own_fmu_are_told(make_results: MakeResults) -> None:
