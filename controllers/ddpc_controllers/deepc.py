@@ -36,7 +36,7 @@ from ddpc_controllers.data.quality import dead_time_warnings, fit_by_windows
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Problem
-from ddpc_controllers.optimisation.qp import Law, make_law
+from ddpc_controllers.optimisation.qp import NOTHING_TOLD, Law, action, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.optimisation.uncondensed import UncondensedLaw
 from ddpc_controllers.scaling import ScaledSignals
@@ -114,6 +114,8 @@ class BehavioralTracking(ScaledSignals):
         self._parameters = ParameterVector(windows)
         problem = self._write_down(loop)
         problem.ask(u=steps * m, y=steps * p)
+        problem.ask(y=-p)
+        self._ends, self._told = predicted_ends(loop.outputs), NOTHING_TOLD
         self._learner = self._make_learner(problem, data, loop, recording)
         self._law = self._make_law(problem, data)
         changes_answer = np.isfinite(self._rates).any() or self._learner is not None
@@ -137,8 +139,7 @@ class BehavioralTracking(ScaledSignals):
             parameters.append("y_ini", self._known(y) if missing else y)
         if learner:
             learner.learn(u=u, y=y)
-        fault = fault or missing
-        return Action(u, fault) if fault else u
+        return action(u, fault or missing, self._told)
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that can excite the inputs up to the order needed."""
@@ -273,10 +274,12 @@ class BehavioralTracking(ScaledSignals):
         parameters = self._parameters
         parameters.fill("r", reference)
         answer, fault = self._law.solve(parameters.array)
+        self._told = NOTHING_TOLD
         if answer is None:
             return parameters.window("u_ini")[-1].copy(), fault
         planned, forecast = self._planned
         self._forecast = answer[planned:forecast]
+        self._told = self._law.info(self._ends, answer, self._scales.y)
         if self._applies_answer:
             return answer[:planned], fault
         plan = answer[:planned].reshape(-1, self._inputs)
@@ -289,7 +292,7 @@ class BehavioralTracking(ScaledSignals):
 
     def _continue_plan(self) -> tuple[FloatArray, str]:
         """Return the next input of the present plan."""
-        self._forecast = self._forecast[self._outputs :]
+        self._forecast, self._told = self._forecast[self._outputs :], NOTHING_TOLD
         return self._pending.pop(0), ""
 
     def _known(self, y: FloatArray) -> FloatArray:

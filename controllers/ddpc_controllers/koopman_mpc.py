@@ -38,6 +38,7 @@ from ddpc_controllers.data.quality import PredictionTest, dead_time_warnings, fi
 from ddpc_controllers.models.linear import SampledModel
 from ddpc_controllers.mpc import Predictor
 from ddpc_controllers.optimisation.limits import PREDICTED
+from ddpc_controllers.optimisation.qp import action
 from ddpc_controllers.optimisation.tracking import TrackingSettings
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import Action, DataError, FloatArray, Loop, Recording, Sample, setting
@@ -247,7 +248,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         self._disturbance = np.zeros(n_z)
         self._predicted: FloatArray | None = None
         self._u = resting_input(loop)
-        self._predictor = Predictor(a, b, c, self, loop.bounds, self._scales.u, self._u)
+        self._predictor = Predictor(a, b, c, self, loop.bounds, self._scales, self._u)
         if loop.continues_recording:
             self._u = recording.u[-1].copy()
             self._predicted = model.a @ z[-1] + model.b @ self._u
@@ -262,7 +263,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         u, fault = self._predictor.solve(np.concatenate([z, self._disturbance]), self._u, sample.reference)
         self._predicted = self._model.a @ z + self._model.b @ u + self._disturbance
         self._u = u.copy()
-        return Action(u, fault or missing) if fault or missing else u
+        return action(u, fault or missing, self._predictor.told)
 
     def _state(self, sample: Sample, missing: bool) -> FloatArray:
         """Return z, and learn from what was predicted of it."""

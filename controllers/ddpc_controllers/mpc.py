@@ -19,8 +19,9 @@ from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import make_backend
 from ddpc_controllers.optimisation.limits import InputLimits, rate_limits
 from ddpc_controllers.optimisation.problem import ParameterVector
-from ddpc_controllers.optimisation.qp import make_law
+from ddpc_controllers.optimisation.qp import NOTHING_TOLD, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
+from ddpc_controllers.scaling import Scales
 from ddpc_cosim import Bounds, FloatArray, Loop, Sample, setting
 
 
@@ -51,10 +52,15 @@ class Predictor:
         What to minimise.
     bounds : Bounds
         Limits of inputs and outputs.
-    input_scales : array, shape (m,)
-        What one unit of each input of the model is, in the unit of its rate bound.
+    scales : Scales
+        What one unit of each input and output of the model is.
     rest : array, shape (m,)
         Inputs at rest: where they are weighed from without an artificial setpoint.
+
+    Attributes
+    ----------
+    told : mapping of str to float
+        What there is to say of the last solution.
 
     Raises
     ------
@@ -70,11 +76,13 @@ class Predictor:
         c: FloatArray,
         settings: TrackingSettings,
         bounds: Bounds,
-        input_scales: FloatArray,
+        scales: Scales,
         rest: FloatArray,
     ) -> None:
         n, m, p = len(a), b.shape[1], len(c)
-        rates = rate_limits(settings.rate_bounds, m) / input_scales
+        rates = rate_limits(settings.rate_bounds, m) / scales.u
+        self._inputs, self._unit = m, scales.y
+        self._ends, self.told = predicted_ends(scales.loop.outputs), NOTHING_TOLD
         self._limits = InputLimits(bounds.u_min, bounds.u_max, rates)
         self._parameters = ParameterVector({"x": (1, n), "u_ini": (1, m), "r": (settings.horizon, p)})
         past = {"x": n, "u_ini": m}
@@ -89,6 +97,7 @@ class Predictor:
             prefer_rest=True,
         )
         problem.ask(u=m)
+        problem.ask(y=-p)
         data = trajectories(a, b, c, settings.horizon)
         self._law = make_law(problem, data, self._limits, make_backend(settings.backend), None)
 
@@ -109,9 +118,12 @@ class Predictor:
         self._parameters.fill("x", state)
         self._parameters.fill("u_ini", last_input)
         self._parameters.fill("r", reference)
-        u, fault = self._law.solve(self._parameters.array)
-        if u is None:
+        answer, fault = self._law.solve(self._parameters.array)
+        self.told = NOTHING_TOLD
+        if answer is None:
             return last_input.copy(), fault
+        u = answer[: self._inputs]
+        self.told = self._law.info(self._ends, answer, self._unit)
         self._limits.hold_changes(u[np.newaxis], last_input)
         return u, fault
 
@@ -139,7 +151,7 @@ class MPC(TrackingSettings, ModelBased):
         self._observe(loop, self.disturbance, self.disturbance_noise)
         model = self._observer
         self._predictor = Predictor(
-            model.a, model.b, model.c, self, loop.bounds, self._scales.u, resting_input(loop)
+            model.a, model.b, model.c, self, loop.bounds, self._scales, resting_input(loop)
         )
 
     @property
@@ -148,7 +160,9 @@ class MPC(TrackingSettings, ModelBased):
 
     def _decide(self, sample: Sample) -> tuple[FloatArray, str]:
         """Return the first optimal inputs of the horizon."""
-        return self._predictor.solve(self._observer.state, self._u, sample.reference)
+        u, fault = self._predictor.solve(self._observer.state, self._u, sample.reference)
+        self._told = self._predictor.told
+        return u, fault
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model with its disturbances, its slowest or most unstable pole, its fit."""

@@ -25,7 +25,7 @@ from ddpc_controllers.data.quality import dead_time_warnings, fit_by_windows
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem
-from ddpc_controllers.optimisation.qp import make_law
+from ddpc_controllers.optimisation.qp import NOTHING_TOLD, action, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, Weight, setting
@@ -75,7 +75,8 @@ class WKPC(OnlineSettings, ScaledSignals):
         self._observables = self._draw(states, rng)
         lifted = self._lift(states)
         m, p, past = len(loop.inputs), len(loop.outputs), self.initial_length
-        self._inputs = m
+        self._inputs, self._outputs = m, p
+        self._ends, self._told = predicted_ends(loop.outputs), NOTHING_TOLD
         self._parameters = ParameterVector(
             {
                 "z_ini": (past, lifted.shape[1]),
@@ -127,16 +128,18 @@ class WKPC(OnlineSettings, ScaledSignals):
         self._append_state(self._last.take(measured))
         if self._learner:
             self._learn(self._learner, u, y, bool(missing))
-        fault = fault or missing
-        return Action(u, fault) if fault else u
+        return action(u, fault or missing, self._told)
 
     def _solve(self) -> tuple[FloatArray, FloatArray, str]:
         """Return the inputs to apply now, the outputs predicted of now, and what is not as it should be."""
         parameters = self._parameters
         answer, fault = self._law.solve(parameters.array)
+        self._told = NOTHING_TOLD
         if answer is None:
             return parameters.window("u_ini")[-1].copy(), parameters.window("y_ini")[-1].copy(), fault
-        u, forecast = answer[: self._inputs], answer[self._inputs :]
+        m, p = self._inputs, self._outputs
+        u, forecast = answer[:m], answer[m : m + p]
+        self._told = self._law.info(self._ends, answer, self._scales.y)
         if self._learner:
             self._learner.add_dither(u)
             self._limits.hold(u)
@@ -231,6 +234,7 @@ class WKPC(OnlineSettings, ScaledSignals):
         )
         problem.regularise(self.lambda_g)
         problem.ask(u=len(loop.inputs), y=len(loop.outputs))
+        problem.ask(y=-len(loop.outputs))
         return problem
 
     def _begin(self, loop: Loop, recording: Recording, lifted: FloatArray) -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import linprog
 
 from ddpc_controllers import DeePC
-from ddpc_cosim import Action, Bounds, ConfigError, FloatArray, Recording, Sample
+from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Recording, Sample
 from ddpc_cosim.study.controllers import make_controller
 
 from .full_problem import FullDeePC
@@ -246,8 +246,9 @@ class TestL1:
         for k in range(60):
             reference = np.full((5, 1), 50.0 if k < 20 else 60.0)
             answer = controller.step(Sample(k, 0.1 * k, state, state, reference, reference[0]))
-            assert not isinstance(answer, Action), answer
-            state = 0.9 * state + 0.1 * answer
+            assert isinstance(answer, Action)
+            assert answer.status == "ok"
+            state = 0.9 * state + 0.1 * answer.u
         assert state == pytest.approx([60.0], abs=1e-2)
 
     def test_the_solver_stands_when_the_loop_starts(
@@ -259,7 +260,9 @@ class TestL1:
         answer = controller.step(
             Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((5, 1), 0.1), np.full(1, 0.1))
         )
-        assert not isinstance(answer, Action)
+        assert isinstance(answer, Action)
+        assert answer.status == "ok"
+        assert list(answer.info) == ["predicted_end.y0"]
 
     def test_where_no_problem_has_a_solution_the_last_input_is_held(self) -> None:
         # The recording's last input is below the bounds [4, 5], and no more than 0.1 per sample is allowed.
@@ -326,3 +329,51 @@ def test_settings_of_earlier_versions_are_refused_with_what_to_use_instead(
 ) -> None:
     with pytest.raises(ConfigError, match=instead):
         make_controller(kind, settings)
+
+
+@pytest.mark.parametrize("torque", [3.5, 1.5])
+def test_a_step_says_its_cost_its_active_bounds_and_where_it_is_going(
+    paper_recording: Recording, torque: float
+) -> None:
+    """Against the full problem in the regulation form, whose cost is a sum of four squares."""
+    controller = DeePC(**REGULATION, output_weight=1e3)
+    loop = pendulum_loop(paper_recording, torque=torque)
+    told = Told(controller)
+    run = close_loop(told, loop, quick_pendulum, ANGLE, paper_reference(), steps=140)
+    full = FullDeePC(controller, paper_recording, loop.bounds)
+    past_y = full._windows(paper_recording)["y_ini"]
+    for k in (5, 40, 98, 100, 103, 120):
+        u_ini, y_ini = (before(table, np.zeros(1), k, 3) for table in (run.u, run.y))
+        reference = run.samples[k].reference
+        plan = full.solve(u_ini, y_ini, reference)
+        slack = past_y @ plan.g - y_ini.ravel()
+        cost = (
+            controller.output_weight * ((plan.y - reference) ** 2).sum()
+            + controller.input_weight * (plan.u**2).sum()
+            + controller.lambda_g * (plan.g**2).sum()
+            + controller.lambda_sigma * (slack**2).sum()
+        )
+        info = told.infos[k]
+        assert list(info) == ["cost", "active_bounds", "predicted_end.y0"]
+        assert info["cost"] == pytest.approx(cost, rel=1e-6, abs=1e-9)
+        assert info["predicted_end.y0"] == pytest.approx(plan.y[-1, 0], abs=1e-6)
+        at_limit = np.isclose(np.abs(plan.u), torque, rtol=1e-6).sum()
+        assert info["active_bounds"] == at_limit
+    assert (torque > 3.0) or any(info["active_bounds"] for info in told.infos)
+
+
+class Told(Controller):
+    """A controller, and what it says of its steps."""
+
+    def __init__(self, controller: DeePC) -> None:
+        self.controller, self.horizon = controller, controller.horizon
+
+    def start(self, loop: Loop) -> None:
+        self.infos: list[dict[str, float]] = []
+        self.controller.start(loop)
+
+    def step(self, sample: Sample) -> FloatArray | Action:
+        answer = self.controller.step(sample)
+        assert isinstance(answer, Action)
+        self.infos.append(dict(answer.info))
+        return answer

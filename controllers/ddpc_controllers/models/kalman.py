@@ -23,6 +23,7 @@ from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_controllers.optimisation.limits import PREDICTED
+from ddpc_controllers.optimisation.qp import NOTHING_TOLD, action
 from ddpc_controllers.scaling import ScaledSignals, Scales
 from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Recording, Sample, setting
 
@@ -256,6 +257,7 @@ class ModelBased(ScaledSignals):
         )
         self._u: FloatArray = resting_input(loop)
         self._resting = True
+        self._told: Mapping[str, float] = NOTHING_TOLD
         if loop.continues_recording and loop.recording is not None:
             newest = loop.recording.pieces[-1]
             self._observer.follow(newest.u, newest.y)
@@ -273,7 +275,7 @@ class ModelBased(ScaledSignals):
         u, fallback = self._decide(sample)
         self._observer.predict(u)
         self._u = u.copy()
-        return Action(u, fallback or missing) if fallback or missing else u
+        return action(u, fallback or missing, self._told) if fallback or missing or self._told else u
 
     @abstractmethod
     def _decide(self, sample: Sample) -> tuple[FloatArray, str]:

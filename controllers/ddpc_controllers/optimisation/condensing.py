@@ -125,6 +125,8 @@ class CondensedProblem:
         what they hold.
     labels : tuple of str
         What each bound is called; empty where no message needs it.
+    cost_law : array, shape (r, parameters), or None
+        The cost of the problem as printed is ``|cost_law @ p|^2 + |t|^2``.
     """
 
     excess_law: FloatArray
@@ -133,6 +135,7 @@ class CondensedProblem:
     move_gain: FloatArray
     conflict_law: FloatArray
     labels: tuple[str, ...] = ()
+    cost_law: FloatArray | None = None
 
 
 class Coordinates(NamedTuple):
@@ -189,7 +192,7 @@ class ReducedProblem:
         ConfigError
             The weights leave the optimum undetermined.
         """
-        law, gain = self._unconstrained_optimum()
+        law, gain, cost_law = self._unconstrained_optimum()
         return CondensedProblem(
             self.excess_law + self.excess_gain @ law,
             self.excess_gain @ gain,
@@ -197,10 +200,11 @@ class ReducedProblem:
             self.move_gain @ gain,
             self.conflict_law,
             self.labels,
+            cost_law,
         )
 
-    def _unconstrained_optimum(self) -> tuple[FloatArray, FloatArray]:
-        """Return ``w = law p + gain t`` such that the cost is |t|^2 and a constant."""
+    def _unconstrained_optimum(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return ``w = law p + gain t`` such that the cost is |t|^2 and |cost_law p|^2, and that law."""
         roots = [np.sqrt(own.weights)[:, np.newaxis] for own in self.own]
         residual = np.vstack(
             [self.residual, *(root * v.gain for root, v in zip(roots, self.own, strict=True))]
@@ -208,9 +212,11 @@ class ReducedProblem:
         offset = np.vstack([self.offset, *(root * v.law for root, v in zip(roots, self.own, strict=True))])
         size = residual.shape[1]
         if size == 0:
-            return np.zeros((0, offset.shape[1])), np.zeros((0, 0))
+            left = np.asarray(np.linalg.qr(offset, mode="r"))
+            return np.zeros((0, offset.shape[1])), np.zeros((0, 0)), left
         # Factorised side by side: R and Q' offset, without Q.
-        factor = np.asarray(np.linalg.qr(np.hstack([residual, offset]), mode="r"))[:size]
+        factor = np.asarray(np.linalg.qr(np.hstack([residual, offset]), mode="r"))
+        factor, left = factor[:size], factor[size:, size:]
         triangular, projected = factor[:, :size], factor[:, size:]
         diagonal = np.abs(np.diag(triangular))
         if len(triangular) < size or diagonal.min() <= _INSIGNIFICANT * diagonal.max():
@@ -222,7 +228,7 @@ class ReducedProblem:
             )
         # Not solve_triangular: its LAPACK routine starts threads even for a handful of rows.
         gain = dtrsm(1.0, triangular, np.eye(size), side=1)
-        return -gain @ projected, gain
+        return -gain @ projected, gain, left
 
 
 def condense(problem: Problem, data: FloatArray) -> CondensedProblem:

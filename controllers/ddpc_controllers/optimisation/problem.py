@@ -170,9 +170,10 @@ class Problem:
         return easier
 
     def ask(self, **counts: int) -> None:
-        """Ask for the first entries of variables."""
+        """Ask for the first entries of variables, or for the last with a negative count."""
         for name, count in counts.items():
-            self._wanted.append(np.eye(self._width)[self._variables[name]][:count])
+            chosen = slice(count) if count >= 0 else slice(count, None)
+            self._wanted.append(np.eye(self._width)[self._variables[name]][chosen])
 
     @property
     def cost(self) -> tuple[FloatArray, FloatArray]:

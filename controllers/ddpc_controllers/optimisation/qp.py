@@ -17,7 +17,8 @@ variables w at the parameters p is
 One triangular solution, one product and one factorisation give its optimum.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, Protocol
@@ -39,7 +40,7 @@ from ddpc_controllers.optimisation.limits import (
     unmet_bounds,
 )
 from ddpc_controllers.optimisation.problem import Problem
-from ddpc_cosim import ConfigError, FloatArray
+from ddpc_cosim import Action, ConfigError, FloatArray, Variable
 
 _FEASIBLE = 1e-11
 _NO_CONFLICT = 1e-6
@@ -47,6 +48,10 @@ _LARGEST_CONDITION = 1e12
 _SINGULAR = 1e-6
 _ILL_CONDITIONED = 1e-5
 _REMEMBERED = 256
+
+
+COST, ACTIVE_BOUNDS = "cost", "active_bounds"
+_OK = Action(np.empty(0)).status
 
 
 class Move(NamedTuple):
@@ -65,11 +70,104 @@ class Move(NamedTuple):
     fault: str
 
 
+class Solution(NamedTuple):
+    """What a move comes from; t is the distance from the unconstrained optimum, in units of the cost.
+
+    Parameters
+    ----------
+    answer : array
+        Excess over the bounds at the unconstrained optimum, what was asked for, and, r being the rest of it
+        from ``rest`` on, ``|r|^2``, the cost there.
+    rest : int
+        See above.
+    active : tuple of int
+        Numbers of the active bounds.
+    t : array or None
+        The distance; None: that of the optimum on the active bounds.
+    gain : array, shape (n, k)
+        How t changes the excess.
+    """
+
+    answer: FloatArray
+    rest: int
+    active: ActiveSet
+    t: FloatArray | None
+    gain: FloatArray
+
+    def cost(self) -> float:
+        """Return the cost of the problem."""
+        root, t = self.answer[self.rest :], self.t
+        if t is None and self.active:
+            rows, excess = self.gain[list(self.active)], self.answer[list(self.active)]
+            t = rows.T @ np.linalg.solve(rows @ rows.T, excess)
+        return float(root @ root) + (0.0 if t is None else float(t @ t))
+
+
+class StepInfo(Mapping[str, float]):
+    """What a predictive method says of a step; worked out when it is read, not while the step is timed.
+
+    Parameters
+    ----------
+    solution : tuple or None
+        The fields of a :class:`Solution`, where the inputs come from one.
+    ends : sequence of str
+        Names of the predicted outputs at the end of the horizon.
+    predicted, unit : arrays, shapes (p,)
+        These outputs, which end the array, and what one of them is in its own unit.
+    """
+
+    __slots__ = ("_given",)
+
+    def __init__(
+        self,
+        solution: tuple[FloatArray, int, ActiveSet, FloatArray | None, FloatArray] | None,
+        ends: Sequence[str],
+        predicted: FloatArray,
+        unit: FloatArray,
+    ) -> None:
+        self._given = solution, ends, predicted, unit
+
+    def __iter__(self) -> Iterator[str]:
+        solution, ends, _, _ = self._given
+        yield from (() if solution is None else (COST, ACTIVE_BOUNDS))
+        yield from ends
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+    def __getitem__(self, name: str) -> float:
+        solution, ends, predicted, unit = self._given
+        if solution is not None and name == COST:
+            return Solution(*solution).cost()
+        if solution is not None and name == ACTIVE_BOUNDS:
+            return float(len(Solution(*solution).active))
+        if name not in ends:
+            raise KeyError(name)
+        i = ends.index(name)
+        return float(predicted[i - len(ends)] * unit[i])
+
+
+NOTHING_TOLD = StepInfo(None, (), np.empty(0), np.empty(0))
+
+
+def predicted_ends(outputs: Sequence[Variable]) -> tuple[str, ...]:
+    """Return what the predicted outputs at the end of the horizon are called."""
+    return tuple(f"predicted_end.{output.name}" for output in outputs)
+
+
+def action(u: FloatArray, fault: str, info: Mapping[str, float]) -> Action:
+    """Return an action that is a fallback where there is a fault."""
+    return Action(u, fault or _OK, info)
+
+
 class Law(Protocol):
     """What answers a parameter vector with a move."""
 
     def solve(self, parameters: FloatArray) -> Move:
         """Return the optimal move, or the documented fallback with its reason."""
+
+    def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
+        """Return what there is to say of the last move; arguments as of :class:`StepInfo`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +208,20 @@ class _BoundedLaw:
         self._limits, self._backend, self._relaxation = limits, backend, relaxation
         self._active: ActiveSet = ()
         self._easier: _BoundedLaw | None = None
+        self._answer, self._rest = np.empty(0), 0
+        self._gain = np.empty((0, 0))
+        self._used: ActiveSet = ()
+        self._t: FloatArray | None = None
+        self._is_solved = False
+
+    def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
+        """Return what there is to say of the last move; arguments as of :class:`StepInfo`."""
+        if self._is_solved:
+            solution = self._answer, self._rest, self._used, self._t, self._gain
+            return StepInfo(solution, ends, predicted, unit)
+        if self._easier is None:
+            return StepInfo(None, ends, predicted, unit)
+        return self._easier.info(ends, predicted, unit)
 
     def solve(self, parameters: FloatArray) -> Move:
         """Return the optimal move, or the documented fallback with its reason.
@@ -132,7 +244,8 @@ class _BoundedLaw:
         self, answer: FloatArray, parameters: FloatArray, correct: Callable[[FloatArray, FloatArray], str]
     ) -> Move:
         """Return the move, given the excess over the bounds and the inputs of the unconstrained optimum."""
-        excess, u = answer[: self._bounds], answer[self._bounds :]
+        excess, u = answer[: self._bounds], answer[self._bounds : self._rest]
+        self._answer, self._used, self._t, self._is_solved = answer, (), None, True
         fault = find_conflict(self._conflict_law, parameters) if self._watches_conflict else ""
         if self._bounds and not max(excess.tolist()) <= 0.0:
             if not all_finite(excess):
@@ -148,6 +261,7 @@ class _BoundedLaw:
 
     def _relax(self, u: FloatArray, parameters: FloatArray, unmet: str) -> Move:
         """Return the move of the easier problem; where there is none clip ``u``."""
+        self._is_solved = False
         if self._easier is None and self._relaxation:
             self._easier = self._relaxation.law(self._limits, self._backend)
         if self._easier is not None:
@@ -187,7 +301,9 @@ class ParametricQP(_BoundedLaw):
         """Take new matrices; active sets seen before stay the first guesses."""
         self._problem, self._easier = problem, None
         self._take(len(problem.excess_law), problem.conflict_law)
-        self._law = np.vstack([problem.excess_law, problem.move_law])
+        cost_law = np.empty((0, problem.move_law.shape[1])) if problem.cost_law is None else problem.cost_law
+        self._law = np.vstack([problem.excess_law, problem.move_law, cost_law])
+        self._rest, self._gain = len(self._law) - len(cost_law), problem.excess_gain
         self._laws: dict[ActiveSet, FloatArray | None] = {}
         if self._bounds:
             self._backend.load(problem.excess_gain)
@@ -225,6 +341,7 @@ class ParametricQP(_BoundedLaw):
         if not max(answer[: self._bounds].tolist()) <= _FEASIBLE:
             return False
         u += answer[self._bounds :]
+        self._used = active
         return True
 
     def _derive_law(self, active: ActiveSet) -> FloatArray | None:
@@ -252,6 +369,7 @@ class ParametricQP(_BoundedLaw):
         if failure:
             return unmet_bounds(self._problem.excess_gain, excess, self._problem.labels)
         u += self._problem.move_gain @ t
+        self._used, self._t = active, t
         return ""
 
 
@@ -333,8 +451,9 @@ class AdaptiveQP(_BoundedLaw):
         """
         gram_factor = self._gram_factor()
         affine = np.dot(self._laws, parameters)
-        triangular, w = self._unconstrained_optimum(gram_factor, affine[: self._split], parameters)
+        triangular, w, cost = self._unconstrained_optimum(gram_factor, affine[: self._split], parameters)
         answer = affine[self._split :] + np.dot(self._gains, w)
+        answer[self._rest] = math.sqrt(max(cost, 0.0))
         return self._move(answer, parameters, partial(self._respect_bounds, triangular))
 
     def _gram_factor(self) -> FloatArray:
@@ -358,9 +477,12 @@ class AdaptiveQP(_BoundedLaw):
         self._take(len(reduced.excess_law), reduced.conflict_law)
         self._split = size + terms * rank
         linear = reduced.residual.T @ reduced.offset
+        self._offset = np.asarray(np.linalg.qr(reduced.offset, mode="r"))
         own_laws = [own.law for own in reduced.own]
-        self._laws = np.vstack([linear, *own_laws, reduced.excess_law, reduced.move_law])
-        self._gains = np.vstack([reduced.excess_gain, reduced.move_gain])
+        no_law, no_gain = (np.zeros((1, width)) for width in (linear.shape[1], size))
+        self._laws = np.vstack([linear, *own_laws, reduced.excess_law, reduced.move_law, no_law])
+        self._gains = np.vstack([reduced.excess_gain, reduced.move_gain, no_gain])
+        self._rest = len(self._gains) - 1
         self._curvature = reduced.residual.T @ reduced.residual
         # What g costs, side by side: one triangular solution serves all of it.
         self._roots = np.sqrt(
@@ -372,8 +494,8 @@ class AdaptiveQP(_BoundedLaw):
 
     def _unconstrained_optimum(
         self, gram_factor: FloatArray, affine: FloatArray, parameters: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return R, ``R'R`` being the curvature of the cost, and the optimum w."""
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Return R, ``R'R`` being the curvature of the cost, the optimum w, and the cost there."""
         size = len(self._curvature)
         own = self._own
         own[:, size :: size + 1] = affine[size:].reshape(-1, len(own)).T
@@ -386,7 +508,10 @@ class AdaptiveQP(_BoundedLaw):
         diagonal = triangular.diagonal().tolist()
         if info or (size and min(diagonal) < _ILL_CONDITIONED * max(diagonal)):
             return self._optimum_by_roots(deviation, parameters)
-        return triangular, -dpotrs(triangular, affine[:size] + products[:size, size])[0]
+        slope = affine[:size] + products[:size, size]
+        w = -dpotrs(triangular, slope)[0]
+        offset = np.dot(self._offset, parameters)
+        return triangular, w, float(offset @ offset + products[size, size] + slope @ w)
 
     def _places_of_own(self) -> list[slice]:
         """Return where each part of what g costs stands, its gain and its value."""
@@ -395,19 +520,21 @@ class AdaptiveQP(_BoundedLaw):
 
     def _optimum_by_roots(
         self, deviation: FloatArray, parameters: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, FloatArray, float]:
         """Return the same without squaring the condition: slower, for weights that are far apart."""
         size = len(self._curvature)
         offset = np.dot(self._reduced.offset, parameters)[:, np.newaxis]
         stacked = np.vstack([np.hstack([self._reduced.residual, offset]), deviation])
-        factor = np.asarray(np.linalg.qr(stacked, mode="r"))[:size]
-        triangular = np.asfortranarray(factor[:, :size])
-        return triangular, -dtrtrs(triangular, factor[:, size])[0]
+        factor = np.asarray(np.linalg.qr(stacked, mode="r"))
+        triangular = np.asfortranarray(factor[:size, :size])
+        left = factor[size:, size]
+        return triangular, -dtrtrs(triangular, factor[:size, size])[0], float(left @ left)
 
     def _respect_bounds(self, triangular: FloatArray, excess: FloatArray, u: FloatArray) -> str:
         """Correct the unconstrained optimum ``u`` in place; t = R (w - optimum) is the deviation."""
         gains = dtrsm(1.0, triangular, self._gains, side=1)
-        gain, move_gain = gains[: self._bounds], gains[self._bounds :]
+        gain, move_gain = gains[: self._bounds], gains[self._bounds : self._rest]
+        self._gain = gain
         t = self._deviation(gain, excess)
         if t is None:
             self._backend.load(gain)
@@ -417,6 +544,7 @@ class AdaptiveQP(_BoundedLaw):
             if failure and exact is None:
                 return unmet_bounds(gain, excess, self._reduced.labels)
             t, self._active = (t if exact is None else exact), active
+        self._used, self._t = self._active, t
         u += move_gain @ t
         return ""
 

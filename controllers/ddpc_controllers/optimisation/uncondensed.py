@@ -3,6 +3,7 @@
 Slow: the cost of a step grows with the length of the recording.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from ddpc_controllers.optimisation.backends import SparseQP
 from ddpc_controllers.optimisation.condensing import factorise, reduce
 from ddpc_controllers.optimisation.limits import HELD, LAST_HELD, InputLimits, bounds_not_met, unmet_bounds
 from ddpc_controllers.optimisation.problem import Problem
-from ddpc_controllers.optimisation.qp import Move
+from ddpc_controllers.optimisation.qp import Move, StepInfo
 from ddpc_cosim import FloatArray
 
 _TOLERANCE, _RELAXED = 1e-9, 1e-7
@@ -38,6 +39,10 @@ class UncondensedLaw:
         self._qp: SparseQP | None = self._set_up()
         self._easier: UncondensedLaw | None = None
         self._unmet = ""
+
+    def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
+        """Return the predicted end of the horizon; cost and active bounds are not read off the solver."""
+        return StepInfo(None, ends, predicted, unit)
 
     def solve(self, parameters: FloatArray) -> Move:
         """Return the optimal move, or why the last inputs are to be held.

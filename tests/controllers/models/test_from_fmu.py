@@ -14,6 +14,7 @@ from ddpc_controllers import LQR, MPC, FMUModel, StateSpace, pulse_model
 from ddpc_controllers.models.identification import markov_parameters
 from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_cosim import (
+    Action,
     Bounds,
     ConfigError,
     Constant,
@@ -190,7 +191,8 @@ def close_loop(controller: Controller, loop: Loop, path: str, reference: FloatAr
         y, u = plant.reset(), []
         for k in range(len(reference) - controller.horizon - 1):
             future = reference[k + 1 : k + 1 + controller.horizon]
-            u.append(np.asarray(controller.step(Sample(k, k * loop.sampling_time, y, y, future, future[0]))))
+            answer = controller.step(Sample(k, k * loop.sampling_time, y, y, future, future[0]))
+            u.append(answer.u if isinstance(answer, Action) else answer)
             y = plant.step(u[-1], loop.sampling_time)
     return np.array(u)
 

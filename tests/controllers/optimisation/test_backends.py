@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings, strategies as st
 
 from ddpc_controllers import MPC, WKPC, DeePC, KoopmanMPC
 from ddpc_controllers.optimisation.backends import BACKENDS, Answer, Backend, contradiction, make_backend
-from ddpc_cosim import ConfigError, Controller, FloatArray, Recording, Sample
+from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Recording, Sample
 
 from ..full_problem import FullDeePC
 from ..loops import ANGLE, Run, before, close_loop, paper_reference, pendulum_loop, quick_pendulum
@@ -125,7 +125,8 @@ def test_the_solver_stands_when_the_loop_starts(
     monkeypatch.delattr("daqp.Model")
     reference = np.full((5, 1), 1.0)
     answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), reference, reference[0]))
-    assert np.array_equal(answer, [1.0])
+    assert isinstance(answer, Action)
+    assert np.array_equal(answer.u, [1.0])
 
 
 class Pessimist:
