@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import fdtrc
 
 from ddpc_controllers.data.hankel import count_windows, window_starts
-from ddpc_controllers.models.linear import SampledModel
 from ddpc_cosim import FloatArray, Recording, judge_prediction
+
+if TYPE_CHECKING:
+    from ddpc_controllers.models.linear import SampledModel
 
 _HELD_OUT = 0.25
 # For each unknown: with fewer, what the head fits says nothing of what the whole recording does.
@@ -86,7 +88,7 @@ def fit_by_windows(data: FloatArray, future: int, outputs: int, depth: int) -> P
 
 
 def fit_by_model(
-    model: SampledModel, states: FloatArray, recording: Recording, steps: int, head: int
+    model: "SampledModel", states: FloatArray, recording: Recording, steps: int, head: int
 ) -> PredictionTest | None:
     """Test a model that was fitted to the first samples of a recording.
 
