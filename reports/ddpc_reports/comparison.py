@@ -100,12 +100,24 @@ class ControllerResults:
     def summed(self, key: str) -> float:
         """Return a metric in one value over the seeds, in the way that suits it.
 
-        Medians and largest values are those of the completed cases, totals those of all.
+        Medians and largest values are those of the completed cases, totals those of all. Of figures of the
+        step response it is the median of all cases: what a case lacks is worse than any value.
         """
+        if metric_of(key).if_held:
+            return self._median_response(key)
         how = metric_of(key).over_seeds
         if how == "total":
             return self.total(key)
         return self.over_seeds(key).high if how == "largest" else self.over_seeds(key).median
+
+    def _median_response(self, key: str) -> float:
+        """Return the median over the seeds; NaN unless more than half of the cases have a value."""
+        known = list(self.by_seed(key).values())
+        lacking = len(self.cases) - len(known)
+        if len(known) <= lacking:
+            return math.nan
+        worse = [math.inf] * lacking if metric_of(key).better else []
+        return median([*known, *worse])
 
     def total(self, key: str) -> float:
         """Return the sum of a count over all cases; the fault that ended a case is not a fallback."""

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from statistics import median
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
@@ -93,18 +92,9 @@ def response_table(condition: Condition, prefix: str) -> Table | None:
 
 def _response_column(condition: Condition, key: str) -> Column:
     metric = metric_of(key)
-    values = [_response_value(one, key) for one in condition.controllers]
+    values = [one.summed(key) for one in condition.controllers]
     cells = number_cells(values, eligible=_all_hold(condition), better=metric.better, digits=3)
     return Heading(metric.title, metric_unit(key), group=metric_signal(key)), cells
-
-
-def _response_value(one: ControllerResults, key: str) -> float:
-    """Return the median over the seeds; what is not reached in a case is worse than any value."""
-    values = [case.metrics.get(key, math.nan) for case in one.holding]
-    if not metric_of(key).better:
-        return spread(values).median
-    middle = median([math.inf if math.isnan(value) else value for value in values]) if values else math.nan
-    return middle if math.isfinite(middle) else math.nan
 
 
 def _counted(count: int, total: int) -> Cell:

@@ -167,6 +167,16 @@ def test_a_time_that_most_seeds_do_not_reach_has_no_median(make_results: MakeRes
     assert float(table.rows[1].cells[place].raw) > 0
 
 
+def test_what_one_seed_of_three_reaches_does_not_speak_for_all(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        trace = make_trace(0.3, noise_seed=seed)
+        return trace if key == "slow" or seed == 0 else replace(trace, y=trace.y / 3)
+
+    table = verdict_table(only(make_results(trace_of, seeds=[0, 7, 8])), "")
+    place = next(i for i, head in enumerate(table.headings[1:]) if head.title == "settled error")
+    assert [row.cells[place].text == "\N{EN DASH}" for row in table.rows] == [True, False]
+
+
 def test_a_study_with_weights_is_ranked_by_its_cost(make_results: MakeResults) -> None:
     """The cost is of the whole run: one ranking, whatever the number of outputs."""
 
