@@ -118,7 +118,9 @@ _CASE_STEP_TIMES = {STEP_TIMES["median"]: "median step", STEP_TIMES["longest"]: 
 
 
 def _case_keys(conditions: Sequence[Condition]) -> list[str]:
-    keys = [key for name in response_metrics() for key in metric_keys(conditions, name)]
+    # What says neither good nor bad of a response would only make the page of many cases larger.
+    shown = (name for name, metric in response_metrics().items() if metric.better or not metric.if_held)
+    keys = [key for name in shown for key in metric_keys(conditions, name)]
     return [*keys, *_CASE_STEP_TIMES]
 
 
