@@ -7,7 +7,6 @@ from typing import NamedTuple
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults, Trace
-from ddpc_cosim.settings import PLANT
 from ddpc_cosim.study.sections import TunedSection
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.numbers import as_given, with_unit
@@ -25,6 +24,8 @@ class _Fact(NamedTuple):
 _Telling = Callable[[ControllerResults, Trace | None], _Fact]
 """What is said of a controller, given its run at the first seed, if that has any samples."""
 _NOT_KNOWN = _Fact("", "")
+_PLANT_FMU = "{plant}"
+"""What a setting says in a study that is the path of a file, for the FMU that the study controls."""
 
 
 def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) -> list[Statement]:
@@ -140,7 +141,7 @@ def _prior_knowledge(results: StudyResults, first: Condition) -> Markup:
 def _told(results: StudyResults, one: ControllerResults, trace: Trace | None) -> _Fact:
     told = trace.knowledge.get("plant", "") if trace else ""
     section = results.study.controllers.get(one.key)
-    if section is not None and PLANT in _values(section.settings):
+    if section is not None and _PLANT_FMU in _values(section.settings):
         told = f"{told or 'something not known'}; its settings name the FMU of the plant itself"
     if not told:
         return _NOT_KNOWN
