@@ -70,7 +70,7 @@ class BehavioralTracking(ScaledSignals):
         True, doc="optimise a setpoint (u_s, y_s) online, (8); otherwise track the reference itself"
     )
     terminal_equality: bool = setting(
-        True, doc="the last initial_length predicted samples equal the artificial setpoint"
+        False, doc="the last initial_length predicted samples equal the artificial setpoint"
     )
     setpoint_margin: float = setting(
         0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoint"
@@ -334,7 +334,7 @@ class DeePC(OnlineSettings, BehavioralTracking):
     }
 
     regulariser: Regulariser = setting(
-        "ridge", choices=get_args(Regulariser), doc="what lambda_g weighs of g: see the class"
+        "projection", choices=get_args(Regulariser), doc="what lambda_g weighs of g: see the class"
     )
     lambda_g: float = setting(50.0, above=0.0, doc="weight of the regulariser, of |g|^2 with the ridge")
     slack: bool = setting(True, doc="past outputs may be missed by sigma_y; otherwise they are met exactly")

@@ -210,7 +210,7 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
     accepts_missing: ClassVar[bool] = True
 
     state: StateKind = setting(
-        "measured",
+        "delays",
         choices=STATE_KINDS,
         doc="state that is lifted: all measured, or outputs and inputs with past",
     )

@@ -157,7 +157,8 @@ class MFAC(ModelFreeAdaptive):
     exactly, so that channels that do not act on each other do not slow each other down.
     """
 
-    step_factor: float = setting(0.5, above=0.0, high=1.0, doc="step factor rho of the control law")
+    lambda_u: float = setting(0.1, above=0.0, doc="weight of the input changes, lambda in (19)")
+    step_factor: float = setting(1.0, above=0.0, high=1.0, doc="step factor rho of the control law")
 
     def _start(self, loop: Loop) -> None:
         self._begin(loop, steps=1, optimise=False)

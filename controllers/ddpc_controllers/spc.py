@@ -27,17 +27,10 @@ from ddpc_cosim import Loop, setting
 class SPC(BehavioralTracking):
     """Subspace predictive control: the past is met exactly, the outputs are the least-squares prediction.
 
-    Tracks the reference itself by default; the artificial setpoint and the terminal condition of (8) can be
-    switched on. A past that no combination of the recorded windows has (noise on a recording without noise)
+    By default inputs and outputs are weighed from the artificial setpoint of (8), so that no input is pulled
+    to where it rests; without it they track the reference itself. A past that no combination of the recorded windows has (noise on a recording without noise)
     is a counted status; the nearest past is used.
     """
-
-    artificial_setpoint: bool = setting(
-        False, doc="optimise a setpoint (u_s, y_s) online, (8); otherwise track the reference itself"
-    )
-    terminal_equality: bool = setting(
-        False, doc="the last initial_length predicted samples equal the artificial setpoint"
-    )
 
     use_current_output: bool = setting(
         True,

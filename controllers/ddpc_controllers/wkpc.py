@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_pr
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, Weight, setting
 
+# Observables nearly repeat each other, and leave directions that the past hardly fixes: they cost this share.
+_KEPT_SMALL = 1e-3
+
 
 @dataclass(kw_only=True)
 class WKPC(OnlineSettings, ScaledSignals):
@@ -51,7 +54,12 @@ class WKPC(OnlineSettings, ScaledSignals):
     horizon: int = setting(5, low=1, doc="prediction horizon N, samples")
     output_weight: Weight = setting(1.0, low=0.0, doc="Q: predicted outputs off the reference")
     input_weight: Weight = setting(0.1, above=0.0, doc="R: inputs off the artificial setpoint")
-    lambda_g: float = setting(0.1, above=0.0, doc="weight of |g|^2")
+    regulariser: Literal["ridge", "projection"] = setting(
+        "projection",
+        choices=("ridge", "projection"),
+        doc="what lambda_g weighs of g: all of it (11), or what goes beyond the least-squares prediction",
+    )
+    lambda_g: float = setting(0.1, above=0.0, doc="weight of the regulariser, of |g|^2 with the ridge")
     setpoint_margin: float = setting(
         0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoint"
     )
@@ -232,7 +240,11 @@ class WKPC(OnlineSettings, ScaledSignals):
             self._parameters.sizes,
             known={name: name for name in past},  # (10)
         )
-        problem.regularise(self.lambda_g)
+        if self.regulariser == "ridge":
+            problem.regularise(self.lambda_g)
+        else:
+            above = dict.fromkeys((*past, "u"), _KEPT_SMALL * self.lambda_g)
+            problem.regularise({**above, "y": self.lambda_g})
         problem.ask(u=len(loop.inputs), y=len(loop.outputs))
         problem.ask(y=-len(loop.outputs))
         return problem
