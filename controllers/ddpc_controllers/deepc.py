@@ -231,9 +231,10 @@ class BehavioralTracking(ScaledSignals):
     def _judge(self, loop: Loop, recording: Recording) -> list[str]:
         """Return what speaks against predicting with this recording."""
         # The first predicted output is the present one, which no input changes, or the next.
-        spans = (self.horizon - 1, "horizon"), (self.initial_length, "initial_length")
-        if self.use_current_output:
-            spans = (self.horizon, "horizon"), (self.initial_length + 1, "initial_length")
+        seen = self.horizon - 1 + self.use_current_output
+        if self.terminal_equality:  # at its end the outputs have to be there already
+            seen -= self.initial_length - 1
+        spans = (seen, "horizon"), (self.initial_length + self.use_current_output, "initial_length")
         late = dead_time_warnings(recording, [output.name for output in loop.outputs], *spans)
         return late + (self._tested.warnings(type(self).__name__, self.horizon) if self._tested else [])
 
@@ -310,8 +311,10 @@ class BehavioralTracking(ScaledSignals):
 class DeePC(OnlineSettings, BehavioralTracking):
     """Data-enabled predictive control, equation (8).
 
-    The defaults are those of Table 1 and the problem is the printed one. ``artificial_setpoint`` and
-    ``terminal_equality`` off give the regulation form of [8].
+    The weights are those of Table 1 by default. The problem is the printed one with ``regulariser = "ridge"``
+    and ``terminal_equality`` on; by default both are milder, for the ridge pulls every output to zero, and a
+    plant slower than the horizon cannot rest at its end. ``artificial_setpoint`` off gives the regulation
+    form of [8].
 
     ``regulariser`` is what ``lambda_g`` weighs: ``"ridge"`` |g|^2; ``"equilibrium"``
     |g - g_s|^2 + 0.3 |(I - Pi) g_s|^2, g_s(u_s, y_s) being the smallest combination that is at the artificial

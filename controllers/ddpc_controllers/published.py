@@ -5,13 +5,14 @@ Subclasses, so that no setting of a method serves only them. Their trajectories 
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal, get_args
 
 import numpy as np
 
 from ddpc_controllers.checks import all_finite
 from ddpc_controllers.data.dictionaries import Lift, ThinPlate
 from ddpc_controllers.data.hankel import hankel_matrix
-from ddpc_controllers.deepc import DeePC
+from ddpc_controllers.deepc import DeePC, Regulariser
 from ddpc_controllers.optimisation.condensing import condense
 from ddpc_controllers.optimisation.qp import ParametricQP
 from ddpc_controllers.wkpc import WKPC
@@ -45,6 +46,12 @@ class PublishedDeePC(DeePC):
     plants a jump in the data, and requires that the first N entries of g alone sum to 1.
     """
 
+    regulariser: Regulariser = setting(
+        "ridge", choices=get_args(Regulariser), doc="what lambda_g weighs of g: see DeePC"
+    )
+    terminal_equality: bool = setting(
+        True, doc="the last initial_length predicted samples equal the artificial setpoint"
+    )
     affine_sum: str = setting(
         "first-horizon", choices=("first-horizon",), doc="which entries of g sum to 1: the first N"
     )
@@ -75,6 +82,9 @@ class PublishedWKPC(WKPC):
     Hankel matrix is rebuilt from its last T samples but the last N, while those of inputs and outputs stay.
     """
 
+    regulariser: Literal["ridge", "projection"] = setting(
+        "ridge", choices=("ridge", "projection"), doc="what lambda_g weighs of g: see WKPC"
+    )
     dictionary: ThinPlate = setting(
         default_factory=ThinPlate, doc="number of functions, and box of their centres"
     )

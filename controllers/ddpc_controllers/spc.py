@@ -28,8 +28,8 @@ class SPC(BehavioralTracking):
     """Subspace predictive control: the past is met exactly, the outputs are the least-squares prediction.
 
     By default inputs and outputs are weighed from the artificial setpoint of (8), so that no input is pulled
-    to where it rests; without it they track the reference itself. A past that no combination of the recorded windows has (noise on a recording without noise)
-    is a counted status; the nearest past is used.
+    to where it rests; without it they track the reference itself. A past that no combination of the recorded
+    windows has (noise on a recording without noise) is a counted status; the nearest past is used.
     """
 
     use_current_output: bool = setting(

@@ -39,7 +39,8 @@ class WKPC(OnlineSettings, ScaledSignals):
     """Willems-Koopman predictive control, equations (10)-(12).
 
     The lifted state is ``z = (x, psi_1(x), ..., psi_np(x))`` with x all that is measured. Future lifted
-    states are not known, so the lifted rows cover the past window only. The defaults are those of Table 1.
+    states are not known, so the lifted rows cover the past window only. The weights are those of Table 1 by
+    default; ``regulariser = "ridge"`` is that of (11), which pulls every output to zero.
     ``online_data`` lets the data follow the plant: see
     :class:`~ddpc_controllers.data.online.OnlineSettings`.
     """

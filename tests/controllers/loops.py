@@ -10,6 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 
+from ddpc_controllers import SPC, WKPC, DeePC, GammaDDPC
 from ddpc_cosim import Action, Bounds, Controller, FloatArray, Loop, Recording, Sample, Variable
 
 DATA = Path(__file__).parent.parent / "data"
@@ -17,6 +18,9 @@ DEGREE = math.pi / 180.0
 SAMPLING_TIME = 0.1
 REGULATION: dict[str, Any] = {"artificial_setpoint": False, "terminal_equality": False}
 """Settings that make (8) track the reference itself."""
+
+PRINTED: dict[str, Any] = {"regulariser": "ridge", "terminal_equality": True}
+"""Settings that make DeePC's problem the printed (8)."""
 
 Advance = Callable[[FloatArray, FloatArray], FloatArray]
 
@@ -191,6 +195,26 @@ def together_and_alone(
 
     everything = list(range(len(plants)))
     return inputs(everything), np.hstack([inputs([i]) for i in everything])
+
+
+def printed_deepc(**settings: Any) -> DeePC:
+    """Return DeePC with the printed problem (8), but for the settings given."""
+    return DeePC(**{**PRINTED, **settings})
+
+
+def printed_wkpc(**settings: Any) -> WKPC:
+    """Return WKPC with the printed problem (11), but for the settings given."""
+    return WKPC(**{"regulariser": "ridge", **settings})
+
+
+def regulating_spc(**settings: Any) -> SPC:
+    """Return SPC that tracks the reference itself, but for the settings given."""
+    return SPC(**{"artificial_setpoint": False, **settings})
+
+
+def regulating_gamma_ddpc(**settings: Any) -> GammaDDPC:
+    """Return gamma-DDPC that tracks the reference itself, but for the settings given."""
+    return GammaDDPC(**{"artificial_setpoint": False, **settings})
 
 
 ANGLE = np.array([[1.0, 0.0]])

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from ddpc_controllers.cascade import Cascade
-from ddpc_controllers.deepc import DeePC
 from ddpc_controllers.ipid import IPID
 from ddpc_controllers.mfac import MFAC, MFAPC
 from ddpc_cosim import Action, ConfigError, Controller, Loop, Recording, Sample, Variable, setting
 
-from .loops import SAMPLING_TIME, LinearPlant, close_loop, make_loop, together_and_alone
+from .loops import SAMPLING_TIME, LinearPlant, close_loop, make_loop, printed_deepc, together_and_alone
 
 FREE = np.array([np.inf])
 
@@ -83,7 +82,7 @@ def test_unknown_inner_outputs_are_named() -> None:
 
 def test_a_controller_that_learns_from_a_recording_is_refused() -> None:
     with pytest.raises(ConfigError, match="outer: DeePC learns from a recording"):
-        Cascade(outer=DeePC())
+        Cascade(outer=printed_deepc())
 
 
 def test_what_is_not_a_controller_is_refused() -> None:

@@ -14,11 +14,13 @@ from .loops import (
     ANGLE,
     DATA,
     DEGREE,
+    PRINTED,
     Run,
     close_loop,
     paper_reference,
     pendulum,
     pendulum_loop,
+    printed_deepc,
 )
 
 
@@ -45,10 +47,10 @@ class Padded(DeePC):
 @pytest.mark.parametrize(
     ("controller", "degrees"),
     [
-        (Padded(), 624.71),
-        (Padded(affine_sum="all"), 609.52),
-        (DeePC(), 456.08),
-        (DeePC(affine_sum="all"), 459.28),
+        (Padded(**PRINTED), 624.71),
+        (Padded(**PRINTED, affine_sum="all"), 609.52),
+        (printed_deepc(), 456.08),
+        (printed_deepc(affine_sum="all"), 459.28),
     ],
 )
 def test_each_departure_of_the_published_program_has_its_effect(
@@ -66,14 +68,14 @@ def test_the_published_sum_without_the_padding(
 
 def test_a_loop_can_go_on_where_the_recording_ended(paper_recording: Recording) -> None:
     loop = replace(pendulum_loop(paper_recording, degrees=120.0), continues_recording=True)
-    here = close_loop(DeePC(), loop, pendulum, ANGLE, paper_reference(), steps=1)
-    full = FullDeePC(DeePC(), paper_recording, loop.bounds)
+    here = close_loop(printed_deepc(), loop, pendulum, ANGLE, paper_reference(), steps=1)
+    full = FullDeePC(printed_deepc(), paper_recording, loop.bounds)
     first = full.solve(paper_recording.u[-3:], paper_recording.y[-3:], paper_reference()[1:6])
     assert here.u[0] == pytest.approx(first.u[0], abs=1e-7)
 
 
 def test_the_recording_is_diagnosed(paper_recording: Recording) -> None:
-    controller = DeePC()
+    controller = printed_deepc()
     controller.start(pendulum_loop(paper_recording))
     figures = controller.diagnostics()
     assert figures["pe_order_needed"] == 3 + 5 + 3
@@ -87,11 +89,11 @@ def test_an_input_that_hardly_varies_is_refused_with_the_orders(paper_recording:
     u = np.sin(0.5 * time) + np.sin(1.3 * time)
     poor = Recording(u, paper_recording.y, paper_recording.measured, 0.1)
     with pytest.raises(DataError, match=r"exciting of order 4, needed 11 \(depth 8 \+ assumed order 3\)"):
-        DeePC().start(pendulum_loop(poor))
+        printed_deepc().start(pendulum_loop(poor))
 
 
 def test_the_assumed_order_decides_how_much_excitation_is_needed(paper_recording: Recording) -> None:
-    controller = DeePC(assumed_order=2)
+    controller = printed_deepc(assumed_order=2)
     controller.start(pendulum_loop(paper_recording))
     assert controller.diagnostics()["pe_order_needed"] == 10
 
@@ -101,4 +103,4 @@ def test_a_recording_shorter_than_the_depth_needs_is_refused(paper_recording: Re
         *(a[:20] for a in (paper_recording.u, paper_recording.y, paper_recording.measured)), 0.1
     )
     with pytest.raises(DataError, match=r"has 20 samples; .* takes at least 21"):
-        DeePC().start(pendulum_loop(short))
+        printed_deepc().start(pendulum_loop(short))

@@ -25,6 +25,7 @@ from .loops import (
     paper_reference,
     pendulum_experiment,
     pendulum_loop,
+    printed_deepc,
     quick_pendulum,
 )
 
@@ -78,7 +79,7 @@ def compare(controller: DeePC, recording: Recording, run: Run, bounds: Bounds) -
 
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 def test_on_the_pendulum(paper_recording: Recording, options: dict[str, Any]) -> None:
-    controller = DeePC(**options)
+    controller = printed_deepc(**options)
     # Soft output bounds are tight enough to be exceeded, input bounds to be active.
     loop = pendulum_loop(paper_recording, 2.5, 15.0 if controller.soft_output_bounds else 70.0)
     run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), steps=60)
@@ -94,7 +95,7 @@ def test_on_two_inputs_and_two_outputs(options: dict[str, Any]) -> None:
         recording.u, recording.y + 1e-2 * rng.standard_normal((120, 2)), recording.measured, 0.1
     )
     rates = {"rate_bounds": [0.3, 0.5]} if "rate_bounds" in options else {}
-    controller = DeePC(
+    controller = printed_deepc(
         **{"output_weight": [2.0, 1.0], "input_weight": 0.1, "lambda_g": 1.0, "lambda_sigma": 1e4}
         | options
         | rates
@@ -107,7 +108,7 @@ def test_on_two_inputs_and_two_outputs(options: dict[str, Any]) -> None:
 
 
 def test_rate_bounds_hold_exactly(paper_recording: Recording) -> None:
-    controller = DeePC(rate_bounds=0.25, apply_steps=2)
+    controller = printed_deepc(rate_bounds=0.25, apply_steps=2)
     run = close_loop(
         controller, pendulum_loop(paper_recording, 1.5), quick_pendulum, ANGLE, paper_reference(), 120
     )
@@ -138,7 +139,7 @@ def statuses_far_outside(controller: DeePC, steps: int = 6) -> tuple[list[str], 
 
 
 def test_bounds_that_contradict_each_other_are_named() -> None:
-    said, u = statuses_far_outside(DeePC(slack=False, **REGULATION))
+    said, u = statuses_far_outside(printed_deepc(slack=False, **REGULATION))
     for status in said[3:]:
         assert "no way to meet" in status
         assert "y at its upper bound" in status
@@ -148,12 +149,12 @@ def test_bounds_that_contradict_each_other_are_named() -> None:
 
 @pytest.mark.parametrize("setpoint", [REGULATION, {"terminal_equality": False}])
 def test_soft_output_bounds_are_feasible_where_hard_ones_are_not(setpoint: dict[str, Any]) -> None:
-    said, _ = statuses_far_outside(DeePC(slack=False, soft_output_bounds=1e3, **setpoint), steps=8)
+    said, _ = statuses_far_outside(printed_deepc(slack=False, soft_output_bounds=1e3, **setpoint), steps=8)
     assert set(said[3:]) == {"ok"}
 
 
 def test_a_plan_is_applied_to_its_end(paper_recording: Recording) -> None:
-    controller = DeePC(apply_steps=5)
+    controller = printed_deepc(apply_steps=5)
     run = close_loop(controller, pendulum_loop(paper_recording), quick_pendulum, ANGLE, paper_reference(), 10)
     first = FullDeePC(controller, paper_recording, pendulum_loop(paper_recording).bounds)
     plan = first.solve(np.zeros((3, 1)), np.zeros((3, 1)), paper_reference()[1:6])
@@ -161,7 +162,7 @@ def test_a_plan_is_applied_to_its_end(paper_recording: Recording) -> None:
 
 
 def test_inputs_are_weighed_from_where_they_rest(paper_recording: Recording) -> None:
-    controller = DeePC(**REGULATION)
+    controller = printed_deepc(**REGULATION)
     loop = pendulum_loop(paper_recording)
     loop = replace(loop, inputs=(replace(loop.inputs[0], start=0.5),))
     controller.start(loop)
@@ -187,7 +188,7 @@ class TestL1:
 
     def test_the_optimum_has_its_multipliers(self) -> None:
         recording = self.short()
-        controller = DeePC(**self.settings)
+        controller = printed_deepc(**self.settings)
         loop = pendulum_loop(recording, torque=50.0, degrees=1e4)
         run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 12)
         full = FullDeePC(controller, recording, loop.bounds, tolerance=1e-11)
@@ -214,13 +215,13 @@ class TestL1:
     def test_few_windows_are_used(self) -> None:
         recording = self.short()
         loop = pendulum_loop(recording)
-        full = FullDeePC(DeePC(**self.settings), recording, loop.bounds, tolerance=1e-11)
+        full = FullDeePC(printed_deepc(**self.settings), recording, loop.bounds, tolerance=1e-11)
         g = full.solve(np.zeros((3, 1)), np.zeros((3, 1)), np.full((5, 1), 0.2)).g
         assert 0 < np.count_nonzero(np.abs(g) > 1e-6) < len(g) / 2
 
     def test_bounds_hold_and_the_loop_tracks(self) -> None:
         recording = self.short()
-        controller = DeePC(**self.settings | {"input_weight": 0.01, "output_weight": 1e3})
+        controller = printed_deepc(**self.settings | {"input_weight": 0.01, "output_weight": 1e3})
         run = close_loop(
             controller, pendulum_loop(recording, 3.4), quick_pendulum, ANGLE, paper_reference(), 60
         )
@@ -240,7 +241,7 @@ class TestL1:
             bounds=Bounds(low, high, low, high),
             continues_recording=True,
         )
-        controller = DeePC(regulariser="l1", affine_sum="all", lambda_g=1e-3)
+        controller = printed_deepc(regulariser="l1", affine_sum="all", lambda_g=1e-3)
         controller.start(loop)
         state = y[-1]
         for k in range(60):
@@ -254,7 +255,7 @@ class TestL1:
     def test_the_solver_stands_when_the_loop_starts(
         self, paper_recording: Recording, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        controller = DeePC(regulariser="l1")
+        controller = printed_deepc(regulariser="l1")
         controller.start(pendulum_loop(paper_recording))
         monkeypatch.delattr("piqp.SparseSolver")
         answer = controller.step(
@@ -269,7 +270,7 @@ class TestL1:
         recording = self.short()
         loop = replace(pendulum_loop(recording), continues_recording=True)
         loop = replace(loop, bounds=replace(loop.bounds, u_min=np.array([4.0]), u_max=np.array([5.0])))
-        controller = DeePC(**self.settings, rate_bounds=0.1)
+        controller = printed_deepc(**self.settings, rate_bounds=0.1)
         controller.start(loop)
         y = recording.y[-1]
         answer = controller.step(Sample(0, 0.0, y, y, np.zeros((5, 1)), np.zeros(1)))
@@ -296,16 +297,16 @@ class TestL1:
 )
 def test_settings_that_do_not_fit_each_other_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        DeePC(**options)
+        printed_deepc(**options)
 
 
 def test_rate_bounds_need_one_number_per_input(paper_recording: Recording) -> None:
     with pytest.raises(ConfigError, match=r"rate_bounds has shape \(2,\); needed: a number or 1 numbers"):
-        DeePC(rate_bounds=[1.0, 2.0]).start(pendulum_loop(paper_recording))
+        printed_deepc(rate_bounds=[1.0, 2.0]).start(pendulum_loop(paper_recording))
 
 
 def test_weights_that_leave_the_optimum_open_are_refused(paper_recording: Recording) -> None:
-    controller = DeePC(regulariser="projection", input_weight=0.0, **REGULATION, output_weight=0.0)
+    controller = printed_deepc(regulariser="projection", input_weight=0.0, **REGULATION, output_weight=0.0)
     with pytest.raises(ConfigError, match="leave the optimum undetermined"):
         controller.start(pendulum_loop(paper_recording))
 

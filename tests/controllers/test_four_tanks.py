@@ -14,7 +14,7 @@ import pytest
 from ddpc_controllers import DeePC
 from ddpc_cosim import Action, FloatArray, Recording, Sample
 
-from .loops import LinearPlant, make_loop
+from .loops import LinearPlant, make_loop, printed_deepc
 
 PLANT = LinearPlant(
     np.array([[0.921, 0, 0.041, 0], [0, 0.918, 0, 0.033], [0, 0, 0.924, 0], [0, 0, 0, 0.937]]),
@@ -67,7 +67,7 @@ def settled(off: FloatArray, first: int, end: int) -> float:
 @pytest.mark.parametrize(("recorded", "seed"), [(150, 0), (200, 1), (600, 2)])
 def test_about_the_equilibrium_less_error_is_left_than_with_the_ridge(recorded: int, seed: int) -> None:
     left = {
-        name: settled(errors(DeePC(regulariser=name, **SETTINGS), recorded, seed, 150), 100, 150)
+        name: settled(errors(printed_deepc(regulariser=name, **SETTINGS), recorded, seed, 150), 100, 150)
         for name in ("ridge", "equilibrium")
     }
     assert left["equilibrium"] < 0.5 * left["ridge"]
@@ -75,7 +75,7 @@ def test_about_the_equilibrium_less_error_is_left_than_with_the_ridge(recorded: 
 
 def test_about_the_equilibrium_nothing_drifts_in_2000_samples() -> None:
     settings = SETTINGS | {"horizon": 20}
-    off = errors(DeePC(regulariser="equilibrium", **settings), 400, 0, 2000)
+    off = errors(printed_deepc(regulariser="equilibrium", **settings), 400, 0, 2000)
     ends = np.array([settled(off, last - 100, last) for last in range(300, 2001, 100)])
     assert ends.max() < 0.002
     assert abs(ends[-1] - ends[0]) < 1e-3
@@ -90,7 +90,7 @@ def test_without_noise_the_equilibrium_leaves_no_error_at_all() -> None:
         states[k] = PLANT.advance(states[k - 1], u[k - 1])
     y = states @ PLANT.c.T
     loop = make_loop(Recording(u, y, y, 0.1), np.full(2, 4.0), np.full(2, np.inf))
-    controller = DeePC(regulariser="equilibrium", **SETTINGS | {"horizon": 20})
+    controller = printed_deepc(regulariser="equilibrium", **SETTINGS | {"horizon": 20})
     controller.start(loop)
     state = np.zeros(4)
     for k in range(300):

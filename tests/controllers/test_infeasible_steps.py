@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from ddpc_controllers import MPC, DeePC
+from ddpc_controllers import MPC
 from ddpc_controllers.models.linear import StateSpace
 from ddpc_controllers.optimisation.limits import InputLimits
 from ddpc_controllers.optimisation.qp import ParametricQP
 from ddpc_cosim import Action, Controller, FloatArray, Loop, Sample
 
-from .loops import REGULATION, LinearPlant, experiment, make_loop
+from .loops import REGULATION, LinearPlant, experiment, make_loop, printed_deepc
 
 LAG = LinearPlant(np.array([[0.95, 0.1], [0.0, 0.9]]), np.array([[0.0], [0.1]]), np.array([[1.0, 0.0]]))
 RECORDING = experiment(LAG.advance, np.random.default_rng(0).uniform(-1.0, 1.0, (100, 1)), 2, LAG.c)
@@ -52,7 +52,7 @@ ONLINE: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("online", ONLINE.values(), ids=ONLINE)
 def test_a_terminal_condition_out_of_reach_is_relaxed(online: dict[str, Any]) -> None:
     # In motion at full speed, five samples do not bring the plant to rest.
-    controller = DeePC(slack=False, **online)
+    controller = printed_deepc(slack=False, **online)
     said, u, y = run(controller, lag_loop(0.2, np.inf), np.array([0.0, 1.0]), 150)
     assert any(np.char.find(said, "terminal condition relaxed") >= 0)
     for status in said[3:]:  # the first pasts, at rest, are not the plant's
@@ -69,7 +69,7 @@ def test_a_terminal_condition_out_of_reach_is_relaxed(online: dict[str, Any]) ->
 
 @pytest.mark.parametrize("online", ONLINE.values(), ids=ONLINE)
 def test_outputs_that_begin_outside_their_bounds_are_brought_back(online: dict[str, Any]) -> None:
-    controller = DeePC(slack=False, horizon=6, input_weight=0.01, **REGULATION, **online)
+    controller = printed_deepc(slack=False, horizon=6, input_weight=0.01, **REGULATION, **online)
     said, u, y = run(controller, lag_loop(3.0, 0.3), np.array([2.0, 0.0]), 60)
     assert all("y at its upper bound: output bounds softened" in status for status in said[3:8])
     assert np.abs(u).max() <= 3.0
@@ -79,7 +79,7 @@ def test_outputs_that_begin_outside_their_bounds_are_brought_back(online: dict[s
 
 def test_softened_output_bounds_weigh_ten_thousand_times_the_largest_weight() -> None:
     hard, soft = (
-        DeePC(slack=False, horizon=6, soft_output_bounds=weight, **REGULATION)
+        printed_deepc(slack=False, horizon=6, soft_output_bounds=weight, **REGULATION)
         for weight in (0.0, 300.0 * 1e4)
     )
     loop, start = lag_loop(1.0, 0.3), np.array([2.0, 0.0])
@@ -90,7 +90,7 @@ def test_softened_output_bounds_weigh_ten_thousand_times_the_largest_weight() ->
 
 
 def test_both_give_way_where_one_is_not_enough() -> None:
-    said, u, y = run(DeePC(slack=False), lag_loop(0.5, 0.3), np.array([2.0, 0.0]), 120)
+    said, u, y = run(printed_deepc(slack=False), lag_loop(0.5, 0.3), np.array([2.0, 0.0]), 120)
     both = "y at its upper bound: terminal condition relaxed, output bounds softened"
     assert sum(both in status for status in said) > 3
     assert np.abs(u).max() <= 0.5
@@ -99,7 +99,7 @@ def test_both_give_way_where_one_is_not_enough() -> None:
 
 
 def test_the_l1_regulariser_gives_way_alike() -> None:
-    controller = DeePC(regulariser="l1", lambda_g=1e-3, slack=False, horizon=6, **REGULATION)
+    controller = printed_deepc(regulariser="l1", lambda_g=1e-3, slack=False, horizon=6, **REGULATION)
     said, u, _ = run(controller, lag_loop(1.0, 0.3), np.array([2.0, 0.0]), 8)
     assert all("y at its upper bound: output bounds softened" in status for status in said[3:])
     assert np.abs(u).max() <= 1.0
@@ -118,7 +118,7 @@ def test_inputs_that_cannot_get_within_their_bounds_are_clipped_last() -> None:
     loop = replace(lag_loop(1.0, 0.3), continues_recording=True)
     loop = replace(loop, bounds=replace(loop.bounds, u_min=np.array([1.0]), u_max=np.array([2.0])))
     assert RECORDING.u[-1, 0] < 0.9
-    said, u, _ = run(DeePC(rate_bounds=0.1), loop, np.zeros(2), 1)
+    said, u, _ = run(printed_deepc(rate_bounds=0.1), loop, np.zeros(2), 1)
     assert "change of u at its upper bound" in said[0]
     assert "clipped at the input limits" in said[0]
     assert u[0] >= 1.0
@@ -134,7 +134,7 @@ def test_inputs_that_cannot_get_within_their_bounds_are_clipped_last() -> None:
 def test_inputs_stay_within_bounds_and_feasible_steps_are_what_they_were(
     options: dict[str, Any], u_max: float, y_max: float, seed: int
 ) -> None:
-    rng, controller = np.random.default_rng(seed), DeePC(**options)
+    rng, controller = np.random.default_rng(seed), printed_deepc(**options)
     controller.start(lag_loop(u_max, y_max))
     law = controller._law
     assert isinstance(law, ParametricQP)
@@ -154,7 +154,7 @@ def test_inputs_stay_within_bounds_and_feasible_steps_are_what_they_were(
 
 
 def test_a_law_that_has_given_way_can_be_copied_and_goes_on() -> None:
-    controller = DeePC(slack=False, horizon=6, **REGULATION)
+    controller = printed_deepc(slack=False, horizon=6, **REGULATION)
     run(controller, lag_loop(1.0, 0.3), np.array([2.0, 0.0]), 5)
     copy = pickle.loads(pickle.dumps(controller))
     sample = Sample(5, 0.5, np.array([1.5]), np.array([1.5]), np.zeros((6, 1)), np.zeros(1))

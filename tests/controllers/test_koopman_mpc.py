@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from ddpc_controllers import WKPC
 from ddpc_controllers.data.dictionaries import (
     Combined,
     Delays,
@@ -32,6 +31,7 @@ from .loops import (
     paper_reference,
     pendulum_experiment,
     pendulum_loop,
+    printed_wkpc,
     quick_pendulum,
 )
 
@@ -122,7 +122,7 @@ def test_with_an_exact_lift_it_is_wkpc_with_the_same_dictionary() -> None:
     loop = make_loop(data, np.full(1, 0.4), np.full(1, np.inf))
     dictionary = OwnFunction(function=f"{__name__}:first_squared")
     reference = np.repeat(np.random.default_rng(7).uniform(-1.0, 1.0, (6, 1)), 20, axis=0)
-    wkpc = WKPC(dictionary=dictionary, lambda_g=1e-9, horizon=6)
+    wkpc = printed_wkpc(dictionary=dictionary, lambda_g=1e-9, horizon=6)
     # The first sample that WKPC predicts is the present one: its last input reaches none.
     koopman = KoopmanMPC(dictionary=dictionary, ridge=0.0, horizon=5)
     theirs = close_loop(wkpc, loop, slow_manifold, output, reference, 100)

@@ -5,29 +5,31 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from ddpc_controllers import IPID, MFAC, MFAPC, MPC, PID, SPC, SPSA, WKPC, DeePC, Identity, KoopmanMPC
+from ddpc_controllers import IPID, MFAC, MFAPC, MPC, PID, SPC, SPSA, Identity, KoopmanMPC
 from ddpc_controllers.deepc import BehavioralTracking
 from ddpc_controllers.optimisation.limits import PREDICTED
 from ddpc_controllers.published import PublishedWKPC
 from ddpc_cosim import Action, Bounds, Controller, FloatArray, Loop, Recording, Sample, Variable
+
+from .loops import printed_deepc, printed_wkpc
 
 A = np.array([[0.8, 0.1], [-0.1, 0.7]])
 B = np.array([[0.5, 0.1], [0.0, 0.4]])
 REST = np.full(2, 50.0)
 
 CONTROLLERS: dict[str, Callable[[], Controller]] = {
-    "DeePC": lambda: DeePC(affine_sum="all", lambda_g=1e-6),
-    "DeePC, current output": lambda: DeePC(affine_sum="all", lambda_g=1e-6, use_current_output=True),
-    "DeePC, three inputs a plan": lambda: DeePC(affine_sum="all", lambda_g=1e-6, apply_steps=3),
-    "DeePC, three, current output": lambda: DeePC(
+    "DeePC": lambda: printed_deepc(affine_sum="all", lambda_g=1e-6),
+    "DeePC, current output": lambda: printed_deepc(affine_sum="all", lambda_g=1e-6, use_current_output=True),
+    "DeePC, three inputs a plan": lambda: printed_deepc(affine_sum="all", lambda_g=1e-6, apply_steps=3),
+    "DeePC, three, current output": lambda: printed_deepc(
         affine_sum="all", lambda_g=1e-6, apply_steps=3, use_current_output=True
     ),
-    "DeePC, rates": lambda: DeePC(affine_sum="all", lambda_g=1e-6, rate_bounds=5.0),
-    "DeePC, L1": lambda: DeePC(affine_sum="all", lambda_g=1e-6, regulariser="l1"),
-    "DeePC, equilibrium": lambda: DeePC(affine_sum="all", lambda_g=1e-6, regulariser="equilibrium"),
-    "DeePC, online": lambda: DeePC(affine_sum="all", lambda_g=1e-6, online_data="sliding-window"),
+    "DeePC, rates": lambda: printed_deepc(affine_sum="all", lambda_g=1e-6, rate_bounds=5.0),
+    "DeePC, L1": lambda: printed_deepc(affine_sum="all", lambda_g=1e-6, regulariser="l1"),
+    "DeePC, equilibrium": lambda: printed_deepc(affine_sum="all", lambda_g=1e-6, regulariser="equilibrium"),
+    "DeePC, online": lambda: printed_deepc(affine_sum="all", lambda_g=1e-6, online_data="sliding-window"),
     "SPC": SPC,
-    "WKPC": lambda: WKPC(dictionary=Identity(), lambda_g=1e-6),
+    "WKPC": lambda: printed_wkpc(dictionary=Identity(), lambda_g=1e-6),
 }
 
 
@@ -125,7 +127,7 @@ def test_a_reference_that_is_not_finite_holds_the_inputs(make: Callable[[], Cont
 @pytest.mark.parametrize("online_data", ["sliding-window", "forgetting"])
 @pytest.mark.parametrize("signal", [0, 2])
 def test_wkpc_learns_no_window_with_a_stand_in(online_data: str, signal: int) -> None:
-    controller = WKPC(dictionary=Identity(), online_data=online_data, excitation_floor=0.0)
+    controller = printed_wkpc(dictionary=Identity(), online_data=online_data, excitation_floor=0.0)
     loop, state = affine_loop(continues=True, extra=1)
     controller.start(loop)
     refused = []

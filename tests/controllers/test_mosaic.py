@@ -14,11 +14,8 @@ from ddpc_controllers import (
     MFAPC,
     MPC,
     PID,
-    SPC,
-    WKPC,
     DeePC,
     Delays,
-    GammaDDPC,
     Gaussian,
     KoopmanMPC,
     OffsetFree,
@@ -44,28 +41,32 @@ from .loops import (
     paper_reference,
     pendulum_experiment,
     pendulum_loop,
+    printed_deepc,
+    printed_wkpc,
     quick_pendulum,
+    regulating_gamma_ddpc,
+    regulating_spc,
 )
 
 LEARNING: dict[str, Controller] = {
-    "deepc": DeePC(),
-    "deepc-projection": DeePC(regulariser="projection", affine_sum="all"),
-    "deepc-equilibrium": DeePC(regulariser="equilibrium"),
-    "deepc-l1": DeePC(regulariser="l1", lambda_g=1e-3),
-    "deepc-sliding": DeePC(online_data="sliding-window", dither=0.2),
-    "deepc-forgetting": DeePC(online_data="forgetting", dither=0.2, use_current_output=True),
-    "spc": SPC(),
-    "gamma-ddpc": GammaDDPC(),
-    "wkpc": WKPC(),
-    "wkpc-delays": WKPC(dictionary=Delays(samples=2, dictionary=Gaussian(count=4))),
+    "deepc": printed_deepc(),
+    "deepc-projection": printed_deepc(regulariser="projection", affine_sum="all"),
+    "deepc-equilibrium": printed_deepc(regulariser="equilibrium"),
+    "deepc-l1": printed_deepc(regulariser="l1", lambda_g=1e-3),
+    "deepc-sliding": printed_deepc(online_data="sliding-window", dither=0.2),
+    "deepc-forgetting": printed_deepc(online_data="forgetting", dither=0.2, use_current_output=True),
+    "spc": regulating_spc(),
+    "gamma-ddpc": regulating_gamma_ddpc(),
+    "wkpc": printed_wkpc(),
+    "wkpc-delays": printed_wkpc(dictionary=Delays(samples=2, dictionary=Gaussian(count=4))),
     "koopman": KoopmanMPC(),
     "koopman-clusters": KoopmanMPC(dictionary=Gaussian(count=4, centres="data")),
     "koopman-delays": KoopmanMPC(state="delays", dictionary=Delays(samples=2)),
     "mpc": MPC(),
     "lqr": LQR(),
     "pid": PID(tuning="step-test"),
-    "scaled": Scaled(controller=DeePC()),
-    "offset-free": OffsetFree(controller=DeePC()),
+    "scaled": Scaled(controller=printed_deepc()),
+    "offset-free": OffsetFree(controller=printed_deepc()),
 }
 FIRST, SECOND = pendulum_experiment(1), pendulum_experiment(2)
 STEPS = 60
@@ -125,7 +126,7 @@ def test_deepc_learns_from_the_windows_of_each_recording() -> None:
     by_hand = HandStacked()
     by_hand.parts = (FIRST, SECOND)
     joined = Recording.join([FIRST, SECOND])
-    assert trajectory(by_hand, joined) == pytest.approx(trajectory(DeePC(), joined), abs=1e-12)
+    assert trajectory(by_hand, joined) == pytest.approx(trajectory(printed_deepc(), joined), abs=1e-12)
 
 
 @pytest.mark.parametrize("controller", [PublishedDeePC(), PublishedWKPC()], ids=["deepc", "wkpc"])
@@ -263,4 +264,4 @@ def test_seams_and_what_is_joined_are_checked() -> None:
         Recording.join([])
     short = Recording.join([experiment(quick_pendulum, FIRST.u[:10], 2, ANGLE)] * 40)
     with pytest.raises(DataError, match="400 samples in 40 pieces, of which each needs more"):
-        DeePC().start(pendulum_loop(short))
+        printed_deepc().start(pendulum_loop(short))

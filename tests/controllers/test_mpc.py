@@ -8,7 +8,6 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import lsq_linear
 
-from ddpc_controllers import WKPC, DeePC
 from ddpc_controllers.data.dictionaries import Identity
 from ddpc_controllers.lqr import LQR
 from ddpc_controllers.models.identification import Identified
@@ -25,6 +24,8 @@ from .loops import (
     make_loop,
     paper_reference,
     pendulum_loop,
+    printed_deepc,
+    printed_wkpc,
     quick_pendulum,
 )
 
@@ -102,7 +103,7 @@ def test_the_filter_is_the_steady_kalman_filter() -> None:
 
 def test_with_the_true_model_it_does_what_deepc_does_with_noise_free_data() -> None:
     plant, loop, reference = noise_free(8, u_limit=0.3)
-    deepc = DeePC(lambda_g=1e-9, lambda_sigma=1e9, use_current_output=True, horizon=6)
+    deepc = printed_deepc(lambda_g=1e-9, lambda_sigma=1e9, use_current_output=True, horizon=6)
     mpc = MPC(
         model=true_model(plant),
         setpoint="input-output",
@@ -124,7 +125,7 @@ def test_without_setpoints_it_is_deepc_in_regulation_form_weighed_from_rest(star
     plant, loop, reference = noise_free(8, u_limit=1.0)
     loop = replace(loop, inputs=(replace(loop.inputs[0], start=start),))
     weights: dict[str, Any] = {"horizon": 6, "output_weight": 100.0, "input_weight": 10.0}
-    deepc = DeePC(
+    deepc = printed_deepc(
         lambda_g=1e-9,
         lambda_sigma=1e9,
         use_current_output=True,
@@ -144,7 +145,9 @@ def test_soft_output_limits_give_way_as_those_of_deepc() -> None:
     plant, loop, reference = noise_free(8, u_limit=1.0)
     bounds = replace(loop.bounds, y_min=np.full(1, -0.1), y_max=np.full(1, 0.1))
     loop = replace(loop, bounds=bounds)
-    deepc = DeePC(lambda_g=1e-9, lambda_sigma=1e9, use_current_output=True, horizon=6, soft_output_bounds=1e3)
+    deepc = printed_deepc(
+        lambda_g=1e-9, lambda_sigma=1e9, use_current_output=True, horizon=6, soft_output_bounds=1e3
+    )
     mpc = MPC(
         model=true_model(plant),
         setpoint="input-output",
@@ -222,7 +225,7 @@ def test_units_do_not_decide_whether_a_disturbance_is_seen() -> None:
 
 def test_with_the_true_model_it_does_what_wkpc_does_with_noise_free_data() -> None:
     plant, loop, reference = noise_free(9, u_limit=0.3)
-    wkpc = WKPC(dictionary=Identity(), lambda_g=1e-9, horizon=6)
+    wkpc = printed_wkpc(dictionary=Identity(), lambda_g=1e-9, horizon=6)
     # The first sample that WKPC predicts is the present one: its last input reaches none.
     mpc = MPC(model=true_model(plant), horizon=5, **TRUE)
     theirs = close_loop(wkpc, loop, plant.advance, plant.c, reference)

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from ddpc_controllers.deepc import DeePC
 from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.mpc import MPC
 from ddpc_controllers.offset_free import OffsetFree, projector, step_gain
 from ddpc_cosim import Action, Bounds, Controller, FloatArray, Loop, Recording, Sample, setting
 
-from .loops import LinearPlant, close_loop, experiment, make_loop
+from .loops import LinearPlant, close_loop, experiment, make_loop, printed_deepc
 
 DECOUPLED = LinearPlant(np.diag([0.9, 0.8]), np.diag([0.1, 0.2]), np.eye(2))
 COUPLED = LinearPlant(np.diag([0.9, 0.8]), np.array([[0.1, 0.05], [0.08, 0.2]]), np.eye(2))
@@ -169,7 +168,7 @@ def test_a_reference_out_of_reach_winds_the_estimate_up_to_the_output_limit_at_m
     plant = LinearPlant.lag(0.8, 0.2)
     loop = make_loop(recorded(plant), np.full(1, 0.3), np.ones(1))
     reference = np.repeat([[0.9], [0.2]], [300, 100], axis=0)
-    controller = OffsetFree(controller=DeePC(horizon=8, lambda_g=0.01))
+    controller = OffsetFree(controller=printed_deepc(horizon=8, lambda_g=0.01))
     y = outputs(controller, loop, plant, reference, np.array([0.05]))
     assert y[250, 0] < 0.36
     assert largest(controller, 1)[0] < 0.2
@@ -187,7 +186,7 @@ def test_without_a_recording_one_limited_input_holds_all_estimates() -> None:
 def test_more_outputs_than_inputs_end_where_the_input_can_do_no_more() -> None:
     plant = LinearPlant(COUPLED.a, COUPLED.b[:, :1], COUPLED.c)
     loop = make_loop(recorded(plant), np.full(1, 9.0), np.full(2, np.inf))
-    controller = OffsetFree(controller=DeePC(horizon=8, lambda_g=0.01))
+    controller = OffsetFree(controller=printed_deepc(horizon=8, lambda_g=0.01))
     reference = np.tile([0.5, 0.1], (440, 1))
     y = outputs(controller, loop, plant, reference, PUSH[:1])
     recording = recorded(plant)

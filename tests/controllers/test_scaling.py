@@ -12,28 +12,24 @@ from ddpc_controllers import (
     MFAPC,
     MPC,
     PID,
-    SPC,
-    WKPC,
-    DeePC,
-    GammaDDPC,
     KoopmanMPC,
     Scaled,
     StateSpace,
 )
 from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Recording, Sample, Variable
 
-from .loops import LinearPlant
+from .loops import LinearPlant, printed_deepc, printed_wkpc, regulating_gamma_ddpc, regulating_spc
 
 UNITS = [(np.array([1e-4, 1e5]), np.array([1e5, 1e-4])), (np.array([3.5, 0.7]), np.array([57.3, 9.0]))]
 """Sizes of two inputs and of two outputs."""
 
 METHODS: list[Callable[[], Controller]] = [
-    lambda: DeePC(lambda_g=1.0),
-    lambda: DeePC(lambda_g=1.0, regulariser="projection", soft_output_bounds=1e3),
-    lambda: DeePC(lambda_g=1.0, online_data="sliding-window"),
-    lambda: SPC(),
-    lambda: GammaDDPC(beta_2=0.1),
-    lambda: WKPC(),
+    lambda: printed_deepc(lambda_g=1.0),
+    lambda: printed_deepc(lambda_g=1.0, regulariser="projection", soft_output_bounds=1e3),
+    lambda: printed_deepc(lambda_g=1.0, online_data="sliding-window"),
+    lambda: regulating_spc(),
+    lambda: regulating_gamma_ddpc(beta_2=0.1),
+    lambda: printed_wkpc(),
     lambda: MPC(),
     lambda: KoopmanMPC(state="delays"),
     lambda: LQR(),
@@ -105,8 +101,8 @@ def test_without_scaling_weights_are_for_units() -> None:
         "input_weight": (10.0 / u_size**2).tolist(),
     }
     loop = loop_in(u_size, y_size)
-    by_hand = inputs_of(DeePC(scaling="none", slack=False, **weights), loop, u_size, y_size)
-    scaled = inputs_of(DeePC(slack=False), loop, u_size, y_size)
+    by_hand = inputs_of(printed_deepc(scaling="none", slack=False, **weights), loop, u_size, y_size)
+    scaled = inputs_of(printed_deepc(slack=False), loop, u_size, y_size)
     assert by_hand == pytest.approx(scaled, abs=1e-6)
 
 
@@ -122,14 +118,14 @@ def test_ranges_can_take_the_place_of_nominal_values() -> None:
             replace(v, nominal=float(high)) for v, high in zip(loop.outputs, loop.bounds.y_max, strict=True)
         ),
     )
-    by_range = inputs_of(SPC(scaling="range"), loop, u_size, y_size)
-    assert np.array_equal(by_range, inputs_of(SPC(), half, u_size, y_size))
+    by_range = inputs_of(regulating_spc(scaling="range"), loop, u_size, y_size)
+    assert np.array_equal(by_range, inputs_of(regulating_spc(), half, u_size, y_size))
 
 
 @pytest.mark.parametrize(
     "make",
     [
-        lambda rates: DeePC(rate_bounds=rates, lambda_g=1.0),
+        lambda rates: printed_deepc(rate_bounds=rates, lambda_g=1.0),
         lambda rates: MPC(rate_bounds=rates),
         lambda rates: KoopmanMPC(state="delays", rate_bounds=rates),
         lambda rates: MFAPC(rate_bounds=rates, initial_gradient=1.0),
@@ -146,7 +142,7 @@ def test_rate_bounds_are_in_the_units_of_the_inputs(make: Callable[[list[float]]
 
 def test_dither_is_in_the_unit_of_the_input() -> None:
     u_size, y_size = UNITS[1]
-    calm = DeePC(lambda_g=1.0, online_data="sliding-window", excitation_floor=1.0)
+    calm = printed_deepc(lambda_g=1.0, online_data="sliding-window", excitation_floor=1.0)
     shaken = replace(calm, dither=(0.01 * u_size).tolist())
     loop = loop_in(u_size, y_size)
     first = inputs_of(shaken, loop, u_size, y_size)[0] - inputs_of(calm, loop, u_size, y_size)[0]
@@ -175,8 +171,8 @@ def test_a_given_model_is_in_units() -> None:
 def test_a_scaled_loop_is_not_scaled_again() -> None:
     u_size, y_size = UNITS[1]
     loop = loop_in(u_size, y_size)
-    inside = inputs_of(Scaled(controller=SPC(), scale_by="nominal"), loop, u_size, y_size)
-    assert np.array_equal(inside, inputs_of(SPC(), loop, u_size, y_size))
+    inside = inputs_of(Scaled(controller=regulating_spc(), scale_by="nominal"), loop, u_size, y_size)
+    assert np.array_equal(inside, inputs_of(regulating_spc(), loop, u_size, y_size))
 
 
 def test_gains_in_units_are_not_scaled() -> None:
@@ -199,8 +195,8 @@ def test_a_nominal_value_that_cannot_be_a_scale_is_named(nominal: float) -> None
         outputs=tuple(replace(v, nominal=nominal) for v in loop.outputs),
     )
     with pytest.raises(ConfigError) as caught:
-        DeePC().start(bad)
+        printed_deepc().start(bad)
     assert len(caught.value.faults) == 4
     assert '"u0" cannot be scaled: its nominal value is' in caught.value.faults[0]
-    DeePC(scaling="none").start(bad)
-    DeePC(scaling="range").start(bad)
+    printed_deepc(scaling="none").start(bad)
+    printed_deepc(scaling="range").start(bad)

@@ -1,12 +1,13 @@
 """SPC and gamma-DDPC against explicit formulas, and where DeePC, SPC and model predictive control are one."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import piqp
 import pytest
 
-from ddpc_controllers import SPC, DeePC, GammaDDPC, hankel_matrix
+from ddpc_controllers import SPC, GammaDDPC, hankel_matrix
 from ddpc_cosim import Action, FloatArray, Recording, Sample
 
 from .loops import (
@@ -19,7 +20,10 @@ from .loops import (
     make_loop,
     paper_reference,
     pendulum_loop,
+    printed_deepc,
     quick_pendulum,
+    regulating_gamma_ddpc,
+    regulating_spc,
 )
 
 REGULATION: dict[str, Any] = {"artificial_setpoint": False, "terminal_equality": False}
@@ -60,7 +64,7 @@ def past_of(run: Run, k: int, past: int, current: bool) -> FloatArray:
 @pytest.mark.parametrize("current", [True, False])
 @pytest.mark.parametrize("torque", [10.0, 1.8])
 def test_the_prediction_is_least_squares(paper_recording: Recording, torque: float, current: bool) -> None:
-    controller = SPC(horizon=8, output_weight=500.0, input_weight=0.5, use_current_output=current)
+    controller = regulating_spc(horizon=8, output_weight=500.0, input_weight=0.5, use_current_output=current)
     run = close_loop(
         controller, pendulum_loop(paper_recording, torque), quick_pendulum, ANGLE, paper_reference(), 130
     )
@@ -75,7 +79,7 @@ def test_the_prediction_is_least_squares(paper_recording: Recording, torque: flo
 
 @pytest.mark.parametrize("current", [True, False])
 def test_gamma_ddpc_is_the_factorised_problem(paper_recording: Recording, current: bool) -> None:
-    controller = GammaDDPC(
+    controller = regulating_gamma_ddpc(
         beta_2=2e-3, beta_3=0.1, output_weight=50.0, input_weight=0.5, use_current_output=current
     )
     run = close_loop(
@@ -97,16 +101,18 @@ def test_gamma_ddpc_is_the_factorised_problem(paper_recording: Recording, curren
 
 def test_a_high_price_of_gamma_3_gives_spc_back(paper_recording: Recording) -> None:
     loop, reference = pendulum_loop(paper_recording), paper_reference()
-    spc = close_loop(SPC(), loop, quick_pendulum, ANGLE, reference, 60)
-    gamma = close_loop(GammaDDPC(beta_3=1e10), loop, quick_pendulum, ANGLE, reference, 60)
+    spc = close_loop(regulating_spc(), loop, quick_pendulum, ANGLE, reference, 60)
+    gamma = close_loop(regulating_gamma_ddpc(beta_3=1e10), loop, quick_pendulum, ANGLE, reference, 60)
     assert np.abs(spc.u - gamma.u).max() < 1e-6
 
 
 def test_a_high_price_of_the_projection_gives_spc_back(paper_recording: Recording) -> None:
     loop, reference = pendulum_loop(paper_recording), paper_reference()
     weights: dict[str, Any] = {**REGULATION, "output_weight": 500.0, "input_weight": 0.5}
-    spc = close_loop(SPC(**weights), loop, quick_pendulum, ANGLE, reference, 60)
-    deepc = DeePC(regulariser="projection", lambda_g=1e9, slack=False, use_current_output=True, **weights)
+    spc = close_loop(regulating_spc(**weights), loop, quick_pendulum, ANGLE, reference, 60)
+    deepc = printed_deepc(
+        regulariser="projection", lambda_g=1e9, slack=False, use_current_output=True, **weights
+    )
     assert np.abs(spc.u - close_loop(deepc, loop, quick_pendulum, ANGLE, reference, 60).u).max() < 1e-6
 
 
@@ -135,10 +141,10 @@ def test_on_a_linear_plant_deepc_spc_and_mpc_with_the_true_model_coincide(
     common: dict[str, Any] = {"horizon": horizon, "output_weight": 10.0, "input_weight": 0.1, **REGULATION}
     common["use_current_output"] = current
     controllers = [
-        SPC(**common),
-        DeePC(lambda_g=1e-9, slack=False, **common),
-        DeePC(lambda_g=1e-8, lambda_sigma=1e8, **common),
-        DeePC(regulariser="projection", lambda_g=1.0, slack=False, **common),
+        regulating_spc(**common),
+        printed_deepc(lambda_g=1e-9, slack=False, **common),
+        printed_deepc(lambda_g=1e-8, lambda_sigma=1e8, **common),
+        printed_deepc(regulariser="projection", lambda_g=1.0, slack=False, **common),
     ]
     for controller in controllers:
         run = close_loop(controller, loop, plant.advance, plant.c, reference, 60)
@@ -154,9 +160,9 @@ def test_on_a_linear_plant_deepc_spc_and_mpc_with_the_true_model_coincide(
 @pytest.mark.parametrize(
     "controller",
     [
-        SPC(output_weight=5.0, input_weight=0.1),
-        DeePC(output_weight=5.0, input_weight=0.1, lambda_g=1e-9, slack=False, **REGULATION),
-        DeePC(output_weight=5.0, input_weight=0.1, lambda_g=1e-9, slack=False, rate_bounds=0.3),
+        regulating_spc(output_weight=5.0, input_weight=0.1),
+        printed_deepc(output_weight=5.0, input_weight=0.1, lambda_g=1e-9, slack=False, **REGULATION),
+        printed_deepc(output_weight=5.0, input_weight=0.1, lambda_g=1e-9, slack=False, rate_bounds=0.3),
     ],
     ids=["spc", "deepc", "deepc, printed, with rates"],
 )
@@ -191,7 +197,7 @@ def test_two_loops_on_a_decoupled_plant(controller: Any) -> None:
 @pytest.mark.parametrize("online_data", ["frozen", "sliding-window"])
 def test_a_plant_without_bounds(paper_recording: Recording, online_data: str) -> None:
     infinite = np.array([np.inf])
-    controller = DeePC(online_data=online_data)
+    controller = printed_deepc(online_data=online_data)
     loop = make_loop(paper_recording, infinite, infinite)
     run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 60)
     wide = close_loop(
@@ -207,13 +213,13 @@ def test_a_plant_without_bounds(paper_recording: Recording, online_data: str) ->
 
 
 def test_the_recording_is_diagnosed(paper_recording: Recording) -> None:
-    controller = SPC()
+    controller = regulating_spc()
     controller.start(pendulum_loop(paper_recording))
     assert controller.diagnostics()["data_rank"] == 17
 
 
-@pytest.mark.parametrize("kind", [SPC, GammaDDPC])
-def test_a_moving_reference_is_met_in_its_own_sample(kind: type[SPC]) -> None:
+@pytest.mark.parametrize("kind", [regulating_spc, regulating_gamma_ddpc])
+def test_a_moving_reference_is_met_in_its_own_sample(kind: Callable[..., SPC]) -> None:
     plant = LinearPlant(np.array([[0.9]]), np.array([[0.1]]), np.eye(1))
     recording = experiment(plant.advance, np.random.default_rng(0).uniform(-1.0, 1.0, (200, 1)), 1, plant.c)
     loop = make_loop(recording, np.full(1, 3.0), np.full(1, np.inf))
@@ -230,7 +236,7 @@ def test_the_prices_of_gamma_ddpc_mean_the_same_for_a_recording_of_any_length() 
     def first_input(times: int, beta_2: float) -> float:
         clean = experiment(plant.advance, np.tile(u, (times, 1)), 1, plant.c)
         recording = Recording(clean.u, clean.y + noise[: len(clean)], clean.measured, 0.1)
-        controller = GammaDDPC(beta_2=beta_2, beta_3=5.0, output_weight=1.0, input_weight=0.01)
+        controller = regulating_gamma_ddpc(beta_2=beta_2, beta_3=5.0, output_weight=1.0, input_weight=0.01)
         controller.start(make_loop(recording, np.full(1, 500.0), np.full(1, np.inf)))
         answer = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.ones((5, 1)), np.ones(1)))
         assert isinstance(answer, Action)

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from ddpc_controllers.cascade import Cascade
-from ddpc_controllers.deepc import DeePC
 from ddpc_controllers.ipid import IPID
 from ddpc_controllers.mfac import MFAPC
 from ddpc_controllers.spsa import SPSA
-from ddpc_controllers.wkpc import WKPC
 from ddpc_cosim import (
     Constant,
     Controller,
@@ -24,6 +22,8 @@ from ddpc_cosim import (
     record,
 )
 from fmu_plants import build_fmu, cart_pendulum
+
+from .loops import printed_deepc, printed_wkpc
 
 OFF = np.radians(3.0)
 # The angle follows theta'' = 31.2 theta + 4.5 F about the upright.
@@ -91,7 +91,7 @@ def test_spsa_finds_gains_that_stabilise_it(plant: FMUPlant, seed: int) -> None:
 
 
 PREDICTIVE = {
-    "deepc": DeePC(
+    "deepc": printed_deepc(
         initial_length=6,
         horizon=20,
         output_weight=1000.0,
@@ -100,7 +100,7 @@ PREDICTIVE = {
         lambda_g=0.01,
         lambda_sigma=1e5,
     ),
-    "wkpc": WKPC(initial_length=2, horizon=20, output_weight=1000.0, input_weight=0.1, lambda_g=1e-3),
+    "wkpc": printed_wkpc(initial_length=2, horizon=20, output_weight=1000.0, input_weight=0.1, lambda_g=1e-3),
 }
 
 

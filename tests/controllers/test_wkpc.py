@@ -19,6 +19,7 @@ from .loops import (
     paper_reference,
     pendulum_experiment,
     pendulum_loop,
+    printed_wkpc,
     quick_pendulum,
 )
 
@@ -42,10 +43,10 @@ def lifted(states: FloatArray, centres: FloatArray, power: int = 1) -> FloatArra
 def test_the_printed_problem_has_the_same_optimum(
     state_recording: Recording, torque: float, bounds_active: bool
 ) -> None:
-    here = run(WKPC(), state_recording, torque, steps=60)
+    here = run(printed_wkpc(), state_recording, torque, steps=60)
     centres = np.random.default_rng(0).uniform(0.0, 1.0, (10, 2))
     bounds = pendulum_loop(state_recording, torque, 170.0).bounds
-    full = FullWKPC(WKPC(), lifted(state_recording.measured, centres), state_recording, bounds)
+    full = FullWKPC(printed_wkpc(), lifted(state_recording.measured, centres), state_recording, bounds)
     states = np.array([sample.measured for sample in here.samples])
     z = lifted(states, centres)
     for k, sample in enumerate(here.samples):
@@ -59,7 +60,7 @@ def test_two_inputs_and_two_outputs() -> None:
     rng = np.random.default_rng(5)
     plant = LinearPlant.random(rng, 3, 2, 2)
     recording = experiment(plant.advance, rng.uniform(-1.0, 1.0, (150, 2)), 3, plant.c)
-    controller = WKPC(dictionary=ThinPlate(count=3))
+    controller = printed_wkpc(dictionary=ThinPlate(count=3))
     loop = make_loop(recording, 0.5 * np.ones(2), np.full(2, np.inf))
     reference = np.repeat(rng.uniform(-1.0, 1.0, (4, 2)), 10, axis=0)
     here = close_loop(controller, loop, plant.advance, plant.c, reference, steps=25)
@@ -113,7 +114,7 @@ def test_each_departure_of_the_published_program_has_its_effect(
 
 
 def test_the_centres_come_from_the_loops_generator(state_recording: Recording) -> None:
-    one, same, other = (run(WKPC(), state_recording, seed=seed, steps=20).u for seed in (1, 1, 2))
+    one, same, other = (run(printed_wkpc(), state_recording, seed=seed, steps=20).u for seed in (1, 1, 2))
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
 
@@ -132,7 +133,7 @@ class Squares:
 
 
 def test_a_dictionary_of_ones_own(state_recording: Recording) -> None:
-    controller = WKPC(dictionary=Squares())
+    controller = printed_wkpc(dictionary=Squares())
     here = run(controller, state_recording, steps=30)
     bounds = pendulum_loop(state_recording, degrees=170.0).bounds
     states = np.array([sample.measured for sample in here.samples])
@@ -162,7 +163,7 @@ def test_a_box_upside_down_is_refused() -> None:
 
 
 def test_the_redundant_rows_of_a_lift_with_the_state_are_diagnosed(state_recording: Recording) -> None:
-    controller = WKPC()
+    controller = printed_wkpc()
     controller.start(pendulum_loop(state_recording, degrees=170.0))
     figures = controller.diagnostics()
     # The angle is measured and controlled: its two past rows stand there twice.
@@ -175,4 +176,4 @@ def test_data_that_excite_too_little_for_the_lifted_order_are_refused(state_reco
     u = sum(np.sin(f * time) for f in (0.3, 0.8, 1.3, 1.9, 2.4, 2.9))
     poor = Recording(np.asarray(u), state_recording.y, state_recording.measured, 0.1)
     with pytest.raises(DataError, match=r"order 12, needed 19 \(depth 7 \+ lifted order 12\)"):
-        WKPC().start(pendulum_loop(poor))
+        printed_wkpc().start(pendulum_loop(poor))

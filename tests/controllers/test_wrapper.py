@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ddpc_controllers import WKPC, DeePC
+from ddpc_controllers import DeePC
 from ddpc_controllers.cascade import Cascade
 from ddpc_controllers.data.dictionaries import Combined, Delays, Gaussian, Polynomials
 from ddpc_controllers.decentralised import Decentralised, Group
@@ -34,7 +34,17 @@ from ddpc_cosim import (
 )
 from ddpc_cosim.settings import from_plain
 
-from .loops import ANGLE, DEGREE, close_loop, make_loop, paper_reference, pendulum_loop, quick_pendulum
+from .loops import (
+    ANGLE,
+    DEGREE,
+    close_loop,
+    make_loop,
+    paper_reference,
+    pendulum_loop,
+    printed_deepc,
+    printed_wkpc,
+    quick_pendulum,
+)
 
 
 class Complaining(Controller):
@@ -216,10 +226,10 @@ def test_statuses_and_values_say_whose_they_are() -> None:
 
 
 def test_the_longest_horizon_and_recording_are_asked_for() -> None:
-    controller = grouped(MPC(horizon=7), DeePC(horizon=11))
+    controller = grouped(MPC(horizon=7), printed_deepc(horizon=11))
     assert controller.horizon == 11
     assert controller.uses_recording
-    assert controller.recording_length(2, 2, 2) == DeePC(horizon=11).recording_length(1, 1, 2)
+    assert controller.recording_length(2, 2, 2) == printed_deepc(horizon=11).recording_length(1, 1, 2)
     assert not grouped(PID(), PID()).uses_recording
 
 
@@ -270,9 +280,9 @@ def test_a_scaled_controller_sees_parts_of_the_ranges() -> None:
 def test_scaling_changes_nothing_but_the_meaning_of_the_weights(state_recording: Recording) -> None:
     loop = pendulum_loop(state_recording, torque=2.5, degrees=70.0)
     degrees = 70.0 * DEGREE
-    plain = DeePC(lambda_g=1e-6)
+    plain = printed_deepc(lambda_g=1e-6)
     scaled = Scaled(
-        controller=DeePC(
+        controller=printed_deepc(
             output_weight=100.0 * degrees**2,
             setpoint_weight=300.0 * degrees**2,
             input_weight=10.0 * 2.5**2,
@@ -301,8 +311,8 @@ def test_without_a_range_the_nominal_value_is_the_unit() -> None:
 @pytest.mark.parametrize(
     ("inner", "degrees"),
     [
-        (DeePC(), 70.0),
-        (WKPC(), 170.0),
+        (printed_deepc(), 70.0),
+        (printed_wkpc(), 170.0),
         (MPC(disturbance="none"), 70.0),
         (KoopmanMPC(disturbance_gain=0.0), 70.0),
     ],

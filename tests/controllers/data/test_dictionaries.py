@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from ddpc_controllers import WKPC
 from ddpc_controllers.data.dictionaries import (
     Combined,
     Constant,
@@ -25,7 +24,7 @@ from ddpc_cosim import ConfigError, DataError, FloatArray, PluginError, Recordin
 from ddpc_cosim.settings import to_plain
 
 from ..full_problem import FullWKPC
-from ..loops import ANGLE, before, close_loop, paper_reference, pendulum_loop, quick_pendulum
+from ..loops import ANGLE, before, close_loop, paper_reference, pendulum_loop, printed_wkpc, quick_pendulum
 
 
 def sine_and_cosine(states: FloatArray) -> FloatArray:
@@ -176,7 +175,7 @@ def test_wkpc_with_a_dictionary_that_looks_back_solves_the_printed_problem(
     state_recording: Recording,
 ) -> None:
     dictionary = Combined(dictionaries=[OWN, Delays(samples=1)])
-    controller = WKPC(dictionary=dictionary)
+    controller = printed_wkpc(dictionary=dictionary)
     loop = pendulum_loop(state_recording, 2.5, 170.0)
     here = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 40)
 

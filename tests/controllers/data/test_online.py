@@ -28,6 +28,8 @@ from ..loops import (
     paper_reference,
     pendulum_experiment,
     pendulum_loop,
+    printed_deepc,
+    printed_wkpc,
     quick_pendulum,
 )
 
@@ -108,7 +110,7 @@ CASES: dict[str, dict[str, Any]] = {
 def test_every_step_is_the_optimum_on_the_data_of_that_sample(
     paper_recording: Recording, options: dict[str, Any], mode: str
 ) -> None:
-    controller = DeePC(online_data=mode, excitation_floor=0.0, forgetting_factor=0.97, **options)
+    controller = printed_deepc(online_data=mode, excitation_floor=0.0, forgetting_factor=0.97, **options)
     loop = replace(pendulum_loop(paper_recording, 2.5), continues_recording=True)
     run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 45)
     for k in range(0, 45, 3):
@@ -126,7 +128,7 @@ def test_every_step_is_the_optimum_on_the_data_of_that_sample(
 
 
 def test_400_steps_equal_the_full_problem(paper_recording: Recording) -> None:
-    controller = DeePC(online_data="sliding-window", excitation_floor=0.0)
+    controller = printed_deepc(online_data="sliding-window", excitation_floor=0.0)
     loop = replace(pendulum_loop(paper_recording, 2.5), continues_recording=True)
     # A reference that never rests excites the loop to the end.
     reference = paper_reference() + np.random.default_rng(6).uniform(-0.1, 0.1, (420, 1))
@@ -142,7 +144,7 @@ def test_400_steps_equal_the_full_problem(paper_recording: Recording) -> None:
 
 
 def test_400_steps_equal_the_problem_factorised_anew_from_the_windows(paper_recording: Recording) -> None:
-    controller = DeePC(online_data="sliding-window", excitation_floor=1e-3, dither=0.2)
+    controller = printed_deepc(online_data="sliding-window", excitation_floor=1e-3, dither=0.2)
     controller.start(pendulum_loop(paper_recording, 2.5))
     state, reference, active = np.zeros(2), paper_reference(), 0
     for k in range(400):
@@ -168,7 +170,7 @@ def test_weights_far_apart_are_factorised_by_their_roots(paper_recording: Record
     for k in range(1, 4):
         moves = []
         for mode in ("frozen", "sliding-window"):
-            controller = DeePC(online_data=mode, **weights)
+            controller = printed_deepc(online_data=mode, **weights)
             controller.start(loop)
             sample = Sample(0, 0.0, np.array([0.1 * k]), np.zeros(1), reference, reference[0])
             moves.append(inputs(controller.step(sample)))
@@ -179,7 +181,7 @@ def test_two_inputs_two_outputs_and_rank_deficient_data() -> None:
     rng = np.random.default_rng(4)
     plant = LinearPlant.random(rng, 3, 2, 2)
     recording = experiment(plant.advance, rng.uniform(-1.0, 1.0, (120, 2)), 3, plant.c)
-    controller = DeePC(
+    controller = printed_deepc(
         online_data="sliding-window", excitation_floor=0.0, lambda_g=0.1, output_weight=2.0, input_weight=0.1
     )
     loop = replace(make_loop(recording, 0.5 * np.ones(2), np.full(2, np.inf)), continues_recording=True)
@@ -224,7 +226,7 @@ def test_a_quiet_loop_keeps_the_data_that_it_has(state_recording: Recording, kin
 
 def test_without_the_guard_a_quiet_loop_destroys_its_data(paper_recording: Recording) -> None:
     still = np.full((520, 1), 10.0 * DEGREE)
-    controller = DeePC(online_data="sliding-window", excitation_floor=0.0)
+    controller = printed_deepc(online_data="sliding-window", excitation_floor=0.0)
     close_loop(controller, pendulum_loop(paper_recording), quick_pendulum, ANGLE, still, 500)
     assert controller.diagnostics()["online_excitation"] < 1e-6
 
@@ -254,16 +256,16 @@ def test_online_data_recover_from_a_change_of_direction_about_a_recordings_lengt
     seed: int, options: dict[str, Any]
 ) -> None:
     recording = pendulum_experiment(seed)
-    frozen = errors_after_the_flip(DeePC(), recording)
-    online = errors_after_the_flip(DeePC(**options), recording)
+    frozen = errors_after_the_flip(printed_deepc(), recording)
+    online = errors_after_the_flip(printed_deepc(**options), recording)
     assert frozen.min() > 10.0
     assert online[0] > 10.0
     assert online[2:].max() < 4.0
 
 
 def test_wkpc_recovers_too(state_recording: Recording) -> None:
-    frozen = errors_after_the_flip(WKPC(), state_recording)
-    online = errors_after_the_flip(WKPC(online_data="sliding-window", dither=0.5), state_recording)
+    frozen = errors_after_the_flip(printed_wkpc(), state_recording)
+    online = errors_after_the_flip(printed_wkpc(online_data="sliding-window", dither=0.5), state_recording)
     assert frozen[2:].mean() > 10.0
     assert online[3:].mean() < 4.0
 
@@ -271,7 +273,7 @@ def test_wkpc_recovers_too(state_recording: Recording) -> None:
 def test_wkpc_on_learned_data_equals_wkpc_on_them_recorded(state_recording: Recording) -> None:
     """Windows learned in a loop that continues its recording are those of the longer recording."""
     loop = replace(pendulum_loop(state_recording, degrees=170.0), continues_recording=True)
-    controller = WKPC(online_data="sliding-window", excitation_floor=0.0)
+    controller = printed_wkpc(online_data="sliding-window", excitation_floor=0.0)
     run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 60)
     states = np.array([sample.measured for sample in run.samples])
     history = [
@@ -283,7 +285,7 @@ def test_wkpc_on_learned_data_equals_wkpc_on_them_recorded(state_recording: Reco
         )
     ]
     newest = Recording(*(signal[-200:] for signal in history), 0.1)
-    frozen = WKPC()
+    frozen = printed_wkpc()
     frozen.start(replace(loop, recording=newest))
     answer = frozen.step(run.samples[59])
     assert inputs(answer) == pytest.approx(run.u[59], abs=1e-6)
@@ -308,7 +310,7 @@ def test_runs_repeat_and_pickle_and_hold_their_bounds(
 
 
 def test_a_measurement_that_is_not_finite_is_not_learned(paper_recording: Recording) -> None:
-    controller = DeePC(online_data="sliding-window")
+    controller = printed_deepc(online_data="sliding-window")
     loop: Loop = pendulum_loop(paper_recording)
     controller.start(loop)
     reference = np.full((5, 1), 0.1)
@@ -324,7 +326,7 @@ def test_a_measurement_that_is_not_finite_is_not_learned(paper_recording: Record
 
 
 def test_dither_needs_one_number_per_input(paper_recording: Recording) -> None:
-    controller = DeePC(online_data="sliding-window", dither=[0.1, 0.1])
+    controller = printed_deepc(online_data="sliding-window", dither=[0.1, 0.1])
     with pytest.raises(ConfigError, match=r"dither has shape \(2,\)"):
         controller.start(pendulum_loop(paper_recording))
 
@@ -337,7 +339,7 @@ def test_the_published_programs_have_no_data_to_update(kind: type[Controller]) -
 
 def test_windows_start_with_the_loop(paper_recording: Recording) -> None:
     """From rest, the first window is complete after Tini + N samples of the loop."""
-    controller = DeePC(online_data="sliding-window", excitation_floor=0.0)
+    controller = printed_deepc(online_data="sliding-window", excitation_floor=0.0)
     loop = pendulum_loop(paper_recording)
     run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 20)
     assert controller.diagnostics()["online_windows_taken"] == 13.0

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -27,7 +26,6 @@ from ddpc_cosim import Bounds, ConfigError, Controller, Loop, Recording
 from ..loops import LinearPlant, experiment, make_loop, pendulum_experiment, pendulum_loop
 
 PREDICTIVE = [DeePC, SPC, GammaDDPC, WKPC, KoopmanMPC, MPC, LQR]
-WITH_DELAYS = [*PREDICTIVE[:4], partial(KoopmanMPC, state="delays"), MPC, LQR]
 Make = Callable[..., Controller]
 
 
@@ -53,7 +51,7 @@ def started(controller: Controller, loop: Loop) -> Controller:
     return controller
 
 
-@pytest.mark.parametrize("method", WITH_DELAYS)
+@pytest.mark.parametrize("method", PREDICTIVE)
 @pytest.mark.parametrize(("seed", "noise"), [(0, 0.0), (1, 0.01), (2, 0.1), (3, 0.01)])
 def test_sound_data_raise_no_warning(method: Make, seed: int, noise: float) -> None:
     controller = started(method(), loop_with(recording_of(seed, noise)))
@@ -69,7 +67,7 @@ def test_the_pendulum_of_the_paper_is_predicted_to_a_few_percent(method: Make) -
     assert 0.0 < controller.diagnostics()["prediction_error"] < 0.05
 
 
-@pytest.mark.parametrize("method", WITH_DELAYS)
+@pytest.mark.parametrize("method", PREDICTIVE)
 def test_a_prediction_is_tested_on_what_it_was_not_fitted_to(method: Make) -> None:
     """The plant changes its sign for the last quarter: what is fitted to the rest is wrong twice over."""
     recording = recording_of(4)
@@ -151,7 +149,8 @@ def test_dead_times_are_found(delay: int, noise: float, seed: int) -> None:
         (DeePC(), 3),
         (SPC(), 4),
         (WKPC(), 2),
-        (KoopmanMPC(), 1),
+        (KoopmanMPC(state="measured"), 1),
+        (DeePC(horizon=6, terminal_equality=True), 3),
         (KoopmanMPC(state="delays", delays=2, dictionary=Identity()), 3),
         (MPC(horizon=4, setpoint="none", model=Identified(lags=8)), 4),
         (MPC(horizon=10, model=Identified(lags=3)), 3),

@@ -8,12 +8,22 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from ddpc_controllers import MPC, WKPC, DeePC, KoopmanMPC
+from ddpc_controllers import MPC, DeePC, KoopmanMPC
 from ddpc_controllers.optimisation.backends import BACKENDS, Answer, Backend, contradiction, make_backend
 from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Recording, Sample
 
 from ..full_problem import FullDeePC
-from ..loops import ANGLE, Run, before, close_loop, paper_reference, pendulum_loop, quick_pendulum
+from ..loops import (
+    ANGLE,
+    Run,
+    before,
+    close_loop,
+    paper_reference,
+    pendulum_loop,
+    printed_deepc,
+    printed_wkpc,
+    quick_pendulum,
+)
 from .test_qp import least_distance
 
 
@@ -118,7 +128,7 @@ def test_a_common_factor_of_all_weights_changes_nothing(
 def test_the_solver_stands_when_the_loop_starts(
     paper_recording: Recording, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    controller = DeePC(backend=name)
+    controller = printed_deepc(backend=name)
     loop = pendulum_loop(paper_recording, 1.0)
     controller.start(loop)
     monkeypatch.delattr("piqp.DenseSolver")
@@ -144,7 +154,7 @@ def test_a_solver_that_gives_up_at_the_optimum_is_not_believed(
     paper_recording: Recording, online_data: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def run() -> Run:
-        controller = DeePC(horizon=12, online_data=online_data)
+        controller = printed_deepc(horizon=12, online_data=online_data)
         loop = pendulum_loop(paper_recording, 1.5)
         return close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 150)
 
@@ -161,7 +171,7 @@ def test_a_solver_that_gives_up_at_the_optimum_is_not_believed(
 
 @pytest.mark.parametrize("name", BACKENDS)
 def test_400_steps_with_active_bounds_equal_the_full_problem(paper_recording: Recording, name: str) -> None:
-    controller = DeePC(horizon=20, backend=name)
+    controller = printed_deepc(horizon=20, backend=name)
     loop = pendulum_loop(paper_recording, 2.0)
     run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), 400)
     full = FullDeePC(controller, paper_recording, loop.bounds)
@@ -177,7 +187,11 @@ def test_400_steps_with_active_bounds_equal_the_full_problem(paper_recording: Re
 
 @pytest.mark.parametrize(
     "settings",
-    [lambda name: WKPC(backend=name), lambda name: MPC(backend=name), lambda name: KoopmanMPC(backend=name)],
+    [
+        lambda name: printed_wkpc(backend=name),
+        lambda name: MPC(backend=name),
+        lambda name: KoopmanMPC(backend=name),
+    ],
 )
 def test_the_other_methods_find_the_same_with_either(
     state_recording: Recording, settings: Callable[[str], Controller]
@@ -195,6 +209,6 @@ def test_a_solver_that_is_not_installed_is_an_error_that_says_how_to_get_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "daqp", None)
     with pytest.raises(ConfigError, match=r"install ddpc-cosim\[daqp\], or use backend = 'piqp'"):
-        DeePC(backend="daqp").start(pendulum_loop(paper_recording))
+        printed_deepc(backend="daqp").start(pendulum_loop(paper_recording))
     with pytest.raises(ConfigError, match="daqp"):
-        WKPC(backend="daqp").start(pendulum_loop(paper_recording))
+        printed_wkpc(backend="daqp").start(pendulum_loop(paper_recording))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from ddpc_controllers import SPC, DeePC
+from ddpc_controllers import DeePC
 from ddpc_controllers.published import PublishedDeePC
 from ddpc_cosim import Action, FloatArray, Recording, Sample
 
@@ -22,7 +22,9 @@ from ..loops import (
     make_loop,
     paper_reference,
     pendulum_loop,
+    printed_deepc,
     quick_pendulum,
+    regulating_spc,
 )
 
 
@@ -47,7 +49,7 @@ def compare(controller: DeePC, recording: Recording, run: Run, loop: Any) -> tup
 def test_the_pendulum_with_and_without_active_bounds(
     paper_recording: Recording, affine_sum: str, torque: float, bounds_active: bool
 ) -> None:
-    controller = PublishedDeePC() if affine_sum == "first-horizon" else DeePC(affine_sum=affine_sum)
+    controller = PublishedDeePC() if affine_sum == "first-horizon" else printed_deepc(affine_sum=affine_sum)
     loop = pendulum_loop(paper_recording, torque)
     run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), steps=130)
     worst, active = compare(controller, paper_recording, run, loop)
@@ -76,7 +78,7 @@ def steps_between(rng: np.random.Generator, outputs: int, size: float, samples: 
 @pytest.mark.parametrize("limit", [0.3, 100.0])
 def test_linear_plants_with_and_without_noise(noise: float, width: int, limit: float) -> None:
     plant, advance, recording = linear_case(11 + width, 2, width, width, noise)
-    controller = DeePC(
+    controller = printed_deepc(
         lambda_g=0.1, output_weight=1.0, setpoint_weight=3.0, input_weight=0.1, lambda_sigma=1e4
     )
     loop = make_loop(recording, limit * np.ones(width), np.full(width, np.inf))
@@ -117,7 +119,7 @@ def test_any_problem_has_the_same_optimum(
 ) -> None:
     inputs, outputs = signals
     plant, advance, recording = linear_case(seed, 2, inputs, outputs, noise)
-    controller = DeePC(
+    controller = printed_deepc(
         initial_length=initial_length,
         horizon=initial_length + further,
         output_weight=cost[0],
@@ -137,7 +139,7 @@ def test_any_problem_has_the_same_optimum(
 
 def test_weights_may_be_matrices() -> None:
     plant, advance, recording = linear_case(3, 2, 2, 2, 1e-3)
-    controller = DeePC(
+    controller = printed_deepc(
         output_weight=[[2.0, 0.5], [0.5, 1.0]], setpoint_weight=[1.0, 3.0], input_weight=0.1, lambda_g=0.1
     )
     loop = make_loop(recording, 0.5 * np.ones(2), np.full(2, np.inf))
@@ -149,7 +151,7 @@ def test_weights_may_be_matrices() -> None:
 
 
 def test_output_bounds_hold_too(paper_recording: Recording) -> None:
-    controller = DeePC()
+    controller = printed_deepc()
     loop = pendulum_loop(paper_recording, degrees=15.0)
     run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), steps=60)
     tight = close_loop(
@@ -163,7 +165,7 @@ def test_output_bounds_hold_too(paper_recording: Recording) -> None:
 def test_one_sided_bounds_are_bounds(paper_recording: Recording) -> None:
     loop = pendulum_loop(paper_recording)
     loop.bounds.u_max[...], loop.bounds.u_min[...], loop.bounds.y_max[...] = 1.5, -np.inf, np.inf
-    controller = DeePC()
+    controller = printed_deepc()
     run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference(), steps=120)
     worst, active = compare(controller, paper_recording, run, loop)
     assert run.u.max() <= 1.5 < -run.u.min()
@@ -182,7 +184,7 @@ def test_what_counts_as_a_conflict_does_not_depend_on_units(noise: float) -> Non
         stream = np.random.default_rng(4)
         recording = Recording(of_u * recorded.u, of_y * recorded.y, of_y * recorded.y, 0.1)
         weights = {"output_weight": (1.0 / of_y**2).tolist(), "input_weight": 0.1 / of_u**2}
-        controller = SPC(horizon=6, scaling="none", **weights)
+        controller = regulating_spc(horizon=6, scaling="none", **weights)
         infinite = np.full(2, np.inf)
         controller.start(make_loop(recording, np.array([of_u]), infinite))
         state, said = np.zeros(3), []
