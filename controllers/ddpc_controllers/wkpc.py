@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -64,7 +65,9 @@ class WKPC(OnlineSettings, ScaledSignals):
     setpoint_margin: float = setting(
         0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoint"
     )
-    dictionary: Dictionary = setting(default_factory=ThinPlate, doc="observables that lift the state")
+    dictionary: Dictionary = setting(
+        default_factory=partial(ThinPlate, centres="data"), doc="observables that lift the state"
+    )
     backend: BackendName = setting("piqp", choices=BACKENDS, doc="QP solver for active sets not seen before")
 
     def __post_init__(self) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 
-from ddpc_controllers import SPC, WKPC, DeePC, GammaDDPC
+from ddpc_controllers import SPC, WKPC, DeePC, GammaDDPC, ThinPlate
 from ddpc_cosim import Action, Bounds, Controller, FloatArray, Loop, Recording, Sample, Variable
 
 DATA = Path(__file__).parent.parent / "data"
@@ -204,7 +204,7 @@ def printed_deepc(**settings: Any) -> DeePC:
 
 def printed_wkpc(**settings: Any) -> WKPC:
     """Return WKPC with the printed problem (11), but for the settings given."""
-    return WKPC(**{"regulariser": "ridge", **settings})
+    return WKPC(**{"regulariser": "ridge", "dictionary": ThinPlate(), **settings})
 
 
 def regulating_spc(**settings: Any) -> SPC:

@@ -132,7 +132,7 @@ def test_with_an_exact_lift_it_is_wkpc_with_the_same_dictionary() -> None:
 
 
 def test_every_input_of_400_steps_is_that_of_bounded_least_squares(state_recording: Recording) -> None:
-    controller, n = KoopmanMPC(setpoint="none", disturbance_gain=0.0), 5
+    controller, n = KoopmanMPC(state="measured", setpoint="none", disturbance_gain=0.0), 5
     loop = pendulum_loop(state_recording, torque=2.5, degrees=1e6)
     run = close_loop(controller, loop, quick_pendulum, ANGLE, paper_reference())
     centres = np.random.default_rng(0).uniform(0.0, 1.0, (10, 2))
@@ -183,7 +183,7 @@ def test_it_ends_every_reference_step_of_the_pendulum_without_offset(
 
 def test_a_loop_can_go_on_where_the_recording_ended(state_recording: Recording) -> None:
     loop = replace(pendulum_loop(state_recording, degrees=500.0), continues_recording=True)
-    controller = KoopmanMPC(dictionary=Identity())
+    controller = KoopmanMPC(state="measured", dictionary=Identity())
     controller.start(loop)
     arrived = quick_pendulum(state_recording.measured[-1], state_recording.u[-1])
     assert controller._predicted == pytest.approx(arrived, abs=0.05)

@@ -110,7 +110,7 @@ def test_every_step_of_mfac_is_that_of_the_book(
     form: tuple[str, int, int], rho: float, samples: list[tuple[float, float]]
 ) -> None:
     name, ly, lu = form
-    controller = MFAC(form=name, output_length=2, input_length=3, step_factor=rho)
+    controller = MFAC(form=name, output_length=2, input_length=3, step_factor=rho, lambda_u=0.37)
     controller.start(make_loop(None, FREE[:1], FREE[:1]))
     law = BookLaw(ly, lu, rho, 0.37)
     # A first sample of 0: whatever comes before it was at rest.

@@ -34,6 +34,7 @@ from ddpc_cosim import Controller, DataError, FloatArray, Recording
 
 from .loops import (
     ANGLE,
+    PRINTED,
     SAMPLING_TIME,
     LinearPlant,
     close_loop,
@@ -123,7 +124,7 @@ class HandStacked(DeePC):
 
 
 def test_deepc_learns_from_the_windows_of_each_recording() -> None:
-    by_hand = HandStacked()
+    by_hand = HandStacked(**PRINTED)
     by_hand.parts = (FIRST, SECOND)
     joined = Recording.join([FIRST, SECOND])
     assert trajectory(by_hand, joined) == pytest.approx(trajectory(printed_deepc(), joined), abs=1e-12)
