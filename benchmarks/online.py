@@ -77,6 +77,8 @@ def main() -> bool:
     tight = pendulum.loop(pendulum.experiment(200), 2.5)
     two = tanks.loop(400)
     wide = DeePC(
+        regulariser="ridge",
+        terminal_equality=True,
         initial_length=4,
         horizon=10,
         output_weight=10.0,
@@ -87,8 +89,20 @@ def main() -> bool:
     )
     return print_rows(
         [
-            *compare("DeePC, N = 5, T = 200", DeePC(), one, pendulum.Pendulum, 25.0),
-            *compare("DeePC, N = 5, T = 200, bounds active", DeePC(), tight, pendulum.Pendulum, 25.0),
+            *compare(
+                "DeePC, N = 5, T = 200",
+                DeePC(regulariser="ridge", terminal_equality=True),
+                one,
+                pendulum.Pendulum,
+                25.0,
+            ),
+            *compare(
+                "DeePC, N = 5, T = 200, bounds active",
+                DeePC(regulariser="ridge", terminal_equality=True),
+                tight,
+                pendulum.Pendulum,
+                25.0,
+            ),
             *compare("DeePC, 2 x 2, N = 10, T = 400", wide, two, tanks.Tanks, 40.0),
         ]
     )
