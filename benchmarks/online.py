@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks import pendulum, tanks
+from benchmarks.pendulum import PRINTED
 from benchmarks.step import BenchmarkPlant, Row, Stepper, measure, print_header, print_rows
 from ddpc_controllers import DeePC
 from ddpc_cosim import Action, FloatArray, Loop, Sample
@@ -91,14 +92,14 @@ def main() -> bool:
         [
             *compare(
                 "DeePC, N = 5, T = 200",
-                DeePC(regulariser="ridge", terminal_equality=True),
+                DeePC(**PRINTED),
                 one,
                 pendulum.Pendulum,
                 25.0,
             ),
             *compare(
                 "DeePC, N = 5, T = 200, bounds active",
-                DeePC(regulariser="ridge", terminal_equality=True),
+                DeePC(**PRINTED),
                 tight,
                 pendulum.Pendulum,
                 25.0,

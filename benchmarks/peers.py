@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.pendulum import STEPS, experiment, loop
+from benchmarks.pendulum import PRINTED, STEPS, experiment, loop
 from benchmarks.step import Row, Stepper, measure, print_header, print_rows, started
 from ddpc_controllers import DeePC
 from ddpc_cosim import FloatArray, Recording, Sample
@@ -97,10 +97,10 @@ def main() -> bool:
     recording = experiment(200)
     listener = Listener(regulation(), recording)
     steppers: dict[str, Stepper] = {
-        "printed": started(DeePC(regulariser="ridge", terminal_equality=True), recording, _TORQUE),
+        "printed": started(DeePC(**PRINTED), recording, _TORQUE),
         "regulation": listener,
     }
-    times = measure(steppers, DeePC(regulariser="ridge", terminal_equality=True).horizon)
+    times = measure(steppers, DeePC(**PRINTED).horizon)
     own = float(np.median(times["printed"]))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -112,9 +112,7 @@ def main() -> bool:
         rows.append(Row(f"{peer} / DeePC step on the paper's problem", own, median, median / own, 200.0))
     held = print_rows(rows)
     every = STEPS // _SOLVES
-    ours = np.array(listener.u)[
-        DeePC(regulariser="ridge", terminal_equality=True).initial_length :: every, 0
-    ][:_SOLVES]
+    ours = np.array(listener.u)[DeePC(**PRINTED).initial_length :: every, 0][:_SOLVES]
     difference = float(np.abs(np.array(answers["deepctools"]["u"]) - ours).max())
     same = difference <= _SAME_INPUT
     verdict = "held" if same else "MISSED"

@@ -1,6 +1,7 @@
 """The paper's pendulum, experiment and reference, stepped fast enough to stay out of the measurements."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -8,6 +9,8 @@ from ddpc_cosim import Bounds, FloatArray, Loop, Recording, Sample, Variable
 
 SAMPLING_TIME = 0.1
 STEPS = 400
+PRINTED: dict[str, Any] = {"regulariser": "ridge", "terminal_equality": True}
+"""DeePC's settings for the printed problem (8)."""
 _SUBSTEPS = 20
 _DEGREE = math.pi / 180.0
 

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from benchmarks.pendulum import STEPS, Pendulum, experiment, loop
+from benchmarks.pendulum import PRINTED, STEPS, Pendulum, experiment, loop
 from ddpc_controllers import DeePC
 from ddpc_controllers.optimisation.backends import BackendName
 from ddpc_cosim import Action, Controller, FloatArray, Recording, Sample
@@ -110,12 +110,12 @@ def measure(
 def against_full_problem(torque_limit: float) -> list[Row]:
     """Measure DeePC against the full problem, over all steps and over those with an active bound."""
     recording = experiment(200)
-    full = FullStepper(DeePC(regulariser="ridge", terminal_equality=True), recording, torque_limit)
+    full = FullStepper(DeePC(**PRINTED), recording, torque_limit)
     steppers: dict[str, Stepper] = {
-        "condensed": started(DeePC(regulariser="ridge", terminal_equality=True), recording, torque_limit),
+        "condensed": started(DeePC(**PRINTED), recording, torque_limit),
         "full": full,
     }
-    times = measure(steppers, DeePC(regulariser="ridge", terminal_equality=True).horizon)
+    times = measure(steppers, DeePC(**PRINTED).horizon)
     active = np.array(full.active)
     limit = 20.0 if active.any() else 50.0
     label = f"DeePC, torque within {torque_limit}: full problem / step"
@@ -129,10 +129,9 @@ def against_full_problem(torque_limit: float) -> list[Row]:
 def against_length() -> list[Row]:
     """Measure DeePC on a long recording against a short one."""
     steppers: dict[str, Stepper] = {
-        f"T = {n}": started(DeePC(regulariser="ridge", terminal_equality=True), experiment(n), 3.5)
-        for n in (200, 5000)
+        f"T = {n}": started(DeePC(**PRINTED), experiment(n), 3.5) for n in (200, 5000)
     }
-    times = measure(steppers, DeePC(regulariser="ridge", terminal_equality=True).horizon)
+    times = measure(steppers, DeePC(**PRINTED).horizon)
     short, long = np.median(times["T = 200"]), np.median(times["T = 5000"])
     return [
         Row(
@@ -149,7 +148,7 @@ def against_length() -> list[Row]:
 def against_long_horizon(backend: BackendName, limit: float) -> list[Row]:
     """Measure DeePC with N = 20 and a torque limit that is reached in half of the steps."""
     recording, torque_limit = experiment(200), LONG_HORIZON_TORQUE
-    settings = DeePC(regulariser="ridge", terminal_equality=True, horizon=20, backend=backend)
+    settings = DeePC(**PRINTED, horizon=20, backend=backend)
     full = FullStepper(settings, recording, torque_limit)
     steppers: dict[str, Stepper] = {"condensed": started(settings, recording, torque_limit), "full": full}
     times = measure(steppers, 20)
