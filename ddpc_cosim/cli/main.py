@@ -4,6 +4,7 @@ Exit codes: 0 done; 1 some case failed or a check failed; 2 usage or configurati
 143 terminated.
 """
 
+import os
 import signal
 import sys
 import warnings
@@ -57,6 +58,9 @@ class _Commands(click.Group):
     def invoke(self, context: click.Context) -> object:
         from ddpc_cosim.errors import ConfigError, CosimError
 
+        for name in ("stdout", "stderr"):
+            if getattr(sys, name) is None:  # closed by whoever started this process
+                setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - to the end
         try:
             return super().invoke(context)
         except ConfigError as error:

@@ -3,6 +3,7 @@
 import json
 import signal
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from signal import SIGKILL, SIGSEGV
@@ -419,6 +420,15 @@ def test_a_stabilising_controller_that_never_returns_is_an_error(
         "recording.controller: controller hanging:HangsWhenItIsMade: no return within 1 s in constr"
         in done.stderr
     )
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell's")
+def test_a_closed_stdout_costs_no_run(write_study: WriteStudy, tmp_path: Path, program: str) -> None:
+    write_study("mfapc")
+    command = f"'{program}' run study.toml --jobs 1 --no-report --out out >&-"
+    done = subprocess.run(command, shell=True, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
+    assert [case.outcome for case in load_results(tmp_path / "out").cases] == ["completed"]
 
 
 LINGERING = """
