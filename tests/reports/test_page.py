@@ -237,6 +237,16 @@ def test_a_thousand_cases_do_not_blow_the_page_up(make_results: MakeResults, tmp
     assert len(page) < 2_000_000
 
 
+def test_large_seeds_sort_by_all_their_digits(make_results: MakeResults, tmp_path: Path) -> None:
+    few = make_results(controllers={"only": {"type": "x"}})
+    cases = tuple(
+        replace(few.cases[0], seed=seed, id=f"case{seed}") for seed in (4_000_000_001, 4_000_000_002)
+    )
+    page = written(tmp_path, replace(few, cases=cases))
+    assert 'data-value="4000000001"' in page
+    assert 'data-value="4000000002"' in page
+
+
 def test_no_results_are_an_error(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="at least one study"):
         write_report([], tmp_path / "report.html")
