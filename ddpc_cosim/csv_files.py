@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddpc_cosim.errors import ConfigError, DataError, did_you_mean
+from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.variables import FloatArray, Variable, converter
+from fmu_plants.spelling import did_you_mean
 
 TIME_TOLERANCE = 0.01
 """How far rows may be from one sampling time apart, in parts of it, unless one says otherwise."""

@@ -10,11 +10,12 @@ import numpy as np
 
 from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, delay_error
 from ddpc_cosim.controller import Bounds, Loop, Recording
-from ddpc_cosim.errors import ConfigError, DataError, did_you_mean
+from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference, values_at
 from ddpc_cosim.variables import FloatArray, Variable, names
+from fmu_plants.spelling import did_you_mean
 
 MOST_STEPS = 100_000_000
 # Which stream of a seed serves whom; a new one gets a new number. From 3 on: those of the conditions.

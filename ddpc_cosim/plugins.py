@@ -17,7 +17,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from ddpc_cosim.errors import PluginError, did_you_mean
+from ddpc_cosim.errors import PluginError
+from fmu_plants.spelling import did_you_mean
 
 KINDS = ("plants", "controllers", "studies", "metrics", "reports")
 

@@ -14,9 +14,10 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from ddpc_cosim.errors import ConfigError, Place, PluginError, did_you_mean, dotted
+from ddpc_cosim.errors import ConfigError, Place, PluginError, dotted
 from ddpc_cosim.plugins import load_plugin, load_target
 from ddpc_cosim.variables import FloatArray
+from fmu_plants.spelling import did_you_mean
 
 Weight = float | Sequence[float] | Sequence[Sequence[float]]
 """A weight: a scalar, one number per signal, or a symmetric matrix."""

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_cosim.errors import ConfigError, did_you_mean
+from ddpc_cosim.errors import ConfigError
+from fmu_plants.spelling import did_you_mean
 from fmu_plants.units import DisplayUnit as DisplayUnit, display_unit, usual_display_units
 
 FloatArray = NDArray[np.float64]

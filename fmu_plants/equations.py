@@ -6,7 +6,8 @@ from typing import Any
 
 import sympy
 
-from fmu_plants.model import TIME, Equations, ModelError, PlantModel, derivative_name, did_you_mean
+from fmu_plants.model import TIME, Equations, ModelError, PlantModel, derivative_name
+from fmu_plants.spelling import did_you_mean
 
 
 class UnknownNameError(ModelError, AttributeError):
@@ -24,10 +25,8 @@ class _SymbolTable:
     def __getitem__(self, name: str) -> sympy.Symbol:
         if name in self._symbols:
             return self._symbols[name]
-        hint, known = did_you_mean([name], self._symbols), ", ".join(sorted(self._symbols))
-        raise UnknownNameError(
-            f"model {self._model!r}: the equations use {name!r}{hint}; they can use: {known}"
-        )
+        hint = did_you_mean(name, self._symbols)
+        raise UnknownNameError(f"model {self._model!r}: the equations use an unknown {name!r}; {hint}")
 
     def __getattr__(self, name: str) -> sympy.Symbol:
         if name.startswith("__"):

@@ -5,9 +5,8 @@ equations are a function that is called with symbols when the plant is exported.
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import partial
 from math import inf, isfinite, isnan
 from typing import Any, Literal, Protocol
@@ -29,13 +28,6 @@ class ModelError(ValueError):
 
 class ExportError(RuntimeError):
     """The FMU could not be built; the message says what to do about it."""
-
-
-def did_you_mean(names: Iterable[str], options: Iterable[str]) -> str:
-    """Return a hint for the message about unknown names, empty if no option is near."""
-    known = list(options)
-    close = [repr(match) for name in names for match in get_close_matches(name, known, n=1)]
-    return f" (did you mean {', '.join(close)}?)" if close else ""
 
 
 class Symbols(Protocol):

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ddpc_cosim.controller import Controller
-from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError, did_you_mean
+from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.plugins import load_plugin, load_target, plugin_names
 from ddpc_cosim.safe_calls import CallsInTime
@@ -26,6 +26,7 @@ from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
 from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
 from ddpc_cosim.worker import LONGEST_REPLY, Ending, UnexpectedError, Worker, ask, result_of, serve_calls
+from fmu_plants.spelling import did_you_mean
 
 _PRELOAD = (__name__,)
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_cosim.errors import ConfigError, did_you_mean
+from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.description import (
     FMUDescription,
     FMUVariable,
@@ -28,6 +28,7 @@ from ddpc_cosim.fmu.instance import Instance, ValueType, reference_array
 from ddpc_cosim.fmu.status import WARNING, CallError, failed_call
 from ddpc_cosim.plant import ParameterValue as Value
 from ddpc_cosim.variables import FloatArray
+from fmu_plants.spelling import did_you_mean
 
 Shapes = Mapping[str, tuple[int, ...]]
 """The sizes of array variables by name, where structural parameters have changed them."""

@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 
-from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError, did_you_mean
+from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
 from ddpc_cosim.fmu.archive import UnpackLimits
 from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.fmu.isolation import IsolatedSession
@@ -19,6 +19,7 @@ from ddpc_cosim.fmu.session import FMUSession, unpack_fmu
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.variables import FloatArray, Variable, names, with_display_units
+from fmu_plants.spelling import did_you_mean
 
 _KIND = {"co-simulation": "Co-Simulation", "model-exchange": "Model Exchange"}
 _DEFAULTS = UnpackLimits()

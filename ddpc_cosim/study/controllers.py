@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ddpc_cosim.controller import Controller
-from ddpc_cosim.errors import ConfigError, ControllerError, Place, PluginError, did_you_mean
+from ddpc_cosim.errors import ConfigError, ControllerError, Place, PluginError
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.safe_calls import (
     CallsInTime,
@@ -31,6 +31,7 @@ from ddpc_cosim.study.sections import (
     Study,
 )
 from ddpc_cosim.study.validation_errors import InvalidFieldError, ValidationErrors, independent
+from fmu_plants.spelling import did_you_mean
 
 _LONGEST_NAME = 60
 

@@ -19,7 +19,8 @@ from pydantic import (
     model_validator,
 )
 
-from ddpc_cosim.errors import Place, did_you_mean, nearest
+from ddpc_cosim.errors import Place
+from fmu_plants.spelling import did_you_mean, nearest
 
 _EXPECTED = {
     "bool": "true or false",

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from fmu_plants.export.binaries import universal_binary
-from fmu_plants.model import ExportError, did_you_mean
+from fmu_plants.model import ExportError
+from fmu_plants.spelling import did_you_mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +84,10 @@ def parse_platforms(names: str | Sequence[str]) -> tuple[Platform, ...]:
     by_name = {platform.name: platform for platform in PLATFORMS}
     if words == [ALL]:
         return PLATFORMS
-    known = ", ".join([ALL, *by_name])
-    unknown = [word for word in words if word not in by_name]
-    if unknown or not words:
-        wrong = ", ".join(map(repr, unknown)) or "none"
-        hint = did_you_mean(unknown, [ALL, *by_name])
-        raise ExportError(f"unknown platforms: {wrong}{hint}; known: {known}")
+    unknown = [word for word in words if word not in by_name] or ([] if words else [""])
+    if unknown:
+        known = (ALL, *by_name)
+        raise ExportError("\n".join(f'no platform "{word}"; {did_you_mean(word, known)}' for word in unknown))
     return tuple(platform for platform in PLATFORMS if platform.name in words)
 
 

@@ -109,8 +109,11 @@ def sympy_infinity():
                 "give an unknown output 'power'; expected: none",
             ],
         ),
-        (lambda v: Equations({"angle": v.angel}), ["use 'angel' (did you mean 'angle'?)", "gravity, mass"]),
-        (lambda v: Equations({"angle": v["x y"]}), ["use 'x y'; they can use"]),
+        (lambda v: Equations({"angle": v.angel}), ["use an unknown 'angel'; did you mean \"angle\"?"]),
+        (
+            lambda v: Equations({"angle": v["x y"]}),
+            ["use an unknown 'x y'; there are: angle, ", "gravity, mass"],
+        ),
         (
             lambda v: Equations({"angle": sympy_free_symbol(), "angular_velocity": sympy_infinity()}),
             ["symbols that the model does not declare: stranger", "not a finite real expression: zoo"],

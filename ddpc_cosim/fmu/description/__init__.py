@@ -8,9 +8,10 @@ from functools import cached_property
 from itertools import product
 from typing import Literal
 
-from ddpc_cosim.errors import ConfigError, FMUImportError, did_you_mean
+from ddpc_cosim.errors import ConfigError, FMUImportError
 from ddpc_cosim.fmu.description.variable_types import Values, values_of
 from ddpc_cosim.variables import DisplayUnit, Variable
+from fmu_plants.spelling import did_you_mean
 
 InterfaceKind = Literal["co-simulation", "model-exchange"]
 

@@ -189,16 +189,14 @@ def test_platforms_by_name():
     assert parse_platforms("windows-x86_64, linux-x86_64") == parse_platforms([p.name for p in both]) == both
 
 
-@pytest.mark.parametrize("names", ["linux-x64", ["linux-x64", "amiga"], [], ""])
+@pytest.mark.parametrize("names", ["amiga", ["linux-x64", "amiga"], [], ""])
 def test_unknown_platforms_are_refused(names):
-    with pytest.raises(ExportError, match="known: all, linux-x86_64, linux-arm64, windows-x86_64, macos-"):
+    with pytest.raises(ExportError, match="there are: all, linux-arm64, linux-x86_64, macos-arm64, macos-"):
         parse_platforms(names)
 
 
 def test_a_misspelt_platform_is_recognised():
-    with pytest.raises(
-        ExportError, match=r"unknown platforms: 'linux-x86-64' \(did you mean 'linux-x86_64'\?"
-    ):
+    with pytest.raises(ExportError, match=r'no platform "linux-x86-64"; did you mean "linux-x86_64"\?'):
         parse_platforms("linux-x86-64")
 
 
