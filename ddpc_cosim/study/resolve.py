@@ -569,7 +569,7 @@ class _Resolution:
         for name in (name for name in self.inputs.names if name in converters):
             groups.setdefault(sections[name].group(name), []).append(name)
         parts = [self._excitation_part(recording, place, group, converters) for group in groups.values()]
-        if self.errors.found or not self.inputs.names:
+        if None in parts or not self.inputs.names or not converters.keys() >= set(self.inputs.names):
             return None
         numbers = [tuple(map(self.inputs.names.index, group)) for group in groups.values()]
         served = [(part, group) for part, group in zip(parts, numbers, strict=True) if part is not None]
@@ -619,8 +619,10 @@ class _Resolution:
             return None
         place = (*place, "excitation")
         self.errors.require_known(place, "input", changes.excitation, self.inputs.names)
-        self._converters(place, changes.excitation, self.variables.inputs)
-        return None if self.errors.found else self._experiment(changes.of(self.study.recording), place)
+        recording = changes.of(self.study.recording)
+        if self.excitation is None:  # its faults are told at the study's own keys, and only there
+            recording = recording.model_copy(update={"excitation": changes.excitation})
+        return self._experiment(recording, place)
 
     def _require_each(self, place: Place, what: str, given: Iterable[str], wanted: _Selection) -> None:
         """Check that a table has an entry for each signal, and no others."""

@@ -694,6 +694,17 @@ def test_a_scenario_s_experiment_is_checked_as_the_study_s(
     assert words in error
 
 
+def test_the_experiments_of_all_scenarios_are_checked_whatever_else_is_wrong(tmp_path: Path) -> None:
+    upside_down = {"excitation": {"torque": {"low": 1.0, "high": -1.0}}}
+    missing = {"excitation": {"torque": {"kind": "recorded", "file": "missing.csv"}}}
+    study = changed(scenarios={"a": {"recording": missing}, "b": {"recording": upside_down}}, report=None)
+    places = ["scenarios.a.recording.excitation.torque.file", "scenarios.b.recording.excitation.torque"]
+    assert [error.partition(": ")[0] for error in errors_of(study, tmp_path)] == places
+    study["recording"]["excitation"]["torque"] = upside_down["excitation"]["torque"]
+    told = [error.partition(": ")[0] for error in errors_of(study, tmp_path)]
+    assert told == ["recording.excitation.torque", *places]
+
+
 def test_a_scenario_without_an_experiment_to_change_is_refused(tmp_path: Path) -> None:
     study = changed(scenarios={"s": {"recording": {"samples": 50}}}, recording=None, report=None)
     study["controllers"] = {"mfapc": study["controllers"]["mfapc"]}
