@@ -28,14 +28,11 @@ from ddpc_cosim.study.sections import (
     BoundsSection,
     DriftSection,
     EventSection,
-    Excited,
-    Experiment,
-    RampReference,
     RecordingSection,
     ScenarioSection,
-    StepsReference,
     Study,
 )
+from ddpc_cosim.study.signal_sections import Excited, Experiment, RampReference, StepsReference
 from ddpc_cosim.study.validation_errors import InvalidFieldError, Section, ValidationErrors, independent
 from ddpc_cosim.variables import Variable, converter
 
