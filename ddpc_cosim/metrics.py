@@ -1,8 +1,6 @@
 """Metrics of one run: a registry that files, terminal and reports follow, so that one is added here alone.
 
-Metrics of the response are taken over the *held* samples: those whose inputs acted on the plant (the last
-sample of a completed run, at which the run ends, is left out). Keys read ``name.signal [unit]``; values are
-in the variables' display units, and NaN where there is none.
+Keys read ``name.signal [unit]``; values are in the variables' display units, and NaN where there is none.
 """
 
 import math
@@ -12,26 +10,16 @@ from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from itertools import pairwise
+from functools import cache
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ddpc_cosim.errors import CosimWarning
 from ddpc_cosim.plugins import Plugin, installed, source_hash
-from ddpc_cosim.variables import FloatArray, Variable
+from ddpc_cosim.responses import Actuation, Response, Signal, StepTimes, WholeRun
+from ddpc_cosim.variables import FloatArray
 
-_SETTLED_FRACTION = 0.2
-_SETTLING_BAND = 0.05
-_RISE = (0.1, 0.9)
-_FEWEST_SAMPLES = 5
-_CONSTANT_ROWS = 3
-"""Fewest rows of a stretch of constant reference; shorter ones belong to a moving reference."""
-_SMALLEST_FIRST_STEP = 0.01
-_SMALLEST_LONE_STEP = 0.001
-_LARGEST_SETTLED_ERROR = 0.5
 _TRACE = "ddpc_cosim.trace.Trace"
 """The class that metrics of third parties are of; its module imports this one."""
 _OF_A_SIGNAL = ("difference", "value", "difference.s")
@@ -56,233 +44,6 @@ class MetricSettings:
     preview: int = 0
     cost: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class _Signal:
-    """A signal over the held samples.
-
-    Parameters
-    ----------
-    variable : Variable
-        The controlled output or the input.
-    values : array, shape (K,)
-        Its values, in its unit.
-    limits : tuple of float
-        Its bounds in the run, in its unit.
-    sampling_time : float
-        Time between samples [s].
-    """
-
-    variable: Variable
-    values: FloatArray
-    limits: tuple[float, float]
-    sampling_time: float
-
-
-@dataclass(frozen=True)
-class Response(_Signal):
-    """A controlled output over the held samples, and its reference, shape (K,).
-
-    ``preview`` is that of :class:`MetricSettings`.
-    """
-
-    reference: FloatArray
-    preview: int
-
-    @cached_property
-    def error(self) -> FloatArray:
-        """Reference minus output, in the display unit."""
-        return (self.reference - self.values) * self.variable.shown_in.factor
-
-    @cached_property
-    def magnitude(self) -> FloatArray:
-        """The error without its sign."""
-        return np.abs(self.error)
-
-    @cached_property
-    def beyond(self) -> FloatArray:
-        """How far the output lies beyond its limits, in the display unit; zero within them."""
-        excess = np.maximum(self.values - self.limits[1], self.limits[0] - self.values)
-        return np.maximum(excess, 0.0) * abs(self.variable.shown_in.factor)
-
-    @cached_property
-    def stretches(self) -> list["_Stretch"]:
-        """The stretches of constant reference whose windows are long enough."""
-        edges = [0, *(np.flatnonzero(self._moves) + 1).tolist(), len(self.reference)]
-        rows = [end - first for first, end in pairwise(edges)]
-        return [
-            _Stretch(self, first, end - self.preview, self._value_before(first, rows[n - 1] if n else 0))
-            for n, (first, end) in enumerate(pairwise(edges))
-            if end - first >= _CONSTANT_ROWS and end - self.preview - first >= _FEWEST_SAMPLES
-        ]
-
-    @cached_property
-    def steps(self) -> list["_Stretch"]:
-        """The stretches that begin with a step."""
-        return [stretch for stretch in self.stretches if not math.isnan(stretch.before)]
-
-    @cached_property
-    def span(self) -> float:
-        """How far the reference moves; of a constant one, how far the output has to."""
-        return float(np.ptp(self.reference)) or abs(self._first_step)
-
-    @property
-    def _moves(self) -> NDArray[np.bool_]:
-        """Whether the reference changes from row to row, by more than a rounding error."""
-        r = self.reference
-        smallest = 1e-9 * np.ptp(r) + 1e-12 * np.abs(r).max() if r.size else 0.0
-        return np.abs(np.diff(r)) > smallest
-
-    @property
-    def _first_step(self) -> float:
-        return float(self.reference[0] - self.values[0])
-
-    def _value_before(self, first: int, rows_before: int) -> float:
-        """Return from which value the reference steps at a row, NaN if it does not: it may have moved."""
-        if first > 0:
-            return float(self.reference[first - 1]) if rows_before >= _CONSTANT_ROWS else math.nan
-        smallest = _SMALLEST_FIRST_STEP * float(np.ptp(self.reference))
-        if smallest == 0.0:
-            smallest = _SMALLEST_LONE_STEP * max(abs(float(self.reference[0])), self.variable.nominal)
-        return float(self.values[0]) if abs(self._first_step) >= smallest else math.nan
-
-    @property
-    def holds(self) -> bool:
-        """Whether the output comes to rest near its reference, and stays near its limits."""
-        if not len(self.values):
-            return False
-        far = float(self.beyond.max()) / abs(self.variable.shown_in.factor)
-        return far <= self.span and all(
-            step.settled_error <= _LARGEST_SETTLED_ERROR * abs(step.size) for step in self.steps
-        )
-
-
-@dataclass(frozen=True)
-class _Stretch:
-    """A stretch of constant reference: its first row, and the end of its window.
-
-    ``before`` is the value from which the reference stepped there; NaN if it did not.
-    """
-
-    response: Response
-    first: int
-    end: int
-    before: float
-
-    @property
-    def size(self) -> float:
-        """By how much the reference stepped, in the output's unit."""
-        return float(self.response.reference[self.first]) - self.before
-
-    @property
-    def settled_error(self) -> float:
-        """Magnitude of the mean error over the last fifth of the window, in the output's unit."""
-        rows = round(_SETTLED_FRACTION * (self.end - self.first))
-        settled = slice(self.end - rows, self.end)
-        return abs(float((self.response.reference[settled] - self.response.values[settled]).mean()))
-
-    @property
-    def overshoot(self) -> float:
-        """How far the output goes beyond the new value, as a fraction of the step."""
-        return max(float(self._path(self.first).max()) - 1.0, 0.0)
-
-    @property
-    def rise_samples(self) -> float:
-        """Samples from the last one within 10 % of the step, before it is at 90 %, to the first there."""
-        path = self._path(max(self.first - self.response.preview, 0))
-        there = np.flatnonzero(path >= _RISE[1])
-        if not there.size:
-            return math.nan
-        before = np.flatnonzero(path[: there[0]] <= _RISE[0])
-        return float(there[0] - before[-1]) if before.size else math.nan
-
-    @property
-    def settling_samples(self) -> float:
-        """Samples from the step until the output is within 5 % of it for the rest of the window."""
-        outside = np.flatnonzero(np.abs(self._path(self.first) - 1.0) > _SETTLING_BAND)
-        after = int(outside[-1]) + 1 if outside.size else 0
-        return float(after) if after < self.end - self.first else math.nan
-
-    @property
-    def anticipation_samples(self) -> float:
-        """Samples by which the output left 5 % of the step before it; NaN if it had not come to rest."""
-        start = max(self.first - self.response.preview, 0)
-        path = self._path(start)[: self.first - start + 1]
-        at_rest = np.flatnonzero(np.abs(path) <= _SETTLING_BAND)
-        if self.first == 0 or not at_rest.size or at_rest[0] > 0:
-            return math.nan
-        return float(max(self.first - start - int(at_rest[-1]) - 1, 0))
-
-    def _path(self, start: int) -> FloatArray:
-        """Return the output up to the window's end as a fraction of the step: 0 before it, 1 after it."""
-        return (self.response.values[start : self.end] - self.before) / self.size
-
-
-@dataclass(frozen=True)
-class Actuation(_Signal):
-    """An input over the held samples."""
-
-    @cached_property
-    def magnitude(self) -> FloatArray:
-        """The input without its sign, in the display unit."""
-        return np.abs(self.variable.shown_in.from_unit(self.values))
-
-    @property
-    def rest(self) -> float:
-        """Its value at rest, as far as the limits allow, in its unit."""
-        return float(np.clip(self.variable.start, *self.limits))
-
-    @cached_property
-    def change(self) -> FloatArray:
-        """Magnitude of the change at every sample, the first one from rest, in the display unit."""
-        return np.abs(np.diff(self.values, prepend=self.rest)) * abs(self.variable.shown_in.factor)
-
-    @cached_property
-    def at_limit(self) -> NDArray[np.bool_]:
-        """Whether the input is at one of its limits, at every sample."""
-        span = self.limits[1] - self.limits[0]
-        tolerance = 1e-9 * span if math.isfinite(span) else 0.0
-        return (self.values >= self.limits[1] - tolerance) | (self.values <= self.limits[0] + tolerance)
-
-
-@dataclass(frozen=True)
-class StepTimes:
-    """The controller's steps: times [s], shape (K,), NaN without a step; fallbacks; rows of the trace."""
-
-    solve_time: FloatArray
-    sampling_time: float
-    fallbacks: int
-    rows: int
-
-    @cached_property
-    def times(self) -> FloatArray:
-        """The times of the steps that were taken [s]."""
-        return self.solve_time[np.isfinite(self.solve_time)]
-
-
-@dataclass(frozen=True)
-class WholeRun:
-    """All controlled outputs and inputs of a run over the held samples, and the weights of its cost."""
-
-    responses: Sequence[Response]
-    actuations: Sequence[Actuation]
-    weights: Mapping[str, Mapping[str, float]]
-
-    def cost(self) -> float:
-        """Return the sum over the samples of all weighted squares, each in the unit of its signal."""
-        squares = {
-            "outputs": {one.variable.name: (one.reference - one.values) ** 2 for one in self.responses},
-            "inputs": {one.variable.name: (one.values - one.rest) ** 2 for one in self.actuations},
-            "changes": {
-                one.variable.name: np.diff(one.values, prepend=one.rest) ** 2 for one in self.actuations
-            },
-        }
-        return sum(
-            weight * _total(squares[kind][name])
-            for kind, weights in self.weights.items()
-            for name, weight in weights.items()
-        )
 
 
 Samples = TypeVar("Samples")
@@ -463,27 +224,20 @@ def _fault(plugin: Plugin) -> str:
 
 
 def _key(name: str, unit: str, samples: Any) -> str:
-    if not isinstance(samples, _Signal):
+    if not isinstance(samples, Signal):
         return f"{name} [{unit}]"
     shown = samples.variable.shown_in.name
     units = {"difference": shown, "value": shown, "difference.s": f"{shown}.s".lstrip(".")}
     return f"{name}.{samples.variable.name} [{units.get(unit, unit) or '1'}]"
 
 
-def _largest(values: FloatArray) -> float:
-    return float(values.max()) if values.size else math.nan
+def _or_nan(figure: Callable[[FloatArray], np.float64]) -> Callable[[FloatArray], float]:
+    """Return a figure of values that is NaN where there are none."""
+    return lambda values: float(figure(values)) if values.size else math.nan
 
 
-def _smallest(values: FloatArray) -> float:
-    return float(values.min()) if values.size else math.nan
-
-
-def _total(values: FloatArray) -> float:
-    return float(values.sum()) if values.size else math.nan
-
-
-def _mean(values: FloatArray) -> float:
-    return float(values.mean()) if values.size else math.nan
+_largest, _smallest = _or_nan(np.max), _or_nan(np.min)
+_total, _mean = _or_nan(np.sum), _or_nan(np.mean)
 
 
 def _rms(values: FloatArray) -> float:

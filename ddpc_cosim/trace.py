@@ -10,14 +10,8 @@ import numpy as np
 
 from ddpc_cosim.controller import OK, Bounds
 from ddpc_cosim.csv_files import write_table
-from ddpc_cosim.metrics import (
-    Actuation,
-    MetricSettings,
-    Response,
-    StepTimes,
-    compute_installed_metrics,
-    compute_metrics,
-)
+from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
+from ddpc_cosim.responses import Actuation, Response, StepTimes
 from ddpc_cosim.variables import FloatArray, Variable
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
-from ddpc_cosim.metrics import Metric, StepTimes, all_metrics, headline, metric_of, split_key
+from ddpc_cosim.metrics import Metric, all_metrics, headline, metric_of, split_key
+from ddpc_cosim.responses import StepTimes
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
 
 

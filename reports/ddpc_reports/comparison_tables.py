@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
-from ddpc_cosim.metrics import Metric, StepTimes, all_metrics, metric_of, split_key
+from ddpc_cosim.metrics import Metric, all_metrics, metric_of, split_key
+from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.sections import PublishedMethod, Reproduction
 from ddpc_reports.comparison import (
     Condition,

@@ -12,7 +12,8 @@ from rich.console import Console
 
 from ddpc_cosim import StudyResults, Trace
 from ddpc_cosim.cli.summary import summary_table
-from ddpc_cosim.metrics import METRICS, Metric, Response
+from ddpc_cosim.metrics import METRICS, Metric
+from ddpc_cosim.responses import Response
 from ddpc_reports.case_tables import cases_table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.comparison_tables import (
