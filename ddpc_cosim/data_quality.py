@@ -70,8 +70,8 @@ def judge_prediction(error: float, fitted: float) -> str:
             "the plant changed during it"
         )
     return (
-        "poor: what it was fitted to is not predicted either, for noise, for a plant that is not linear over "
-        "the recording, or for too short a past"
+        "poor: what it was fitted to is not predicted either, for noise, for inputs or disturbances that it "
+        "does not know, for a plant that is not linear over the recording, or for too short a past"
     )
 
 

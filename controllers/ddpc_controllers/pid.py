@@ -424,7 +424,8 @@ class PID(Controller):
                 if isfinite(found)
                 else f"makes loop {i} unstable"
             )
-            + f" on the model of the recording; {_LARGEST_SENSITIVITY} takes {time:.4g} s"
+            + f" on the model of the recording; a maximum sensitivity of {_LARGEST_SENSITIVITY} takes "
+            f"closed_loop_time = {time:.4g} s"
             for i, (found, time) in enumerate(zip(sensitivities.tolist(), times.tolist(), strict=True))
             if found > _LARGEST_SENSITIVITY
         ]

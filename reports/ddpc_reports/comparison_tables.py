@@ -79,7 +79,12 @@ def response_table(condition: Condition, prefix: str) -> Table | None:
             for metric in shown_metrics().values()
             if metric.if_held
         ),
-        "A dash for a time: not reached." + (" Medians over the seeds." if len(condition.seeds) > 1 else ""),
+        "A dash: a time is not reached, an output was not at rest to leave, or its reference has no steps.",
+        *(
+            ("Medians over the seeds; a time that is not reached counts as longer than any.",)
+            if len(condition.seeds) > 1
+            else ()
+        ),
     ]
     return controller_table(
         f"{prefix}response",

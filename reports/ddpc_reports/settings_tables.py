@@ -250,7 +250,10 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
     cost = study.metrics.cost
     facts += [(f"cost: weights of {kind}", text) for kind, text in _others(cost, ())] if cost else []
     facts.append(("seeds", compact_seeds(study.seeds)))
-    return facts_table(f"{prefix}loop", "The loop, the same for all controllers", facts, "loop.csv")
+    own = any(section.bounds for section in study.controllers.values())
+    but = ", but for limits of their own" if own else ""
+    caption = f"The loop, the same for all controllers{but}"
+    return facts_table(f"{prefix}loop", caption, facts, "loop.csv")
 
 
 def _plant_facts(plant: PlantSection, units: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -273,9 +276,10 @@ def _timing_facts(loop: LoopSection) -> list[tuple[str, str]]:
     starts = {"rest": "from rest", "recording-end": "where the recording ended"}
     said = {"sampling_time", "duration", "start", "start_time", "step_timeout"}
     seconds = {"start time": loop.start_time, "longest time for a call": loop.step_timeout}
+    samples = f"{loop.steps} sample" if loop.steps == 1 else f"{loop.steps} samples"
     return [
         ("sampling time", with_unit(as_given(loop.sampling_time), "s")),
-        ("duration", f"{with_unit(as_given(loop.duration), 's')}, {loop.steps} samples"),
+        ("duration", f"{with_unit(as_given(loop.duration), 's')}, {samples}"),
         ("start", starts.get(loop.start, loop.start)),
         *((name, with_unit(as_given(value), "s")) for name, value in seconds.items()),
         *((f"loop: {name}", text) for name, text in _others(loop, said)),

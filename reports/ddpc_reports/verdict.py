@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
+from ddpc_cosim.metrics import split_key
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
@@ -109,10 +110,15 @@ def _times(condition: Condition) -> Markup:
     text = Markup("")
     if len(order) > 1:
         (best, winner), (worst, last) = order[0], order[-1]
-        text = Markup("<b>{}</b> is fastest: median step {}; slowest is <i>{}</i> with {}. ").format(
-            winner.label, duration(best), last.label, duration(worst)
+        text = Markup("{}<b>{}</b> is fastest: median step {}; slowest is <i>{}</i> with {}. ").format(
+            _among(condition), winner.label, duration(best), last.label, duration(worst)
         )
     return text + _deadlines(condition)
+
+
+def _among(condition: Condition) -> str:
+    """Say that only those are compared that hold their reference, where others do not."""
+    return "Of those that hold their reference, " if condition.not_ranked else ""
 
 
 def _deadlines(condition: Condition) -> Markup:
@@ -151,16 +157,25 @@ def _fallbacks(condition: Condition) -> Markup:
 
 
 def tracking(condition: Condition) -> list[Statement]:
-    """Return who tracks best: at the first seed and over all; of several outputs one line for each."""
+    """Return who is ahead: at the first seed and over all; of several outputs one line for each."""
     keys = condition.headline
     if len(keys) > 1:
-        return [_each_signal(condition, keys, "Tracking")]
+        return [_each_signal(condition, keys, _topic(keys[0]))]
     statements = []
     for key in keys:
-        statements.append(Statement("Tracking", _first_seed(condition, key)))
+        statements.append(Statement(_topic(key), _first_seed(condition, key)))
         if len(condition.seeds) > 1:
             statements.append(Statement("Spread", _over_seeds(condition, key)))
     return statements
+
+
+def _is_cost(key: str) -> bool:
+    """Whether controllers are ranked by a cost: it may weigh inputs too, and is no tracking error."""
+    return split_key(key)[0] == "cost"
+
+
+def _topic(key: str) -> str:
+    return "Cost" if _is_cost(key) else "Tracking"
 
 
 def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> Statement:
@@ -176,11 +191,22 @@ def _in_short(condition: Condition, key: str) -> Markup:
     if not order:
         return Markup("no controller holds its reference in every case.")
     show = formatter(key)
-    winner = order[0][1]
-    text = Markup("<b>{}</b> {}").format(winner.label, median_and_range(winner.over_seeds(key), key))
-    if len(order) > 1:
-        text += Markup(", then <i>{}</i> {}").format(order[1][1].label, show(order[1][0]))
+    alike = _alike(order, show)
+    if len(alike) > 1:
+        text = Markup("{} share {}").format(join_words(names(alike)), show(order[0][0]))
+    else:
+        text = Markup("<b>{}</b> {}").format(alike[0].label, median_and_range(alike[0].over_seeds(key), key))
+    if len(order) > len(alike):
+        value, next_one = order[len(alike)]
+        text += Markup(", then <i>{}</i> {}").format(next_one.label, show(value))
     return text + _last(order, condition.not_ranked, show) + "."
+
+
+def _alike(
+    order: Sequence[tuple[float, ControllerResults]], show: Callable[[float], str]
+) -> list[ControllerResults]:
+    """Return the first of a ranking, and those whose value reads the same."""
+    return [one for value, one in order if show(value) == show(order[0][0])]
 
 
 def _last(
@@ -203,7 +229,10 @@ def least(condition: Condition, name: str, topic: str, claim: str) -> list[State
     known = [(key, order) for key in condition.keys(name) if len(order := condition.ranking(key)) > 1]
     if len(known) > 1:
         return [_each_signal(condition, [key for key, _ in known], topic)]
-    return [Statement(topic, _leader(order, key, claim, len(condition.seeds))) for key, order in known]
+    return [
+        Statement(topic, _among(condition) + _leader(order, key, claim, len(condition.seeds)))
+        for key, order in known
+    ]
 
 
 def least_travel(condition: Condition) -> list[Statement]:
@@ -218,8 +247,8 @@ def least_travel(condition: Condition) -> list[Statement]:
     if not tracks or not own > _POOR * tracks[0][0]:
         return statements
     show = formatter(costs[0], 3)
-    text = Markup(" Its tracking error is far from the best, though: {} against {}.").format(
-        show(own), show(tracks[0][0])
+    text = Markup(" Its {} is far from the best, though: {} against {}.").format(
+        "cost" if _is_cost(costs[0]) else "tracking error", show(own), show(tracks[0][0])
     )
     return [Statement(topic, sentence + text) for topic, sentence in statements]
 
@@ -234,22 +263,26 @@ def _first_seed(condition: Condition, key: str) -> Markup:
     show = formatter(key)
     what = metric_label(key).lower()
     if len(order) == 1:
-        return Markup(
-            "On seed {}, <b>{}</b> reaches a {} of {}; no other case holds its reference, to compare with."
-        ).format(seed, order[0][1].label, what, show(order[0][0]))
+        alone = "no other case holds its reference, to" if others else "there is no other controller to"
+        return Markup("On seed {}, <b>{}</b> reaches a {} of {}; {} compare with.").format(
+            seed, order[0][1].label, what, show(order[0][0]), alone
+        )
+    one_is, several = ("costs least", "cost") if _is_cost(key) else ("tracks best", "track")
     (best, winner), (second, next_one), (worst, _) = order[0], order[1], order[-1]
     if show(best) == show(worst) and not others:
-        return Markup("On seed {} all controllers track alike: {} {}.").format(seed, what, show(best))
+        return Markup("On seed {} all controllers {} alike: {} {}.").format(seed, several, what, show(best))
     if show(best) == show(second):
-        text = Markup("On seed {}, {} track best: {} {}").format(
+        text = Markup("On seed {}, {} {} {}: {} {}").format(
             seed,
-            join_words(names([one for value, one in order if show(value) == show(best)])),
+            join_words(names(_alike(order, show))),
+            several,
+            one_is.partition(" ")[2],
             what,
             show(best),
         )
     else:
-        text = Markup("On seed {}, <b>{}</b> tracks best: {} {}, then <i>{}</i> with {}").format(
-            seed, winner.label, what, show(best), next_one.label, show(second)
+        text = Markup("On seed {}, <b>{}</b> {}: {} {}, then <i>{}</i> with {}").format(
+            seed, winner.label, one_is, what, show(best), next_one.label, show(second)
         )
     return text + _last(order, others, show) + "."
 
@@ -261,10 +294,11 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
     winner, rest = order[0][1], [one for _, one in order[1:]]
     shown = median_and_range(winner.over_seeds(key), key)
     if not rest:
+        only = "Only " if condition.not_ranked else ""
         return Markup(
-            "Only <b>{}</b> holds its reference on every seed: median {}; nothing to compare with."
-        ).format(winner.label, shown)
-    alike = [one for value, one in order if formatter(key)(value) == formatter(key)(order[0][0])]
+            "{}<b>{}</b> holds its reference on every seed: median {}; nothing to compare with."
+        ).format(only, winner.label, shown)
+    alike = _alike(order, formatter(key))
     if len(alike) > 1:
         return Markup("Over {} seeds, {} share the smallest median: {}.").format(
             len(condition.seeds), join_words(names(alike)), formatter(key)(order[0][0])
@@ -311,7 +345,7 @@ def _leader(order: Sequence[tuple[float, ControllerResults]], key: str, claim: s
     (best, winner), (second, next_one) = order[0], order[1]
     what = metric_label(key).lower() + (" (median of the seeds)" if seeds > 1 else "")
     if show(best) == show(second):
-        alike = [one for value, one in order if show(value) == show(best)]
+        alike = _alike(order, show)
         return Markup("{} share the smallest {}: {}.").format(join_words(names(alike)), what, show(best))
     return (
         Markup("<b>{}</b> {}: {} {}, against {} of <i>{}</i> and {} of <i>{}</i>.").format(
@@ -378,23 +412,30 @@ def across_statements(conditions: Sequence[Condition]) -> list[Statement]:
         (metric_signal(key), _winners(conditions, key))
         for key in dict.fromkeys(key for one in conditions for key in one.headline)
     ]
-    return [Statement("Tracking", by_signal(lines))] if lines else []
+    keys = [key for one in conditions for key in one.headline]
+    return [Statement(_topic(keys[0]), by_signal(lines))] if lines else []
 
 
 def _winners(conditions: Sequence[Condition], key: str) -> Markup:
     """Say in which scenarios each winner has the smallest median."""
-    won: dict[str, list[Markup]] = {}
+    won: dict[tuple[str, ...], list[Markup]] = {}
     for condition in conditions:
         order = condition.ranking(key)
-        if len(order) > 1:
-            won.setdefault(order[0][1].label, []).append(Markup("<i>{}</i>").format(condition.label))
+        alike = _alike(order, formatter(key))
+        if len(order) > 1 and len(alike) < len(order):
+            won.setdefault(tuple(one.label for one in alike), []).append(
+                Markup("<i>{}</i>").format(condition.label)
+            )
     if not won:
-        return Markup("There is no scenario in which two controllers hold their reference in every case.")
-    claims = [f" has the smallest {metric_label(key).lower()}", *[""] * (len(won) - 1)]
-    parts = [
-        Markup("<b>{}</b>{} in {}").format(label, claim, join_words(where))
-        for (label, where), claim in zip(won.items(), claims, strict=True)
-    ]
+        return Markup(
+            "There is no scenario in which two controllers hold their reference in every case and differ."
+        )
+    parts = []
+    for winners, where in won.items():
+        verb = "share" if len(winners) > 1 else "has"
+        claim = "" if parts else f" {verb} the smallest {metric_label(key).lower()}"
+        who = join_words([Markup("<b>{}</b>").format(label) for label in winners])
+        parts.append(Markup("{}{} in {}").format(who, claim, join_words(where)))
     return Markup("{}.").format(Markup("; ").join(parts))
 
 
@@ -424,31 +465,43 @@ def limitations(conditions: tuple[Condition, ...], drawn: int) -> list[str]:
 
 
 def _of_cases(conditions: tuple[Condition, ...]) -> list[str]:
-    lost = {one.label: 0 for condition in conditions for one in condition.controllers}
+    of_label: dict[str, list[CaseResult]] = {}
+    done: dict[str, int] = {}
     for condition in conditions:
         for one in condition.controllers:
-            lost[one.label] += len(one.cases) - len(one.completed)
+            of_label.setdefault(one.label, []).extend(one.cases)
+            done[one.label] = done.get(one.label, 0) + len(one.completed)
     return [
-        f"{label}: {count} {'case' if count == 1 else 'cases'} did not complete; its medians and ranges are "
-        "those of the others, which may be the easier ones."
-        for label, count in lost.items()
-        if count
+        f"{label}: none of its cases completed, so there are no values of it to compare."
+        if not done[label]
+        else f"{label}: {counted(len(cases) - done[label], 'case')} did not complete; its medians and ranges "
+        "are those of the others, which may be the easier ones."
+        for label, cases in of_label.items()
+        if done[label] < len(cases)
     ]
 
 
 def _of_windows(conditions: tuple[Condition, ...]) -> list[str]:
-    """Name the outputs of which no run has a settled error."""
-    keys = metric_keys(conditions, "settled_error")
-    values = {
-        key: [case.metrics.get(key, math.nan) for condition in conditions for case in condition.cases]
-        for key in keys
-    }
+    """Name the outputs of which no run has a settled error, and those whose reference has no steps."""
+
+    def unknown(name: str) -> list[str]:
+        cases = [case for condition in conditions for one in condition.controllers for case in one.completed]
+        return [
+            metric_signal(key)
+            for key in metric_keys(conditions, name)
+            if cases and all(math.isnan(case.metrics.get(key, math.nan)) for case in cases)
+        ]
+
+    unsettled, stepless = unknown("settled_error"), unknown("overshoot")
+    near = "That a run holds this reference says that it kept near its limits, and no more."
     return [
-        f"Whether {metric_signal(key)} settles cannot be judged: its reference moves all the time, or its "
-        "steps follow each other within five samples of the largest preview. That a run holds this "
-        "reference says that it kept near its limits."
-        for key in keys
-        if values[key] and all(map(math.isnan, values[key]))
+        f"Whether {signal} settles cannot be judged: its reference moves all the time, its steps follow each "
+        f"other within five samples of the largest preview, or the run is as short. {near}"
+        for signal in unsettled
+    ] + [
+        f"The reference of {signal} has no steps to size an error by. {near}"
+        for signal in stepless
+        if signal not in unsettled
     ]
 
 

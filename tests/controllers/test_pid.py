@@ -267,7 +267,7 @@ def test_a_loop_that_is_asked_to_be_too_fast_says_so_and_what_would_do() -> None
     fast.start(loop)
     (warning,) = fast.warnings()
     assert "closed_loop_time = 0.01 s" in warning
-    assert "on the model of the recording; 1.7 takes" in warning
+    assert "; a maximum sensitivity of 1.7 takes closed_loop_time = " in warning
     enough = PID(tuning="step-test", closed_loop_time=1.001 * float(warning.split()[-2]))
     enough.start(loop)
     assert enough.warnings() == []

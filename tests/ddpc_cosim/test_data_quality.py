@@ -135,7 +135,11 @@ def test_a_controller_that_learns_from_nothing_recorded_is_not_warned_of_the_rec
     [
         (0.05, 0.04, "good"),
         (0.3, 0.01, "fair"),
-        (0.9, 0.8, "poor: what it was fitted to is not predicted either"),
+        (
+            0.9,
+            0.8,
+            "poor: what it was fitted to is not predicted either, for noise, for inputs or disturbances",
+        ),
         (0.9, 0.1, "poor: what it was fitted to is predicted far better"),
         (float("inf"), float("inf"), "poor: what it was fitted to is not predicted either"),
     ],

@@ -456,3 +456,20 @@ def test_different_values_read_differently(one: Any, other: Any) -> None:
 )
 def test_values_are_written_plainly_where_that_is_clear(value: Any, told: str) -> None:
     assert value_text(value) == told
+
+
+def test_limits_of_their_own_are_not_called_the_same_for_all(make_results: MakeResults) -> None:
+    own = {"quick": {"type": "a"}, "slow": {"type": "b", "bounds": {"angle": {"max": 3.0, "unit": "rad"}}}}
+
+    def caption(controllers: dict[str, dict[str, Any]]) -> str:
+        results = make_results(controllers=controllers)
+        return settings_tables(results, conditions(results)[0], "")[0].caption
+
+    assert caption(own) == "The loop, the same for all controllers, but for limits of their own"
+    assert caption({"quick": {"type": "a"}}) == "The loop, the same for all controllers"
+
+
+def test_one_sample_is_a_sample(make_results: MakeResults) -> None:
+    results = make_results(loop={"sampling_time": 0.1, "duration": 0.1})
+    loop = settings_tables(results, conditions(results)[0], "")[0]
+    assert next(row.cells[0].text for row in loop.rows if row.header == "duration") == "0.1\u00a0s, 1 sample"

@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from statistics import median
 
+import numpy as np
 import pytest
 
 from ddpc_cosim import Outcome, StudyResults, Trace
@@ -12,7 +13,7 @@ from ddpc_reports.case_tables import cases_table
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.comparison_tables import response_table, verdict_table
 from ddpc_reports.table import Table
-from ddpc_reports.verdict import join_words, limitations, verdict
+from ddpc_reports.verdict import across_statements, join_words, limitations, verdict
 
 from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
 
@@ -125,11 +126,29 @@ def test_a_run_that_does_not_hold_its_reference_is_told_and_ranked_last(make_res
     assert ends == {"quick": ["3 of 3", "2 of 3"], "slow": ["3 of 3", "3 of 3"]}
 
 
+def test_who_is_first_among_those_that_hold_is_not_said_to_be_first_of_all(make_results: MakeResults) -> None:
+    """`quick` neither moves the input nor takes long, but does not hold its reference."""
+    controllers = {key: {"type": "x"} for key in ("quick", "slow", "other")}
+
+    def trace_of(key: str, seed: int) -> Trace:
+        return losing("quick", 0) if key == "quick" else make_trace(0.3 if key == "slow" else 0.6)
+
+    said = statements(make_results(trace_of, controllers))
+    for topic in ("Settling", "Actuator", "Step time"):
+        assert said[topic].startswith("Of those that hold their reference, "), topic
+
+
 def test_of_three_the_one_that_does_not_hold_is_last(make_results: MakeResults) -> None:
     results = make_results(losing, {key: {"type": "x"} for key in ("quick", "slow", "other")}, seeds=[0, 7])
     said = statements(results)["Tracking"]
     assert said.startswith("On seed 0, slow and other track best")
     assert said.endswith("; last is quick, whose reference is not held.")
+
+
+def test_the_notes_say_how_times_that_are_not_reached_are_summed_up(make_results: MakeResults) -> None:
+    table = response_table(only(make_results(seeds=SEEDS)), "")
+    assert table is not None
+    assert "a time that is not reached counts as longer than any" in " ".join(table.notes)
 
 
 def test_figures_of_the_step_response_are_those_of_runs_that_hold(make_results: MakeResults) -> None:
@@ -185,13 +204,37 @@ def test_a_study_with_weights_is_ranked_by_its_cost(make_results: MakeResults) -
 
     settings = MetricSettings(cost={"outputs": {"angle": 1.0, "speed": 2.0}})
     said = statements(make_results(trace_of, settings=settings))
-    assert said["Tracking"].startswith("On seed 7, quick tracks best: quadratic cost ")
+    assert said["Cost"].startswith("On seed 7, quick costs least: quadratic cost ")
+    assert "Tracking" not in said
 
 
 def test_what_cannot_be_judged_is_a_limitation(make_results: MakeResults) -> None:
     said = limitations(conditions(make_results(settings=MetricSettings(56))), 4)
     assert any(text.startswith("Whether angle settles cannot be judged: ") for text in said)
     assert not any("cannot be judged" in text for text in limitations(conditions(make_results()), 4))
+
+
+def test_a_reference_without_steps_sizes_no_error(make_results: MakeResults) -> None:
+    """Regulation: nothing but the limits tells whether such a run holds its reference."""
+
+    def at_rest(key: str, seed: int) -> Trace:
+        trace = make_trace(0.5)
+        return replace(trace, reference=np.zeros_like(trace.reference), y=0.2 * (trace.time > 2.0)[:, None])
+
+    said = limitations(conditions(make_results(at_rest)), 4)
+    assert any(text.startswith("The reference of angle has no steps to size an error by.") for text in said)
+    assert not any("settles cannot be judged" in text for text in said)
+    assert not any("has no steps" in text for text in limitations(conditions(make_results()), 4))
+
+
+def test_one_that_completed_nothing_has_no_medians_of_easier_cases(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        lost = key == "quick" or seed == 0
+        return make_trace(1.0, outcome=Outcome.DIVERGED if lost else Outcome.COMPLETED)
+
+    said = limitations(conditions(make_results(trace_of, seeds=[7, 0])), 4)
+    assert "quick: none of its cases completed, so there are no values of it to compare." in said
+    assert any(text.startswith("slow: 1 case did not complete; its medians") for text in said)
 
 
 def test_where_nothing_completed_nothing_is_ranked(make_results: MakeResults) -> None:
@@ -206,7 +249,7 @@ def test_one_controller_alone_is_not_called_best(make_results: MakeResults) -> N
     results = make_results(controllers={"quick": {"type": "a"}})
     said = statements(results)
     assert "tracks best" not in said["Tracking"]
-    assert "no other case holds its reference, to compare with" in said["Tracking"]
+    assert said["Tracking"].endswith("; there is no other controller to compare with.")
     assert not any(best(verdict_table(only(results), "")).values())
 
 
@@ -282,3 +325,19 @@ def test_twins_share_the_first_place(make_results: MakeResults) -> None:
     told = statements(results)
     assert told["Tracking"].startswith("On seed 7, a and twin track best")
     assert told["Spread"].startswith("Over 2 seeds, a and twin share the smallest median")
+
+
+def test_twins_share_the_first_place_of_each_output_and_scenario(make_results: MakeResults) -> None:
+    lags = {"a": 0.3, "twin": 0.3, "slow": 1.0}
+    results = make_results(
+        lambda key, seed: make_trace(lags[key], outputs=(ANGLE, SPEED), inputs=(TORQUE, FORCE)),
+        {key: {"type": "x"} for key in lags},
+        scenarios={"calm": {}, "windy": {}},
+    )
+    assert "angle: a and twin share " in statements(results)["Tracking"]
+    ((topic, across),) = across_statements(conditions(results))
+    assert topic == "Tracking"
+    assert (
+        "<b>a</b> and <b>twin</b> share the smallest mean absolute error in <i>calm</i> and <i>windy</i>"
+        in across
+    )
