@@ -299,17 +299,18 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
             "{}<b>{}</b> holds its reference on every seed: median {}; nothing to compare with."
         ).format(only, winner.label, shown)
     alike = _alike(order, formatter(key))
+    among = " of those that hold their reference on each" if condition.not_ranked else ""
     if len(alike) > 1:
-        return Markup("Over {} seeds, {} share the smallest median: {}.").format(
-            len(condition.seeds), join_words(names(alike)), formatter(key)(order[0][0])
+        return Markup("Over {} seeds, {} share the smallest median{}: {}.").format(
+            len(condition.seeds), join_words(names(alike)), among, formatter(key)(order[0][0])
         )
-    text = Markup("Over {} seeds, <b>{}</b> has the smallest median: {}.").format(
-        len(condition.seeds), winner.label, shown
+    text = Markup("Over {} seeds, <b>{}</b> has the smallest median{}: {}.").format(
+        len(condition.seeds), winner.label, among, shown
     )
     return (
         text
         + _seed_by_seed(winner, rest[0], key)
-        + _overlap(winner, rest, key)
+        + _overlap(winner, rest, key, among)
         + _constant([winner, *rest], key)
     )
 
@@ -323,11 +324,11 @@ def _seed_by_seed(winner: ControllerResults, second: ControllerResults, key: str
     )
 
 
-def _overlap(winner: ControllerResults, others: Sequence[ControllerResults], key: str) -> Markup:
+def _overlap(winner: ControllerResults, others: Sequence[ControllerResults], key: str, among: str) -> Markup:
     reach = winner.over_seeds(key).high
     inside = [one for one in others if one.over_seeds(key).low <= reach]
     if not inside:
-        return Markup(" Its range lies below that of every other controller.")
+        return Markup(" Its range lies below that of every other controller{}.").format(among)
     return Markup(" The ranges of {} overlap with its own, so the seed decides who is ahead there.").format(
         join_words(names(inside)) if len(inside) < 4 else f"{len(inside)} controllers"
     )
@@ -419,6 +420,7 @@ def across_statements(conditions: Sequence[Condition]) -> list[Statement]:
 def _winners(conditions: Sequence[Condition], key: str) -> Markup:
     """Say in which scenarios each winner has the smallest median."""
     won: dict[tuple[str, ...], list[Markup]] = {}
+    lost = any(condition.not_ranked for condition in conditions)
     for condition in conditions:
         order = condition.ranking(key)
         alike = _alike(order, formatter(key))
@@ -430,13 +432,14 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
         return Markup(
             "There is no scenario in which two controllers hold their reference in every case and differ."
         )
-    parts = []
+    parts: list[Markup] = []
     for winners, where in won.items():
         verb = "share" if len(winners) > 1 else "has"
         claim = "" if parts else f" {verb} the smallest {metric_label(key).lower()}"
         who = join_words([Markup("<b>{}</b>").format(label) for label in winners])
         parts.append(Markup("{}{} in {}").format(who, claim, join_words(where)))
-    return Markup("{}.").format(Markup("; ").join(parts))
+    among = ", of those that hold their reference in every case there" if lost else ""
+    return Markup("{}{}.").format(Markup("; ").join(parts), among)
 
 
 def limitations(conditions: tuple[Condition, ...], drawn: int) -> list[str]:

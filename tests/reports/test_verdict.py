@@ -136,6 +136,12 @@ def test_who_is_first_among_those_that_hold_is_not_said_to_be_first_of_all(make_
     said = statements(make_results(trace_of, controllers))
     for topic in ("Settling", "Actuator", "Step time"):
         assert said[topic].startswith("Of those that hold their reference, "), topic
+    many = make_results(trace_of, controllers, seeds=SEEDS, scenarios={"calm": {}, "windy": {}})
+    assert (
+        "has the smallest median of those that hold their reference on each: " in statements(many)["Spread"]
+    )
+    ((_, across),) = across_statements(conditions(many))
+    assert across.endswith(", of those that hold their reference in every case there.")
 
 
 def test_of_three_the_one_that_does_not_hold_is_last(make_results: MakeResults) -> None:
