@@ -275,8 +275,8 @@ class BehavioralTracking(ScaledSignals):
         parameters = self._parameters
         parameters.fill("r", reference)
         answer, fault = self._law.solve(parameters.array)
-        self._told = NOTHING_TOLD
         if answer is None:
+            self._told = NOTHING_TOLD
             return parameters.window("u_ini")[-1].copy(), fault
         planned, forecast = self._planned
         self._forecast = answer[planned:forecast]

@@ -32,6 +32,14 @@ from ddpc_controllers.data.quality import dead_time_warnings
 from ddpc_controllers.models.data_model import DataModel, Estimation, Form
 from ddpc_controllers.models.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
 from ddpc_controllers.optimisation.limits import HELD, ChangeLimits, rate_limits
+from ddpc_controllers.optimisation.qp import (
+    ACTIVE_BOUNDS,
+    COST,
+    StepInfo,
+    action,
+    ends_told,
+    predicted_ends,
+)
 from ddpc_controllers.scaling import ScaledSignals
 from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, Weight, setting
 
@@ -87,6 +95,7 @@ class ModelFreeAdaptive(ScaledSignals):
         self._ridge = self.lambda_u * np.eye(steps * m)
         rates = rate_limits(self.rate_bounds, m) / self._scales.u
         self._limits = ChangeLimits(loop.bounds, rates, steps, optimise)
+        self._ends, self._unit = predicted_ends(loop.outputs), self._scales.y
         self._u: list[float] = resting_input(loop).tolist()
         spans = (self.horizon, "horizon"), (self.horizon, "horizon")
         outputs = [output.name for output in loop.outputs]
@@ -123,9 +132,29 @@ class ModelFreeAdaptive(ScaledSignals):
         hessian += self._ridge
         changes = self._unlimited(a, error, hessian, slope)
         u, fault = self._limits.apply(self._u, changes, hessian, slope)  # (21)
+        told = StepInfo(self._told, (a, error, sample.reference, self._limits.plan, self._u, u))
         self._model.apply(list(map(sub, u, self._u)))
         self._u = u
-        return Action(np.array(u), fault) if fault else np.array(u)
+        return action(np.array(u), fault, told)
+
+    def _told(
+        self,
+        a: FloatArray,
+        error: FloatArray,
+        reference: FloatArray,
+        plan: list[float],
+        before: list[float],
+        u: list[float],
+    ) -> dict[str, float]:
+        """Return cost (19), active bounds and predicted end of the changes that are planned and applied."""
+        changes = np.array(plan)
+        changes[: len(u)] = np.subtract(u, before)
+        missed = error - a @ changes
+        return {
+            COST: float(missed @ missed + self.lambda_u * changes @ changes),
+            ACTIVE_BOUNDS: float(self._limits.reached(before, changes.reshape(-1, len(u)))),
+            **ends_told(self._ends, reference.reshape(-1) - missed, self._unit),
+        }
 
     def _unlimited(
         self, a: FloatArray, error: FloatArray, hessian: FloatArray, slope: FloatArray

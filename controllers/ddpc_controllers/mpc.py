@@ -119,8 +119,8 @@ class Predictor:
         self._parameters.fill("u_ini", last_input)
         self._parameters.fill("r", reference)
         answer, fault = self._law.solve(self._parameters.array)
-        self.told = NOTHING_TOLD
         if answer is None:
+            self.told = NOTHING_TOLD
             return last_input.copy(), fault
         u = answer[: self._inputs]
         self.told = self._law.info(self._ends, answer, self._unit)

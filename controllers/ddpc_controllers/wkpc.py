@@ -146,8 +146,8 @@ class WKPC(OnlineSettings, ScaledSignals):
         """Return the inputs to apply now, the outputs predicted of now, and what is not as it should be."""
         parameters = self._parameters
         answer, fault = self._law.solve(parameters.array)
-        self._told = NOTHING_TOLD
         if answer is None:
+            self._told = NOTHING_TOLD
             return parameters.window("u_ini")[-1].copy(), parameters.window("y_ini")[-1].copy(), fault
         m, p = self._inputs, self._outputs
         u, forecast = answer[:m], answer[m : m + p]

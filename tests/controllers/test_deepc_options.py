@@ -337,7 +337,7 @@ def test_a_step_says_its_cost_its_active_bounds_and_where_it_is_going(
     paper_recording: Recording, torque: float
 ) -> None:
     """Against the full problem in the regulation form, whose cost is a sum of four squares."""
-    controller = DeePC(**REGULATION, output_weight=1e3)
+    controller = DeePC(**REGULATION, regulariser="ridge", output_weight=1e3)
     loop = pendulum_loop(paper_recording, torque=torque)
     told = Told(controller)
     run = close_loop(told, loop, quick_pendulum, ANGLE, paper_reference(), steps=140)

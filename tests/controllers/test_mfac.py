@@ -30,6 +30,12 @@ from .loops import (
 FREE = np.array([np.inf, np.inf])
 
 
+def inputs_of(controller: Controller, sample: Sample) -> FloatArray:
+    """Return the inputs that a controller answers to a sample."""
+    answer = controller.step(sample)
+    return answer.u if isinstance(answer, Action) else answer
+
+
 @pytest.mark.parametrize("form", ["cfdl", "pfdl", "ffdl"])
 @pytest.mark.parametrize("make", [MFAPC, partial(MFAC, lambda_u=0.1, step_factor=1.0)], ids=["mfapc", "mfac"])
 def test_every_form_ends_at_its_reference(make: Callable[..., Controller], form: str) -> None:
@@ -49,7 +55,7 @@ def test_a_gradient_that_drowns_the_weight_of_the_inputs_still_gives_the_least_c
     # lambda_u is below the rounding of |Phi|^2: as for lambda_u = 0, with the smallest of the optima.
     controller = make(initial_gradient=[[3e8, 4e8]])
     controller.start(make_loop(None, FREE, FREE[:1]))
-    u = controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.ones((1, 1)), np.ones(1)))
+    u = inputs_of(controller, Sample(0, 0.0, np.zeros(1), np.zeros(1), np.ones((1, 1)), np.ones(1)))
     assert u == pytest.approx([3e8 / 25e16, 4e8 / 25e16], rel=1e-7)
 
 
@@ -116,7 +122,9 @@ def test_every_step_of_mfac_is_that_of_the_book(
     # A first sample of 0: whatever comes before it was at rest.
     for k, (y, target) in enumerate([(0.0, 0.0), *samples]):
         measured = np.array([y])
-        u = controller.step(Sample(k, 0.1 * k, measured, measured, np.array([[target]]), np.array([target])))
+        u = inputs_of(
+            controller, Sample(k, 0.1 * k, measured, measured, np.array([[target]]), np.array([target]))
+        )
         assert u == pytest.approx([law.step(y, target)], rel=1e-9, abs=1e-9)
 
 
@@ -125,7 +133,7 @@ def test_two_inputs_of_mfac_minimise_the_cost_of_the_next_sample() -> None:
     controller = MFAC(initial_gradient=gradient.tolist(), lambda_u=0.3, step_factor=1.0)
     controller.start(make_loop(None, FREE, FREE))
     error = np.array([1.0, -0.7])
-    u = controller.step(Sample(0, 0.0, np.zeros(2), np.zeros(2), error[np.newaxis], error))
+    u = inputs_of(controller, Sample(0, 0.0, np.zeros(2), np.zeros(2), error[np.newaxis], error))
     weights = np.vstack([gradient, np.sqrt(0.3) * np.eye(2)])
     assert u == pytest.approx(np.linalg.lstsq(weights, np.append(error, [0.0, 0.0]))[0])
 
@@ -228,6 +236,40 @@ def optimum_by_duality(
     return free - np.linalg.solve(root.T, gain @ solution) / residual[-1]
 
 
+@pytest.mark.parametrize(
+    ("limits", "u_max", "rate", "at_limits"),
+    [("qp", 9.0, 9.0, 0), ("qp", 2.0, 0.9, 5), ("clip", 2.0, 0.9, 1), ("clip", 0.9, 9.0, 1)],
+)
+def test_a_step_says_what_its_plan_costs_its_active_bounds_and_where_it_ends(
+    limits: str, u_max: float, rate: float, at_limits: int
+) -> None:
+    # Four coefficients of 1/4 forecast that the initial gradient of 0.1 stays.
+    controller = MFAPC(initial_forecast=0.25, limits=limits, rate_bounds=rate, lambda_u=0.05)
+    controller.start(make_loop(None, np.array([u_max]), FREE[:1]))
+    y, reference = np.array([1.0]), np.full((5, 1), 1.75)
+    answer = controller.step(Sample(0, 0.0, y, y, reference, reference[0]))
+    a, error = np.tril(np.full((5, 5), 0.1)), np.full(5, 0.75)
+    hessian, slope, sums = a.T @ a + 0.05 * np.eye(5), a.T @ error, np.tri(5)
+    rows = np.vstack([sums, -sums, np.eye(5), -np.eye(5)])
+    if limits == "qp":
+        plan = optimum_by_duality(hessian, slope, rows, [u_max, u_max, rate, rate])
+        assert np.isclose(rows @ plan, np.repeat([u_max, u_max, rate, rate], 5), atol=1e-7).sum() == at_limits
+    else:
+        plan = np.linalg.solve(hessian, slope)
+        assert plan[0] > 0.9
+        plan[0] = 0.9
+    assert isinstance(answer, Action)
+    assert answer.u == pytest.approx(plan[:1])
+    assert {**answer.info} == pytest.approx(
+        {
+            "cost": ((1.75 - 1.0 - a @ plan) ** 2).sum() + 0.05 * (plan**2).sum(),
+            "active_bounds": at_limits,
+            "predicted_end.y0": 1.0 + 0.1 * plan.sum(),
+        },
+        rel=1e-7,
+    )
+
+
 def test_a_shorter_control_horizon_is_the_plan_whose_later_changes_are_zero() -> None:
     rng = np.random.default_rng(5)
     short, long = (MFAPC(control_horizon=steps, initial_forecast=0.25) for steps in (2, 0))
@@ -238,8 +280,12 @@ def test_a_shorter_control_horizon_is_the_plan_whose_later_changes_are_zero() ->
     a = np.tril(np.full((5, 5), 0.1))[:, :2]
     expected = np.linalg.solve(a.T @ a + 0.37 * np.eye(2), a.T @ (reference - y).ravel())[0]
     # Four coefficients of 1/4 forecast that the initial gradient stays.
-    assert short.step(Sample(0, 0.0, y, y, reference, reference[0])) == pytest.approx([expected], abs=1e-12)
-    assert long.step(Sample(0, 0.0, y, y, reference, reference[0])) != pytest.approx([expected], abs=1e-6)
+    assert inputs_of(short, Sample(0, 0.0, y, y, reference, reference[0])) == pytest.approx(
+        [expected], abs=1e-12
+    )
+    assert inputs_of(long, Sample(0, 0.0, y, y, reference, reference[0])) != pytest.approx(
+        [expected], abs=1e-6
+    )
 
 
 def test_a_control_horizon_beyond_the_prediction_is_refused() -> None:
@@ -275,9 +321,9 @@ def test_the_order_of_the_channels_does_not_matter(seed: int) -> None:
     there.start(make_loop(None, 3.0 * np.ones(2), FREE))
     swapped.start(make_loop(None, 3.0 * np.ones(2), FREE))
     for k, y in enumerate(measurements):
-        u = there.step(Sample(k, 0.1 * k, y, y, reference, reference[0]))
-        other = swapped.step(
-            Sample(k, 0.1 * k, y[::-1], y[::-1], reference[:, ::-1], (reference[:, ::-1])[0])
+        u = inputs_of(there, Sample(k, 0.1 * k, y, y, reference, reference[0]))
+        other = inputs_of(
+            swapped, Sample(k, 0.1 * k, y[::-1], y[::-1], reference[:, ::-1], (reference[:, ::-1])[0])
         )
         assert other[::-1] == pytest.approx(u, abs=1e-9)
 
@@ -288,10 +334,10 @@ def test_a_channel_at_rest_leaves_the_other_as_if_it_were_alone() -> None:
     alone.start(make_loop(None, np.array([3.0]), FREE[:1]))
     together.start(make_loop(None, np.array([3.0, 3.0]), FREE))
     for k, y in enumerate(rng.standard_normal(30)):
-        u = alone.step(Sample(k, 0.1 * k, np.array([y]), np.array([y]), np.ones((5, 1)), np.ones(1)))
+        u = inputs_of(alone, Sample(k, 0.1 * k, np.array([y]), np.array([y]), np.ones((5, 1)), np.ones(1)))
         both = np.array([y, 0.0])
-        u_both = together.step(
-            Sample(k, 0.1 * k, both, both, np.tile([1.0, 0.0], (5, 1)), np.array([1.0, 0.0]))
+        u_both = inputs_of(
+            together, Sample(k, 0.1 * k, both, both, np.tile([1.0, 0.0], (5, 1)), np.array([1.0, 0.0]))
         )
         assert u_both == pytest.approx([u[0], 0.0], abs=1e-9)
 
@@ -312,8 +358,8 @@ def test_more_outputs_than_inputs_are_controlled_in_the_least_squares_sense() ->
     controller = MFAPC(initial_gradient=[[0.5], [0.5]])
     controller.start(make_loop(None, np.array([5.0]), FREE))
     y = np.zeros(2)
-    assert controller.step(
-        Sample(0, 0.0, y, y, np.tile([1.0, -1.0], (5, 1)), np.array([1.0, -1.0]))
+    assert inputs_of(
+        controller, Sample(0, 0.0, y, y, np.tile([1.0, -1.0], (5, 1)), np.array([1.0, -1.0]))
     ) == pytest.approx([0.0])
 
 

@@ -127,6 +127,11 @@ class ChangeLimits:
     optimise : bool
         Find the best changes that keep all limits over the control horizon, by a QP. Otherwise only the first
         change is clipped, which the plan after it does not know.
+
+    Attributes
+    ----------
+    plan : list of float
+        The changes over the control horizon that were found last; of the first one what is applied tells.
     """
 
     def __init__(self, bounds: Bounds, rates: FloatArray, steps: int, optimise: bool) -> None:
@@ -140,6 +145,7 @@ class ChangeLimits:
         self._largest = np.tile(rates / self._spans, steps)
         self._channels = list(zip(bounds.u_min.tolist(), bounds.u_max.tolist(), rates.tolist(), strict=True))
         self._backend = PIQPBackend()
+        self.plan: list[float] = []
 
     def apply(
         self, u: Sequence[float], changes: FloatArray, hessian: FloatArray, slope: FloatArray
@@ -157,7 +163,8 @@ class ChangeLimits:
         slope : array, shape (Nu m,)
             See above.
         """
-        plan, fault = changes.tolist(), ""
+        plan = self.plan = changes.tolist()
+        fault = ""
         if not isfinite(sum(plan)):
             return list(u), HELD
         if self._optimise:
@@ -165,10 +172,18 @@ class ChangeLimits:
             if admitted:
                 return admitted, ""
             plan, fault = self._constrained(u, plan, hessian, slope)
+            self.plan = plan
         return [
             min(max(old + min(max(change, -rate), rate), low), high)
             for old, change, (low, high, rate) in zip(u, plan, self._channels, strict=False)
         ], fault
+
+    def reached(self, u: Sequence[float], changes: FloatArray) -> int:
+        """Return at how many limits changes, shape (Nu, m), from ``u`` on are, as far as they keep them."""
+        kept = changes if self._optimise else changes[:1]
+        levels, near = u + np.cumsum(kept, axis=0), _AT_LIMIT * self._spans
+        sides = levels <= self._u_min + near, levels >= self._u_max - near, abs(kept) >= self._rates - near
+        return sum(int(np.count_nonzero(side)) for side in sides)
 
     def _admit(self, u: Sequence[float], plan: list[float]) -> list[float]:
         """Return the next inputs if the whole plan keeps the limits, nothing otherwise."""

@@ -76,31 +76,26 @@ class Solution(NamedTuple):
     Parameters
     ----------
     answer : array
-        Excess over the bounds at the unconstrained optimum, what was asked for, and, r being the rest of it
-        from ``rest`` on, ``|r|^2``, the cost there.
-    rest : int
-        See above.
+        Excess over the bounds at the unconstrained optimum, what was asked for, and, r being the rest of it,
+        ``|r|^2``, the cost there.
     active : tuple of int
         Numbers of the active bounds.
     t : array or None
         The distance; None: that of the optimum on the active bounds.
-    gain : array, shape (n, k)
-        How t changes the excess.
     """
 
     answer: FloatArray
-    rest: int
     active: ActiveSet
     t: FloatArray | None
-    gain: FloatArray
 
-    def cost(self) -> float:
-        """Return the cost of the problem."""
-        root, t = self.answer[self.rest :], self.t
+    def told(self, rest: int, gain: FloatArray) -> dict[str, float]:
+        """Return cost and number of active bounds; where r begins, and how t changes the excess."""
+        root, t = self.answer[rest:], self.t
         if t is None and self.active:
-            rows, excess = self.gain[list(self.active)], self.answer[list(self.active)]
+            rows, excess = gain[list(self.active)], self.answer[list(self.active)]
             t = rows.T @ np.linalg.solve(rows @ rows.T, excess)
-        return float(root @ root) + (0.0 if t is None else float(t @ t))
+        cost = float(root @ root) + (0.0 if t is None else float(t @ t))
+        return {COST: cost, ACTIVE_BOUNDS: float(len(self.active))}
 
 
 class StepInfo(Mapping[str, float]):
@@ -108,46 +103,56 @@ class StepInfo(Mapping[str, float]):
 
     Parameters
     ----------
-    solution : tuple or None
-        The fields of a :class:`Solution`, where the inputs come from one.
-    ends : sequence of str
-        Names of the predicted outputs at the end of the horizon.
-    predicted, unit : arrays, shapes (p,)
-        These outputs, which end the array, and what one of them is in its own unit.
+    work_out : callable
+        Returns the values by name.
+    given : tuple
+        Its arguments, which nobody changes any more.
     """
 
-    __slots__ = ("_given",)
+    __slots__ = ("_given", "_work_out")
 
-    def __init__(
-        self,
-        solution: tuple[FloatArray, int, ActiveSet, FloatArray | None, FloatArray] | None,
-        ends: Sequence[str],
-        predicted: FloatArray,
-        unit: FloatArray,
-    ) -> None:
-        self._given = solution, ends, predicted, unit
+    def __init__(self, work_out: Callable[..., dict[str, float]], given: tuple[Any, ...]) -> None:
+        self._work_out, self._given = work_out, given
 
     def __iter__(self) -> Iterator[str]:
-        solution, ends, _, _ = self._given
-        yield from (() if solution is None else (COST, ACTIVE_BOUNDS))
-        yield from ends
+        return iter(self._read())
 
     def __len__(self) -> int:
-        return len(list(iter(self)))
+        return len(self._read())
 
     def __getitem__(self, name: str) -> float:
-        solution, ends, predicted, unit = self._given
-        if solution is not None and name == COST:
-            return Solution(*solution).cost()
-        if solution is not None and name == ACTIVE_BOUNDS:
-            return float(len(Solution(*solution).active))
-        if name not in ends:
-            raise KeyError(name)
-        i = ends.index(name)
-        return float(predicted[i - len(ends)] * unit[i])
+        return self._read()[name]
+
+    def _read(self) -> dict[str, float]:
+        if self._work_out is not dict:
+            self._work_out, self._given = dict, (self._work_out(*self._given),)
+        values: dict[str, float] = self._given[0]
+        return values
 
 
-NOTHING_TOLD = StepInfo(None, (), np.empty(0), np.empty(0))
+NOTHING_TOLD = StepInfo(dict, ({},))
+
+
+def ends_told(ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> dict[str, float]:
+    """Return the predicted outputs at the end of the horizon by name.
+
+    Parameters
+    ----------
+    ends : sequence of str
+        Their names.
+    predicted, unit : arrays, shapes (..., p), (p,)
+        These outputs, which end the array, and what one of them is in its own unit.
+    """
+    return dict(zip(ends, (predicted[-len(ends) :] * unit).tolist(), strict=True))
+
+
+def _all_told(
+    solution: tuple[FloatArray, ActiveSet, FloatArray | None],
+    rest: int,
+    gain: FloatArray,
+    *ends: Any,
+) -> dict[str, float]:
+    return Solution(*solution).told(rest, gain) | ends_told(*ends)
 
 
 def predicted_ends(outputs: Sequence[Variable]) -> tuple[str, ...]:
@@ -167,7 +172,7 @@ class Law(Protocol):
         """Return the optimal move, or the documented fallback with its reason."""
 
     def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
-        """Return what there is to say of the last move; arguments as of :class:`StepInfo`."""
+        """Return what there is to say of the last move; arguments as of :func:`ends_told`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,19 +213,17 @@ class _BoundedLaw:
         self._limits, self._backend, self._relaxation = limits, backend, relaxation
         self._active: ActiveSet = ()
         self._easier: _BoundedLaw | None = None
-        self._answer, self._rest = np.empty(0), 0
-        self._gain = np.empty((0, 0))
+        self._rest, self._gain = 0, np.empty((0, 0))
         self._used: ActiveSet = ()
         self._t: FloatArray | None = None
-        self._is_solved = False
+        self._solution: tuple[FloatArray, ActiveSet, FloatArray | None] | None = None
 
     def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
-        """Return what there is to say of the last move; arguments as of :class:`StepInfo`."""
-        if self._is_solved:
-            solution = self._answer, self._rest, self._used, self._t, self._gain
-            return StepInfo(solution, ends, predicted, unit)
+        """Return what there is to say of the last move; arguments as of :func:`ends_told`."""
+        if self._solution:
+            return StepInfo(_all_told, (self._solution, self._rest, self._gain, ends, predicted, unit))
         if self._easier is None:
-            return StepInfo(None, ends, predicted, unit)
+            return StepInfo(ends_told, (ends, predicted, unit))
         return self._easier.info(ends, predicted, unit)
 
     def solve(self, parameters: FloatArray) -> Move:
@@ -244,13 +247,17 @@ class _BoundedLaw:
         self, answer: FloatArray, parameters: FloatArray, correct: Callable[[FloatArray, FloatArray], str]
     ) -> Move:
         """Return the move, given the excess over the bounds and the inputs of the unconstrained optimum."""
-        excess, u = answer[: self._bounds], answer[self._bounds : self._rest]
-        self._answer, self._used, self._t, self._is_solved = answer, (), None, True
+        bounds = self._bounds
+        u = answer[bounds : self._rest]
+        self._solution = answer, (), None
         fault = find_conflict(self._conflict_law, parameters) if self._watches_conflict else ""
-        if self._bounds and not max(excess.tolist()) <= 0.0:
+        if bounds and not max(answer[:bounds].tolist()) <= 0.0:
+            excess = answer[:bounds]
             if not all_finite(excess):
                 return Move(None, HELD)
+            self._t = None
             unmet = correct(excess, u)
+            self._solution = answer, self._used, self._t
             self._limits.reach(u)
             if unmet:
                 return self._relax(u, parameters, self.unmet or unmet)
@@ -261,7 +268,7 @@ class _BoundedLaw:
 
     def _relax(self, u: FloatArray, parameters: FloatArray, unmet: str) -> Move:
         """Return the move of the easier problem; where there is none clip ``u``."""
-        self._is_solved = False
+        self._solution = None
         if self._easier is None and self._relaxation:
             self._easier = self._relaxation.law(self._limits, self._backend)
         if self._easier is not None:
