@@ -1,18 +1,17 @@
 """From a parsed study to a resolved one: plant, controllers, units and limits looked up and checked once."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any
 
-from ddpc_cosim.conditions import Conditions, delay_error
+from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
-from ddpc_cosim.excitations import Excitation, MixedExcitation
-from ddpc_cosim.loop_setup import excitation_table, late_error, limits_error
+from ddpc_cosim.excitations import Excitation
+from ddpc_cosim.loop_setup import limits_error
 from ddpc_cosim.metrics import MetricSettings, installed_versions
-from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.safe_calls import CallsInTime, recording_length
 from ddpc_cosim.settings import PLANT, files_of
 from ddpc_cosim.signals import Reference
@@ -24,25 +23,16 @@ from ddpc_cosim.study.controllers import (
     time_limit,
 )
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables
-from ddpc_cosim.study.sections import (
-    BoundsSection,
-    DriftSection,
-    EventSection,
-    RecordingSection,
-    ScenarioSection,
-    Study,
-)
-from ddpc_cosim.study.signal_sections import Excited, Experiment, RampReference, StepsReference
-from ddpc_cosim.study.validation_errors import InvalidFieldError, Section, ValidationErrors, independent
-from ddpc_cosim.variables import Variable, converter
+from ddpc_cosim.study.scenarios import Scenarios
+from ddpc_cosim.study.sections import BoundsSection, RecordingSection, Study
+from ddpc_cosim.study.selection import SelectedSignals, check_parameters
+from ddpc_cosim.study.validation_errors import Section, ValidationErrors, independent
+from ddpc_cosim.variables import Variable
 
 _MOST_LISTED = 8
 Limits = dict[str, tuple[float, float]]
-K = TypeVar("K", str, int)
 
-_PLANT, _INPUTS, _OUTPUTS, _MEASUREMENTS = (
-    ("plant", *key) for key in ((), ("inputs",), ("outputs",), ("measurements",))
-)
+_PLANT: Place = ("plant",)
 _RECORDING: Place = ("recording",)
 
 
@@ -120,22 +110,6 @@ def _dotted_names(settings: Mapping[str, Any], before: str = "") -> Iterator[str
             yield from _dotted_names(value, f"{before}{name}.")
 
 
-class _Selection(NamedTuple):
-    """The signals of one kind that take part.
-
-    Where it is not known which, they are all that could, and ``size`` is the number of names given (0: none).
-    """
-
-    variables: tuple[Variable, ...]
-    is_known: bool
-    size: int
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Their names."""
-        return tuple(variable.name for variable in self.variables)
-
-
 class _Resolution:
     """The way of one study; what does not fit is reported, and what depends on it is left out."""
 
@@ -152,16 +126,21 @@ class _Resolution:
             return
         self.plant, self.variables = plant
         self._check_plant()
-        self._select_signals()
-        self._check_scenarios()
+        self.signals = SelectedSignals(study, self.variables, errors)
+        self.inputs, self.outputs = self.signals.inputs, self.signals.outputs
+        self.measurements = self.signals.measurements
+        self.scenarios = Scenarios(self.signals)
+        self.scenarios.check()
         self.recording = self._read_recording()
         self._check_recording()
         self._check_cost()
         self.references = self._references()
         self.bounds = self._bounds()
         self.excitation = self._excitation()
-        self.excitations = {name: self._changed_excitation(name) for name in study.scenarios}
-        self.conditions = {name: self._conditions(name) for name in study.scenarios}
+        self.excitations = {
+            name: self.scenarios.excitation(name, self.excitation) for name in study.scenarios
+        }
+        self.conditions = {name: self.scenarios.conditions(name) for name in study.scenarios}
 
     def result(self) -> ResolvedStudy | None:
         """Return the resolved study, None if there are errors."""
@@ -177,10 +156,7 @@ class _Resolution:
             bounds={controller.name: self.bounds[controller.of] for controller in self.controllers},
             excitations=self.excitations,
             conditions={name: conditions or Conditions() for name, conditions in self.conditions.items()},
-            undriven={
-                name: tuple(self.variables.inputs[signal] for signal in scenario.inputs)
-                for name, scenario in self.study.scenarios.items()
-            },
+            undriven={name: self.scenarios.undriven(name) for name in self.study.scenarios},
             metrics=self._metrics(),
             recording=self.recording,
             late={
@@ -277,164 +253,11 @@ class _Resolution:
             for fault in error.faults:
                 errors.add((*_PLANT, "display_units"), fault)
         parameters = self.variables.parameters
-        self._check_parameters((*_PLANT, "parameters"), "parameter", section.parameters, parameters)
+        check_parameters(errors, (*_PLANT, "parameters"), "parameter", section.parameters, parameters)
         for controller in self.controllers if not self.plant.is_fmu else ():
             if PLANT in files_of(type(controller.controller), controller.settings):
                 what = f'"{PLANT}" stands for the FMU of the plant, which is a Python class'
                 errors.add(controller.place, what)
-
-    def _select_signals(self) -> None:
-        plant, known = self.study.plant, self.variables
-        self.inputs = self._select(_INPUTS, "input", plant.inputs, known.inputs, known.default_inputs)
-        self.outputs = self._select(_OUTPUTS, "output", plant.outputs, known.outputs, known.default_outputs)
-        self.measurements = self._select(_MEASUREMENTS, "output", plant.measurements, known.outputs, ())
-        if not plant.measurements and not self.errors.in_doubt(_MEASUREMENTS):
-            self.measurements = self.outputs
-
-    def _select(
-        self,
-        place: Place,
-        what: str,
-        given: list[str],
-        known: Mapping[str, Variable],
-        default: tuple[str, ...],
-    ) -> _Selection:
-        self.errors.require_known(place, what, given, known)
-        for name in sorted({name for name in given if given.count(name) > 1}):
-            self.errors.add(place, f'"{name}" is listed more than once')
-        if self.errors.in_doubt(place):
-            return _Selection(tuple(known.values()), False, len(given))
-        chosen = tuple(known[name] for name in given or default or known)
-        return _Selection(chosen, True, len(chosen))
-
-    def _check_parameters(
-        self, place: Place, what: str, values: Mapping[str, ParameterValue], known: Mapping[str, Variable]
-    ) -> None:
-        self.errors.require_known(place, what, values, known)
-        for name, value in values.items():
-            if not isinstance(value, str):  # a string, or the name of an enumeration's value: the plant knows
-                self._check_value((*place, name), value, known.get(name))
-
-    def _check_value(self, place: Place, value: float, parameter: Variable | None) -> None:
-        if parameter is not None and not parameter.min <= value <= parameter.max:
-            self.errors.add(place, f"{value:g} is outside [{parameter.min:g}, {parameter.max:g}]")
-
-    def _check_scenarios(self) -> None:
-        parameters = self.variables.parameters
-        tunable = {name: v for name, v in parameters.items() if name in self.variables.tunable}
-        for name, scenario in self.study.scenarios.items():
-            place = ("scenarios", name)
-            self._check_parameters((*place, "parameters"), "parameter", scenario.parameters, parameters)
-            noisy = (*place, "noise")
-            self.errors.require_known(noisy, "measurement", scenario.noise, self.measurements.names)
-            for i, event in enumerate(scenario.events):
-                self._check_in_run((*place, "events", i), event, "time")
-                self._check_event((*place, "events", i), event, tunable)
-            for i, drift in enumerate(scenario.drifts):
-                self._check_in_run((*place, "drifts", i), drift, "from_time")
-                for key in ("parameter", "from_value", "to_value", "to_time"):
-                    self._check_drift((*place, "drifts", i), drift, key, tunable)
-
-    @independent
-    def _check_in_run(self, place: Place, change: Section, key: str) -> None:
-        """Report a change that would never act on the plant; the scenario would not be what it says."""
-        late = late_error(getattr(change, key), self.study.loop.start_time + self.study.loop.duration)
-        if late:
-            self.errors.add((*place, key), late, ("loop", "start_time"))
-
-    @independent
-    def _check_event(self, place: Place, event: EventSection, tunable: Mapping[str, Variable]) -> None:
-        self._check_parameters((*place, "parameters"), "tunable parameter", event.parameters, tunable)
-
-    @independent
-    def _check_drift(
-        self, place: Place, drift: DriftSection, key: str, tunable: Mapping[str, Variable]
-    ) -> None:
-        value, at = getattr(drift, key), (*place, key)
-        if key == "parameter":
-            self.errors.require_known(at, "tunable parameter", [value], tunable)
-        elif key != "to_time":
-            self._check_value(at, value, tunable.get(drift.parameter))
-        elif value <= self.study.loop.start_time:
-            start = f"t = {self.study.loop.start_time:g} s"
-            over = f"it would be over when the run starts at {start}; use the scenario's parameters"
-            self.errors.add(at, over, ("loop", "start_time"))
-
-    @independent
-    def _conditions(self, name: str) -> Conditions | None:
-        """Return the conditions of a scenario; None if there are errors."""
-        scenario, place, errors = self.study.scenarios[name], ("scenarios", name), self.errors
-        driven, measured = self.inputs.names, self.measurements.names
-        seen = dict.fromkeys((*self.outputs.names, *measured))
-        undriven = {n: v for n, v in self.variables.inputs.items() if n not in driven}
-        known = {
-            "disturbances": ("input or output", (*driven, *seen)),
-            "inputs": ("input that no controller drives", self.variables.inputs),
-            "rate_limit": ("input that the controllers drive", driven),
-            "delay": ("input or measurement", (*driven, *measured)),
-            "quantum": ("measurement", measured),
-            "loss": ("measurement", measured),
-        }
-        for key, (what, names) in known.items():
-            errors.require_known((*place, key), what, getattr(scenario, key), names)
-        for signal in scenario.inputs:
-            self._check_undriven((*place, "inputs", signal), scenario, signal)
-        for signal, delay in scenario.delay.items():
-            self._check_delay((*place, "delay", signal), delay, scenario)
-        variables, disturbances = {**self.variables.outputs, **self.variables.inputs}, {}
-        for signal, parts in scenario.disturbances.items():
-            at = (*place, "disturbances", signal)
-            for i, part in enumerate(parts):
-                self._check_disturbance((*at, i), part)
-            if signal in variables:
-                sections, same = dict(enumerate(parts)), dict.fromkeys(range(len(parts)), variables[signal])
-                disturbances[signal] = tuple(self._signals(at, sections, same, difference=True).values())
-        inputs = self._signals((*place, "inputs"), scenario.inputs, undriven)
-        if errors.found:
-            return None
-        return Conditions(
-            disturbances=disturbances,
-            inputs=inputs,
-            rate_limit=scenario.rate_limit,
-            delay=scenario.delay,
-            quantum=scenario.quantum,
-            loss=scenario.loss,
-        )
-
-    def _check_undriven(self, place: Place, scenario: ScenarioSection, name: str) -> None:
-        """Check that nothing else decides the value of an input that has a signal."""
-        if self.inputs.is_known and name in self.inputs.names:
-            remedy = "use disturbances to add to it, or leave it out of plant.inputs"
-            self.errors.add(place, f"the controllers drive this input; {remedy}")
-        others = {
-            "the plant's parameters": name in self.study.plant.parameters,
-            "the scenario's parameters": name in scenario.parameters,
-            "an event": any(name in event.parameters for event in scenario.events),
-            "a drift": any(name == drift.parameter for drift in scenario.drifts),
-        }
-        for what in (what for what, is_so in others.items() if is_so):
-            self.errors.add(place, f"this input is set by {what} too; leave one of them out")
-
-    @independent
-    def _check_delay(self, place: Place, delay: float, scenario: ScenarioSection) -> None:
-        loop, recording = self.study.loop, self.study.recording
-        fault = delay_error(delay, loop.sampling_time, loop.steps)
-        if recording is not None and scenario.recording is not None:
-            recording = scenario.recording.of(recording)
-        if not fault and recording is not None and recording.samples is not None:
-            fault = delay_error(delay, loop.sampling_time, recording.samples, "experiment")
-        if fault:
-            self.errors.add(place, fault)
-
-    @independent
-    def _check_disturbance(self, place: Place, section: Section) -> None:
-        """Report steps and ramps that begin when the run is over."""
-        loop = self.study.loop
-        begins = {"times": section.times} if isinstance(section, StepsReference) else {}
-        begins |= {"from_time": [section.from_time]} if isinstance(section, RampReference) else {}
-        for key, times in begins.items():
-            for late in filter(None, (late_error(t, loop.start_time + loop.duration) for t in times)):
-                self.errors.add((*place, key), late, ("loop", "start_time"))
 
     @independent
     def _check_recording(self) -> None:
@@ -519,8 +342,8 @@ class _Resolution:
     @independent
     def _references(self) -> dict[str, Reference] | None:
         sections = self.study.reference
-        self._require_each(("reference",), "controlled output", sections, self.outputs)
-        references = self._signals(("reference",), sections, self.variables.outputs)
+        self.signals.require_each(("reference",), "controlled output", sections, self.outputs)
+        references = self.signals.build(("reference",), sections, self.variables.outputs)
         return None if self.errors.found else references
 
     @independent
@@ -539,7 +362,7 @@ class _Resolution:
         self.errors.require_known(place, "input or controlled output", bounds, known)
         variables = {**self.variables.outputs, **self.variables.inputs}
         limits = {}
-        for name, convert in self._converters(place, bounds, variables).items():
+        for name, convert in self.signals.converters(place, bounds, variables).items():
             low, high = bounds[name].min, bounds[name].max
             low = variables[name].min if low is None else convert(low)
             high = variables[name].max if high is None else convert(high)
@@ -555,113 +378,5 @@ class _Resolution:
         recording, place = self.study.recording, (*_RECORDING, "excitation")
         if recording is None or recording.file:
             return None
-        self._require_each(place, "input", recording.excitation, self.inputs)
-        return self._experiment(recording, place)
-
-    def _experiment(self, recording: RecordingSection, place: Place) -> Excitation | None:
-        """Return the excitation of all inputs, in their units; what is wrong with it is reported there."""
-        sections, is_added = recording.excitation, recording.controller is not None
-        converters = self._converters(place, sections, self.variables.inputs, difference=is_added)
-        groups: dict[str, list[str]] = {}
-        for name in (name for name in self.inputs.names if name in converters):
-            groups.setdefault(sections[name].group(name), []).append(name)
-        parts = [self._excitation_part(recording, place, group, converters) for group in groups.values()]
-        if None in parts or not self.inputs.names or not converters.keys() >= set(self.inputs.names):
-            return None
-        numbers = [tuple(map(self.inputs.names.index, group)) for group in groups.values()]
-        served = [(part, group) for part, group in zip(parts, numbers, strict=True) if part is not None]
-        return served[0][0] if len(served) == 1 else MixedExcitation(tuple(served))
-
-    @independent
-    def _excitation_part(
-        self,
-        recording: RecordingSection,
-        place: Place,
-        group: Sequence[str],
-        converters: Mapping[str, Callable[[float], float]],
-    ) -> Excitation | None:
-        """Return the excitation of inputs that are excited together."""
-        place = (*place, group[0])
-        if recording.samples is None or place in self.errors.found:
-            return None
-        is_added = recording.controller is not None
-        experiment = Experiment(recording.samples, self.study.loop.sampling_time, is_added)
-        inputs = [
-            Excited(recording.excitation[name], self.variables.inputs[name], converters[name])
-            for name in group
-        ]
-        try:
-            excitation = inputs[0].section.build(inputs, experiment)
-            excitation_table(excitation, len(inputs))
-        except DataError as error:
-            for fault in error.faults:
-                self.errors.add((*place, "file"), fault)
-        except ConfigError as error:
-            for fault in error.faults:
-                self.errors.add(place, fault)
-        else:
-            return cast("Excitation", excitation)
-        return None
-
-    @independent
-    def _changed_excitation(self, scenario: str) -> Excitation | None:
-        """Return the experiment of a scenario on all inputs, in their units."""
-        changes = self.study.scenarios[scenario].recording
-        place: Place = ("scenarios", scenario, "recording")
-        if changes is None:
-            return self.excitation
-        if self.study.recording is None or self.study.recording.file:
-            what = "changes an experiment, and the study has no recording section with one"
-            self.errors.add(place, what, _RECORDING)
-            return None
-        place = (*place, "excitation")
-        self.errors.require_known(place, "input", changes.excitation, self.inputs.names)
-        recording = changes.of(self.study.recording)
-        if self.excitation is None:  # its faults are told at the study's own keys, and only there
-            recording = recording.model_copy(update={"excitation": changes.excitation})
-        return self._experiment(recording, place)
-
-    def _require_each(self, place: Place, what: str, given: Iterable[str], wanted: _Selection) -> None:
-        """Check that a table has an entry for each signal, and no others."""
-        self.errors.require_known(place, what, given, wanted.names)
-        for name in wanted.names if wanted.is_known else ():
-            if name not in given:
-                self.errors.add(place, f"none for the {what} {name}", (*place, name))
-
-    def _signals(
-        self,
-        place: Place,
-        sections: Mapping[K, Any],
-        variables: Mapping[K, Variable],
-        *,
-        difference: bool = False,
-    ) -> dict[K, Reference]:
-        """Return the signals of sections in their variables' units, where they can be built."""
-        signals = {}
-        for name, convert in self._converters(place, sections, variables, difference=difference).items():
-            try:
-                signals[name] = sections[name].build(variables[name], convert)
-            except DataError as error:
-                for fault in error.faults:
-                    self.errors.add((*place, name, "file"), fault)
-            except (InvalidFieldError, ConfigError):  # reported before
-                continue
-        return signals
-
-    def _converters(
-        self,
-        place: Place,
-        sections: Mapping[K, Any],
-        variables: Mapping[K, Variable],
-        *,
-        difference: bool = False,
-    ) -> dict[K, Callable[[float], float]]:
-        """Return the conversion of each section's values to its variable's unit, where there is one."""
-        converters = {}
-        for name, section in sections.items():
-            try:
-                if name in variables:
-                    converters[name] = converter(variables[name], section.unit, difference=difference)
-            except ConfigError as error:
-                self.errors.add((*place, name, "unit"), str(error))
-        return converters
+        self.signals.require_each(place, "input", recording.excitation, self.inputs)
+        return self.signals.experiment(recording, place)

@@ -1,0 +1,162 @@
+"""The scenarios of a study: what they change is checked, and becomes conditions and experiments."""
+
+from collections.abc import Mapping
+
+from ddpc_cosim.conditions import Conditions, delay_error
+from ddpc_cosim.errors import Place
+from ddpc_cosim.excitations import Excitation
+from ddpc_cosim.loop_setup import late_error
+from ddpc_cosim.study.sections import DriftSection, EventSection, ScenarioSection
+from ddpc_cosim.study.selection import SelectedSignals, check_parameters, check_value
+from ddpc_cosim.study.signal_sections import RampReference, StepsReference
+from ddpc_cosim.study.validation_errors import Section, independent
+from ddpc_cosim.variables import Variable
+
+
+class Scenarios:
+    """The scenarios of a study, whose signals are selected; what does not fit is reported."""
+
+    def __init__(self, signals: SelectedSignals) -> None:
+        self.study, self.signals, self.errors = signals.study, signals, signals.errors
+        self.variables, self.inputs, self.outputs = signals.variables, signals.inputs, signals.outputs
+        self.measurements = signals.measurements
+
+    def check(self) -> None:
+        """Report parameters, noise, events and drifts that do not fit the plant or the run."""
+        parameters = self.variables.parameters
+        tunable = {name: v for name, v in parameters.items() if name in self.variables.tunable}
+        for name, scenario in self.study.scenarios.items():
+            place = ("scenarios", name)
+            at, noisy = (*place, "parameters"), (*place, "noise")
+            check_parameters(self.errors, at, "parameter", scenario.parameters, parameters)
+            self.errors.require_known(noisy, "measurement", scenario.noise, self.measurements.names)
+            for i, event in enumerate(scenario.events):
+                self._check_in_run((*place, "events", i), event, "time")
+                self._check_event((*place, "events", i), event, tunable)
+            for i, drift in enumerate(scenario.drifts):
+                self._check_in_run((*place, "drifts", i), drift, "from_time")
+                for key in ("parameter", "from_value", "to_value", "to_time"):
+                    self._check_drift((*place, "drifts", i), drift, key, tunable)
+
+    @independent
+    def conditions(self, name: str) -> Conditions | None:
+        """Return the conditions of a scenario; None if there are errors."""
+        scenario, place, errors = self.study.scenarios[name], ("scenarios", name), self.errors
+        driven, measured = self.inputs.names, self.measurements.names
+        seen = dict.fromkeys((*self.outputs.names, *measured))
+        undriven = {n: v for n, v in self.variables.inputs.items() if n not in driven}
+        known = {
+            "disturbances": ("input or output", (*driven, *seen)),
+            "inputs": ("input that no controller drives", self.variables.inputs),
+            "rate_limit": ("input that the controllers drive", driven),
+            "delay": ("input or measurement", (*driven, *measured)),
+            "quantum": ("measurement", measured),
+            "loss": ("measurement", measured),
+        }
+        for key, (what, names) in known.items():
+            errors.require_known((*place, key), what, getattr(scenario, key), names)
+        for signal in scenario.inputs:
+            self._check_undriven((*place, "inputs", signal), scenario, signal)
+        for signal, delay in scenario.delay.items():
+            self._check_delay((*place, "delay", signal), delay, scenario)
+        variables, disturbances = {**self.variables.outputs, **self.variables.inputs}, {}
+        for signal, parts in scenario.disturbances.items():
+            at = (*place, "disturbances", signal)
+            for i, part in enumerate(parts):
+                self._check_disturbance((*at, i), part)
+            if signal in variables:
+                sections, same = dict(enumerate(parts)), dict.fromkeys(range(len(parts)), variables[signal])
+                disturbances[signal] = tuple(self.signals.build(at, sections, same, difference=True).values())
+        inputs = self.signals.build((*place, "inputs"), scenario.inputs, undriven)
+        if errors.found:
+            return None
+        return Conditions(
+            disturbances=disturbances,
+            inputs=inputs,
+            rate_limit=scenario.rate_limit,
+            delay=scenario.delay,
+            quantum=scenario.quantum,
+            loss=scenario.loss,
+        )
+
+    @independent
+    def excitation(self, scenario: str, of_study: Excitation | None) -> Excitation | None:
+        """Return the experiment of a scenario, given that of the study, on all inputs, in their units."""
+        changes = self.study.scenarios[scenario].recording
+        place: Place = ("scenarios", scenario, "recording")
+        if changes is None:
+            return of_study
+        if self.study.recording is None or self.study.recording.file:
+            what = "changes an experiment, and the study has no recording section with one"
+            self.errors.add(place, what, ("recording",))
+            return None
+        place = (*place, "excitation")
+        self.errors.require_known(place, "input", changes.excitation, self.inputs.names)
+        recording = changes.of(self.study.recording)
+        if of_study is None:  # its faults are told at the study's own keys, and only there
+            recording = recording.model_copy(update={"excitation": changes.excitation})
+        return self.signals.experiment(recording, place)
+
+    @independent
+    def _check_in_run(self, place: Place, change: Section, key: str) -> None:
+        """Report a change that would never act on the plant; the scenario would not be what it says."""
+        late = late_error(getattr(change, key), self.study.loop.start_time + self.study.loop.duration)
+        if late:
+            self.errors.add((*place, key), late, ("loop", "start_time"))
+
+    @independent
+    def _check_event(self, place: Place, event: EventSection, tunable: Mapping[str, Variable]) -> None:
+        check_parameters(self.errors, (*place, "parameters"), "tunable parameter", event.parameters, tunable)
+
+    @independent
+    def _check_drift(
+        self, place: Place, drift: DriftSection, key: str, tunable: Mapping[str, Variable]
+    ) -> None:
+        value, at = getattr(drift, key), (*place, key)
+        if key == "parameter":
+            self.errors.require_known(at, "tunable parameter", [value], tunable)
+        elif key != "to_time":
+            check_value(self.errors, at, value, tunable.get(drift.parameter))
+        elif value <= self.study.loop.start_time:
+            start = f"t = {self.study.loop.start_time:g} s"
+            over = f"it would be over when the run starts at {start}; use the scenario's parameters"
+            self.errors.add(at, over, ("loop", "start_time"))
+
+    def _check_undriven(self, place: Place, scenario: ScenarioSection, name: str) -> None:
+        """Check that nothing else decides the value of an input that has a signal."""
+        if self.inputs.is_known and name in self.inputs.names:
+            remedy = "use disturbances to add to it, or leave it out of plant.inputs"
+            self.errors.add(place, f"the controllers drive this input; {remedy}")
+        others = {
+            "the plant's parameters": name in self.study.plant.parameters,
+            "the scenario's parameters": name in scenario.parameters,
+            "an event": any(name in event.parameters for event in scenario.events),
+            "a drift": any(name == drift.parameter for drift in scenario.drifts),
+        }
+        for what in (what for what, is_so in others.items() if is_so):
+            self.errors.add(place, f"this input is set by {what} too; leave one of them out")
+
+    @independent
+    def _check_delay(self, place: Place, delay: float, scenario: ScenarioSection) -> None:
+        loop, recording = self.study.loop, self.study.recording
+        fault = delay_error(delay, loop.sampling_time, loop.steps)
+        if recording is not None and scenario.recording is not None:
+            recording = scenario.recording.of(recording)
+        if not fault and recording is not None and recording.samples is not None:
+            fault = delay_error(delay, loop.sampling_time, recording.samples, "experiment")
+        if fault:
+            self.errors.add(place, fault)
+
+    @independent
+    def _check_disturbance(self, place: Place, section: Section) -> None:
+        """Report steps and ramps that begin when the run is over."""
+        loop = self.study.loop
+        begins = {"times": section.times} if isinstance(section, StepsReference) else {}
+        begins |= {"from_time": [section.from_time]} if isinstance(section, RampReference) else {}
+        for key, times in begins.items():
+            for late in filter(None, (late_error(t, loop.start_time + loop.duration) for t in times)):
+                self.errors.add((*place, key), late, ("loop", "start_time"))
+
+    def undriven(self, name: str) -> tuple[Variable, ...]:
+        """Return the inputs that have a signal in a scenario."""
+        return tuple(self.variables.inputs[signal] for signal in self.study.scenarios[name].inputs)

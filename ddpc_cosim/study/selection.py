@@ -1,0 +1,186 @@
+"""The signals of a study that take part, and what its sections say of them, in their units."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar, cast
+
+from ddpc_cosim.errors import ConfigError, DataError, Place
+from ddpc_cosim.excitations import Excitation, MixedExcitation
+from ddpc_cosim.loop_setup import excitation_table
+from ddpc_cosim.plant import ParameterValue
+from ddpc_cosim.signals import Reference
+from ddpc_cosim.study.plants import PlantVariables
+from ddpc_cosim.study.sections import RecordingSection, Study
+from ddpc_cosim.study.signal_sections import Excited, Experiment
+from ddpc_cosim.study.validation_errors import InvalidFieldError, ValidationErrors, independent
+from ddpc_cosim.variables import Variable, converter
+
+K = TypeVar("K", str, int)
+
+_INPUTS, _OUTPUTS, _MEASUREMENTS = (("plant", key) for key in ("inputs", "outputs", "measurements"))
+
+
+class Selection(NamedTuple):
+    """The signals of one kind that take part.
+
+    Where it is not known which, they are all that could, and ``size`` is the number of names given (0: none).
+    """
+
+    variables: tuple[Variable, ...]
+    is_known: bool
+    size: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(variable.name for variable in self.variables)
+
+
+class SelectedSignals:
+    """What a study says of its signals; what does not fit is reported.
+
+    Parameters
+    ----------
+    study : Study
+        Its sections.
+    variables : PlantVariables
+        All variables of its plant.
+    errors : ValidationErrors
+        What was found before; what is found here is added.
+    """
+
+    def __init__(self, study: Study, variables: PlantVariables, errors: ValidationErrors) -> None:
+        self.study, self.variables, self.errors = study, variables, errors
+        plant = study.plant
+        self.inputs = self._select(_INPUTS, "input", plant.inputs, variables.inputs, variables.default_inputs)
+        self.outputs = self._select(
+            _OUTPUTS, "output", plant.outputs, variables.outputs, variables.default_outputs
+        )
+        self.measurements = self._select(_MEASUREMENTS, "output", plant.measurements, variables.outputs, ())
+        if not plant.measurements and not errors.in_doubt(_MEASUREMENTS):
+            self.measurements = self.outputs
+
+    def _select(
+        self,
+        place: Place,
+        what: str,
+        given: list[str],
+        known: Mapping[str, Variable],
+        default: tuple[str, ...],
+    ) -> Selection:
+        self.errors.require_known(place, what, given, known)
+        for name in sorted({name for name in given if given.count(name) > 1}):
+            self.errors.add(place, f'"{name}" is listed more than once')
+        if self.errors.in_doubt(place):
+            return Selection(tuple(known.values()), False, len(given))
+        chosen = tuple(known[name] for name in given or default or known)
+        return Selection(chosen, True, len(chosen))
+
+    def require_each(self, place: Place, what: str, given: Iterable[str], wanted: Selection) -> None:
+        """Check that a table has an entry for each signal, and no others."""
+        self.errors.require_known(place, what, given, wanted.names)
+        for name in wanted.names if wanted.is_known else ():
+            if name not in given:
+                self.errors.add(place, f"none for the {what} {name}", (*place, name))
+
+    def build(
+        self,
+        place: Place,
+        sections: Mapping[K, Any],
+        variables: Mapping[K, Variable],
+        *,
+        difference: bool = False,
+    ) -> dict[K, Reference]:
+        """Return the signals of sections in their variables' units, where they can be built."""
+        signals = {}
+        for name, convert in self.converters(place, sections, variables, difference=difference).items():
+            try:
+                signals[name] = sections[name].build(variables[name], convert)
+            except DataError as error:
+                for fault in error.faults:
+                    self.errors.add((*place, name, "file"), fault)
+            except (InvalidFieldError, ConfigError):  # reported before
+                continue
+        return signals
+
+    def converters(
+        self,
+        place: Place,
+        sections: Mapping[K, Any],
+        variables: Mapping[K, Variable],
+        *,
+        difference: bool = False,
+    ) -> dict[K, Callable[[float], float]]:
+        """Return the conversion of each section's values to its variable's unit, where there is one."""
+        converters = {}
+        for name, section in sections.items():
+            try:
+                if name in variables:
+                    converters[name] = converter(variables[name], section.unit, difference=difference)
+            except ConfigError as error:
+                self.errors.add((*place, name, "unit"), str(error))
+        return converters
+
+    def experiment(self, recording: RecordingSection, place: Place) -> Excitation | None:
+        """Return the excitation of all inputs, in their units; what is wrong with it is reported there."""
+        sections, is_added = recording.excitation, recording.controller is not None
+        converters = self.converters(place, sections, self.variables.inputs, difference=is_added)
+        groups: dict[str, list[str]] = {}
+        for name in (name for name in self.inputs.names if name in converters):
+            groups.setdefault(sections[name].group(name), []).append(name)
+        parts = [self._excitation_part(recording, place, group, converters) for group in groups.values()]
+        if None in parts or not self.inputs.names or not converters.keys() >= set(self.inputs.names):
+            return None
+        numbers = [tuple(map(self.inputs.names.index, group)) for group in groups.values()]
+        served = [(part, group) for part, group in zip(parts, numbers, strict=True) if part is not None]
+        return served[0][0] if len(served) == 1 else MixedExcitation(tuple(served))
+
+    @independent
+    def _excitation_part(
+        self,
+        recording: RecordingSection,
+        place: Place,
+        group: Sequence[str],
+        converters: Mapping[str, Callable[[float], float]],
+    ) -> Excitation | None:
+        """Return the excitation of inputs that are excited together."""
+        place = (*place, group[0])
+        if recording.samples is None or place in self.errors.found:
+            return None
+        is_added = recording.controller is not None
+        experiment = Experiment(recording.samples, self.study.loop.sampling_time, is_added)
+        inputs = [
+            Excited(recording.excitation[name], self.variables.inputs[name], converters[name])
+            for name in group
+        ]
+        try:
+            excitation = inputs[0].section.build(inputs, experiment)
+            excitation_table(excitation, len(inputs))
+        except DataError as error:
+            for fault in error.faults:
+                self.errors.add((*place, "file"), fault)
+        except ConfigError as error:
+            for fault in error.faults:
+                self.errors.add(place, fault)
+        else:
+            return cast("Excitation", excitation)
+        return None
+
+
+def check_parameters(
+    errors: ValidationErrors,
+    place: Place,
+    what: str,
+    values: Mapping[str, ParameterValue],
+    known: Mapping[str, Variable],
+) -> None:
+    """Report parameters that are not known, and values outside their limits."""
+    errors.require_known(place, what, values, known)
+    for name, value in values.items():
+        if not isinstance(value, str):  # a string, or the name of an enumeration's value: the plant knows
+            check_value(errors, (*place, name), value, known.get(name))
+
+
+def check_value(errors: ValidationErrors, place: Place, value: float, parameter: Variable | None) -> None:
+    """Report a value outside its parameter's limits."""
+    if parameter is not None and not parameter.min <= value <= parameter.max:
+        errors.add(place, f"{value:g} is outside [{parameter.min:g}, {parameter.max:g}]")
