@@ -155,10 +155,11 @@ def close_loop(
     output: FloatArray,
     reference: FloatArray,
     steps: int = 400,
+    start: FloatArray | None = None,
 ) -> Run:
-    """Start a controller and close the loop on a plant at rest in the origin."""
+    """Start a controller and close the loop on a plant at rest in the origin, or in a given state."""
     controller.start(loop)
-    state = np.zeros(output.shape[1])
+    state = np.zeros(output.shape[1]) if start is None else start
     everything = np.eye(len(state))
     measure = everything if len(loop.measurements) == len(state) else output
     run = Run(np.zeros((steps, len(output))), np.zeros((steps, len(loop.inputs))), reference, [], [])

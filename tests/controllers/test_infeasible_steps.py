@@ -14,7 +14,7 @@ from ddpc_controllers.optimisation.limits import InputLimits
 from ddpc_controllers.optimisation.qp import ParametricQP
 from ddpc_cosim import Action, Controller, FloatArray, Loop, Sample
 
-from .loops import REGULATION, LinearPlant, experiment, make_loop, printed_deepc
+from .loops import REGULATION, LinearPlant, close_loop, experiment, make_loop, printed_deepc
 
 LAG = LinearPlant(np.array([[0.95, 0.1], [0.0, 0.9]]), np.array([[0.0], [0.1]]), np.array([[1.0, 0.0]]))
 RECORDING = experiment(LAG.advance, np.random.default_rng(0).uniform(-1.0, 1.0, (100, 1)), 2, LAG.c)
@@ -30,17 +30,9 @@ def run(
     controller: Controller, loop: Loop, state: FloatArray, steps: int, plant: LinearPlant = LAG
 ) -> tuple[list[str], FloatArray, FloatArray]:
     """Close the loop with a reference of zero; return what is said, the inputs and the outputs."""
-    controller.start(loop)
-    said, applied, seen = [], [], []
-    for k in range(steps):
-        y = plant.c @ state
-        answer = controller.step(Sample(k, 0.1 * k, y, y, np.zeros((controller.horizon, 1)), np.zeros(1)))
-        action = answer if isinstance(answer, Action) else Action(answer)
-        said.append(action.status)
-        applied.append(action.u)
-        seen.append(y)
-        state = plant.advance(state, action.u)
-    return said, np.array(applied), np.array(seen)
+    reference = np.zeros((steps + controller.horizon + 1, 1))
+    closed = close_loop(controller, loop, plant.advance, plant.c, reference, steps, state)
+    return closed.status, closed.u, closed.y
 
 
 ONLINE: dict[str, dict[str, Any]] = {
