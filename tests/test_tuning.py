@@ -9,7 +9,7 @@ from benchmarks import tuning
 from ddpc_cosim.study.reading import find_study
 from ddpc_cosim.study.sections import Study, expand_seeds
 
-COMPARATIVE = ["mimo", "reactor"]
+COMPARATIVE = ["direction-change", "mimo", "noise", "reactor", "time-varying", "unstable"]
 
 
 def study_of(name: str) -> dict[str, Any]:

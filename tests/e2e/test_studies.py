@@ -24,12 +24,15 @@ STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 SEEDS = {
     "mimo": [0, 1, 2],
     "reactor": [0, 1, 2],
-    "direction-change": [1],
+    "direction-change": [0, 1, 2],
     "time-varying": [1],
-    "noise": [1],
-    "unstable": [1],
+    "noise": [0, 1, 2],
+    "unstable": [0, 1, 2],
 }
 BUILT_IN = sorted(path.stem for path in STUDIES.glob("*.toml") if path.stem != "paper")
+
+
+PREDICTIVE = ("deepc", "spc", "gamma-ddpc", "koopman-mpc", "mpc")
 
 
 class Silent:
@@ -95,6 +98,10 @@ def rmse(case: CaseResult) -> float:
     return float(np.mean(np.sqrt(squared) / np.ptp(trace.reference, axis=0)))
 
 
+def travel(case: CaseResult) -> float:
+    return metric(case, "total_variation")
+
+
 def errors(case: CaseResult) -> FloatArray:
     """Return |reference - output| in display units, shape (samples, p)."""
     trace = case.trace()
@@ -142,24 +149,38 @@ def test_of_the_sweeps_one_setting_does_not_hold_the_reference(results_of: Resul
     assert lost == ["deepc-setpoint_weight-30-lambda_g-500"]
 
 
-@pytest.mark.parametrize("controller", ["deepc", "wkpc", "mfapc"])
-def test_what_learnt_once_fails_when_the_direction_turns(controller: str, results_of: Results) -> None:
-    case = case_of(results_of("direction-change"), controller)
-    assert mean_error(case, 10.0, 19.5) < 4.0
-    assert mean_error(case, 20.0, 80.0) > 10.0
+LEARNT_ONCE = ("deepc", "wkpc", "mpc", "pid")
 
 
-@pytest.mark.parametrize(
-    "controller", ["deepc-sliding-window", "deepc-forgetting", "wkpc-sliding-window", "mfapc-any-sign"]
-)
-def test_what_follows_the_plant_recovers(controller: str, results_of: Results) -> None:
-    case = case_of(results_of("direction-change"), controller)
-    assert mean_error(case, 50.0, 80.0) < 3.0
+def test_what_was_learnt_or_given_once_loses_the_reference_when_the_direction_turns(
+    results_of: Results,
+) -> None:
+    results = results_of("direction-change")
+    for scenario in results.study.scenarios:
+        for case in cases_of(results, scenario, *LEARNT_ONCE):
+            assert mean_error(case, 10.0, 19.0) < 4.0
+            assert mean_error(case, 20.0, 80.0) > 10.0
+        assert not any(case.holds for case in cases_of(results, scenario, *LEARNT_ONCE, "spsa"))
 
 
-def test_mfapc_recovers_within_a_step_of_the_reference(results_of: Results) -> None:
-    case = case_of(results_of("direction-change"), "mfapc-any-sign")
-    assert mean_error(case, 27.0, 29.5) < 1.0
+def test_model_free_adaptive_control_recovers_within_a_step_or_two(results_of: Results) -> None:
+    results = results_of("direction-change")
+    for scenario in results.study.scenarios:
+        adaptive = cases_of(results, scenario, "mfapc", "mfapc-any-sign", "mfac-any-sign")
+        assert all(case.holds for case in adaptive)
+        assert all(mean_error(case, 37.0, 39.0) < 1.0 for case in adaptive)
+        for case in cases_of(results, scenario, "mfapc", "mfapc-any-sign"):
+            assert mean_error(case, 27.0, 29.0) < 1.0
+        assert results.study.controllers["mfapc"].settings["form"] == "ffdl"
+
+
+@pytest.mark.parametrize("controller", ["deepc-online", "wkpc-online"])
+def test_data_that_fade_recover_on_most_seeds(controller: str, results_of: Results) -> None:
+    results = results_of("direction-change")
+    for scenario in results.study.scenarios:
+        held = [case.holds for case in cases_of(results, scenario, controller)]
+        assert np.mean(held) > 0.5
+        assert medians(results, scenario, lambda case: mean_error(case, 50.0, 79.0))[controller] < 3.0
 
 
 @pytest.mark.parametrize("drift", ["slow", "fast"])
@@ -173,21 +194,36 @@ def test_frozen_data_age_and_forgetting_data_do_not(drift: str, results_of: Resu
         assert metric(case_of(results, following, drift), "rmse") < 1.5 * constant
 
 
-def test_noise_costs_travel_more_than_tracking(results_of: Results) -> None:
+def test_no_noise_loses_the_pendulum_nor_costs_much_tracking(results_of: Results) -> None:
     results = results_of("noise")
-    growth, summed = {}, {}
-    for controller in results.study.controllers:
-        quiet, loud = (case_of(results, controller, scenario) for scenario in ("quiet", "loud"))
-        assert metric(loud, "rmse") < 1.1 * metric(quiet, "rmse")
-        summed[controller] = metric(loud, "sum_abs_error") / metric(quiet, "sum_abs_error")
-        growth[controller] = metric(loud, "total_variation") / metric(quiet, "total_variation")
-    assert 1.5 < max(summed.values()) < 1.67
-    assert growth["mfapc"] < 1.4
-    assert max(growth["deepc"], growth["wkpc"]) < 2.3
-    assert min(growth["spc"], growth["pid"], growth["mpc"]) > 2.3
+    assert all(case.holds for case in results.cases)
+    for loud in ("loud", "loud-no-preview"):
+        before, after = medians(results, loud.replace("loud", "quiet"), rmse), medians(results, loud, rmse)
+        assert all(after[name] < 1.25 * before[name] for name in before)
 
 
-PREDICTIVE = ("deepc", "spc", "gamma-ddpc", "koopman-mpc", "mpc")
+@pytest.mark.parametrize(("noise", "apart"), [("quiet", 1.02), ("faint", 1.05), ("loud", 1.2)])
+def test_predictive_methods_come_out_alike_at_every_noise(
+    noise: str, apart: float, results_of: Results
+) -> None:
+    results = results_of("noise")
+    ahead, blind = (medians(results, scenario, rmse) for scenario in (noise, f"{noise}-no-preview"))
+    alike = [ahead[name] for name in PREDICTIVE]
+    assert max(alike) < apart * min(alike)
+    assert all(0.6 < ahead[name] / blind[name] < 0.8 for name in PREDICTIVE)
+    best = min(blind.values())
+    assert max(blind[name] for name in (*PREDICTIVE, "wkpc")) < 1.1 * best
+    assert all(1.1 * best < blind[name] < 1.5 * best for name in ("lqr", "ipid", "pid"))
+    assert min(blind["mfapc"], blind["mfac"]) > 1.9 * best
+
+
+def test_noise_costs_travel_most_where_nothing_filters(results_of: Results) -> None:
+    results = results_of("noise")
+    before, after = (medians(results, noise, travel) for noise in ("quiet", "loud"))
+    growth = {name: after[name] / before[name] for name in before}
+    assert all(3.8 < growth[name] < 5.5 for name in ("spc", "gamma-ddpc", "koopman-mpc"))
+    assert max(growth["mfapc"], growth["mfac"]) < 1.33
+    assert sorted(after, key=after.__getitem__)[:2] == ["mfac", "mfapc"]
 
 
 def test_knowing_of_the_coupling_shows_in_how_far_the_other_level_moves(results_of: Results) -> None:
@@ -222,25 +258,33 @@ def test_predictive_methods_come_out_alike_on_the_tanks_and_owe_a_quarter_to_pre
     assert ahead["wkpc"] > blind["wkpc"]
 
 
-def test_upright_mfapc_alone_falls_and_the_others_hold(results_of: Results) -> None:
-    ends = {case.controller: mean_error(case, 8.0, 10.0) for case in results_of("unstable").cases}
-    assert ends.pop("mfapc") > 90.0
-    assert max(ends.values()) < 0.5
-    assert ends["cascade"] < 0.01 * ends["ipid"]
-    assert max(ends["deepc"], ends["wkpc"]) < 0.02
+def test_upright_the_compact_form_of_mfapc_falls_and_the_others_hold(results_of: Results) -> None:
+    results = results_of("unstable")
+    assert {case.controller for case in results.cases if not case.holds} == {"mfapc"}
+    for scenario in results.study.scenarios:
+        assert not any(case.holds for case in cases_of(results, scenario, "mfapc"))
+        assert all(
+            0.3 < mean_error(case, 5.0, 10.0) < 3.0 for case in cases_of(results, scenario, "mfac-ffdl")
+        )
+        rest = [case for case in cases_of(results, scenario) if case.controller not in ("mfapc", "mfac-ffdl")]
+        assert max(mean_error(case, 5.0, 10.0) for case in rest) < 0.05
+        most = medians(results, scenario, travel)
+        assert all(most["mfac-ffdl"] > 5.0 * most[case.controller] for case in rest)
 
 
-def test_upright_the_full_form_of_mfapc_holds_where_the_compact_one_falls(results_of: Results) -> None:
-    cases = results_of("unstable").cases
-    held = {case.holds for case in cases if case.controller == "mfapc-ffdl"}
-    assert held == {True}
-    assert not any(case.holds for case in cases if case.controller == "mfapc")
-    assert max(mean_error(case, 8.0, 10.0) for case in cases if case.controller == "mfapc-ffdl") < 0.01
-
-
-def test_predictive_control_of_recorded_data_is_faster_than_its_stabiliser(results_of: Results) -> None:
-    rise = {case.controller: mean_error(case, 0.5, 2.5) for case in results_of("unstable").cases}
-    assert max(rise["deepc"], rise["wkpc"]) < 0.5 * min(rise["ipid"], rise["cascade"], rise["spsa"])
+def test_upright_the_force_limit_decides_without_preview(results_of: Results) -> None:
+    results = results_of("unstable")
+    ahead, blind = (medians(results, scenario, rmse) for scenario in results.study.scenarios)
+    for figure in (ahead, blind):
+        assert max(figure[name] for name in PREDICTIVE) < 1.02 * min(figure[name] for name in PREDICTIVE)
+    assert all(0.4 < ahead[name] / blind[name] < 0.5 for name in PREDICTIVE)
+    best = min(blind.values())
+    assert max(blind["ipid"], blind["wkpc"]) < 1.1 * best
+    others = [blind[name] for name in ("lqr", "pid", "spsa", "cascade", "mfapc-ffdl")]
+    assert min(others) > 1.3 * best
+    assert max(others) < 3.5 * best
+    atop = medians(results, "no-preview", lambda case: metric(case, "max_abs_input"))
+    assert all(atop[name] > 9.9 for name in (*PREDICTIVE, "ipid"))
 
 
 def test_the_reactor_is_held_where_it_is_unstable(results_of: Results) -> None:
