@@ -21,7 +21,17 @@ from ddpc_reports.comparison import (
     shown_metrics,
     spread,
 )
-from ddpc_reports.numbers import MINUS, MISSING, as_given, like, percent, significant, time_scale, unit_symbol
+from ddpc_reports.numbers import (
+    MINUS,
+    MISSING,
+    as_given,
+    computed,
+    like,
+    percent,
+    significant,
+    time_scale,
+    unit_symbol,
+)
 from ddpc_reports.table import (
     Cell,
     Column,
@@ -376,7 +386,7 @@ def _row(title: str, key: str, method: PublishedMethod, controllers: dict[str, C
     if unit == "s":
         unit, scale = time_scale([compared.published])
     # Scaling leaves rounding errors that are no digits of the publication.
-    published = float(f"{compared.published * scale:.12g}")
+    published = computed(compared.published * scale)
     comparable = not _is_step_time(key)
     cells = (
         Cell(unit or MISSING, unit_symbol(unit)),

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from ddpc_cosim import StudyResults, Trace
 from ddpc_cosim.study.sections import TunedSection
 from ddpc_reports.comparison import Condition, ControllerResults
-from ddpc_reports.numbers import as_given, with_unit
+from ddpc_reports.numbers import as_given, computed, with_unit
 from ddpc_reports.settings_tables import compact_seeds, limits_texts, mapping_text
 from ddpc_reports.verdict import Statement, counted, join_words, names
 
@@ -70,8 +70,7 @@ def _seen(one: ControllerResults, trace: Trace | None) -> _Fact:
         return _NOT_KNOWN
     if not trace.preview:
         return _Fact("sees no future reference", "see no future reference")
-    # Twelve digits hide the rounding of the product.
-    ahead = as_given(float(f"{trace.preview * trace.sampling_time:.12g}"))
+    ahead = as_given(computed(trace.preview * trace.sampling_time))
     what = f"{counted(trace.preview, 'sample')} of the future reference ({with_unit(ahead, 's')})"
     return _Fact(f"sees {what}", f"see {what}")
 

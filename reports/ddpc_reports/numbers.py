@@ -85,6 +85,11 @@ def as_given(value: float) -> str:
     return text.removeprefix(f"1{_NARROW_SPACE}{TIMES}{_NARROW_SPACE}")
 
 
+def computed(value: float) -> float:
+    """Return a number without what rounding leaves of a product or a conversion: with twelve digits."""
+    return float(f"{value:.12g}")
+
+
 def given_digits(value: float) -> int:
     """Return the count of significant digits that a number was given with."""
     mantissa = repr(float(value)).partition("e")[0]

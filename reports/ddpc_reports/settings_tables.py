@@ -23,7 +23,7 @@ from ddpc_cosim.study.sections import (
     ScenarioSection,
 )
 from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
-from ddpc_reports.numbers import MISSING, as_given, unit_symbol, with_unit
+from ddpc_reports.numbers import MISSING, as_given, computed, unit_symbol, with_unit
 from ddpc_reports.table import Cell, Heading, Row, Table, text_headings
 
 
@@ -225,8 +225,7 @@ def limits_texts(trace: Trace) -> list[str]:
 def _interval(variable: Variable, low: float, high: float) -> str:
     if math.isinf(low) and math.isinf(high):
         return "none"
-    # Twelve digits hide the rounding of a conversion to degrees and back.
-    ends = [float(f"{float(variable.shown_in.from_unit(np.array(end))):.12g}") for end in (low, high)]
+    ends = [computed(float(variable.shown_in.from_unit(np.array(end)))) for end in (low, high)]
     return with_unit(" … ".join(as_given(end) for end in ends), unit_symbol(variable.shown_in.name))
 
 
