@@ -188,7 +188,7 @@ def read_table(
     if time_column and timed is None and ": no column" in faults[-1]:
         faults[-1] += " (time_column says which column the time is)"
     faults += file.faults
-    dates = _dates(file.cells(timed[0])) if timed else None
+    dates = _dates(file, timed[0], faults) if timed else None
     numeric = [index for index, _ in found.values()] + ([timed[0]] if timed and dates is None else [])
     comma = _decimal_comma(file, numeric, faults)
     for i, (index, convert) in found.items():
@@ -314,12 +314,30 @@ def _irregular(
         yield f'{file.path}, line {file.lines[i + 1]}, column "{header}": {after}; {needed}'
 
 
-def _dates(cells: Sequence[str]) -> FloatArray | None:
-    """Return the seconds since the first of ISO 8601 dates with times; None if they are something else."""
-    if cells and np.isfinite(_number(cells[0].replace(",", "."))):
+def _dates(file: CSVFile, index: int, faults: list[str]) -> FloatArray | None:
+    """Return the seconds since the first of ISO 8601 dates; None if the column begins with something else."""
+    cells = file.cells(index)
+    first = _date(cells[0]) if cells and not np.isfinite(_number(cells[0].replace(",", "."))) else None
+    if first is None:
         return None
+    time = np.full(len(cells), np.nan)
+    for i, cell in enumerate(cells):
+        date, fault = _date(cell), ""
+        if date is None:
+            fault = "is not an ISO 8601 date, as the first one is"
+        elif (date.utcoffset() is None) != (first.utcoffset() is None):
+            has = ("a", "none") if first.utcoffset() is None else ("no", "one")
+            fault = f"has {has[0]} time zone, and the first date has {has[1]}"
+        else:
+            time[i] = (date - first).total_seconds()
+        if fault:
+            where = f'{file.path}, line {file.lines[i]}, column "{file.header[index]}"'
+            faults.append(f'{where}: "{cell.strip()[:40]}" {fault}')
+    return time
+
+
+def _date(cell: str) -> datetime | None:
     try:
-        dates = [datetime.fromisoformat(cell.strip()) for cell in cells]
-        return np.array([(date - dates[0]).total_seconds() for date in dates])
-    except (ValueError, TypeError):  # some with a time zone and some without
+        return datetime.fromisoformat(cell.strip())
+    except ValueError:
         return None

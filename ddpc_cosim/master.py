@@ -312,6 +312,8 @@ def _experiment(
         kind = "open-loop" if stabiliser is None else "closed-loop"
         when = f"at t = {rows.next_time:g} s"
         raise DivergenceError(f"the plant diverged during the {kind} experiment, {when}: {error}") from error
+    except FMUStepError as error:
+        raise FMUStepError(f"{error.message}, during the experiment", error.status, error.time) from error
     except ControllerError as error:
         raise ControllerError(f"{error}, during the experiment, at t = {rows.last_time:g} s") from error
     recording = Recording(rows.store.u, np.array(exciting.seen), rows.store.measured, sampling_time)

@@ -52,6 +52,11 @@ def _end(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt if number == signal.SIGINT else Terminated
 
 
+def _printable(text: str) -> str:
+    """Return a text in which control characters, which a file may bring to a terminal, are written out."""
+    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+
+
 class _Commands(click.Group):
     """A group whose commands report errors of this project in their own words."""
 
@@ -65,10 +70,10 @@ class _Commands(click.Group):
             return super().invoke(context)
         except ConfigError as error:
             for fault in error.faults:
-                click.echo(f"error: {fault}", err=True)
+                click.echo(f"error: {_printable(fault)}", err=True)
             sys.exit(MISUSED)
         except CosimError as error:
-            click.echo(f"error: {error}", err=True)
+            click.echo(f"error: {_printable(str(error))}", err=True)
             sys.exit(FAILED)
         except Terminated:
             click.echo(f"terminated: {_GOES_ON}", err=True)

@@ -125,6 +125,15 @@ def test_a_file_that_cannot_be_read(tmp_path: Path, text: str | bytes, fault: st
         read_table(path, [Column(LEVEL, "level")], "time")
 
 
+def test_of_dates_those_that_are_none_or_of_another_kind_are_told(tmp_path: Path) -> None:
+    lines = ["time,level", "2024-03-01T00:00:00,1", "2024-13-01T00:00:05,2", "2024-03-01T00:00:10Z,3"]
+    where = 'log.csv, line {}, column "time": '
+    assert faults_of(written(tmp_path, "\n".join(lines)), [Column(LEVEL, "level")]) == [
+        where.format(3) + '"2024-13-01T00:00:05" is not an ISO 8601 date, as the first one is',
+        where.format(4) + '"2024-03-01T00:00:10Z" has a time zone, and the first date has none',
+    ]
+
+
 def test_a_unit_that_contradicts_the_header_and_files_that_are_not_there(tmp_path: Path) -> None:
     path = written(tmp_path, "time,level [cm]\n0,1\n")
     (fault,) = faults_of(path, [Column(LEVEL, "level", "m")])

@@ -37,6 +37,14 @@ def test_help_names_every_command() -> None:
             assert f"\n  {command}" in result.stdout
 
 
+def test_what_a_file_says_does_not_steer_the_terminal(folder: Path) -> None:
+    (folder / "study.toml").write_text('"\\u001b[31mred é" = 1\n', encoding="utf-8")
+    result = invoke("run", "study.toml")
+    assert result.exit_code == 2
+    assert "\x1b" not in result.stderr
+    assert "\\x1b[31mred é" in result.stderr
+
+
 def test_version() -> None:
     assert invoke("--version").stdout == f"{package_version()}\n"
 

@@ -93,6 +93,17 @@ def test_a_plant_that_diverges_while_it_is_recorded(run: Run) -> None:
     assert "output y is nan" in trace.reason
 
 
+@pytest.mark.parametrize(
+    ("fault", "outcome"),
+    [(Fault.RETURN_ERROR, Outcome.FMU_ERROR), (Fault.ASK_TO_TERMINATE, Outcome.TERMINATED)],
+)
+def test_a_fault_while_the_plant_is_recorded(fault: Fault, outcome: Outcome, run: Run) -> None:
+    trace = run(fault, controller="deepc", more=RECORDING)
+    assert trace.outcome is outcome
+    assert trace.reason.startswith("before the first sample: ")
+    assert trace.reason.endswith(", during the experiment")
+
+
 def test_a_run_that_the_fmu_ends(run: Run) -> None:
     trace = run(Fault.ASK_TO_TERMINATE)
     assert trace.outcome is Outcome.TERMINATED
