@@ -269,26 +269,27 @@ def _travel(column: Column) -> float:
 
 
 def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
-    """Return one strip plot over the seeds for each controlled output; none for a single seed."""
+    """Return one strip plot over the seeds for each controlled output; none of one seed, or if none holds."""
     if len(condition.seeds) < 2:
         return []
-    return [_spread_figure(condition, key, f"{prefix}spread-{i}") for i, key in enumerate(condition.headline)]
+    keys = enumerate(condition.headline)
+    return [figure for i, key in keys if (figure := _spread_figure(condition, key, f"{prefix}spread-{i}"))]
 
 
-def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure:
+def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | None:
     what = " of ".join(filter(None, (metric_label(key), metric_signal(key))))
     axis = f"{what} / {metric_unit(key)}" if metric_unit(key) else what
     rows = [_spread_row(condition, one, case.seed, key) for one, case in _holding(condition)]
     rows = [row for row in rows if math.isfinite(row["value"])]
+    if not rows:
+        return None
     values = [row["value"] for row in rows]
-    logarithmic = bool(values) and min(values) > 0 and max(values) / min(values) > _LOGARITHMIC_FROM
+    logarithmic = min(values) > 0 and max(values) / min(values) > _LOGARITHMIC_FROM
     caption = (
         f"{what} over {len(condition.seeds)} seeds, cases that hold their reference only; one dot per seed, "
         f"upright line: median, diamond: seed {condition.seeds[0]}."
         + (" Logarithmic axis." if logarithmic else "")
     )
-    if not rows:
-        return Figure(identifier, "Spread over seeds", f"{caption} No case does.", ())
     return one_chart(identifier, "Spread over seeds", caption, spread_chart(rows, axis, logarithmic))
 
 

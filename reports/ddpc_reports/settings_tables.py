@@ -62,13 +62,14 @@ def _other_inputs(results: StudyResults) -> Iterator[Trace]:
 
 
 def family_tables(condition: Condition, prefix: str) -> list[Table]:
-    """Return one table for each type of controller: a row per setting, a column per controller."""
+    """Return one table for each type of controller that has settings: a row per setting, a column each."""
     sections = condition.results.study.controllers
     families: dict[str, list[ControllerResults]] = {}
     for one in condition.controllers:
         family = sections[one.key].type if one.key in sections else one.key
         families.setdefault(family, []).append(one)
-    return [_family_table(family, members, sections, prefix) for family, members in families.items()]
+    tables = [_family_table(family, members, sections, prefix) for family, members in families.items()]
+    return [table for table in tables if table.rows]
 
 
 def _family_table(

@@ -269,11 +269,14 @@ def _first_seed(condition: Condition, key: str) -> Markup:
         )
     one_is, several = ("costs least", "cost") if _is_cost(key) else ("tracks best", "track")
     (best, winner), (second, next_one), (worst, _) = order[0], order[1], order[-1]
+    # A run that does not hold its reference can have the smaller figure, a cost above all.
+    beaten = any(one.at_first(key) < best for one in others)
+    where = f"On seed {seed}, of those that hold their reference," if beaten else f"On seed {seed},"
     if show(best) == show(worst) and not others:
         return Markup("On seed {} all controllers {} alike: {} {}.").format(seed, several, what, show(best))
     if show(best) == show(second):
-        text = Markup("On seed {}, {} {} {}: {} {}").format(
-            seed,
+        text = Markup("{} {} {} {}: {} {}").format(
+            where,
             join_words(names(_alike(order, show))),
             several,
             one_is.partition(" ")[2],
@@ -281,8 +284,8 @@ def _first_seed(condition: Condition, key: str) -> Markup:
             show(best),
         )
     else:
-        text = Markup("On seed {}, <b>{}</b> {}: {} {}, then <i>{}</i> with {}").format(
-            seed, winner.label, one_is, what, show(best), next_one.label, show(second)
+        text = Markup("{} <b>{}</b> {}: {} {}, then <i>{}</i> with {}").format(
+            where, winner.label, one_is, what, show(best), next_one.label, show(second)
         )
     return text + _last(order, others, show) + "."
 

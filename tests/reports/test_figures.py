@@ -16,7 +16,7 @@ from ddpc_cosim import Bounds, Trace
 from ddpc_reports.charts import COLOURS, DASHES, log_ticks
 from ddpc_reports.comparison import conditions
 from ddpc_reports.embedding import _steps, pack
-from ddpc_reports.figures import time_figures
+from ddpc_reports.figures import spread_figures, time_figures
 from ddpc_reports.samples import first_seed, trusted
 
 from .synthetic import MakeResults, make_trace
@@ -232,3 +232,11 @@ def test_a_control_signal_that_the_plant_was_not_given_is_said_to_be_a_command(
         for one in (trace, changed)
     ]
     assert ["as commanded" in caption for caption in said] == [False, True]
+
+
+def test_where_no_case_holds_its_reference_there_is_no_spread_to_draw(make_results: MakeResults) -> None:
+    def lost(key: str, seed: int) -> Trace:
+        return scaled(make_trace(0.5), 0.1)
+
+    assert spread_figures(conditions(make_results(lost, seeds=[7, 8]))[0], "") == []
+    assert len(spread_figures(conditions(make_results(seeds=[7, 8]))[0], "")) == 1

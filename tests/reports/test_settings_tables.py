@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 from markupsafe import Markup
 from pydantic import BaseModel, ValidationError
 
-from ddpc_cosim import StudyResults
+from ddpc_cosim import StudyResults, Trace
 from ddpc_cosim.study.sections import ReportSection, Study
 from ddpc_reports import figures, settings_tables as settings_module
 from ddpc_reports.comparison import conditions
@@ -20,7 +20,7 @@ from ddpc_reports.page import render_page
 from ddpc_reports.settings_tables import family_tables, settings_tables, value_text
 from ddpc_reports.table import Table
 
-from .synthetic import MakeResults, make_study
+from .synthetic import MakeResults, make_study, make_trace
 
 COST = "sum_abs_error.angle [deg]"
 OBJECT = {"type": "module:Kernel", "count": 10, "widths": [0.5, 2.0], "centres": {"low": 0.0, "names": ["a"]}}
@@ -473,3 +473,12 @@ def test_one_sample_is_a_sample(make_results: MakeResults) -> None:
     results = make_results(loop={"sampling_time": 0.1, "duration": 0.1})
     loop = settings_tables(results, conditions(results)[0], "")[0]
     assert next(row.cells[0].text for row in loop.rows if row.header == "duration") == "0.1\u00a0s, 1 sample"
+
+
+def test_a_type_without_settings_has_no_table(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        return replace(make_trace(0.5), settings={})
+
+    controllers = {"quick": {"type": "a"}, "slow": {"type": "b", "settings": {"gain": 2.0}}}
+    condition = conditions(make_results(trace_of, controllers))[0]
+    assert [table.caption for table in family_tables(condition, "")] == ["Settings of type b"]

@@ -214,6 +214,20 @@ def test_a_study_with_weights_is_ranked_by_its_cost(make_results: MakeResults) -
     assert "Tracking" not in said
 
 
+def test_one_that_does_not_hold_may_cost_less_and_is_not_denied_it(make_results: MakeResults) -> None:
+    """Inputs weigh here: the run that never moves costs nothing, and holds nothing."""
+
+    def trace_of(key: str, seed: int) -> Trace:
+        trace = make_trace(0.3 if key == "quick" else 1.0)
+        return replace(trace, y=trace.y * 0, u=trace.u * 0) if key == "still" else trace
+
+    controllers = {key: {"type": "x"} for key in ("quick", "slow", "still")}
+    weights = MetricSettings(cost={"inputs": {"torque": 1.0}})
+    said = statements(make_results(trace_of, controllers, settings=weights))["Cost"]
+    assert said.startswith("On seed 7, of those that hold their reference, quick costs least: ")
+    assert said.endswith("; last is still, whose reference is not held.")
+
+
 def test_what_cannot_be_judged_is_a_limitation(make_results: MakeResults) -> None:
     said = limitations(conditions(make_results(settings=MetricSettings(56))), 4)
     assert any(text.startswith("Whether angle settles cannot be judged: ") for text in said)
