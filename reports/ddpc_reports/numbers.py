@@ -134,12 +134,12 @@ def given_duration(seconds: float) -> str:
     return with_unit(as_given(float(f"{seconds * scale.factor:.15g}")), scale.unit)
 
 
-def duration(seconds: float, digits: int = 3) -> str:
+def duration(seconds: float) -> str:
     """Write one time with the unit that suits it: ``65.5 µs``."""
     if math.isnan(seconds):
         return MISSING
     scale = time_scale([seconds])
-    return with_unit(significant(seconds * scale.factor, digits), scale.unit)
+    return with_unit(significant(seconds * scale.factor, 3), scale.unit)
 
 
 def column(values: Sequence[float], digits: int = 4) -> list[str]:

@@ -114,9 +114,7 @@ def numerical_rank(matrix: FloatArray, tolerance: float = RANK_TOLERANCE) -> int
     return _count_nonzero(np.linalg.svd(matrix, compute_uv=False).astype(np.float64), tolerance)
 
 
-def persistency_of_excitation(
-    u: FloatArray, at_most: int | None = None, tolerance: float = RANK_TOLERANCE, seams: Sequence[int] = ()
-) -> int:
+def persistency_of_excitation(u: FloatArray, at_most: int | None = None, seams: Sequence[int] = ()) -> int:
     """Return the highest order L for which ``hankel_matrix(u, L, seams)`` has full row rank.
 
     Of several experiments together: H. J. van Waarde, C. De Persis, M. K. Camlibel, P. Tesi, Willems'
@@ -129,8 +127,6 @@ def persistency_of_excitation(
         Inputs, time along axis 0.
     at_most : int, optional
         Look no further than this order.
-    tolerance : float
-        Relative size of a singular value that counts as zero.
     seams : sequence of int
         The first sample of every piece but the first.
 
@@ -148,7 +144,7 @@ def persistency_of_excitation(
         highest -= 1
     if at_most is not None:
         highest = min(highest, at_most)
-    return _last_full_rank_depth(u / scale, highest, tolerance, seams)
+    return _last_full_rank_depth(u / scale, highest, seams)
 
 
 def count_windows(samples: int, depth: int, seams: Sequence[int] = ()) -> int:
@@ -237,13 +233,13 @@ def _count_nonzero(singular_values: FloatArray, tolerance: float) -> int:
     return int(np.count_nonzero(singular_values > tolerance * singular_values[0]))
 
 
-def _last_full_rank_depth(u: FloatArray, highest: int, tolerance: float, seams: Sequence[int]) -> int:
+def _last_full_rank_depth(u: FloatArray, highest: int, seams: Sequence[int]) -> int:
     """Bisect: a Hankel matrix with full row rank keeps it when it loses a block row."""
     full, lacking = 0, highest + 1
     depth = highest
     while lacking - full > 1:
         matrix = hankel_matrix(u, depth, seams)
-        if numerical_rank(matrix, tolerance) == matrix.shape[0]:
+        if numerical_rank(matrix) == matrix.shape[0]:
             full = depth
         else:
             lacking = depth

@@ -213,10 +213,6 @@ class FMUDescription:
         """The interface that is used unless another is asked for; None if there is none."""
         return next((self.interfaces[kind] for kind in INTERFACES if kind in self.interfaces), None)
 
-    def named(self, causality: str, type: str) -> list[str]:
-        """Return the names of the variables of a causality and type, in the order of the description."""
-        return [name for name, v in self.variables.items() if (v.causality, v.type) == (causality, type)]
-
     def signals(self, *causalities: str) -> Iterator[Signal]:
         """Yield the numbers among the variables of some causalities; arrays element by element."""
         for variable in self.variables.values():
