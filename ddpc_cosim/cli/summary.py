@@ -132,7 +132,7 @@ def _values(cases: Sequence[CaseResult], keys: Sequence[str], left_out: Sequence
         values.insert(1, _spread(cases, keys[0]))
     return [
         *values,
-        _micro(cases[0].metrics.get("solve_time_median [s]", math.nan)),
+        _micro(_value(cases[0], "solve_time_median [s]")),
         _completed(cases),
         _holding(cases),
     ]
@@ -170,4 +170,4 @@ def _number(value: float) -> str:
 
 
 def _micro(seconds: float) -> str:
-    return "-" if math.isnan(seconds) else f"{1e6 * seconds:.0f} us"
+    return "-" if math.isnan(seconds) else f"{1e6 * seconds:.{0 if seconds >= 1e-6 else 2}f} us"

@@ -326,7 +326,7 @@ def diagnostics_table(condition: Condition, prefix: str) -> Table | None:
     )
     return Table(
         f"{prefix}diagnostics",
-        "Data that the controllers learned from",
+        "What the controllers learned from, and what they start with",
         headings,
         tuple(row for one in reporting for row in _diagnostic_rows(one, several=several)),
         (

@@ -101,3 +101,12 @@ def test_the_best_settings_of_a_sweep_follow_from_the_direction_of_the_metric(
     monkeypatch.setitem(METRICS, "mean_abs_error", replace(METRICS["mean_abs_error"], better="high"))
     rows = [line.strip().split("  ")[0] for line in printed(results(4)) if "horizon" in line]
     assert rows == ["horizon = 0", "horizon = 1"]
+
+
+def test_a_step_below_a_microsecond_is_not_zero_and_one_of_a_lost_case_is_not_shown() -> None:
+    some = results(0, lost="pid")
+    quick = {"solve_time_median [s]": 2e-7}
+    cases = tuple(replace(case, metrics=case.metrics | quick) for case in some.cases)
+    deepc, pid = (line for line in printed(replace(some, cases=cases)) if "/2" in line)
+    assert "0.20 us" in deepc
+    assert " us" not in pid
