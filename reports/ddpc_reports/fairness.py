@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from markupsafe import Markup
 
-from ddpc_cosim import StudyResults, Trace
+from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.study.sections import TunedSection
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.numbers import as_given, computed, with_unit
@@ -24,6 +24,8 @@ class _Fact(NamedTuple):
 _Telling = Callable[[ControllerResults, Trace | None], _Fact]
 """What is said of a controller, given its run at the first seed, if that has any samples."""
 _NOT_KNOWN = _Fact("", "")
+_LOST = (Outcome.CRASHED, Outcome.TIMED_OUT)
+"""Of runs that ended so there are the samples alone: that nothing was noted says nothing."""
 _PLANT_FMU = "{plant}"
 """What a setting says in a study that is the path of a file, for the FMU that the study controls."""
 
@@ -69,6 +71,8 @@ def _seen(one: ControllerResults, trace: Trace | None) -> _Fact:
     if trace is None:
         return _NOT_KNOWN
     if not trace.preview:
+        if trace.outcome in _LOST:
+            return _NOT_KNOWN
         return _Fact("sees no future reference", "see no future reference")
     ahead = as_given(computed(trace.preview * trace.sampling_time))
     what = f"{counted(trace.preview, 'sample')} of the future reference ({with_unit(ahead, 's')})"
@@ -128,6 +132,8 @@ def _learned(one: ControllerResults, trace: Trace | None) -> _Fact:
     if trace is None:
         return _NOT_KNOWN
     if not trace.recorded_samples:
+        if trace.outcome in _LOST:
+            return _NOT_KNOWN
         return _Fact("asks for no recording", "ask for no recording")
     what = f"from a recording of {counted(trace.recorded_samples, 'sample')}"
     return _Fact(f"learns {what}", f"learn {what}")

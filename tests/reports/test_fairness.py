@@ -5,7 +5,7 @@ import re
 from dataclasses import replace
 from typing import Any
 
-from ddpc_cosim import Bounds, StudyResults, Trace
+from ddpc_cosim import Bounds, Outcome, StudyResults, Trace
 from ddpc_reports.page import render_page
 
 from .synthetic import MakeResults, make_trace
@@ -42,6 +42,20 @@ def told(results: StudyResults) -> dict[str, str]:
     pairs = re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", section[0], re.DOTALL)
     assert "<b>" not in section[0]
     return {topic: html.unescape(re.sub("<[^>]*>", "", text)) for topic, text in pairs}
+
+
+def test_a_crash_does_not_make_a_controller_one_without_preview_and_recording(
+    make_results: MakeResults,
+) -> None:
+    """Of a run whose process died there are the samples alone."""
+
+    def trace_of(key: str, seed: int) -> Trace:
+        crashed = replace(make_trace(0.3, noise_seed=seed), outcome=Outcome.CRASHED, reason="SIGSEGV")
+        return crashed if key == "data" else run(key, seed)
+
+    said = told(make_results(trace_of, controllers()))
+    assert "of Data-driven it is not known how far ahead the reference was seen" in said["Preview"]
+    assert "of Data-driven it is not known whether a recording was learned from" in said["Recording"]
 
 
 def test_each_fact_is_told_of_those_whom_it_holds_for(make_results: MakeResults) -> None:
