@@ -12,7 +12,7 @@ The order of effects, at sample k:
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 
@@ -96,6 +96,28 @@ class Conditions:
         ]
         if faults:
             raise ConfigError(faults)
+
+
+def may_have(
+    driven: Sequence[str], outputs: Sequence[str], measurements: Sequence[str], inputs: Iterable[str]
+) -> dict[str, tuple[str, tuple[str, ...]]]:
+    """Return for each kind of condition which signals may have it: in words, and by name.
+
+    Parameters
+    ----------
+    driven, outputs, measurements : sequence of str
+        The inputs that controllers drive, the controlled outputs and the measurements.
+    inputs : iterable of str
+        All inputs of the plant.
+    """
+    return {
+        "disturbances": ("input or output", (*driven, *outputs, *measurements)),
+        "inputs": ("input that no controller drives", tuple(inputs)),
+        "rate_limit": ("input that the controllers drive", tuple(driven)),
+        "delay": ("input or measurement", (*driven, *measurements)),
+        "quantum": ("measurement", tuple(measurements)),
+        "loss": ("measurement", tuple(measurements)),
+    }
 
 
 def changed_inputs(conditions: Conditions, inputs: Sequence[Variable]) -> tuple[Variable, ...]:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, delay_error
+from ddpc_cosim.conditions import Actuators, Conditions, Sensors, changed_inputs, delay_error, may_have
 from ddpc_cosim.controller import Bounds, Loop, Recording
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
@@ -100,17 +100,12 @@ def late_error(time: float, end: float) -> str:
 
 def check_names(what: str, given: Iterable[str], known: Sequence[Variable]) -> None:
     """Raise ConfigError for every given name that is not among the known variables."""
-    if faults := _unknown(what, given, known):
+    if faults := _unknown(what, given, names(known)):
         raise ConfigError(faults)
 
 
-def _unknown(what: str, given: Iterable[str], known: Sequence[Variable]) -> list[str]:
-    known_names = names(known)
-    return [
-        f'{what}: no signal "{name}"; {did_you_mean(name, known_names)}'
-        for name in given
-        if name not in known_names
-    ]
+def _unknown(what: str, given: Iterable[str], known: Sequence[str]) -> list[str]:
+    return [f'{what}: no signal "{name}"; {did_you_mean(name, known)}' for name in given if name not in known]
 
 
 def excitation_table(excitation: Excitation, inputs: int) -> FloatArray:
@@ -207,18 +202,10 @@ class LoopSetup:
         return deviations
 
     def _check_conditions(self, conditions: Conditions) -> None:
-        taking_part = tuple(dict.fromkeys((*self.outputs, *self.measurements)))
-        known = {
-            "disturbances": (*self.inputs, *taking_part),
-            "inputs": self.plant.inputs,
-            "rate_limit": self.inputs,
-            "delay": (*self.inputs, *self.measurements),
-            "quantum": self.measurements,
-            "loss": self.measurements,
-        }
+        known = may_have(*map(names, (self.inputs, self.outputs, self.measurements, self.plant.inputs)))
         faults = []
-        for key, variables in known.items():
-            faults += _unknown(key, getattr(conditions, key), variables)
+        for key, (_, signals) in known.items():
+            faults += _unknown(key, getattr(conditions, key), signals)
         if not self.inputs:
             faults.append("inputs: every input of the plant has a signal; leave one to the controller")
         for name, delay in conditions.delay.items():

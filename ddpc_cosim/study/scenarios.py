@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from ddpc_cosim.conditions import Conditions, delay_error
+from ddpc_cosim.conditions import Conditions, delay_error, may_have
 from ddpc_cosim.errors import Place
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import late_error
@@ -43,16 +43,8 @@ class Scenarios:
         """Return the conditions of a scenario; None if there are errors."""
         scenario, place, errors = self.study.scenarios[name], ("scenarios", name), self.errors
         driven, measured = self.inputs.names, self.measurements.names
-        seen = dict.fromkeys((*self.outputs.names, *measured))
         undriven = {n: v for n, v in self.variables.inputs.items() if n not in driven}
-        known = {
-            "disturbances": ("input or output", (*driven, *seen)),
-            "inputs": ("input that no controller drives", self.variables.inputs),
-            "rate_limit": ("input that the controllers drive", driven),
-            "delay": ("input or measurement", (*driven, *measured)),
-            "quantum": ("measurement", measured),
-            "loss": ("measurement", measured),
-        }
+        known = may_have(driven, self.outputs.names, measured, self.variables.inputs)
         for key, (what, names) in known.items():
             errors.require_known((*place, key), what, getattr(scenario, key), names)
         for signal in scenario.inputs:
