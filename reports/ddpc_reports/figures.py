@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from string import ascii_lowercase
 from typing import Any
@@ -22,11 +22,12 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.embedding import static_svg
 from ddpc_reports.numbers import duration, given_duration, significant, with_unit
-from ddpc_reports.samples import Column, FirstSeed, Signal, column_name, first_seed, known
+from ddpc_reports.samples import Column, FirstSeed, Said, Signal, column_name, first_seed, known, said
 from ddpc_reports.settings_tables import own_units, scenario_effects
 
 _LOGARITHMIC_FROM = 8.0
 _PANEL_HEIGHT = 168
+_SAID = "What controllers said of their steps"
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class View:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure: charts below each other, a caption, and a legend where the charts need one."""
+    """A figure: charts below each other, a caption, a legend where the charts need one; open or folded."""
 
     id: str
     title: str
@@ -66,6 +67,7 @@ class Figure:
     views: tuple[View, ...]
     legend: tuple[Entry, ...] = ()
     reference: bool = False
+    folded: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,33 @@ def time_figures(condition: Condition, prefix: str) -> tuple[list[Figure], dict[
         for title, (signals, what) in kinds.items()
         if signals
     ]
-    return figures, {signal.id: signal.columns for signal in _signals(seen)}
+    shown = _signals(seen)
+    if (told := said(condition, prefix)).signals:
+        figures.append(_said_figure(condition, told, (marks, briefly), prefix))
+        shown += told.signals
+    return figures, {signal.id: signal.columns for signal in shown}
+
+
+def _said_figure(condition: Condition, told: Said, scenario: tuple[list[Mark], str], prefix: str) -> Figure:
+    """Return the folded figure of what controllers said of their steps."""
+    marks, words = scenario
+    those = [one for one in condition.controllers if any(column_name(one) in s.columns for s in told.signals)]
+    what = (
+        "info of the controllers, in their own units; each panel has its own scale, a cost is of a "
+        "controller's own problem: hide others to see one"
+    )
+    rest = f" {told.left_out} more in signals.csv." if told.left_out else ""
+    every = f" One of {told.every} samples; all are in signals.csv." if told.every > 1 else ""
+    figure = _time_figure(
+        condition,
+        _even_panels(tuple(those)),
+        told.signals,
+        _SAID,
+        what,
+        (marks, every + rest + words),
+        f"{prefix}info",
+    )
+    return replace(figure, folded=True)
 
 
 def _scenario(condition: Condition) -> tuple[list[Mark], str]:
@@ -180,7 +208,12 @@ def _time_figure(
     marks, words = scenario
     names = [column_name(one) for one in condition.controllers]
     dashes = dash_numbers([[column_name(one) for one in panel.members] for panel in panels], names)
-    places = [(panel, signal) for panel in panels for signal in signals]
+    places = [
+        (panel, signal)
+        for panel in panels
+        for signal in signals
+        if any(column_name(one) in signal.columns for one in panel.members)
+    ]
     views = tuple(
         _time_view(condition, place, dashes, marks, f"{identifier}-{number}", last=number == len(places))
         for number, place in enumerate(places, start=1)
@@ -245,7 +278,7 @@ def _time_view(
     # Restless lines at the back: they would hide the calm ones.
     order = sorted(names, key=lambda name: -_travel(signal.columns[name]))
     chart = time_chart(signal, order, dashes, sampling_time, marks, last).properties(height=_PANEL_HEIGHT)
-    who = ", ".join(one.label for one in panel.members)
+    who = ", ".join(one.label for one in panel.members if column_name(one) in names)
     description = f"{signal.title} over time of {who}"
     spec = _specification(chart)
     svg = static_svg(spec, identifier, description, {signal.id: signal.columns})

@@ -13,6 +13,7 @@ from ddpc_reports.numbers import difference_symbol, unit_symbol
 
 _DIGITS = 6
 _FAR = 5.0
+_MOST_SAID, _MOST_DRAWN = 4, 200
 Column = list[float | None]
 
 
@@ -102,6 +103,43 @@ def first_seed(condition: Condition, prefix: str) -> FirstSeed:
         [_level(runs, i, f"{prefix}u{i}", is_input=True) for i in range(len(runs.longest.inputs))],
         [_change(runs, i, f"{prefix}d{i}") for i in range(len(runs.longest.inputs))],
     )
+
+
+@dataclass(frozen=True)
+class Said:
+    """What controllers said of their steps at the first seed of a condition.
+
+    Parameters
+    ----------
+    signals : list of Signal
+        The first few names.
+    every : int
+        Of how many samples one is kept, so that the page stays small.
+    left_out : int
+        How many names there are beside these.
+    """
+
+    signals: list[Signal]
+    every: int
+    left_out: int
+
+
+def said(condition: Condition, prefix: str) -> Said:
+    """Read ``Trace.info`` of the first seed and return it as signals; none where nothing was said."""
+    found = condition.first_traces
+    traces = {column_name(one): found[one.key] for one in condition.controllers if one.key in found}
+    names = list(dict.fromkeys(name for trace in traces.values() for name in trace.info))
+    if not names:
+        return Said([], 1, 0)
+    longest, scaled_by = max(traces.values(), key=len), trusted(traces)
+    every = -(-len(longest) // _MOST_DRAWN)
+    signals = []
+    for i, name in enumerate(names[:_MOST_SAID]):
+        columns = {"t": _rounded(longest.time[::every])}
+        told = {key: trace.info[name] for key, trace in traces.items() if name in trace.info}
+        columns |= {key: _rounded(values[::every]) for key, values in told.items()}
+        signals.append(Signal(f"{prefix}i{i}", name, "", columns, scaled_by, own_range=True))
+    return Said(signals, every, len(names) - len(signals))
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,8 @@ pytestmark = pytest.mark.xdist_group("browser")
 def trace_of(key: str, seed: int) -> Trace:
     if key == "lost":
         return make_trace(0.6, outcome=Outcome.DIVERGED, reason="angle is NaN at 3 s")
-    return make_trace(0.3 if key == "quick" else 1.0, noise_seed=seed, diagnostics={"data_rank": 9.0})
+    trace = make_trace(0.3 if key == "quick" else 1.0, noise_seed=seed, diagnostics={"data_rank": 9.0})
+    return replace(trace, info={"cost": trace.u[:, 0] ** 2} if key == "quick" else {})
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +78,23 @@ def time_labels(browser: webdriver.Chrome) -> set[str]:
     return set(browser.execute_script(script))
 
 
+def test_what_is_folded_is_drawn_when_it_is_opened_and_hides_what_its_neighbours_hide(
+    browser: webdriver.Chrome,
+) -> None:
+    assert not browser.find_elements(By.CSS_SELECTOR, "details .live")
+    assert not one(browser, "details .static").is_displayed()
+    one(browser, "button.entry").click()
+    one(browser, "details summary").click()
+    wait(browser, lambda: browser.execute_script("return document.querySelector('details').dataset.ready"))
+    chart = one(browser, "details .live svg")
+    assert chart.is_displayed()
+    assert chart.size["width"] > 300
+    quick = "path[stroke^='var(--c']"
+    assert not chart.find_elements(By.CSS_SELECTOR, quick)
+    one(browser, "details button.entry").click()
+    wait(browser, lambda: one(browser, "details .live svg").find_elements(By.CSS_SELECTOR, quick))
+
+
 def test_it_opens_without_an_error_and_without_a_request(browser: webdriver.Chrome, page: str) -> None:
     assert browser.get_log("browser") == []
     messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
@@ -86,7 +104,7 @@ def test_it_opens_without_an_error_and_without_a_request(browser: webdriver.Chro
 
 def test_every_chart_is_drawn_and_the_static_one_gives_way(browser: webdriver.Chrome) -> None:
     counts = browser.execute_script(
-        "const charts = [...document.querySelectorAll('.chart')];"
+        "const charts = [...document.querySelectorAll('.chart:not(details .chart)')];"
         "return [charts.length, charts.filter(c => c.querySelector('.live svg')).length,"
         " charts.filter(c => getComputedStyle(c.querySelector('.static')).display !== 'none').length]"
     )
@@ -199,8 +217,8 @@ def test_print_shows_the_static_figures_on_white(browser: webdriver.Chrome) -> N
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print", "features": dark})
     shown = browser.execute_script(
         "const display = (e) => getComputedStyle(e).display;"
-        "return [...document.querySelectorAll('.chart')].map(c => [display(c.querySelector('.static')), "
-        "display(c.querySelector('.live'))])"
+        "return [...document.querySelectorAll('.chart:not(details .chart)')].map(c => "
+        "[display(c.querySelector('.static')), display(c.querySelector('.live'))])"
     )
     assert shown == [["block", "none"]] * len(shown)
     assert (
@@ -259,7 +277,7 @@ def test_without_javascript_the_static_figures_are_there(chromium: webdriver.Chr
     chromium.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
     try:
         chromium.get(page)
-        drawings = chromium.find_elements(By.CSS_SELECTOR, ".chart svg.static")
+        drawings = chromium.find_elements(By.CSS_SELECTOR, ".chart:not(details .chart) svg.static")
         assert len(drawings) == 5
         assert all(drawing.is_displayed() and drawing.size["height"] > 100 for drawing in drawings)
         assert not chromium.find_elements(By.CSS_SELECTOR, ".live")

@@ -240,3 +240,35 @@ def test_where_no_case_holds_its_reference_there_is_no_spread_to_draw(make_resul
 
     assert spread_figures(conditions(make_results(lost, seeds=[7, 8]))[0], "") == []
     assert len(spread_figures(conditions(make_results(seeds=[7, 8]))[0], "")) == 1
+
+
+def test_what_controllers_said_of_their_steps_is_folded_thinned_out_and_told(
+    make_results: MakeResults,
+) -> None:
+    def says(key: str, seed: int) -> Trace:
+        trace = make_trace(0.5)
+        own = np.arange(len(trace), dtype=np.float64)
+        many = {name: own * place for place, name in enumerate(("cost", "b", "c", "d", "e"), start=1)}
+        many["cost"][0] = np.nan
+        return replace(trace, info={"slow": many, "quick": {"b": -own}}.get(key, {}))
+
+    (condition,) = conditions(make_results(says, THREE))
+    figures, data = time_figures(condition, "x-")
+    assert [figure.folded for figure in figures] == [False, False, False, True]
+    figure = figures[-1]
+    assert [view.description for view in figure.views] == [
+        "b over time of quick, slow",
+        "cost over time of slow",
+        "c over time of slow",
+        "d over time of slow",
+    ]
+    assert [entry.label for entry in figure.legend] == ["quick", "slow"]
+    assert "1 more in signals.csv" in figure.caption
+    trace = make_trace(0.5)
+    every = -(-len(trace) // 200)
+    assert ("One of" in figure.caption) == (every > 1)
+    assert data["x-i1"]["c1"][:2] == [None, float(every)]
+    assert data["x-i0"]["c0"] == [-float(k) for k in range(0, len(trace), every)]
+    assert len(data["x-i0"]["t"]) == len(data["x-i0"]["c0"]) <= 200
+    silent, _ = time_figures(conditions(make_results(falls, THREE))[0], "y-")
+    assert not any(one.folded for one in silent)

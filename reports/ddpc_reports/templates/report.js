@@ -225,6 +225,21 @@
     charts.push(chart);
     if (chart.times) listenOverTime(chart);
     else listenToMarks(chart);
+    return chart;
+  }
+
+  // What is folded has no width before it is opened; then it shows what its neighbours show.
+  function drawOnceOpen(fold) {
+    fold.addEventListener("toggle", async () => {
+      for (const box of fold.querySelectorAll(".chart")) {
+        const chart = await draw(box);
+        chart.span = together(chart)[0].span;
+        tell([chart], "span", chart.span);
+        tell([chart], "hidden", [...hidden[chart.group]]);
+        fit(chart);
+      }
+      fold.dataset.ready = "yes";
+    }, { once: true });
   }
 
   // ---- legends, tables, contents, theme ---------------------------------------------------------------
@@ -300,8 +315,9 @@
   document.querySelectorAll(".help").forEach((help) => { help.hidden = false; });
   document.querySelectorAll("table.sortable").forEach(enableSorting);
   document.querySelectorAll("button.theme").forEach(enableTheme);
+  document.querySelectorAll("details").forEach(drawOnceOpen);
   followContents();
-  Promise.all([...document.querySelectorAll(".chart")].map(draw)).then(() => {
+  Promise.all([...document.querySelectorAll(".chart:not(details .chart)")].map(draw)).then(() => {
     document.querySelectorAll("button.entry").forEach(enableLegend);
     document.documentElement.dataset.ready = "yes";
   });
