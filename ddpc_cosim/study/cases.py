@@ -69,7 +69,7 @@ class Case:
     excitation : Excitation or None
         The experiment.
     recording : Recording or None
-        What was recorded before, in place of an experiment.
+        Logged data, in place of an experiment.
     stabiliser : dict or None
         Type and settings of the controller that keeps the plant during the experiment.
     parameters : dict of str to float

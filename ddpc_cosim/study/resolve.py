@@ -61,7 +61,7 @@ class ResolvedStudy:
     metrics : MetricSettings
         What all runs are judged by alike.
     recording : Recording or None
-        What was recorded before, in place of an experiment.
+        Logged data, in place of an experiment.
     late : dict of str to str
         Why a controller cannot be run: one of its calls has not returned within the time limit.
     """

@@ -165,7 +165,7 @@ class RecordingSection(Section):
         None, description="stabilises the plant meanwhile, on the study's references; none: open loop"
     )
     file: Annotated[list[FilePath], BeforeValidator(_one_or_more)] = Field(
-        [], description="CSV files recorded before, in place of an experiment; one or several"
+        [], description="CSV files of logged data, in place of an experiment; one or several"
     )
     columns: dict[str, str] = Field(
         {}, description="headers of the columns in the files that are not called as their signals"
@@ -180,10 +180,10 @@ class RecordingSection(Section):
         experiment = {"samples": self.samples, "excitation": self.excitation, "controller": self.controller}
         if self.file:
             for key in (key for key, value in experiment.items() if value):
-                yield key, "belongs to an experiment, and file to data recorded before; needed: one of them"
+                yield key, "belongs to an experiment, and file to logged data; needed: one of them"
         else:
             if self.samples is None:
-                yield "samples", "required key is missing; or give the key file, for data recorded before"
+                yield "samples", "required key is missing; or give the key file, for logged data"
             if self.columns:
                 yield "columns", "names columns of the key file, which is missing"
 

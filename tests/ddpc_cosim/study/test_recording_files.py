@@ -182,7 +182,7 @@ def test_what_does_not_go_with_files(tmp_path: Path) -> None:
     log(tmp_path)
     (found,) = faults(tmp_path, FROM_FILES + 'file = "log.csv"\nsamples = 100')
     assert found == (
-        "study.toml:12: recording.samples: belongs to an experiment, and file to data recorded before; "
+        "study.toml:12: recording.samples: belongs to an experiment, and file to logged data; "
         "needed: one of them"
     )
     log(tmp_path, rows=15)
@@ -196,7 +196,7 @@ def test_what_does_not_go_with_files(tmp_path: Path) -> None:
     )
     missing = faults(tmp_path, "recording = { columns = { torque = 'M' } }")
     assert sorted(fault.split(": ", 1)[1] for fault in missing)[::-1] == [
-        "recording.samples: required key is missing; or give the key file, for data recorded before",
+        "recording.samples: required key is missing; or give the key file, for logged data",
         "recording.excitation: none for the input torque",
         "recording.columns: names columns of the key file, which is missing",
     ]
