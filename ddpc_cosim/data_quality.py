@@ -66,8 +66,8 @@ def judge_prediction(error: float, fitted: float) -> str:
         return "good" if error < _GOOD else "fair"
     if fitted < 0.5 * error:
         return (
-            "poor: what it was fitted to is predicted far better, so that the recording is too short, or "
-            "the plant changed during it"
+            "poor: what it was fitted to is predicted far better, so that the recording is too short, "
+            "the plant changed during it, or it is unstable"
         )
     return (
         "poor: what it was fitted to is not predicted either, for noise, for inputs or disturbances that it "

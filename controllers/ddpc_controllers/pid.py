@@ -427,7 +427,7 @@ class PID(Controller):
             + f" on the model of the recording; a maximum sensitivity of {_LARGEST_SENSITIVITY} takes "
             f"closed_loop_time = {time:.4g} s"
             for i, (found, time) in enumerate(zip(sensitivities.tolist(), times.tolist(), strict=True))
-            if found > _LARGEST_SENSITIVITY
+            if float(f"{found:.3g}") > _LARGEST_SENSITIVITY
         ]
 
     def _hold(self, why: str) -> Action:

@@ -332,8 +332,9 @@ def _overlap(winner: ControllerResults, others: Sequence[ControllerResults], key
     inside = [one for one in others if one.over_seeds(key).low <= reach]
     if not inside:
         return Markup(" Its range lies below that of every other controller{}.").format(among)
-    return Markup(" The ranges of {} overlap with its own, so the seed decides who is ahead there.").format(
-        join_words(names(inside)) if len(inside) < 4 else f"{len(inside)} controllers"
+    which, overlap = ("range", "overlaps") if len(inside) == 1 else ("ranges", "overlap")
+    return Markup(" The {} of {} {} with its own, so the seed decides who is ahead there.").format(
+        which, join_words(names(inside)) if len(inside) < 4 else f"{len(inside)} controllers", overlap
     )
 
 

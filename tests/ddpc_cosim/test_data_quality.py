@@ -148,3 +148,7 @@ def test_a_prediction_is_judged_by_its_error_on_what_it_was_not_fitted_to(
     error: float, fitted: float, words: str
 ) -> None:
     assert judge_prediction(error, fitted).startswith(words)
+
+
+def test_predictions_of_an_unstable_plant_grow_whatever_the_recording() -> None:
+    assert "or it is unstable" in judge_prediction(4.0, 0.1)

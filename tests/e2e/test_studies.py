@@ -157,12 +157,14 @@ def test_model_free_adaptive_control_recovers_within_a_step_or_two(results_of: R
         assert results.study.controllers["mfapc"].settings["form"] == "ffdl"
 
 
-@pytest.mark.parametrize("controller", ["deepc-online", "wkpc-online"])
-def test_data_that_fade_recover_on_most_seeds(controller: str, results_of: Results) -> None:
+@pytest.mark.parametrize(("controller", "fewest"), [("deepc-online", 0.9), ("wkpc-online", 1.0)])
+def test_data_that_fade_recover_on_nearly_every_seed(
+    controller: str, fewest: float, results_of: Results
+) -> None:
     results = results_of("direction-change")
     for scenario in results.study.scenarios:
         held = [case.holds for case in cases_of(results, scenario, controller)]
-        assert np.mean(held) > 0.5
+        assert np.mean(held) >= fewest
         assert medians(results, scenario, lambda case: mean_error(case, 50.0, 79.0))[controller] < 3.0
 
 
@@ -279,7 +281,7 @@ def test_upright_the_force_limit_decides_without_preview(results_of: Results) ->
         assert max(figure[name] for name in PREDICTIVE) < 1.02 * min(figure[name] for name in PREDICTIVE)
     assert all(0.4 < ahead[name] / blind[name] < 0.5 for name in PREDICTIVE)
     best = min(blind.values())
-    assert max(blind["ipid"], blind["wkpc"]) < 1.1 * best
+    assert max(blind["ipid"], blind["wkpc"]) < 1.01 * best
     others = [blind[name] for name in ("lqr", "pid", "spsa", "cascade", "mfapc-ffdl")]
     assert min(others) > 1.3 * best
     assert max(others) < 3.5 * best
