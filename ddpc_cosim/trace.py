@@ -127,13 +127,18 @@ class Trace:
     @property
     def held(self) -> int:
         """Number of rows whose inputs were held over the sampling interval that follows."""
+        return len(self) - 1 if self.completed else self.decided
+
+    @property
+    def decided(self) -> int:
+        """Number of rows with inputs: a controller that ends the run leaves one without."""
         undecided = len(self) > 0 and not np.isfinite(self.u[-1]).all()
-        return len(self) - 1 if self.completed or undecided else len(self)
+        return len(self) - undecided
 
     @property
     def failures(self) -> int:
         """Number of samples at which the controller returned a fallback."""
-        return sum(status != OK for status in self.status)
+        return sum(status != OK for status in self.status[: self.decided])
 
     def metrics(self, settings: MetricSettings | None = None) -> dict[str, float]:
         """Return the metrics of :mod:`ddpc_cosim.metrics` by key, in the variables' display units.

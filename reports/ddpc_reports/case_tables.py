@@ -287,7 +287,7 @@ def _reasons(cases: Sequence[CaseResult]) -> list[_Reason]:
         trace = case.trace()
         pairs = list(zip(trace.time.tolist(), trace.status, strict=True))
         # The fault that ended a case is not a fallback: it is listed with the cases that did not complete.
-        for time, status in pairs[:-1] if case.outcome is Outcome.CONTROLLER_ERROR else pairs:
+        for time, status in pairs[: trace.decided]:
             if status == _OK:
                 continue
             time = float(f"{time:.9g}")

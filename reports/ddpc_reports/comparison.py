@@ -121,12 +121,8 @@ class ControllerResults:
         return median([*known, *worse])
 
     def total(self, key: str) -> float:
-        """Return the sum of a count over all cases; the fault that ended a case is not a fallback."""
-        total = sum(value for case in self.cases if not math.isnan(value := case.metrics.get(key, math.nan)))
-        if split_key(key)[0] != "failures":
-            return total
-        ended = sum(case.outcome is Outcome.CONTROLLER_ERROR for case in self.cases)
-        return max(total - ended, 0.0)
+        """Return the sum of a count over all cases."""
+        return sum(value for case in self.cases if not math.isnan(value := case.metrics.get(key, math.nan)))
 
 
 @dataclass(frozen=True, eq=False)

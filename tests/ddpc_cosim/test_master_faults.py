@@ -118,6 +118,7 @@ def test_a_controller_that_fails_ends_the_run_and_its_samples_are_kept(answer: A
     assert np.array_equal(trace.u[:, 0], [0.5, 0.5, np.nan], equal_nan=True)
     assert trace.status == ("ok", "ok", "error")
     assert trace.held == 2
+    assert trace.failures == 0, "it returned no substitute either"
 
 
 def test_a_plant_that_diverges_ends_the_run(recwarn: pytest.WarningsRecorder) -> None:

@@ -2,6 +2,9 @@
 
 from dataclasses import replace
 
+import numpy as np
+import pytest
+
 from ddpc_cosim import Outcome, Trace
 from ddpc_reports.case_tables import diagnostics_table, fallbacks_table, warnings_table
 from ddpc_reports.comparison import conditions
@@ -36,10 +39,14 @@ def test_reasons_that_differ_in_a_number_are_one_with_its_range(make_results: Ma
     assert [cell.text for cell in row.cells][:2] == ["off by 1.0e-02 … 3.0e-02; held", "3"]
 
 
-def test_the_fault_that_ends_a_case_is_no_fallback(make_results: MakeResults) -> None:
+@pytest.mark.parametrize("outcome", [Outcome.CONTROLLER_ERROR, Outcome.TIMED_OUT, Outcome.CRASHED])
+def test_the_fault_that_ends_a_case_is_no_fallback(outcome: Outcome, make_results: MakeResults) -> None:
+    """A controller that raises, or never returns, leaves a row without inputs."""
+
     def trace_of(key: str, seed: int) -> Trace:
-        trace = make_trace(0.5, outcome=Outcome.CONTROLLER_ERROR, reason="boom")
-        return replace(trace, status=(*trace.status[:-1], "error"))
+        trace = make_trace(0.5, outcome=outcome, reason="boom")
+        u = np.vstack([trace.u[:-1], np.full_like(trace.u[-1:], np.nan)])
+        return replace(trace, u=u, status=(*trace.status[:-1], "error"))
 
     (condition,) = conditions(make_results(trace_of))
     assert fallbacks_table([condition], "x-") is None
