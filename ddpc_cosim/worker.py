@@ -44,7 +44,7 @@ _OUTPUT_KEPT, _OUTPUT_SHOWN = 4000, 300
 _CHUNK = 1 << 16
 _LEFT_BEHIND = 70
 _FIRST_WINDOWS_FAULT = 0xC0000000
-_PR_SET_PDEATHSIG = 1
+_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 # Small matrices gain nothing from threaded linear algebra, and threads do not survive a fork.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -381,6 +381,8 @@ class _Server:
         self._control = socket.socket(fileno=descriptor)
         self._outputs: dict[int, int] = {}
         self._printed: dict[int, bytes] = {}
+        self._deaths: dict[int, int] = {}
+        _adopt_orphans()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._control, selectors.EVENT_READ)
 
@@ -390,8 +392,10 @@ class _Server:
             while True:
                 ready = [key.data for key, _ in self._selector.select()]
                 for pid in ready:
-                    if pid is not None:
+                    if pid is not None and pid > 0:
                         self._collect(pid)
+                    elif pid is not None:
+                        self._bury(-pid)
                 if None in ready:
                     lines, descriptors, _, _ = socket.recv_fds(self._control, _CHUNK, 8)
                     if not lines:
@@ -429,16 +433,21 @@ class _Server:
         os.set_blocking(output, False)
         self._outputs[pid], self._printed[pid] = output, b""
         self._selector.register(output, selectors.EVENT_READ, pid)
+        if sys.platform == "linux":
+            with contextlib.suppress(OSError):  # then the time limit tells
+                self._deaths[pid] = os.pidfd_open(pid)
+                self._selector.register(self._deaths[pid], selectors.EVENT_READ, -pid)
         return pid
 
     def _become_worker(self, connection: int, printing: int, server: int) -> NoReturn:
         try:
             os.setsid()
             _die_with(server)
+            _adopt_orphans()  # while it lives; then they are the server's
             self._selector.close()
             self._control.close()
-            for output in self._outputs.values():
-                os.close(output)
+            for descriptor in (*self._outputs.values(), *self._deaths.values()):
+                os.close(descriptor)
             nowhere = os.open(os.devnull, os.O_RDONLY)
             for source, target in ((nowhere, 0), (printing, 1), (printing, 2)):
                 os.dup2(source, target)
@@ -464,11 +473,51 @@ class _Server:
             with contextlib.suppress(OSError):
                 kill(pid, signal.SIGKILL)
         code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        self._forget_death(pid)
+        self._end_orphans()
         self._collect(pid)
         with contextlib.suppress(KeyError):
             self._selector.unregister(self._outputs[pid])
         os.close(self._outputs.pop(pid))
         return {"code": code, "output": self._printed.pop(pid).decode("utf-8", "replace")}
+
+    def _bury(self, pid: int) -> None:
+        """End what a worker that died has left: its group, and what has left that, may hold its channel."""
+        with contextlib.suppress(OSError):
+            os.killpg(pid, signal.SIGKILL)
+        self._forget_death(pid)
+        self._end_orphans()
+
+    def _forget_death(self, pid: int) -> None:
+        if pid in self._deaths:
+            self._selector.unregister(self._deaths[pid])
+            os.close(self._deaths.pop(pid))
+
+    def _end_orphans(self) -> None:
+        """End what is left of workers that died: a living one keeps its own orphans."""
+        tried = set(self._outputs)
+        while orphans := _children() - tried:
+            tried |= orphans
+            for orphan in orphans:
+                with contextlib.suppress(OSError):
+                    os.kill(orphan, signal.SIGKILL)
+                    os.waitpid(orphan, 0)
+
+
+def _adopt_orphans() -> None:
+    """Become the parent of what descendants leave behind, in whatever session (Linux)."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def _children() -> set[int]:
+    """Return the children of this process of one thread, where the kernel tells them."""
+    try:
+        return set(map(int, Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()))
+    except OSError:
+        return set()
 
 
 def _die_with(server: int) -> None:

@@ -44,7 +44,7 @@ from ddpc_cosim.trace import Outcome
 from ddpc_cosim.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, lost, result_of, serve_calls
 
 _POLL_SECONDS = 0.1
-_REPLY_SECONDS = 60.0
+_REPLY_SECONDS = 5.0
 # Opening a plant, computing metrics and writing take no longer. Without a limit, a process that a dead worker
 # has forked could hold its channel open for ever.
 _BETWEEN_CALLS_SECONDS = 600.0

@@ -69,13 +69,25 @@ class TestTheServer:
 
 
 WORKER_SIDE = """
-import json, subprocess, sys
+import json, os, signal, subprocess, sys
 from ddpc_cosim.worker import reply
 
 def leave_a_process(channel):
     child = subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"])
     channel.send(str(child.pid).encode())
     channel.receive(1)
+
+def leave_a_copy(channel, in_own_session, dies):
+    child = os.fork()
+    if child == 0:
+        if in_own_session:
+            os.setsid()
+        channel.send(str(os.getpid()).encode())
+        signal.pause()
+    if dies:
+        channel.receive(1)
+        os._exit(3)
+    signal.pause()
 
 def tell_path(channel):
     reply(channel, lambda: [json.__file__, sys.path])
@@ -101,6 +113,29 @@ def test_what_a_worker_forks_ends_with_it(how: str, worker_side: Any, tmp_path: 
             worker.channel.receive(1)
     assert worker.end().code == (70 if how == "died" else -signal.SIGKILL)
     assert family.wait(60.0) == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the time limit tells")
+@pytest.mark.parametrize("dies", [True, False])
+@pytest.mark.parametrize("in_own_session", [True, False])
+def test_a_copy_that_holds_the_channel_open_ends_with_its_worker(
+    in_own_session: bool, dies: bool, worker_side: Any, tmp_path: Path
+) -> None:
+    """Its death is told at once: the channel ends, whoever else had it open."""
+    neighbour, worker = (
+        Worker(worker_side.leave_a_copy, in_own_session, whether, folder=tmp_path)
+        for whether in (False, dies)
+    )
+    other, copy = (Watch([int(one.channel.receive(20))]) for one in (neighbour, worker))
+    if dies:
+        worker.channel.send(b"")
+        with pytest.raises(EOFError):
+            worker.channel.receive(1, seconds=60.0)
+    assert worker.end().code == (3 if dies else -signal.SIGKILL)
+    assert copy.wait(60.0) == []
+    assert other.wait(0.0) == other.pids
+    neighbour.end()
+    assert other.wait(60.0) == []
 
 
 def test_nothing_beside_a_script_shadows_a_library(
