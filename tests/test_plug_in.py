@@ -76,7 +76,7 @@ def test_it_is_short(package: Path) -> None:
 
 
 def test_its_own_tests_pass(package: Path, scratch: Scratch) -> None:
-    assert "15 passed" in scratch.run("-m", "pytest", "-q", "-p", "no:cacheprovider", "tests", folder=package)
+    assert "18 passed" in scratch.run("-m", "pytest", "-q", "-p", "no:cacheprovider", "tests", folder=package)
 
 
 def test_it_is_listed_checked_and_run_by_name(package: Path, scratch: Scratch, tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ UNSTABLE = LinearPlant(np.array([[1.2, 0.1], [0.3, 1.1]]), np.array([[0.0], [0.5
 INNER = IPID(order=2, alpha=5.0, kp=4.0, kd=4.0, window=2)
 
 
-@pytest.mark.parametrize("outer", [MFAPC(lambda_u=1.0), MFAC(lambda_u=0.1)])
+@pytest.mark.parametrize("outer", [MFAPC(lambda_u=1.0), MFAC(lambda_u=0.1, step_factor=0.5)])
 def test_an_unstable_plant_follows_its_reference_without_offset(outer: Controller) -> None:
     def last_error(controller: Controller) -> float:
         loop, reference = make_loop(None, 50.0 * np.ones(1), FREE), np.full((420, 1), 1.0)

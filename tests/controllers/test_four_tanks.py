@@ -54,8 +54,9 @@ def errors(controller: DeePC, recorded: int, seed: int, steps: int) -> FloatArra
         off[k] = PLANT.c @ state - SETPOINT
         y = PLANT.c @ state + NOISE * rng.uniform(-1.0, 1.0, 2)
         answer = controller.step(Sample(k, 0.1 * k, y, y, reference, SETPOINT))
-        assert not isinstance(answer, Action), answer
-        state = PLANT.advance(state, answer)
+        assert isinstance(answer, Action)
+        assert answer.status == "ok"
+        state = PLANT.advance(state, answer.u)
     return off
 
 
@@ -96,6 +97,7 @@ def test_without_noise_the_equilibrium_leaves_no_error_at_all() -> None:
     for k in range(300):
         now = PLANT.c @ state
         answer = controller.step(Sample(k, 0.1 * k, now, now, np.tile(SETPOINT, (20, 1)), SETPOINT))
-        assert not isinstance(answer, Action)
-        state = PLANT.advance(state, answer)
+        assert isinstance(answer, Action)
+        assert answer.status == "ok"
+        state = PLANT.advance(state, answer.u)
     assert PLANT.c @ state == pytest.approx(SETPOINT, abs=1e-6)

@@ -210,8 +210,7 @@ LEAVING = """
 import os
 from dataclasses import dataclass
 import numpy as np
-from ddpc_cosim import Controller
-from ddpc_cosim.study import results as storage
+from ddpc_cosim import Controller, Trace
 
 class Odd(Exception):
     def __init__(self, one, two):
@@ -239,7 +238,7 @@ class Fills(Interrupts):
     def start(self, loop):
         def fail(*_):
             raise OSError(28, "No space left on device")
-        storage._write_signals = fail
+        Trace.write_csv = fail
     def step(self, sample):
         return np.ones(1)
 """

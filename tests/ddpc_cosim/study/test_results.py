@@ -13,7 +13,6 @@ from hypothesis.extra import numpy as arrays
 
 from ddpc_cosim import ConfigError, CosimError, DisplayUnit, Outcome, Trace, Variable, load_results
 from ddpc_cosim.controller import Bounds
-from ddpc_cosim.study import results as storage
 from ddpc_cosim.study.results import load_case, read_run, read_trace, write_case
 
 HEAD = {"id": "a_seed0_1", "controller": "a", "label": "A", "scenario": "nominal", "seed": 0}
@@ -164,7 +163,7 @@ def test_a_case_that_cannot_be_written_leaves_the_older_one(
     def fail(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("ddpc_cosim.study.results._write_signals", fail)
+    monkeypatch.setattr(Trace, "write_csv", fail)
     words = r"case: cannot be written: No space left on device; finished cases are kept"
     with pytest.raises(CosimError, match=words):
         write_case(tmp_path / "case", trace, HEAD)
@@ -176,13 +175,13 @@ def test_a_case_that_another_run_wrote_meanwhile_is_kept(
     tmp_path: Path, trace: Trace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two runs may work in one folder; what decides the result of a case is in its name."""
-    write_signals = storage._write_signals
+    write_csv = Trace.write_csv
 
-    def let_the_other_in(path: Path, written: Trace) -> None:
-        monkeypatch.setattr(storage, "_write_signals", write_signals)
+    def let_the_other_in(written: Trace, path: Path) -> None:
+        monkeypatch.setattr(Trace, "write_csv", write_csv)
         (tmp_path / "theirs").mkdir()
         write_case(tmp_path / "case", trace, HEAD | {"label": "theirs"}, tmp_path / "theirs")
-        write_signals(path, written)
+        write_csv(written, path)
         monkeypatch.setattr(Path, "replace", refuse_once)
 
     replace = Path.replace
@@ -195,7 +194,7 @@ def test_a_case_that_another_run_wrote_meanwhile_is_kept(
             raise OSError(errno.ENOTEMPTY, "Directory not empty")
         return replace(path, target)
 
-    monkeypatch.setattr(storage, "_write_signals", let_the_other_in)
+    monkeypatch.setattr(Trace, "write_csv", let_the_other_in)
     write_case(tmp_path / "case", trace, HEAD | {"label": "ours"}, tmp_path)
     assert load_case(tmp_path / "case").label == "theirs"
     assert len(read_trace(tmp_path / "case")) == 2
