@@ -333,7 +333,8 @@ def _signal(section: Any, own_unit: str) -> str:
     values = section.model_dump(exclude={"kind", "unit"}, exclude_none=True)
     if "file" in values:  # the folder is that of one machine
         values["file"] = Path(values["file"]).name
-    words = ", ".join(f"{key.replace('_', ' ')} {value_text(value)}" for key, value in values.items())
+    given = {key.replace("_", " "): value for key, value in values.items() if value != ""}
+    words = ", ".join(f"{key} {value_text(value)}" for key, value in given.items())
     kind = f"{section.kind}: " if hasattr(section, "kind") else ""
     unit = unit_symbol(section.unit) or section.unit
     own = f"{unit_symbol(own_unit)}, its own unit".removeprefix(", ")

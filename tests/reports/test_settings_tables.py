@@ -364,6 +364,12 @@ def test_every_kind_of_reference_is_named(results: StudyResults) -> None:
     assert all(f"'{kind}: " in told for kind in ("constant", "steps", "ramp", "sine", "file", "uniform"))
 
 
+def test_a_column_that_is_called_as_its_signal_has_no_empty_name(results: StudyResults) -> None:
+    reference = CONTENT["reference"] | {"file": {"kind": "file", "file": "wanted.csv"}}
+    told = text(with_study(results, CONTENT | {"reference": reference}))
+    assert "file: file wanted.csv, time column time, interpolation hold" in told
+
+
 def test_what_the_study_says_of_itself_is_in_the_page(
     make_results: MakeResults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
