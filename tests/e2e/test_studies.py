@@ -212,20 +212,22 @@ def test_predictive_methods_come_out_alike_at_every_noise(
     ahead, blind = (medians(results, scenario, rmse) for scenario in (noise, f"{noise}-no-preview"))
     alike = [ahead[name] for name in PREDICTIVE]
     assert max(alike) < apart * min(alike)
-    assert all(0.6 < ahead[name] / blind[name] < 0.8 for name in PREDICTIVE)
+    assert all(0.65 < ahead[name] / blind[name] < 0.78 for name in PREDICTIVE)
     best = min(blind.values())
-    assert max(blind[name] for name in (*PREDICTIVE, "wkpc")) < 1.1 * best
+    assert max(blind[name] for name in PREDICTIVE) < 1.1 * best
+    assert blind["wkpc"] < 1.03 * best
     assert all(1.1 * best < blind[name] < 1.5 * best for name in ("lqr", "ipid", "pid"))
     assert min(blind["mfapc"], blind["mfac"]) > 1.9 * best
 
 
 def test_noise_costs_travel_most_where_nothing_filters(results_of: Results) -> None:
     results = results_of("noise")
-    before, after = (medians(results, noise, travel) for noise in ("quiet", "loud"))
-    growth = {name: after[name] / before[name] for name in before}
-    assert all(3.8 < growth[name] < 5.5 for name in ("spc", "gamma-ddpc", "koopman-mpc"))
-    assert max(growth["mfapc"], growth["mfac"]) < 1.33
-    assert sorted(after, key=after.__getitem__)[:2] == ["mfac", "mfapc"]
+    for preview in ("", "-no-preview"):
+        before, after = (medians(results, f"{noise}{preview}", travel) for noise in ("quiet", "loud"))
+        growth = {name: after[name] / before[name] for name in before}
+        assert all(4.0 < growth[name] < 6.0 for name in ("spc", "gamma-ddpc", "koopman-mpc"))
+        assert max(growth["mfapc"], growth["mfac"]) < 1.33
+        assert sorted(after, key=after.__getitem__)[:2] == ["mfac", "mfapc"]
 
 
 def test_knowing_of_the_coupling_shows_in_how_far_the_other_level_moves(results_of: Results) -> None:
