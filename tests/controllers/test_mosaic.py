@@ -83,10 +83,9 @@ def trajectory(controller: Controller, recording: Recording) -> FloatArray:
     return close_loop(deepcopy(controller), loop, quick_pendulum, ANGLE, paper_reference(), STEPS).u
 
 
-@pytest.mark.parametrize("name", LEARNING)
+# What a sliding window replaces first is what was recorded first.
+@pytest.mark.parametrize("name", sorted(LEARNING.keys() - {"deepc-sliding"}))
 def test_the_order_of_recordings_does_not_matter(name: str) -> None:
-    if name == "deepc-sliding":
-        pytest.skip("what a sliding window replaces first is what was recorded first")
     one_way = trajectory(LEARNING[name], Recording.join([FIRST, SECOND]))
     assert trajectory(LEARNING[name], Recording.join([SECOND, FIRST])) == pytest.approx(one_way, abs=1e-9)
     assert not np.allclose(one_way, trajectory(LEARNING[name], FIRST), atol=1e-9)

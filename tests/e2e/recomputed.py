@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from functools import lru_cache
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -22,6 +23,7 @@ class Step(NamedTuple):
     settling: float
 
 
+@lru_cache(maxsize=1)
 def read_case(folder: Path) -> tuple[dict[str, Any], dict[str, list[float]]]:
     """Return run.json, and the numeric columns of signals.csv by header."""
     run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
@@ -46,8 +48,8 @@ def steps_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ste
             size = NAN
         tail = range(last - round((last - first) / 5), last)
         settled = abs(math.fsum(r[k] - y[k] for k in tail) / len(tail))
-        share = [(value - before) / size for value in y]
-        there = [k for k in range(max(first - preview, 0), last) if share[k] >= 0.9]
+        share = {k: (y[k] - before) / size for k in range(max(first - preview, 0), last)}
+        there = [k for k in share if share[k] >= 0.9]
         below = [k for k in range(max(first - preview, 0), there[0]) if share[k] <= 0.1] if there else []
         outside = [k for k in range(first, last) if abs(share[k] - 1) > 0.05]
         arrived = outside[-1] + 1 if outside else first
@@ -65,6 +67,7 @@ def steps_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ste
     return found
 
 
+@lru_cache(maxsize=1)
 def outputs_of(folder: Path, preview: int) -> dict[str, tuple[dict[str, Any], list[Step], list[float]]]:
     """Return each controlled output with its steps and its errors, all in its own unit."""
     run, columns = read_case(folder)
