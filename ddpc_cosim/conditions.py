@@ -13,7 +13,7 @@ The order of effects, at sample k:
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from numbers import Real
 
 import numpy as np
@@ -74,6 +74,14 @@ class Conditions:
     loss: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        given = {item.name: getattr(self, item.name) for item in fields(self)}
+        unnamed = [
+            f"{key}: needed: a mapping from names of signals, got {value!r}"
+            for key, value in given.items()
+            if not isinstance(value, Mapping)
+        ]
+        if unnamed:
+            raise ConfigError(unnamed)
         finite, least, most = "a finite number", math.ulp(0.0), math.nextafter(math.inf, 0.0)
         allowed = {
             "rate_limit": (least, most, f"{finite} > 0"),
@@ -84,14 +92,14 @@ class Conditions:
         faults = [
             f"{key} of {name} = {value!r} is not possible; allowed: {words}"
             for key, (low, high, words) in allowed.items()
-            for name, value in getattr(self, key).items()
+            for name, value in given[key].items()
             if not (isinstance(value, Real) and low <= float(value) <= high)
         ]
         faults += [
             f"{key} of {name}: needed: a signal of time, of a class derived from Reference, got {signal!r}"
             for key in ("disturbances", "inputs")
-            for name, given in getattr(self, key).items()
-            for signal in _parts(given)
+            for name, signals in given[key].items()
+            for signal in _parts(signals)
             if not isinstance(signal, Reference)
         ]
         if faults:

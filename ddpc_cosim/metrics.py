@@ -211,7 +211,7 @@ def _fault(plugin: Plugin) -> str:
     if not re.fullmatch(r"[A-Za-z0-9_-]+", plugin.name):
         return "a name may have letters, digits, _ and - only"
     if not isinstance(metric, Metric):
-        return f"a {type(metric).__name__} is not a ddpc_cosim.Metric"
+        return f"needed: a ddpc_cosim.Metric, got an object of class {type(metric).__name__}"
     if f"{getattr(metric.of, '__module__', '')}.{getattr(metric.of, '__name__', '')}" != _TRACE:
         return f"it is of {metric.of!r}; needed: ddpc_cosim.Trace"
     if metric.better not in ("low", "high", ""):

@@ -405,6 +405,15 @@ def test_conditions_that_do_not_fit_the_loop_are_refused(conditions: Any, messag
         run(Conditions(**conditions))
 
 
+def test_conditions_are_given_by_name() -> None:
+    with pytest.raises(ConfigError) as error:
+        Conditions(delay=None, inputs="load")  # type: ignore[arg-type]
+    assert error.value.faults == (
+        "inputs: needed: a mapping from names of signals, got 'load'",
+        "delay: needed: a mapping from names of signals, got None",
+    )
+
+
 def test_all_impossible_values_are_told_at_once() -> None:
     with pytest.raises(ConfigError) as error:
         Conditions(

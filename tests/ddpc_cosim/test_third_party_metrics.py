@@ -158,7 +158,7 @@ def test_those_that_fail_cost_their_values_and_are_told(site: Path, run: Run) ->
 
 
 WRONG = {
-    "plain": ("no_metric", "a function is not a ddpc_cosim.Metric"),
+    "plain": ("no_metric", "needed: a ddpc_cosim.Metric, got an object of class function"),
     "output": ("of_an_output", "it is of <class 'float'>; needed: ddpc_cosim.Trace"),
     "unitless": ("without_unit", "unit = 'difference'; needed: a unit such as"),
     "lost": ("missing", "AttributeError"),
