@@ -210,7 +210,7 @@ def maximum_length_sequence(taps: Sequence[int], start: int, length: int) -> NDA
 class Multisine(_Ranged):
     """Sum of sines of equal amplitude, at the harmonics of the experiment's length within a range.
 
-    Of several inputs each gets every so-manieth harmonic, so that they excite no frequency together (D. E.
+    Of m inputs each gets every m-th harmonic, so that they excite no frequency together (D. E.
     Rivera, H. Lee, H. D. Mittelmann, M. W. Braun, J. Process Control 19(4), 2009,
     doi:10.1016/j.jprocont.2008.08.003). The signal is scaled to reach a limit. Schroeder's phases,
     ``-pi k (k - 1) / F`` for the k-th of F sines, keep its peaks low (M. R. Schroeder, IEEE Trans.

@@ -58,11 +58,11 @@ Announce = Callable[[str, str, float], None]
 and when it has returned, with empty names."""
 
 
-def _announce_to_nobody(who: str, call: str, time: float) -> None:
+def _announce_to_no_one(who: str, call: str, time: float) -> None:
     """Do nothing."""
 
 
-_announce: Announce = _announce_to_nobody
+_announce: Announce = _announce_to_no_one
 
 
 def announce_calls(announce: Announce) -> None:

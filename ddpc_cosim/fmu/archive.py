@@ -26,8 +26,7 @@ _DAMAGED = (
     lzma.LZMAError,
     struct.error,
     EOFError,
-    NotImplementedError,
-    RuntimeError,
+    RuntimeError,  # a compression that zipfile does not know is one too
     ValueError,
     OverflowError,
     MemoryError,

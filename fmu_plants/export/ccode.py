@@ -5,12 +5,10 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files as package_files
 from math import inf
-from typing import Any
 
 import sympy
 from sympy.codegen.rewriting import create_expand_pow_optimization
 from sympy.printing.c import C99CodePrinter
-from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from fmu_plants.equations import Partial, SymbolicModel
 from fmu_plants.export.description import Scalar, scalars
@@ -39,7 +37,7 @@ class _CPrinter(C99CodePrinter):  # type: ignore[misc]  # SymPy has no types
 
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
         # SymPy has C's abs for integers, which is a function of int.
-        super().__init__({"strict": True, "math_macros": {}, "user_functions": {"Abs": "fabs"}})
+        super().__init__({"human": False, "math_macros": {}, "user_functions": {"Abs": "fabs"}})
         self._names = names
 
     def c_text(self, expression: sympy.Expr) -> str:
@@ -50,17 +48,13 @@ class _CPrinter(C99CodePrinter):  # type: ignore[misc]  # SymPy has no types
         _UnavailableError
             It needs a function that C does not have, or not on every platform.
         """
-        text: str = self.doprint(_expand_powers(expression))
-        for name in _CALL.findall(text):
-            if name not in callable_functions():
-                raise _UnavailableError(name)
-        return text
-
-    def _print(self, expr: sympy.Basic, **options: Any) -> str:
-        try:
-            text: str = super()._print(expr, **options)
-        except PrintMethodNotImplementedError as error:
-            raise _UnavailableError(type(expr).__name__) from error
+        text: str
+        _, unsupported, text = self.doprint(_expand_powers(expression))
+        missing = {type(part).__name__ for part in unsupported} or {
+            *_CALL.findall(text)
+        } - callable_functions()
+        if missing:
+            raise _UnavailableError(min(missing))
         return text
 
     def _print_Symbol(self, expr: sympy.Symbol) -> str:  # noqa: N802 (names are SymPy's)

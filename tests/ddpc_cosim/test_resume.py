@@ -421,11 +421,15 @@ def test_a_stabilising_controller_that_never_returns_is_an_error(
     )
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a shell's")
+CLOSE_STDOUT = "import os, subprocess, sys; os.close(1); sys.exit(subprocess.call(sys.argv[1:]))"
+
+
 def test_a_closed_stdout_costs_no_run(write_study: WriteStudy, tmp_path: Path, program: str) -> None:
     write_study("mfapc")
-    command = f"'{program}' run study.toml --jobs 1 --no-report --out out >&-"
-    done = subprocess.run(command, shell=True, cwd=tmp_path, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", CLOSE_STDOUT, program, "run", "study.toml", "--jobs", "1", "--no-report"]
+    done = subprocess.run(
+        [*command, "--out", "out"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
     assert [case.outcome for case in load_results(tmp_path / "out").cases] == ["completed"]
 

@@ -18,6 +18,7 @@ One triangular solution, one product and one factorisation give its optimum.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -203,7 +204,7 @@ class Relaxation:
         return law
 
 
-class _BoundedLaw:
+class _BoundedLaw(ABC):
     """What the laws share: how the unconstrained optimum is admitted, corrected or refused."""
 
     given_up: tuple[str, ...] = ()
@@ -226,6 +227,7 @@ class _BoundedLaw:
             return StepInfo(ends_told, (ends, predicted, unit))
         return self._easier.info(ends, predicted, unit)
 
+    @abstractmethod
     def solve(self, parameters: FloatArray) -> Move:
         """Return the optimal move, or the documented fallback with its reason.
 
@@ -234,7 +236,6 @@ class _BoundedLaw:
         parameters : array, shape (parameters,)
             The parameter vector p; its last entry is 1.
         """
-        raise NotImplementedError
 
     def _take(self, bounds: int, conflict_law: FloatArray) -> None:
         """Take the number of bounds, and what must vanish, of new matrices."""
