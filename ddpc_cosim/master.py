@@ -339,6 +339,7 @@ class _Rows:
         store: RowStore | None = None,
     ) -> None:
         self.time, self.reference = time[:rows], reference
+        self.horizon, self._sees_all = horizon, loop.preview >= horizon
         self._ahead = np.minimum(np.arange(1, horizon + 1), loop.preview)
         self.start, self.sampling_time, self.bounds = float(time[0]), loop.sampling_time, loop.bounds
         columns = len(loop.outputs), len(loop.measurements), len(loop.inputs)
@@ -362,6 +363,8 @@ class _Rows:
 
     def future(self, k: int) -> FloatArray:
         """Return the references after sample k, shape (horizon, p), as far as they may be seen."""
+        if self._sees_all:
+            return self.reference[k + 1 : k + 1 + self.horizon]
         visible: FloatArray = self.reference[k + self._ahead]
         visible.setflags(write=False)
         return visible

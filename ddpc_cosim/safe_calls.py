@@ -7,8 +7,9 @@ contract lets them raise themselves pass unchanged.
 import math
 import reprlib
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 from time import perf_counter
 from types import MappingProxyType
@@ -73,40 +74,40 @@ def announce_calls(announce: Announce) -> None:
 
 def make_plant(make: Callable[[], Plant]) -> Plant:
     """Make a plant, which may raise any CosimError itself."""
-    with _plant_errors(getattr(make, "__name__", repr(make)) + "()", own=CosimError):
+    with _PlantCall(getattr(make, "__name__", repr(make)) + "()", own=CosimError):
         return make()
 
 
 def close_plant(plant: Plant) -> None:
     """Close a plant."""
-    with _plant_errors(f"{type(plant).__name__}.close"):
+    with _PlantCall(f"{type(plant).__name__}.close"):
         plant.close()
 
 
 def reset_plant(plant: Plant, parameters: Mapping[str, ParameterValue] | None, t0: float) -> FloatArray:
     """Reset a plant, which may raise any CosimError itself, and return its outputs, shape (p,)."""
-    with _plant_errors(f"{type(plant).__name__}.reset", t0, own=CosimError):
+    with _PlantCall(f"{type(plant).__name__}.reset", t0, own=CosimError):
         y = np.asarray(plant.reset(parameters, t0))
     return _outputs(plant, "reset", y, t0)
 
 
 def step_plant(plant: Plant, u: FloatArray, h: float, time: float) -> FloatArray:
     """Step a plant by h [s] from ``time`` [s] on and return its outputs, shape (p,)."""
-    with _plant_errors(f"{type(plant).__name__}.step", time):
+    with _PlantCall(f"{type(plant).__name__}.step", time):
         y = np.asarray(plant.step(u, h))
     return _outputs(plant, "step", y, time + h)
 
 
 def set_plant_parameters(plant: Plant, parameters: Mapping[str, ParameterValue], time: float) -> None:
     """Change tunable parameters at ``time`` [s]; a plant that refuses them raises ConfigError."""
-    with _plant_errors(f"{type(plant).__name__}.set_parameters", time, own=(ConfigError, FMUStepError)):
+    with _PlantCall(f"{type(plant).__name__}.set_parameters", time, own=(ConfigError, FMUStepError)):
         plant.set_parameters(parameters)
 
 
 def plant_provenance(plant: Plant) -> dict[str, str]:
     """Return the identifiers of a plant; a failure to tell them does not prevent the run."""
     try:
-        with _plant_errors("provenance", own=_ANY_FAULT):
+        with _PlantCall("provenance", own=_ANY_FAULT):
             return {str(name): str(value) for name, value in plant.provenance().items()}
     except _ANY_FAULT as error:
         return {"class": type(plant).__qualname__, "provenance": _raised(error)}
@@ -121,7 +122,7 @@ def require_finite(y_plant: FloatArray, plant: Plant) -> None:
 
 def make_controller(make: Callable[[], Controller], name: str) -> Controller:
     """Make a controller, which may raise any CosimError itself."""
-    with _controller_errors(name, "constructor", own=CosimError):
+    with _ControllerCall(name, "constructor", own=CosimError):
         return make()
 
 
@@ -182,20 +183,20 @@ def _serve(calls: "SimpleQueue[Callable[[], Any] | None]", answers: "SimpleQueue
 
 def learns_from_recording(controller: Controller) -> bool:
     """Return whether a controller uses a recording."""
-    with _controller_errors(controller, "uses_recording"):
+    with _ControllerCall(controller, "uses_recording"):
         return bool(controller.uses_recording)
 
 
 def recording_length(controller: Controller, inputs: int, outputs: int, measurements: int) -> int:
     """Return the fewest samples of a recording that a controller can start with, for so many signals."""
-    with _controller_errors(controller, "recording_length"):
+    with _ControllerCall(controller, "recording_length"):
         return int(controller.recording_length(inputs, outputs, measurements))
 
 
 def start_controller(controller: Controller, loop: Loop) -> None:
     """Start a controller, which may raise any CosimError itself, and whose horizon has to stay."""
     horizon = horizon_of(controller)
-    with _controller_errors(controller, "start", own=CosimError):
+    with _ControllerCall(controller, "start", own=CosimError):
         controller.start(loop)
     if horizon_of(controller) != horizon:
         who = f"{type(controller).__name__}.start"
@@ -204,7 +205,7 @@ def start_controller(controller: Controller, loop: Loop) -> None:
 
 def horizon_of(controller: Controller) -> int:
     """Return how many future references a controller wants, an integer >= 0."""
-    with _controller_errors(controller, "horizon", own=CosimError):
+    with _ControllerCall(controller, "horizon", own=CosimError):
         horizon = controller.horizon
     if not isinstance(horizon, int | np.integer) or isinstance(horizon, bool) or horizon < 0:
         what = f"{type(controller).__name__}.horizon = {horizon!r}"
@@ -214,14 +215,14 @@ def horizon_of(controller: Controller) -> int:
 
 def does_accept_missing(controller: Controller) -> bool:
     """Return whether a controller answers missing measurements itself."""
-    with _controller_errors(controller, "accepts_missing"):
+    with _ControllerCall(controller, "accepts_missing"):
         return bool(controller.accepts_missing)
 
 
 def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decision:
     """Let a controller decide on its inputs, shape (inputs,), which have to be finite."""
     status, info = OK, dict[str, float]()
-    with _controller_errors(controller, "step", own=ControllerError):
+    with _ControllerCall(controller, "step", own=ControllerError):
         started = perf_counter()
         answer = controller.step(sample)
         seconds = perf_counter() - started
@@ -254,70 +255,91 @@ def clip_inputs(decision: Decision, bounds: Bounds) -> Decision:
     """Return a decision within the bounds; one that was beyond them is a fallback, and its status says so."""
     u = decision.u
     held = np.minimum(np.maximum(u, bounds.u_min), bounds.u_max)
-    if not np.array_equal(held, u):
+    if (held != u).any():
         limits = np.abs(np.stack((bounds.u_min, bounds.u_max)))
         largest = np.where(np.isfinite(limits), limits, 0.0).max(axis=0)
         if (np.abs(u - held) > _ROUNDING * largest).any():
             decision = decision.with_status(CLIPPED)
-    return decision._replace(u=held)
+    return Decision(held, decision.status, decision.seconds, decision.info)
 
 
 def controller_settings(controller: Controller) -> dict[str, Any]:
     """Return the settings of a controller."""
-    with _controller_errors(controller, "settings"):
+    with _ControllerCall(controller, "settings"):
         return dict(controller.settings())
 
 
 def controller_knowledge(controller: Controller, loop: Loop) -> dict[str, str]:
     """Return what a controller says it goes by, in words."""
-    with _controller_errors(controller, "knowledge"):
+    with _ControllerCall(controller, "knowledge"):
         return {_storable(name): _storable(text) for name, text in controller.knowledge(loop).items()}
 
 
 def controller_diagnostics(controller: Controller) -> dict[str, float]:
     """Return what a controller says about its data or model, in numbers."""
-    with _controller_errors(controller, "diagnostics"):
+    with _ControllerCall(controller, "diagnostics"):
         return {str(name): float(value) for name, value in controller.diagnostics().items()}
 
 
 def controller_warnings(controller: Controller) -> tuple[str, ...]:
     """Return what a controller says against its data or model."""
-    with _controller_errors(controller, "warnings"):
-        # As of a status: a text that no file can hold must not cost the run.
-        return tuple(str(text).encode("utf-8", "replace").decode() for text in controller.warnings())
+    with _ControllerCall(controller, "warnings"):
+        return tuple(map(_storable, controller.warnings()))
 
 
 _Own = type[BaseException] | tuple[type[BaseException], ...]
 
 
-@contextmanager
-def _plant_errors(call: str, time: float = math.nan, own: _Own = FMUStepError) -> Iterator[None]:
-    """Raise an FMUStepError for anything that a plant raises, except its ``own`` errors."""
-    _announce("plant", call.rpartition(".")[2], time)
-    try:
-        yield
-    except own:
-        raise
-    except _ANY_FAULT as error:
-        when = "" if math.isnan(time) else f" at t = {time:g} s"
-        raise FMUStepError(f"{call} {_raised(error)}{when}", StepStatus.CRASHED, time) from error
-    finally:
+class _Call(ABC):
+    """A call that is announced; what it raises, except its ``own`` errors, becomes one of this project.
+
+    A class and not a generator: a step of the loop makes two.
+    """
+
+    __slots__ = ("_name", "_own", "_time", "_who")
+
+    def __init__(self, who: str, name: str, time: float, own: _Own) -> None:
+        self._who, self._name, self._time, self._own = who, name, time, own
+
+    def __enter__(self) -> None:
+        _announce(self._who, self._name, self._time)
+
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         _announce("", "", math.nan)
+        if isinstance(error, _ANY_FAULT) and not isinstance(error, self._own):
+            raise self._fault(error) from error
+
+    @abstractmethod
+    def _fault(self, error: BaseException) -> CosimError:
+        """Return the error that stands for what the call raised."""
 
 
-@contextmanager
-def _controller_errors(controller: Controller | str, call: str, own: _Own = ()) -> Iterator[None]:
-    """Raise a ControllerError for anything that a controller raises, except its ``own`` errors."""
-    _announce("controller", call, math.nan)
-    try:
-        yield
-    except own:
-        raise
-    except _ANY_FAULT as error:
-        name = controller if isinstance(controller, str) else type(controller).__name__
-        raise ControllerError(f"{name}.{call} {_raised(error)}") from error
-    finally:
-        _announce("", "", math.nan)
+class _PlantCall(_Call):
+    """A call of a plant, by the words of its error; it fails with an FMUStepError."""
+
+    __slots__ = ("_words",)
+
+    def __init__(self, words: str, time: float = math.nan, own: _Own = FMUStepError) -> None:
+        super().__init__("plant", words.rpartition(".")[2], time, own)
+        self._words = words
+
+    def _fault(self, error: BaseException) -> CosimError:
+        when = "" if math.isnan(self._time) else f" at t = {self._time:g} s"
+        return FMUStepError(f"{self._words} {_raised(error)}{when}", StepStatus.CRASHED, self._time)
+
+
+class _ControllerCall(_Call):
+    """A call of a controller; it fails with a ControllerError."""
+
+    __slots__ = ("_controller",)
+
+    def __init__(self, controller: Controller | str, name: str, own: _Own = ()) -> None:
+        super().__init__("controller", name, math.nan, own)
+        self._controller = controller
+
+    def _fault(self, error: BaseException) -> CosimError:
+        whose = self._controller if isinstance(self._controller, str) else type(self._controller).__name__
+        return ControllerError(f"{whose}.{self._name} {_raised(error)}")
 
 
 def _outputs(plant: Plant, call: str, y: NDArray[Any], time: float) -> FloatArray:

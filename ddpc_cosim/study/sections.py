@@ -8,12 +8,12 @@ from pydantic import BeforeValidator, Field
 
 from ddpc_cosim.csv_files import TIME_TOLERANCE
 from ddpc_cosim.loop_setup import end_time, limits_error, whole_steps
-from ddpc_cosim.signals import Ramp
 from ddpc_cosim.study.signal_sections import (
     DisturbanceSection,
     ExcitationSection,
     Finite,
     InputSection,
+    LinearSection,
     NotNegative,
     Positive,
     ReferenceSection,
@@ -195,18 +195,10 @@ class EventSection(Section):
     parameters: dict[str, Value]
 
 
-class DriftSection(Section):
+class DriftSection(LinearSection):
     """A tunable parameter that moves linearly from one value to another, in steps of one sample."""
 
     parameter: str
-    from_value: Finite
-    to_value: Finite
-    from_time: Finite
-    to_time: Finite
-
-    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
-        """Yield what is wrong with the order of the instants."""
-        yield from faults_of(Ramp, self.from_value, self.to_value, self.from_time, self.to_time)
 
 
 def _as_list(tables: Any) -> Any:

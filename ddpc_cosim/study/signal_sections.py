@@ -29,6 +29,19 @@ def faults_of(rule: Callable[..., object], *arguments: object) -> Iterator[tuple
         yield from (("", fault) for fault in error.faults)
 
 
+class LinearSection(Section):
+    """A value that moves linearly between two instants."""
+
+    from_value: Finite
+    to_value: Finite
+    from_time: Finite
+    to_time: Finite
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong with the order of the instants."""
+        yield from faults_of(Ramp, self.from_value, self.to_value, self.from_time, self.to_time)
+
+
 class _Signal(Section):
     unit: str = Field("", description="unit of the values here; empty: the variable's own")
 
@@ -60,18 +73,10 @@ class StepsReference(_Signal):
         return Steps(tuple(self.times), tuple(float(convert(value)) for value in self.values))
 
 
-class RampReference(_Signal):
+class RampReference(_Signal, LinearSection):
     """Linear between two instants."""
 
     kind: Literal["ramp"]
-    from_value: Finite
-    to_value: Finite
-    from_time: Finite
-    to_time: Finite
-
-    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
-        """Yield what is wrong with the order of the instants."""
-        yield from faults_of(Ramp, self.from_value, self.to_value, self.from_time, self.to_time)
 
     def build(self, variable: Variable, convert: Any) -> Reference:
         """Return the signal in the variable's own unit."""
