@@ -42,6 +42,8 @@ class FMUPlant(Plant):
     display_units : mapping of str to str, optional
         Units to show inputs and outputs in, by name: one that the FMU defines, or a usual one (``"deg"`` for
         ``"rad"``, ``"degC"`` for ``"K"``, ``"bar"`` for ``"Pa"``, ...); default: as the FMU says.
+    start : mapping of str to float, optional
+        Values of inputs at the start and at rest, driven or not; default: the FMU's own.
     isolated : bool
         Whether the FMU lives in a process of its own: then a crash, or a call that never returns, ends the
         run and not the caller.
@@ -82,6 +84,7 @@ class FMUPlant(Plant):
         outputs: Sequence[str] | None = None,
         fmi_type: FMIType = "auto",
         display_units: Mapping[str, str] | None = None,
+        start: Mapping[str, float] | None = None,
         isolated: bool = False,
         step_timeout: float = 60.0,
         tolerance: float | None = None,
@@ -102,6 +105,7 @@ class FMUPlant(Plant):
                 inputs=inputs,
                 outputs=outputs,
                 fmi_type=fmi_type,
+                start=start,
                 tolerance=tolerance,
                 limits=UnpackLimits(max_unpacked_size, max_files),
             )

@@ -7,7 +7,7 @@ Call order: ``reset`` once per run, then ``step`` with ``set_parameters``, ``sav
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from weakref import WeakValueDictionary
 
@@ -67,6 +67,8 @@ class UnpackedFMU:
         What is wrong with the FMU but does not keep it from running.
     tolerance : float or None
         Relative tolerance of the integration; None: the FMU's own.
+    start : mapping of str to float
+        Start values of inputs, driven or not, in place of the FMU's own.
     """
 
     label: str
@@ -77,6 +79,7 @@ class UnpackedFMU:
     origin: Origin
     warnings: tuple[str, ...]
     tolerance: float | None
+    start: Mapping[str, float] = field(default_factory=dict)
 
     def substeps(self, sampling_time: float) -> int:
         """Return how many communication steps make a sample [s].
@@ -96,6 +99,7 @@ def unpack_fmu(
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
     fmi_type: FMIType = "auto",
+    start: Mapping[str, float] | None = None,
     tolerance: float | None = None,
     limits: UnpackLimits | None = None,
 ) -> UnpackedFMU:
@@ -114,6 +118,8 @@ def unpack_fmu(
     interface = choose_interface(description, fmi_type, label)
     library, library_warnings = find_library(folder, description, interface, label)
     driven, read = choose_signals(description, label, inputs, outputs)
+    start = start or {}
+    StartValues(description, label, start, ())  # so that an impossible one is told now, and not at a reset
     tool = f"the FMU needs the tool that made it: {description.generation_tool}"
     origin = Origin(
         folder=folder,
@@ -127,8 +133,21 @@ def unpack_fmu(
         (*description.warnings, *library_warnings, *([tool] if interface.needs_execution_tool else []))
     )
     return UnpackedFMU(
-        label, description, interface, tuple(driven), tuple(read), origin, tuple(warnings), tolerance
+        label,
+        description,
+        interface,
+        tuple(_starting_at(start, signal) for signal in driven),
+        read,
+        origin,
+        tuple(warnings),
+        tolerance,
+        start,
     )
+
+
+def _starting_at(start: Mapping[str, float], signal: Signal) -> Signal:
+    variable = signal.variable
+    return replace(signal, variable=replace(variable, start=start.get(variable.name, variable.start)))
 
 
 class FMUSession:
@@ -157,7 +176,8 @@ class FMUSession:
         wants.
         """
         fmu = self.fmu
-        values = StartValues(fmu.description, fmu.label, parameters, fmu.inputs)
+        driven = [signal for signal in fmu.inputs if signal.variable.name not in fmu.start]
+        values = StartValues(fmu.description, fmu.label, {**fmu.start, **parameters}, driven)
         self.close()
         self._time = t0
         instance = self._instantiate()

@@ -49,8 +49,10 @@ class PlantVariables:
     default_outputs: tuple[str, ...] = ()
     display_units: Mapping[str, tuple[DisplayUnit, ...]] = field(default_factory=dict)
 
-    def shown(self, display_units: Mapping[str, str], nominal: Mapping[str, float]) -> Self:
-        """Return the variables with a study's display units and nominal values.
+    def shown(
+        self, display_units: Mapping[str, str], nominal: Mapping[str, float], start: Mapping[str, float]
+    ) -> Self:
+        """Return the variables with a study's display units, nominal values and start values of inputs.
 
         Raises
         ------
@@ -63,7 +65,7 @@ class PlantVariables:
         )
         return replace(
             self,
-            inputs={v.name: v for v in _with_nominal(inputs, nominal)},
+            inputs={v.name: v for v in _with_start(_with_nominal(inputs, nominal), start)},
             outputs={v.name: v for v in _with_nominal(outputs, nominal)},
         )
 
@@ -86,6 +88,8 @@ class PlantSpec:
         Units to show variables in.
     nominal : mapping of str to float
         Nominal values in place of the plant's own.
+    start : mapping of str to float
+        Values that inputs start from and rest at, in place of the plant's own.
     content : str
         What decides the behaviour: SHA-256 of the FMU, or the Python class with a hash of its source; empty
         until :meth:`built`.
@@ -97,6 +101,7 @@ class PlantSpec:
     fmi_type: FMIType = "auto"
     display_units: Mapping[str, str] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
+    start: Mapping[str, float] = field(default_factory=dict)
     content: str = ""
 
     @classmethod
@@ -123,6 +128,7 @@ class PlantSpec:
             fmi_type=section.fmi_type,
             display_units=section.display_units,
             nominal=section.nominal,
+            start=section.start,
         )
         plugin = None if spec.fmu else spec._plugin()
         if plugin is not None and not (_is_model(plugin) or _is_plant_class(plugin)):
@@ -187,17 +193,18 @@ class PlantSpec:
             warnings.warn(f"{Path(self.fmu).name}: {text}", CosimWarning, stacklevel=3)
 
     def _shown(self) -> str:
-        """Return what the study says of display units and nominal values, which decide metrics too."""
+        """Return what the study says of units, nominal and start values, which decide metrics too."""
         units = [f" {name}[{unit}]" for name, unit in sorted(self.display_units.items())]
         nominal = [f" {name}~{value!r}" for name, value in sorted(self.nominal.items())]
-        return "".join(units + nominal)
+        start = [f" {name}={value!r}" for name, value in sorted(self.start.items())]
+        return "".join(units + nominal + start)
 
     def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
         """Open the plant with the chosen inputs and outputs."""
         if self.fmu:
             plant = self._open_fmu(inputs, outputs)
         else:
-            plant = PythonPlant(self._plugin(), inputs)
+            plant = PythonPlant(self._plugin(), inputs, self.start)
             plant.inputs = with_display_units(plant.inputs, self.display_units, {})
             plant.outputs = with_display_units(plant.outputs, self.display_units, {})
         plant.inputs = _with_nominal(plant.inputs, self.nominal)
@@ -216,11 +223,16 @@ class PlantSpec:
                 outputs=list(outputs),
                 fmi_type=self.fmi_type,
                 display_units=units,
+                start=self.start,
             )
 
 
 def _with_nominal(variables: Iterable[Variable], nominal: Mapping[str, float]) -> tuple[Variable, ...]:
     return tuple(replace(v, nominal=nominal.get(v.name, v.nominal)) for v in variables)
+
+
+def _with_start(variables: Iterable[Variable], start: Mapping[str, float]) -> tuple[Variable, ...]:
+    return tuple(replace(v, start=start.get(v.name, v.start)) for v in variables)
 
 
 def _build(model: Any) -> Path:
@@ -304,6 +316,8 @@ class PythonPlant(Plant):
         Makes the plant.
     inputs : sequence of str
         Names of the inputs to drive, in this order.
+    start : mapping of str to float, optional
+        Start values of inputs in place of the plant's own.
 
     Raises
     ------
@@ -311,9 +325,11 @@ class PythonPlant(Plant):
         The plant cannot be made, and why.
     """
 
-    def __init__(self, make: Callable[[], Plant], inputs: Sequence[str]) -> None:
+    def __init__(
+        self, make: Callable[[], Plant], inputs: Sequence[str], start: Mapping[str, float] | None = None
+    ) -> None:
         self._plant = make_plant(make)
-        every = tuple(self._plant.inputs)
+        every = _with_start(self._plant.inputs, start or {})
         self._driven = [names(every).index(name) for name in inputs]
         self._u = np.array([variable.start for variable in every], dtype=np.float64)
         self.inputs = tuple(every[index] for index in self._driven)

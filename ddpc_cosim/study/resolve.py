@@ -248,10 +248,11 @@ class _Resolution:
         for key in ("display_units", "nominal"):
             errors.require_known((*_PLANT, key), "input or output", getattr(section, key), known)
         try:
-            self.variables = self.variables.shown(section.display_units, section.nominal)
+            self.variables = self.variables.shown(section.display_units, section.nominal, section.start)
         except ConfigError as error:
             for fault in error.faults:
                 errors.add((*_PLANT, "display_units"), fault)
+        check_parameters(errors, (*_PLANT, "start"), "input", section.start, self.variables.inputs)
         parameters = self.variables.parameters
         check_parameters(errors, (*_PLANT, "parameters"), "parameter", section.parameters, parameters)
         for controller in self.controllers if not self.plant.is_fmu else ():

@@ -78,6 +78,10 @@ class PlantSection(Section):
         [], description="what the controller may measure; empty: the controlled outputs"
     )
     parameters: dict[str, Value] = Field({}, description="parameters that differ from the plant's defaults")
+    start: dict[str, Finite] = Field(
+        {},
+        description="values that inputs start from and rest at, in their units; empty: the plant's own",
+    )
     display_units: dict[str, str] = Field(
         {}, description="units to show variables in; empty: those of the plant's description"
     )

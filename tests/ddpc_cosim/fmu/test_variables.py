@@ -8,7 +8,7 @@ import fmpy.fmi2
 import fmpy.fmi3
 import numpy as np
 import pytest
-from fmus.builder import LAG, V, describe, model_fmu, model_library, write_fmu
+from fmus.builder import CO_SIMULATION, GAINED, LAG, V, describe, model_fmu, model_library, write_fmu
 
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.description import FMUDescription
@@ -174,6 +174,20 @@ def test_start_values_and_parameters_take_effect(tmp_path: Path, version: str, k
     x, _ = session.step(np.array([1.0]), 0.5)
     assert x == pytest.approx(1 - 0.5 * np.exp(-1.0), abs=1e-7)
     session.close()
+
+
+@pytest.mark.parametrize("driven", [True, False])
+def test_inputs_start_where_they_are_told(tmp_path: Path, driven: bool) -> None:
+    """speed = gain u count on, with gain = 1, count = 2 and on = 1: already before the first step."""
+    text = describe("2.0", "integrator", GAINED, interfaces=CO_SIMULATION)
+    path = write_fmu(tmp_path / "gained.fmu", text, model_library("2.0"))
+    inputs = ["u"] if driven else []
+    with FMUPlant(path, inputs=inputs, outputs=["speed"], start={"u": 3.0}) as plant:
+        assert [v.start for v in plant.inputs] == [3.0] * len(inputs)
+        assert plant.reset({"gain": 2.0}) == [12.0]
+    with pytest.raises(ConfigError, match=r'"v"; did you mean "u"|u = 11 is outside \[-10, 10\]') as caught:
+        FMUPlant(path, start={"v": 3.0, "u": 11.0})
+    assert len(caught.value.faults) == 2
 
 
 @pytest.mark.parametrize(

@@ -161,6 +161,13 @@ def test_inputs_are_driven_in_the_order_of_the_study() -> None:
     assert plant.step(np.array([1000.0, 2000.0]), 0.5) == [2000.0 + 20.0 + 3000.0]
 
 
+def test_inputs_rest_where_the_study_says() -> None:
+    plant = PythonPlant(Adder, ["c"], {"a": 5.0, "c": 7.0})
+    plant.reset()
+    assert plant.inputs[0].start == 7.0
+    assert plant.step(np.array([0.0]), 0.5) == [5.0 + 20.0]
+
+
 def test_faults_bear_the_name_of_the_plant_and_its_time() -> None:
     plant = PythonPlant(Adder, ["a"])
     plant.reset(t0=3.0)
@@ -217,9 +224,21 @@ def test_those_that_a_study_gives_take_their_place(tmp_path: Path) -> None:
     assert case.inputs[0].nominal == 1.5
 
 
-def test_they_decide_the_result(tmp_path: Path) -> None:
-    ids = {case_of(tmp_path, plant).id for plant in ("", "nominal = { pump_1 = 2.0 }", "nominal = {}")}
+@pytest.mark.parametrize("key", ["nominal", "start"])
+def test_they_decide_the_result(key: str, tmp_path: Path) -> None:
+    ids = {case_of(tmp_path, plant).id for plant in ("", f"{key} = {{ pump_1 = 2.0 }}", f"{key} = {{}}")}
     assert len(ids) == 2
+
+
+def test_a_study_says_where_inputs_start(tmp_path: Path) -> None:
+    case = case_of(tmp_path, "start = { pump_1 = 1.5 }")
+    assert case.inputs[0].start == 1.5
+    assert case.plant.open(["pump_1"], ["level_1"]).inputs[0].start == 1.5
+    with pytest.raises(ConfigError) as caught:
+        case_of(tmp_path, "start = { pmp_1 = 1.0, pump_2 = -9.0 }")
+    unknown, outside = caught.value.faults
+    assert 'no input "pmp_1"; did you mean "pump_1"' in unknown
+    assert "plant.start.pump_2: -9 is outside [0, " in outside
 
 
 def test_impossible_ones_are_faults(tmp_path: Path) -> None:
