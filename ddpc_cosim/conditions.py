@@ -31,6 +31,8 @@ HELD = "a measurement is missing, its last value stands in"
 
 # Which stream of a seed serves whom, from 3 on: lower ones are those of loop_setup.
 _DISTURBANCES, _SIGNALS, _EXPERIMENT_SIGNALS, _LOSSES = 3, 4, 5, 6
+# By how much a delay may miss a whole number of samples, in parts of it.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,7 @@ class Conditions:
             f"{key} of {name}: needed: a signal of time, of a class derived from Reference, got {signal!r}"
             for key in ("disturbances", "inputs")
             for name, signals in given[key].items()
-            for signal in _parts(signals)
+            for signal in (_parts(signals) if key == "disturbances" else (signals,))
             if not isinstance(signal, Reference)
         ]
         if faults:
@@ -146,10 +148,10 @@ def changed_inputs(conditions: Conditions, inputs: Sequence[Variable]) -> tuple[
 def delay_error(delay: float, sampling_time: float, steps: float = math.inf, run: str = "run") -> str:
     """Return why a delay [s] is not possible in a run of so many sampling intervals; empty if it is."""
     late = delay / sampling_time
-    if late >= steps:
+    if late > steps * (1.0 - _ROUNDING):
         length = f"the {run} ends after {steps * sampling_time:g} s"
         return f"{delay:g} s is too long: {length}; choose a shorter delay"
-    if abs(round(late) - late) > 1e-9 * max(late, 1.0):
+    if abs(round(late) - late) > _ROUNDING * max(late, 1.0):
         nearest = " or ".join(f"{whole * sampling_time:g}" for whole in (math.floor(late), math.ceil(late)))
         return f"{delay:g} s is not a whole number of samples of {sampling_time:g} s; nearest: {nearest} s"
     return ""
@@ -325,7 +327,7 @@ class _Delay:
 
 
 def _parts(signal: Disturbance) -> Sequence[Reference]:
-    return signal if isinstance(signal, Sequence) else (signal,)
+    return signal if isinstance(signal, Sequence) and not isinstance(signal, str) else (signal,)
 
 
 def _disturbances(

@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
+from functools import lru_cache
 from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
@@ -29,6 +30,7 @@ _DELIMITERS = ";\t,"
 # A header with a unit; brackets that touch the name and hold numbers are an array's index.
 _UNIT = re.compile(r"(?P<name>.*\S)(?:\s+|(?!\[[\d,\s]*\]))\[(?P<unit>[^\[\]]*)\]", re.DOTALL)
 _TIME = Variable("time", unit="s")
+_TIME_HINT = " (time_column says which column the time is)"
 _INSTANTS = 1e-6  # what rounding leaves of a time, in parts of the sampling time
 
 
@@ -108,8 +110,15 @@ class CSVFile:
             count = f"{len(row)} cells, and {len(self.header)} columns in the header"
             self.faults.append(f"{self.path}, line {line}: {count}{hint}")
 
-    def find(self, header: str) -> tuple[int, str]:
+    def find(self, header: str, hint: str = "") -> tuple[int, str]:
         """Return the index of a column and its unit, empty if the header has none.
+
+        Parameters
+        ----------
+        header : str
+            Its name, with or without the unit.
+        hint : str
+            What else to do where there is no such column.
 
         Raises
         ------
@@ -123,7 +132,7 @@ class CSVFile:
             raise DataError(f'{self.path}: column "{header}" is there more than once: {names}')
         if not found:
             known = filter(None, (split_unit(name)[0] for name in self.header))
-            raise DataError(f'{self.path}: no column "{header}"; {did_you_mean(header, known)}')
+            raise DataError(f'{self.path}: no column "{header}"; {did_you_mean(header, known)}{hint}')
         return found[0], split_unit(self.header[found[0]])[1]
 
     def cells(self, index: int) -> list[str]:
@@ -172,21 +181,13 @@ def read_table(
     DataError
         All that is wrong with the file, with line and column.
     """
-    with suppress(OSError, ValueError):  # which reading it reports
-        if (size := path.stat().st_size) > _LARGEST:
-            raise DataError(
-                f"{path}: {size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
-                "columns and rows that are needed"
-            )
-    file = CSVFile(path)
+    file = _parsed(path)
     faults = list[str]()
     if not file.rows and not file.faults:
         faults.append(f"{path}: a header and no rows; needed: one row per sample")
     time, values = np.full(len(file.rows), np.nan), np.full((len(file.rows), len(columns)), np.nan)
     found = dict(_found(file, columns, faults))
-    timed = dict(_found(file, [Column(_TIME, time_column)] if time_column else [], faults)).get(0)
-    if time_column and timed is None and ": no column" in faults[-1]:
-        faults[-1] += " (time_column says which column the time is)"
+    timed = dict(_found(file, [Column(_TIME, time_column)] if time_column else [], faults, _TIME_HINT)).get(0)
     faults += file.faults
     dates = _dates(file, timed[0], faults) if timed else None
     numeric = [index for index, _ in found.values()] + ([timed[0]] if timed and dates is None else [])
@@ -229,13 +230,36 @@ def _text(path: Path) -> str:
         ) from error
 
 
+def _parsed(path: Path) -> CSVFile:
+    """Return the cells of a file; those of the last one are kept, as a study asks for column after column."""
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        return CSVFile(path)  # which reports it
+    if status.st_size > _LARGEST:
+        raise DataError(
+            f"{path}: {status.st_size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
+            "columns and rows that are needed"
+        )
+    return _last_parsed(path, status.st_size, status.st_mtime_ns)
+
+
+@lru_cache(maxsize=1)
+def _last_parsed(path: Path, size: int, changed: int) -> CSVFile:
+    return CSVFile(path)
+
+
+forget_cells = _last_parsed.cache_clear
+"""Forget the cells of the file that was read last."""
+
+
 def _found(
-    file: CSVFile, columns: Sequence[Column], faults: list[str]
+    file: CSVFile, columns: Sequence[Column], faults: list[str], hint: str = ""
 ) -> Iterator[tuple[int, tuple[int, Callable[[FloatArray], FloatArray]]]]:
     """Yield the number of each column that is there, its index in the file, and how its values convert."""
     for i, (variable, header, unit, difference) in enumerate(columns):
         try:
-            index, own = file.find(header)
+            index, own = file.find(header, hint)
             if own and unit and own != unit:
                 raise DataError(
                     f'{file.path}, column "{file.header[index]}": unit = "{unit}" contradicts its header'

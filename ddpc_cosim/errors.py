@@ -42,7 +42,7 @@ class DataError(_FaultsError):
 
 
 class DivergenceError(DataError):
-    """The plant returned a value that is not finite during the open-loop experiment."""
+    """The plant returned a value that is not finite during the experiment."""
 
 
 class ControllerError(CosimError):

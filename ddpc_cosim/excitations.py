@@ -84,8 +84,8 @@ class _Ranged(Excitation):
             faults.append(f"samples = {self.samples} is not possible; allowed: an integer >= 1")
         if not isinstance(self.seed, Integral) or not 0 <= self.seed < 2**32:
             faults.append(f"seed = {self.seed} is not possible; allowed: an integer from 0 to 2**32 - 1")
-        if not np.all(np.isfinite(self.low)) or not np.all(np.isfinite(self.high)):
-            faults.append(f"low ({self.low}) and high ({self.high}) must be finite")
+        if not all(_are_finite(value) for value in (self.low, self.high)):
+            faults.append(f"low ({self.low}) and high ({self.high}) must be finite numbers")
         elif np.ndim(self.low) == np.ndim(self.high) == 1 and np.shape(self.low) != np.shape(self.high):
             faults.append(f"low ({self.low}) and high ({self.high}) need the same length")
         elif not np.all(np.asarray(self.low) < np.asarray(self.high)):
@@ -386,6 +386,13 @@ class MixedExcitation(Excitation):
         order = np.argsort([i for _, part in self.parts for i in part])
         mixed: FloatArray = drawn[:, order]
         return mixed
+
+
+def _are_finite(values: object) -> bool:
+    try:
+        return bool(np.isfinite(values).all())  # type: ignore[call-overload]
+    except (TypeError, ValueError):  # a text, or lists of different lengths
+        return False
 
 
 def _sampling_faults(sampling_time: float) -> Iterator[str]:

@@ -5,6 +5,7 @@ At every sample the plant is measured, the controller decides, the row is writte
 inputs until the next sample. The experiment that records data is the same loop with an exciting controller.
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -65,8 +66,8 @@ OUTCOME_OF = {
     StepStatus.TERMINATED: Outcome.TERMINATED,
 }
 
-# A sample time can lie a rounding error before the instant it stands for; in sampling times.
-_EARLY = 1e-6
+EARLY = 1e-6
+"""How far a sample time can lie before the instant it stands for, in sampling times."""
 
 
 def cosimulate(
@@ -161,7 +162,8 @@ def cosimulate(
         raise ConfigError(
             "continue_recording needs an excitation: the experiment whose end the loop starts from"
         )
-    if learns_from_recording(controller) and excitation is None and recording is None:
+    learns = learns_from_recording(controller)
+    if learns and excitation is None and recording is None:
         raise DataError(
             f"{type(controller).__name__} learns from a recording; give an excitation or a recording"
         )
@@ -182,7 +184,7 @@ def cosimulate(
     knowledge = controller_knowledge(controller, loop)
     time = start_time + np.arange(steps + 1 + loop.preview, dtype=np.float64) * sampling_time
     table = setup.references(reference, time)
-    warnings = recording_warnings(loop, table) if controller.uses_recording else ()
+    warnings = recording_warnings(loop, table) if learns else ()
     warnings += controller_warnings(controller)
     rows = _Rows(setup, loop, time, table, steps + 1, horizon, store)
     accepts_missing = conditions is None or not conditions.loss or does_accept_missing(controller)
@@ -207,7 +209,7 @@ def cosimulate(
         reason=reason,
         settings=settings,
         diagnostics=diagnostics,
-        recorded_samples=len(recording) if recording is not None and controller.uses_recording else 0,
+        recorded_samples=len(recording) if recording is not None and learns else 0,
         knowledge=knowledge,
         provenance=provenance,
         warnings=warnings,
@@ -408,11 +410,11 @@ def _run(
 ) -> FloatArray:
     """Run sample by sample and return the plant's last outputs: those of the last row, or after it."""
     plant, h, last = setup.plant, setup.sampling_time, len(rows.time) - 1
-    pending = sorted(events, key=lambda event: event.time)
+    pending = deque(sorted(events, key=lambda event: event.time))
     require_finite(y_plant, plant)
     for k, time in enumerate(rows.time):
-        while pending and pending[0].time <= time + _EARLY * h:
-            set_plant_parameters(plant, pending.pop(0).parameters, time)
+        while pending and pending[0].time <= time + EARLY * h:
+            set_plant_parameters(plant, pending.popleft().parameters, time)
         applied = _write_row(setup, controller, rows, k, y_plant)
         if k < last or hold_last:
             y_plant = step_plant(plant, applied, h, time)

@@ -9,7 +9,6 @@ import reprlib
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from queue import Empty, SimpleQueue
 from time import perf_counter
 from types import MappingProxyType
@@ -29,6 +28,7 @@ CLIPPED = "input beyond its bounds, clipped"
 # A plug-in can fail in any way, exit() included; an interrupt is the user's.
 _ANY_FAULT = (Exception, SystemExit)
 _REAL_KINDS = "fiub"
+_REAL_NUMBERS = (float, int, np.number, np.bool_)
 _LONGEST_INFO_NAME = 100
 # An input may exceed its bounds by a rounding error, relative to the largest finite bound.
 _ROUNDING = 1e-9
@@ -238,17 +238,22 @@ def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decis
 
 def _info_value(controller: Controller, name: Any, value: Any) -> float:
     """Return a value of ``Action.info`` as it is recorded: a finite number, or NaN for none."""
-    said = f"{type(controller).__name__}.step: info[{reprlib.repr(name)}]"
     if not (isinstance(name, str) and name.isprintable() and 0 < len(name) <= _LONGEST_INFO_NAME):
-        raise ControllerError(f"{said} needs another name: 1 to {_LONGEST_INFO_NAME} printable characters")
-    if isinstance(value, float | int | np.number | np.bool_) and not isinstance(value, np.complexfloating):
-        with suppress(OverflowError):
+        needed = f"needs another name: 1 to {_LONGEST_INFO_NAME} printable characters"
+        raise ControllerError(f"{_info_words(controller, name)} {needed}")
+    if isinstance(value, _REAL_NUMBERS) and not isinstance(value, np.complexfloating):
+        try:
             number = float(value)
-            if not math.isinf(number):
-                return number
-    raise ControllerError(
-        f"{said} = {reprlib.repr(value)} is not a number; allowed: finite ones, NaN for none"
-    )
+        except OverflowError:
+            number = math.inf
+        if not math.isinf(number):
+            return number
+    what = f"{_info_words(controller, name)} = {reprlib.repr(value)}"
+    raise ControllerError(f"{what} is not a number; allowed: finite ones, NaN for none")
+
+
+def _info_words(controller: Controller, name: Any) -> str:
+    return f"{type(controller).__name__}.step: info[{reprlib.repr(name)}]"
 
 
 def clip_inputs(decision: Decision, bounds: Bounds) -> Decision:

@@ -17,7 +17,7 @@ from ddpc_cosim.conditions import Conditions, changed_inputs
 from ddpc_cosim.controller import Bounds, Controller, Recording
 from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImportError, FMUStepError
 from ddpc_cosim.excitations import Excitation
-from ddpc_cosim.master import OUTCOME_OF, cosimulate
+from ddpc_cosim.master import EARLY, OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, types_in
@@ -168,8 +168,12 @@ def cases_of(
         more = f" and {len(cases) - _MOST_LISTED} more" if len(cases) > _MOST_LISTED else ""
         raise ConfigError(f"--only {only}: no case matches; there are {listed}{more}")
     by_controller = {case.controller: case for case in chosen}
+    recording = _hash_of_recording(resolved.recording) if resolved.recording else None
     contents = {name: _code_and_files(case) for name, case in by_controller.items()}
-    return [replace(case, id=_identifier(case, contents[case.controller])) for case in chosen]
+    return [
+        replace(case, id=_identifier(case, {**contents[case.controller], "recording": recording}))
+        for case in chosen
+    ]
 
 
 def _code_and_files(case: Case) -> dict[str, Any]:
@@ -179,7 +183,6 @@ def _code_and_files(case: Case) -> dict[str, Any]:
     return {
         "code": [code_version(kind) for kind in types_in(sections)],
         "files": [[hash_of_file(path) for path in paths if path != PLANT] for paths in files],
-        "recording": case.recording and _hash_of_recording(case.recording),
     }
 
 
@@ -347,7 +350,7 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
                     parameters={**study.plant.parameters, **scenario.parameters},
                     noise=dict(scenario.noise),
                     events=events[name],
-                    preview=_preview(scenario, study.loop),
+                    preview=study.loop.preview_of(scenario),
                     step_timeout=study.loop.step_timeout,
                     conditions=resolved.conditions[name],
                     undriven=resolved.undriven[name],
@@ -360,19 +363,13 @@ def _type_and_settings(section: ControllerSection | StabiliserSection) -> dict[s
     return {"type": section.type, "settings": section.settings}
 
 
-def _preview(scenario: ScenarioSection, loop: LoopSection) -> int | None:
-    preview = loop.preview if scenario.preview is None else scenario.preview
-    return None if preview == "horizon" else preview
-
-
 def _events(scenario: ScenarioSection, loop: LoopSection) -> tuple[ParameterChange, ...]:
     """Return the parameter changes of a scenario; a drift is a change at every sample."""
     changes = [ParameterChange(event.time, dict(event.parameters)) for event in scenario.events]
     time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
-    early = 1e-6 * loop.sampling_time
+    early = EARLY * loop.sampling_time
     for drift in scenario.drifts:
         path = Ramp(drift.from_value, drift.to_value, drift.from_time, drift.to_time)
-        # A sample time can lie a rounding error off the instant it stands for.
         moving = (time > drift.from_time - early) & (time < drift.to_time + loop.sampling_time - early)
         changes += [
             ParameterChange(float(t), {drift.parameter: float(value)})

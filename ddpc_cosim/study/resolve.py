@@ -8,6 +8,7 @@ from typing import Any
 
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
+from ddpc_cosim.csv_files import forget_cells
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import limits_error
@@ -98,8 +99,11 @@ def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStu
     resolved : ResolvedStudy or None
         None if there are errors.
     """
-    with CallsInTime(time_limit(study)) as in_time:
-        return _Resolution(study, folder, errors, in_time).result()
+    try:
+        with CallsInTime(time_limit(study)) as in_time:
+            return _Resolution(study, folder, errors, in_time).result()
+    finally:
+        forget_cells()
 
 
 def _dotted_names(settings: Mapping[str, Any], before: str = "") -> Iterator[str]:
@@ -168,11 +172,9 @@ class _Resolution:
 
     def _metrics(self) -> MetricSettings:
         cost, loop = self.study.metrics.cost, self.study.loop
-        limits = [
-            loop.preview if one.preview is None else one.preview for one in self.study.scenarios.values()
-        ]
         largest = max((one.horizon for one in self.controllers), default=0)
-        preview = max(largest if limit == "horizon" else min(limit, largest) for limit in limits)
+        limits = map(loop.preview_of, self.study.scenarios.values())
+        preview = max(largest if limit is None else min(limit, largest) for limit in limits)
         return MetricSettings(preview, cost.model_dump() if cost else {}, installed_versions())
 
     def _written_out(self) -> Study:

@@ -126,8 +126,10 @@ def run_study(
     progress.start(len(missing), len(cases) - len(missing))
     for case in run_cases(missing, cases_folder, selection.jobs, progress.update) if missing else ():
         progress.finished(case, load_case(cases_folder / case.id))
+    new = {case.id for case in missing}
     for case in cases:
-        judge_again(cases_folder / case.id, case.metrics)
+        if case.id not in new:
+            judge_again(cases_folder / case.id, case.metrics)
     study = resolved.study.model_copy(update={"seeds": selection.seeds or resolved.study.seeds})
     results = load_cases(folder, study, [case.id for case in cases])
     provenance = _provenance(results, plant, selection, study, resolved.metrics.preview)
@@ -204,7 +206,7 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
                     case = waiting.popleft()
                     if case.late:
                         trace = no_samples(case, Outcome.TIMED_OUT, f"before the first sample: {case.late}")
-                        write_case(folder / case.id, trace, case.head(), staging)
+                        write_case(folder / case.id, trace, case.head(), staging, case.metrics)
                         yield case
                         continue
                     reused = None if case.plant.isolated or not idle else idle.pop()

@@ -8,7 +8,7 @@ from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import late_error
 from ddpc_cosim.study.sections import DriftSection, EventSection, ScenarioSection
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters, check_value
-from ddpc_cosim.study.signal_sections import RampReference, StepsReference
+from ddpc_cosim.study.signal_sections import RampReference, StepsSection
 from ddpc_cosim.study.validation_errors import Section, independent
 from ddpc_cosim.variables import Variable
 
@@ -92,7 +92,7 @@ class Scenarios:
     @independent
     def _check_in_run(self, place: Place, change: Section, key: str) -> None:
         """Report a change that would never act on the plant; the scenario would not be what it says."""
-        late = late_error(getattr(change, key), self.study.loop.start_time + self.study.loop.duration)
+        late = late_error(getattr(change, key), self.study.loop.end)
         if late:
             self.errors.add((*place, key), late, ("loop", "start_time"))
 
@@ -135,7 +135,7 @@ class Scenarios:
         if recording is not None and scenario.recording is not None:
             recording = scenario.recording.of(recording)
         if not fault and recording is not None and recording.samples is not None:
-            fault = delay_error(delay, loop.sampling_time, recording.samples, "experiment")
+            fault = delay_error(delay, loop.sampling_time, recording.samples - 1, "experiment")
         if fault:
             self.errors.add(place, fault)
 
@@ -143,10 +143,10 @@ class Scenarios:
     def _check_disturbance(self, place: Place, section: Section) -> None:
         """Report steps and ramps that begin when the run is over."""
         loop = self.study.loop
-        begins = {"times": section.times} if isinstance(section, StepsReference) else {}
+        begins = {"times": section.times} if isinstance(section, StepsSection) else {}
         begins |= {"from_time": [section.from_time]} if isinstance(section, RampReference) else {}
         for key, times in begins.items():
-            for late in filter(None, (late_error(t, loop.start_time + loop.duration) for t in times)):
+            for late in filter(None, (late_error(t, loop.end) for t in times)):
                 self.errors.add((*place, key), late, ("loop", "start_time"))
 
     def undriven(self, name: str) -> tuple[Variable, ...]:

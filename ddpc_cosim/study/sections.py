@@ -122,16 +122,25 @@ class LoopSection(Section):
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield why the run is not made of samples."""
-        yield from faults_of(self._end)
+        yield from faults_of(self._check)
 
-    def _end(self) -> float:
-        steps = whole_steps(self.duration, self.sampling_time)
-        return end_time(self.start_time, steps, self.sampling_time)
+    def _check(self) -> None:
+        end_time(self.start_time, whole_steps(self.duration, self.sampling_time), self.sampling_time)
 
     @property
     def steps(self) -> int:
         """Number of sampling intervals."""
         return round(self.duration / self.sampling_time)
+
+    @property
+    def end(self) -> float:
+        """Time of the last sample [s]."""
+        return self.start_time + self.steps * self.sampling_time
+
+    def preview_of(self, scenario: "ScenarioSection") -> int | None:
+        """Return how many future references anyone may see in a scenario; None: as many as are asked for."""
+        preview = self.preview if scenario.preview is None else scenario.preview
+        return None if preview == "horizon" else preview
 
 
 class BoundsSection(Section):

@@ -57,20 +57,30 @@ class ConstantReference(_Signal):
         return Constant(float(convert(self.value)))
 
 
-class StepsReference(_Signal):
+class StepsSection(_Signal):
     """Piecewise constant."""
 
     kind: Literal["steps"]
-    times: Annotated[list[Finite], Field(min_length=1)]
+    times: Annotated[list[Finite], Field(min_length=1)] = Field(
+        description="instants [s]; those of an excitation count from the start of the experiment"
+    )
     values: Annotated[list[Finite], Field(min_length=1)]
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield how times and values do not fit."""
         yield from faults_of(Steps, self.times, self.values)
 
+    def steps(self, convert: Any) -> Reference:
+        """Return the signal with converted values."""
+        return Steps(tuple(self.times), tuple(float(convert(value)) for value in self.values))
+
+
+class StepsReference(StepsSection):
+    """Piecewise constant, over the time of the run."""
+
     def build(self, variable: Variable, convert: Any) -> Reference:
         """Return the signal in the variable's own unit."""
-        return Steps(tuple(self.times), tuple(float(convert(value)) for value in self.values))
+        return self.steps(convert)
 
 
 class RampReference(_Signal, LinearSection):
@@ -312,20 +322,12 @@ class _SignalExcitation(_Signal):
         """Return the input over the time of the experiment, which begins at 0."""
 
 
-class StepsExcitation(_SignalExcitation):
-    """Piecewise constant."""
-
-    kind: Literal["steps"]
-    times: Annotated[list[Finite], Field(min_length=1)] = Field(description="times in the experiment [s]")
-    values: Annotated[list[Finite], Field(min_length=1)]
-
-    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
-        """Yield how times and values do not fit."""
-        yield from faults_of(Steps, self.times, self.values)
+class StepsExcitation(StepsSection, _SignalExcitation):
+    """Piecewise constant, over the time of the experiment."""
 
     def signal(self, variable: Variable, convert: Any, experiment: Experiment) -> Reference:
         """Return the input over the time of the experiment, which begins at 0."""
-        return Steps(tuple(self.times), tuple(float(convert(value)) for value in self.values))
+        return self.steps(convert)
 
 
 class RecordedExcitation(_SignalExcitation):

@@ -280,7 +280,7 @@ def stabilises_the_reference_plant(subject: ControllerUnderTest) -> None:
 
 
 def stabilises_it_without_preview(subject: ControllerUnderTest) -> None:
-    """Require the same where a study tells nobody the future: every reference ahead is the setpoint."""
+    """Require the same where a study shows no future references: all of them are the setpoint."""
     plant, controller = subject.plant(), subject.make_controller()
     controller.start(plant.loop_for(controller, 0, preview=0))
     _require_approach(subject, plant, controller)

@@ -412,6 +412,13 @@ def test_conditions_are_given_by_name() -> None:
         "inputs: needed: a mapping from names of signals, got 'load'",
         "delay: needed: a mapping from names of signals, got None",
     )
+    with pytest.raises(ConfigError) as error:
+        Conditions(disturbances={"a": "abc"}, inputs={"ambient": [Constant(1.0)]})  # type: ignore[dict-item]
+    needed = "needed: a signal of time, of a class derived from Reference"
+    assert error.value.faults == (
+        f"disturbances of a: {needed}, got 'abc'",
+        f"inputs of ambient: {needed}, got [Constant(value=1.0)]",
+    )
 
 
 def test_all_impossible_values_are_told_at_once() -> None:

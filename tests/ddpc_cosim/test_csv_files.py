@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from ddpc_cosim import ConfigError, DataError, DisplayUnit, Interpolated, Steps, Variable
+from ddpc_cosim import ConfigError, DataError, DisplayUnit, Interpolated, Steps, Variable, csv_files
 from ddpc_cosim.csv_files import Column, read_table, split_unit, write_table
 from ddpc_cosim.study.reading import read_study
 
@@ -227,6 +227,19 @@ loop = {{ sampling_time = 0.1, duration = 1.0 }}
 reference.angle = {{ kind = "file", {} }}
 controllers.mfapc.type = "mfapc"
 """
+
+
+def test_a_file_is_parsed_once_for_all_its_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed = []
+    text_of = csv_files._text
+    monkeypatch.setattr(csv_files, "_text", lambda path: parsed.append(path) or text_of(path))
+    path = tmp_path / "data.csv"
+    for content, last in (("time,a,b\n0,1,2\n1,3,4\n", 4.0), ("time,a,b\n0,1,2\n1,3,40\n", 40.0)):
+        path.write_text(content, encoding="utf-8")
+        for header in ("a", "b"):
+            _, values = read_table(path, [Column(None, header)], "time")
+        assert values[-1] == last
+    assert parsed == [path, path]
 
 
 def test_a_reference_from_a_file(tmp_path: Path) -> None:

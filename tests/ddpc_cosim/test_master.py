@@ -160,13 +160,16 @@ def test_what_a_controller_goes_by_is_kept(learns: bool) -> None:
     class Telling(Scripted):
         @property
         def uses_recording(self) -> bool:
+            asked.append(learns)
             return learns
 
         def knowledge(self, loop: Loop) -> Mapping[str, str]:
             assert loop is self.loop
             return {"measures": loop.outputs[0].name, "plant": "a \ud800 of it"}
 
+    asked: list[bool] = []
     trace = close_loop(Integrators(), Telling(), excitation=UniformRandom((-1.0,), (1.0,), 7))
+    assert asked == [learns]
     assert trace.knowledge == {"measures": "x0", "plant": "a ? of it"}
     assert trace.recorded_samples == (7 if learns else 0)
     assert close_loop(Integrators(), Scripted()).knowledge == {}

@@ -16,7 +16,7 @@ from fmus.builder import Fault
 from ddpc_cosim import ConfigError, CosimError, load_results
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.results import CaseResult, StudyResults
+from ddpc_cosim.study.results import CaseResult, StudyResults, read_run
 from ddpc_cosim.study.runner import Selection, Update, run_study
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -401,6 +401,8 @@ def test_one_that_never_returns_when_the_study_is_read_costs_its_cases_and_no_ot
             "study was read; raise loop.step_timeout if it needs longer"
         )
     assert cases["hangswhenitismade-gain-3"].settings == {"gain": 3.0}
+    judged = [read_run(case.folder)["metric_settings"] for case in results]
+    assert judged == judged[-1:] * len(judged)
 
 
 def test_a_stabilising_controller_that_never_returns_is_an_error(

@@ -241,13 +241,19 @@ def test_a_fault_is_told_with_its_key(tmp_path: Path, scenario: str, fault: str)
 
 
 def test_a_delay_leaves_something_to_record(tmp_path: Path) -> None:
-    (fault,) = faults_of(tmp_path, "delay = { pump_1 = 50.0 }", **{"samples = 60": "samples = 9"})
-    assert fault == "delay.pump_1: 50 s is too long: the experiment ends after 45 s; choose a shorter delay"
+    """Of 9 samples 5 s apart the last is at 40 s: what is late by as much is not in the recording."""
+    for delay in (50, 40):
+        (fault,) = faults_of(tmp_path, f"delay = {{ pump_1 = {delay}.0 }}", **{"samples = 60": "samples = 9"})
+        assert fault == (
+            f"delay.pump_1: {delay} s is too long: the experiment ends after 40 s; choose a shorter delay"
+        )
+    text = TANK.replace("samples = 60", "samples = 9")
+    assert read_study(study_file(tmp_path, f"{text}[scenarios.x]\ndelay = {{ pump_1 = 35.0 }}"))
 
 
 def test_a_delay_leaves_something_to_record_in_the_scenario_s_own_experiment(tmp_path: Path) -> None:
     (fault,) = faults_of(tmp_path, "recording.samples = 9\ndelay = { pump_1 = 50.0 }")
-    assert fault == "delay.pump_1: 50 s is too long: the experiment ends after 45 s; choose a shorter delay"
+    assert fault == "delay.pump_1: 50 s is too long: the experiment ends after 40 s; choose a shorter delay"
 
 
 def test_all_faults_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
