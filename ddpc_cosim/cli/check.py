@@ -25,6 +25,7 @@ from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
 from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
+from ddpc_cosim.texts import printable
 from ddpc_cosim.worker import LONGEST_REPLY, Ending, UnexpectedError, Worker, ask, result_of, serve_calls
 from fmu_plants.spelling import did_you_mean
 
@@ -238,13 +239,15 @@ def _print(title: str, results: list[CheckResult]) -> None:
     console = Console()
     if not console.is_terminal:
         for result in results:
-            click.echo(f"{result.status}\t{result.name}\t{result.reason}".rstrip())
+            click.echo(f"{result.status}\t{result.name}\t{printable(result.reason)}".rstrip())
         return
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table = Table(
+        title=Text(printable(title)), title_justify="left", title_style="bold", box=None, pad_edge=False
+    )
     table.add_column("check", no_wrap=True)
     table.add_column("result", no_wrap=True)
     table.add_column("why", overflow="fold")
     for result in results:
         status = Text(result.status.value, _STYLE[result.status])
-        table.add_row(result.name, status, Text(result.reason))
+        table.add_row(result.name, status, Text(printable(result.reason)))
     console.print(table)

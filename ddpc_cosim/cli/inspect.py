@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 
 import click
 from rich.box import SIMPLE_HEAD
@@ -15,6 +16,7 @@ from rich.text import Text
 from ddpc_cosim.fmu.description import FMUDescription, FMUVariable, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Severity
 from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu
+from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import Variable
 
 _MOST_ROWS = 20
@@ -39,7 +41,7 @@ def inspect_command(path: Path, *, as_json: bool, strict: bool, every: bool) -> 
     """Print what an FMU is; return 1 if a defect prevents it from running here."""
     inspection = inspect_fmu(path, strict=strict)
     if as_json:
-        click.echo(json.dumps(as_data(inspection), indent=2, ensure_ascii=False, allow_nan=False))
+        click.echo(json.dumps(as_data(inspection), indent=2, allow_nan=False))
     elif (console := Console()).is_terminal:
         _print_tables(console, inspection, every=every)
     else:
@@ -53,15 +55,16 @@ def _print_tables(console: Console, inspection: Inspection, *, every: bool) -> N
     facts.add_column(style="bold", no_wrap=True)
     facts.add_column(overflow="fold")
     for name, value in _facts(inspection):
-        facts.add_row(name, Text(value))
+        facts.add_row(name, Text(printable(value)))
     console.print(facts, "")
     for section in _sections(inspection):
         if section.rows:
             console.print(_table(section, every=every))
     for defect in inspection.defects:
-        console.print(Text.assemble((f"{defect.severity}: ", _STYLE[defect.severity]), str(defect)))
+        severity = (f"{defect.severity}: ", _STYLE[defect.severity])
+        console.print(Text.assemble(severity, printable(str(defect))))
     if inspection.can_run:
-        console.print(Text(f"\n{_next_step(inspection)}"))
+        console.print("", Text(_next_step(inspection)), sep="\n")
 
 
 def _table(section: _Section, *, every: bool) -> Table:
@@ -78,7 +81,7 @@ def _table(section: _Section, *, every: bool) -> Table:
         table.add_column(section.headings[i], overflow="fold", justify="left")
     shown = section.rows if every else section.rows[:_MOST_ROWS]
     for row in shown:
-        table.add_row(*(Text(row[i]) for i in used))
+        table.add_row(*(Text(printable(row[i])) for i in used))
     hidden = len(section.rows) - len(shown)
     if hidden:
         table.caption, table.caption_justify = f"and {hidden} more; --all shows them", "left"
@@ -88,7 +91,7 @@ def _table(section: _Section, *, every: bool) -> Table:
 def _plain_lines(inspection: Inspection) -> Iterator[str]:
     """Yield one line per fact, variable and defect, with tabs between the columns: for grep and cut."""
     for name, value in _facts(inspection):
-        yield f"{name}\t{value}"
+        yield _line(name, value)
     for section in _sections(inspection):
         for row in section.rows:
             cells = (
@@ -96,7 +99,7 @@ def _plain_lines(inspection: Inspection) -> Iterator[str]:
                 for h, cell in zip(section.headings, row, strict=True)
                 if cell
             )
-            yield "\t".join((section.singular, *cells))
+            yield _line(section.singular, *cells)
     for defect in inspection.defects:
         yield from _defect_lines(defect)
     if inspection.can_run:
@@ -106,11 +109,16 @@ def _plain_lines(inspection: Inspection) -> Iterator[str]:
 def _defect_lines(defect: Defect) -> Iterator[str]:
     remedy = f" ({defect.kind.remedy})" if defect.kind.remedy else ""
     for place in defect.places or ("",):
-        yield f"{defect.severity}\t{defect.kind.name}\t{defect.kind.message}{remedy}\t{place}".rstrip()
+        yield _line(defect.severity, defect.kind.name, defect.kind.message + remedy, place).rstrip()
+
+
+def _line(*cells: str) -> str:
+    return "\t".join(printable(cell) for cell in cells)
 
 
 def _next_step(inspection: Inspection) -> str:
-    return f"suggested study: ddpc-cosim init {inspection.path} && ddpc-cosim run study.toml"
+    path = quote(printable(str(inspection.path)))
+    return f"suggested study: ddpc-cosim init {path} && ddpc-cosim run study.toml"
 
 
 def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:

@@ -10,6 +10,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import TextIOWrapper
 from pathlib import Path
 from types import FrameType
 
@@ -17,6 +18,7 @@ import click
 
 FAILED, MISUSED, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 _LISTED = ("plants", "controllers", "studies", "metrics")
+_LONGEST_ERROR = 20_000
 _GOES_ON = "finished cases are kept; the same command goes on from there"
 
 
@@ -52,9 +54,12 @@ def _end(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt if number == signal.SIGINT else Terminated
 
 
-def _printable(text: str) -> str:
-    """Return a text in which control characters, which a file may bring to a terminal, are written out."""
-    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+def _complain(error: str) -> None:
+    """Print an error; its further lines, which may be anyone's, cannot be taken for this program's own."""
+    from ddpc_cosim.texts import printable
+
+    lines = printable(error, _LONGEST_ERROR, keep="\n").replace("\n", "\n  ")
+    click.echo(f"error: {lines}", err=True)
 
 
 class _Commands(click.Group):
@@ -66,14 +71,16 @@ class _Commands(click.Group):
         for name in ("stdout", "stderr"):
             if getattr(sys, name) is None:  # closed by whoever started this process
                 setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - to the end
+            if isinstance(stream := getattr(sys, name), TextIOWrapper):
+                stream.reconfigure(errors="backslashreplace")  # for what its encoding does not have
         try:
             return super().invoke(context)
         except ConfigError as error:
             for fault in error.faults:
-                click.echo(f"error: {_printable(fault)}", err=True)
+                _complain(fault)
             sys.exit(MISUSED)
         except CosimError as error:
-            click.echo(f"error: {_printable(str(error))}", err=True)
+            _complain(str(error))
             sys.exit(FAILED)
         except Terminated:
             click.echo(f"terminated: {_GOES_ON}", err=True)
@@ -129,6 +136,7 @@ def list_(kind: str | None) -> None:
 
     from ddpc_cosim.metrics import METRICS, describe_metric
     from ddpc_cosim.plugins import describe, installed, package_version
+    from ddpc_cosim.texts import printable
 
     console, broken = Console(), False
     for each in (kind,) if kind else _LISTED:
@@ -141,8 +149,10 @@ def list_(kind: str | None) -> None:
         for plugin in installed(each):
             what, works = describe_metric(plugin) if each == "metrics" else describe(plugin)
             broken = broken or not works
-            origin = f"{plugin.package} ({plugin.target})"
-            table.add_row(plugin.name, Text(what, "" if works else "red"), origin)
+            cells = (plugin.name, what, f"{plugin.package} ({plugin.target})")
+            named, about, origin = (Text(printable(cell)) for cell in cells)
+            about.stylize("" if works else "red")
+            table.add_row(named, about, origin)
         console.print(table, "")
     sys.exit(FAILED if broken else 0)
 
@@ -187,10 +197,11 @@ def init(
     """Write a study for an FMU that runs at once, from a step test in a process of its own."""
     from ddpc_cosim.errors import ConfigError, CosimWarning
     from ddpc_cosim.suggestion import suggest_study, write_study
+    from ddpc_cosim.texts import printable
 
     if out.exists() and not force:  # before the step test, which may take a while
         raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
-    click.echo(f"step test of {fmu.name} ...", err=True)
+    click.echo(f"step test of {printable(fmu.name)} ...", err=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CosimWarning)  # they stand in the study
         proposal = suggest_study(
@@ -198,8 +209,8 @@ def init(
         )
         path = write_study(proposal, fmu, out, replace=force)
     driven, controlled = (", ".join(v.name for v in s) for s in (proposal.inputs, proposal.outputs))
-    click.echo(f"{path}: {controlled} by {driven}, every {proposal.sampling_time:g} s")
-    click.echo(f"run it: ddpc-cosim run {path}")
+    click.echo(printable(f"{path}: {controlled} by {driven}, every {proposal.sampling_time:g} s"))
+    click.echo(printable(f"run it: ddpc-cosim run {path}"))
 
 
 @main.command()

@@ -28,6 +28,7 @@ from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import METRICS_FILE, CaseResult, StudyResults, load_results
 from ddpc_cosim.study.runner import Selection, Update, run_study
 from ddpc_cosim.study.sections import expand_seeds
+from ddpc_cosim.texts import printable
 from ddpc_cosim.trace import Outcome
 
 REPORT_FILE = "report.html"
@@ -56,7 +57,7 @@ def run_command(
     _print_warnings(results)
     failed = [case for case in results.cases if case.outcome is not Outcome.COMPLETED]
     for case in failed[:_FAILED_LISTED]:
-        print(f"{case.id}: {case.outcome}: {case.reason}", file=sys.stderr)
+        print(printable(f"{case.id}: {case.outcome}: {case.reason}"), file=sys.stderr)
     if len(failed) > _FAILED_LISTED:
         print(f"and {len(failed) - _FAILED_LISTED} more: {folder / METRICS_FILE}", file=sys.stderr)
     return 1 if failed else 0
@@ -70,7 +71,7 @@ def _print_warnings(results: StudyResults) -> None:
     for text, all_cases in cases_of.items():
         controllers = ", ".join(dict.fromkeys(case.controller for case in all_cases))
         count = f"{len(all_cases)} {'case' if len(all_cases) == 1 else 'cases'}"
-        print(f"warning: {controllers} ({count}): {text}", file=sys.stderr)
+        print(printable(f"warning: {controllers} ({count}): {text}"), file=sys.stderr)
 
 
 @contextmanager
@@ -80,7 +81,7 @@ def _warnings_in_one_line() -> Iterator[None]:
         warnings.simplefilter("always", CosimWarning)
         yield
     for message in dict.fromkeys(str(warning.message) for warning in caught):
-        print(f"warning: {message}", file=sys.stderr)
+        print(printable(f"warning: {message}"), file=sys.stderr)
 
 
 def _parse_seeds(text: str | None) -> list[int]:
@@ -115,7 +116,12 @@ class TerminalProgress:
     """Cases done, current case, simulated time and time left, drawn in place."""
 
     def __init__(self, console: Console) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("cases"))
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("cases"),
+        )
         times = (
             TextColumn("{task.fields[simulated]:.0f} s simulated"),
             TimeElapsedColumn(),
@@ -142,14 +148,17 @@ class TerminalProgress:
     def update(self, update: Update) -> None:
         """Show how far a running case is."""
         percent = 100 * update.samples // max(update.planned, 1)
-        self._progress.update(self._task, description=f"{update.case} {percent} %")
+        self._progress.update(self._task, description=printable(f"{update.case} {percent} %"))
 
     def finished(self, case: Case, result: CaseResult) -> None:
         """Count a case, and keep a line about one that failed."""
         self._simulated += case.duration
-        self._progress.update(self._task, advance=1, description=case.name, simulated=self._simulated)
+        self._progress.update(
+            self._task, advance=1, description=printable(case.name), simulated=self._simulated
+        )
         if result.outcome is not Outcome.COMPLETED:
-            self._progress.console.print(f"{case.name}: {result.outcome}: {result.reason}", markup=False)
+            line = printable(f"{case.name}: {result.outcome}: {result.reason}")
+            self._progress.console.print(line, markup=False)
 
 
 class LineProgress:
@@ -191,4 +200,4 @@ class LineProgress:
 
     def _say(self, line: str) -> None:
         self._last = monotonic()
-        print(line, file=self._stream, flush=True)
+        print(printable(line), file=self._stream, flush=True)

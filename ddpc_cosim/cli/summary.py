@@ -12,6 +12,7 @@ from rich.text import Text
 
 from ddpc_cosim.metrics import all_metrics, headline, metric_of, split_key
 from ddpc_cosim.study.results import METRICS_FILE, CaseResult, StudyResults
+from ddpc_cosim.texts import printable
 from ddpc_cosim.trace import Outcome
 
 _RANGE = "range"
@@ -72,12 +73,12 @@ def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
     if not all(case.holds for case in results.cases):
         table.add_column("holding their\nreference", justify="right", no_wrap=True)
     for row in rows:
-        names = [Text(row.name), *([Text(row.scenario)] if several else [])]
+        names = [Text(printable(name)) for name in (row.name, *([row.scenario] if several else []))]
         values = _values(row.cases, keys, left_out) if row.cases else []
         table.add_row(*names, *values[: len(table.columns) - len(names)])
     hidden = sum(not row.cases for row in rows)
     if hidden:
-        table.caption = Text(f"every setting: {results.folder / METRICS_FILE}")
+        table.caption = Text(printable(f"every setting: {results.folder / METRICS_FILE}"))
         table.caption_justify = "left"
     return table
 
@@ -139,13 +140,13 @@ def _values(cases: Sequence[CaseResult], keys: Sequence[str], left_out: Sequence
 
 
 def _title(results: StudyResults) -> Text:
-    return Text(f"{results.study.title or results.study.name} (seed {results.cases[0].seed})")
+    return Text(printable(f"{results.study.title or results.study.name} (seed {results.cases[0].seed})"))
 
 
 def _heading(key: str) -> Text:
     _, signal, unit = split_key(key)
     below = f"{signal} [{unit}]" if signal else f"[{unit}]" if unit != "1" else ""
-    return Text(f"{metric_of(key).short}\n{below}")
+    return Text(f"{metric_of(key).short}\n{printable(below)}")
 
 
 def _spread(cases: Sequence[CaseResult], key: str) -> str:

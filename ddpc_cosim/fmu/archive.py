@@ -15,6 +15,7 @@ from typing import Any
 from lxml import etree  # type: ignore[import-untyped]
 
 from ddpc_cosim.errors import FMUImportError
+from ddpc_cosim.texts import printable
 
 MODEL_DESCRIPTION = "modelDescription.xml"
 _RESOURCES = "resources"
@@ -37,6 +38,7 @@ _UNIX, _DARWIN = 3, 19
 _EXECUTABLE = 0o111
 _DEVICE_NAME = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 # An identifier names a library file; this is stricter than what a file system takes, laxer than C.
+_LONGEST_SHOWN = 200
 _LONGEST_NAME = 240  # bytes; file systems take 255, extension included
 _FORBIDDEN_IN_NAMES = re.compile(r'[/\\:<>"|?*\x00-\x1f]')
 # What stands before the root element, up to the letter after the name of a document type.
@@ -211,7 +213,7 @@ def _checked(entries: list[zipfile.ZipInfo], label: str) -> dict[str, zipfile.Zi
         raw = entry.orig_filename
         fault = _name_fault(raw) or _kind_fault(entry)
         if fault:
-            raise FMUImportError(f'{label}: illegal entry "{_printable(raw)}": {fault}')
+            raise FMUImportError(f'{label}: illegal entry "{printable(raw, _LONGEST_SHOWN)}": {fault}')
         name = "/".join(_parts(raw))
         if raw.endswith("/") or not name:
             continue
@@ -219,7 +221,9 @@ def _checked(entries: list[zipfile.ZipInfo], label: str) -> dict[str, zipfile.Zi
         if twin is entry:
             files[name] = entry
         elif (twin.CRC, twin.file_size) != (entry.CRC, entry.file_size):
-            raise FMUImportError(f'{label}: illegal entry "{_printable(raw)}": there are two of this name')
+            raise FMUImportError(
+                f'{label}: illegal entry "{printable(raw, _LONGEST_SHOWN)}": there are two of this name'
+            )
     return files
 
 
@@ -275,7 +279,3 @@ def _reason(error: Exception) -> str:
 def _hint(files: dict[str, zipfile.ZipInfo]) -> str:
     inner = [name for name in files if name.endswith("/" + MODEL_DESCRIPTION)]
     return f"; there is {inner[0]}: archive the content of that folder, not the folder" if inner else ""
-
-
-def _printable(name: str) -> str:
-    return name.encode("unicode_escape").decode("ascii")[:200]

@@ -9,6 +9,7 @@ import tomli_w
 from ddpc_cosim.suggestion.choice import Choice
 from ddpc_cosim.suggestion.design import Bounds, Setpoints, SuggestedController, drifting
 from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
+from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import Variable
 
 _WIDTH = 110
@@ -105,8 +106,8 @@ def _names(key: str, variables: Iterable[Variable]) -> list[str]:
 
 
 def _about(variable: Variable) -> str:
-    parts = [f"[{variable.unit}]" if variable.unit else "", _one_line(variable.description)]
-    text = " ".join(part for part in parts if part)
+    unit = f"[{variable.unit}]" if variable.unit else ""
+    text = _one_line(f"{unit} {variable.description}")
     return f"  # {text}" if text else ""
 
 
@@ -186,7 +187,7 @@ def _comment(text: str) -> Iterator[str]:
 
 def _one_line(text: str) -> str:
     """Return a text that cannot leave the comment that it stands in."""
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return printable(" ".join(text.split()))
 
 
 def _value(value: Any) -> str:
@@ -203,7 +204,9 @@ def _key(name: str) -> str:
 
 
 def _table(content: Mapping[str, Any]) -> str:
-    return tomli_w.dumps(dict(content))
+    """Return a table in TOML; what cannot be seen stands in texts only, where it can be written out."""
+    toml = tomli_w.dumps(dict(content))
+    return "".join(c if c.isprintable() or c == "\n" else f"\\U{ord(c):08x}" for c in toml)
 
 
 _LISTED = 8

@@ -45,6 +45,13 @@ def test_what_a_file_says_does_not_steer_the_terminal(folder: Path) -> None:
     assert "\\x1b[31mred é" in result.stderr
 
 
+def test_a_line_of_a_file_is_no_line_of_the_program(folder: Path) -> None:
+    (folder / "study.toml").write_text('"a\\nerror: forged" = 1\n', encoding="utf-8")
+    lines = invoke("run", "study.toml").stderr.splitlines()
+    assert "  error: forged" in "\n".join(lines)
+    assert not any(line.startswith("error: forged") for line in lines)
+
+
 def test_version() -> None:
     assert invoke("--version").stdout == f"{package_version()}\n"
 

@@ -72,6 +72,15 @@ def test_plain_lines_can_be_searched_and_cut(pendulum_fmu: Path) -> None:
     assert lines[-1][0].startswith(f"suggested study: ddpc-cosim init {pendulum_fmu}")
 
 
+def test_names_steer_neither_a_terminal_nor_the_columns(mutate, pendulum_fmu: Path) -> None:
+    foreign = mutate(pendulum_fmu, ("Applied torque", "one&#10;two&#9;&#x9b;31m&#x202e;three"))
+    result = run_inspect(foreign)
+    assert "\tone two \\x9b31m\\u202ethree\n" in result.stdout
+    as_json = run_inspect(foreign, "--json").stdout
+    assert as_json.isascii()
+    assert json.loads(as_json)["inputs"][0]["description"] == "one\ntwo\t\x9b31m\u202ethree"
+
+
 def parameters(count: int) -> str:
     """Return the description of many parameters, for the end of the pendulum's."""
     return "".join(

@@ -1,0 +1,39 @@
+"""Texts of others, made harmless for what shows them."""
+
+import pytest
+from hypothesis import given, strategies as st
+
+from ddpc_cosim.texts import printable
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("10 \xb0C, \u03bc = 5\xa0%", "10 \xb0C, \u03bc = 5 %"),
+        ("\x1b[31mred\x07", "\\x1b[31mred\\x07"),
+        ("\x9b31m", "\\x9b31m"),
+        ("one\ntwo\r\tthree\u2028", "one\\ntwo\\r\\tthree\\u2028"),
+        ("fmu.\u202exe", "fmu.\\u202exe"),
+        ("half \ud800", "half \\ud800"),
+        ("\x00", "\\x00"),
+    ],
+)
+def test_what_acts_is_written_out_and_the_rest_is_left(text: str, shown: str) -> None:
+    assert printable(text) == shown
+
+
+@given(st.text(st.characters()), st.integers(40, 200))
+def test_any_text_can_be_shown_and_stored(text: str, longest: int) -> None:
+    shown = printable(text, longest)
+    assert shown.isprintable()
+    assert shown.encode().decode() == shown
+
+
+def test_a_long_text_is_cut_and_says_so() -> None:
+    shown = printable("x" * 50_000_000, 100)
+    assert len(shown) == 100
+    assert shown.endswith("x ... (50000000 characters)")
+
+
+def test_characters_can_be_kept() -> None:
+    assert printable("one\ntwo\x1b", keep="\n") == "one\ntwo\\x1b"
