@@ -253,6 +253,11 @@ def _settled_error(response: Response) -> float:
     return factor * _largest(np.array([stretch.settled_error for stretch in response.stretches]))
 
 
+def _settled_share(response: Response) -> float:
+    shares = [step.settled_error / abs(step.size) for step in response.steps]
+    return 100 * _largest(np.array(shares))
+
+
 def _overshoot(response: Response) -> float:
     return 100 * _largest(np.array([step.overshoot for step in response.steps]))
 
@@ -314,6 +319,14 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         if_held=True,
         title="settled error",
         short="settled",
+    ),
+    "settled_share": Metric(
+        Response,
+        "Settled error of the step",
+        "settled error of a window over the step that leads to it, the largest",
+        _settled_share,
+        "%",
+        if_held=True,
     ),
     "overshoot": Metric(
         Response,

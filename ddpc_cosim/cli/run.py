@@ -24,6 +24,7 @@ from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.cases import Case
+from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import METRICS_FILE, CaseResult, StudyResults, load_results
 from ddpc_cosim.study.runner import Selection, Update, run_study
@@ -51,6 +52,8 @@ def run_command(
         results = run_study(resolved, folder, selection, progress)
     # Where no window limits it, the table takes the width it needs.
     screen = Console(width=None if sys.stdout.isatty() else _WIDE)
+    for line in following_lines(results.study, results.cases):
+        screen.print(f"{line}.", markup=False, highlight=False, style="bold")
     screen.print(summary_table(results, screen))
     if report:
         print(write_report([results], folder / REPORT_FILE))

@@ -147,7 +147,7 @@ def _tracking(condition: Condition, key: str) -> list[Column]:
     metric = metric_of(key)
     group = " / ".join(filter(None, (metric.title, metric_unit(key))))
     firsts = [one.at_first(key) for one in condition.controllers]
-    eligible = [one.holds_first for one in condition.controllers]
+    eligible = [one.holds_first and not condition.nobody_follows for one in condition.controllers]
     cells = number_cells(firsts, eligible=eligible, better=metric.better)
     columns = [(Heading(f"seed {condition.seeds[0]}", group=group), cells)]
     if len(condition.seeds) > 1:
@@ -161,12 +161,14 @@ def _tracking(condition: Condition, key: str) -> list[Column]:
 
 def _all_hold(condition: Condition) -> list[bool]:
     """Whether each controller may be best: one that lost cases has values of the easier seeds only."""
-    return [one.holds_all for one in condition.controllers]
+    return [condition.may_win(one) for one in condition.controllers]
 
 
 def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
     best = "Bold and tinted: the best of the column"
-    if condition.not_ranked:
+    if condition.nobody_follows:
+        best = "No controller follows the reference, so none is marked as the best"
+    elif condition.not_ranked:
         best += (
             ", among controllers that hold their reference in every case (for the first seed: in that one)"
         )
@@ -180,7 +182,8 @@ def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
     own = metric_of(condition.headline[0]) if len(condition.headline) == 1 else None
     summed = [metric for metric in metrics if metric is not own]
     words = [_summing_words(condition, summed)] if len(condition.seeds) > 1 else []
-    return f"{best}; where most are equal, none is marked.", " ".join([*meanings, *words])
+    equal = "" if condition.nobody_follows else "; where most are equal, none is marked"
+    return f"{best}{equal}.", " ".join([*meanings, *words])
 
 
 def _summing_words(condition: Condition, metrics: Sequence[Metric[Any]]) -> str:
@@ -229,16 +232,19 @@ def _across_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
     )
     by_key = [{one.key: one for one in condition.controllers} for condition in conditions]
     everyone = {one.key: one for members in by_key for one in members.values()}
-    columns = [_across_column([members.get(name) for name in everyone], key) for members in by_key]
+    columns = [
+        _across_column(condition, [members.get(name) for name in everyone], key)
+        for condition, members in zip(conditions, by_key, strict=True)
+    ]
     return [
         Row(one.label, tuple(cells[i] for cells in columns), one.key, one.index, group)
         for i, one in enumerate(everyone.values())
     ]
 
 
-def _across_column(members: Sequence[ControllerResults | None], key: str) -> list[Cell]:
+def _across_column(condition: Condition, members: Sequence[ControllerResults | None], key: str) -> list[Cell]:
     values = [one.summed(key) if one else math.nan for one in members]
-    eligible = [bool(one and one.holds_all) for one in members]
+    eligible = [bool(one and condition.may_win(one)) for one in members]
     return number_cells(values, eligible=eligible, better=metric_of(key).better)
 
 

@@ -8,6 +8,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults
+from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.sections import Reproduction
 from ddpc_reports.case_tables import (
     cases_table,
@@ -69,6 +70,7 @@ class StudyPart:
     number: int
     results: StudyResults
     title: str
+    warnings: list[str]
     facts: dict[str, str]
     sections: list[Section]
 
@@ -149,7 +151,8 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
     ]
     title = results.study.title or results.study.name
     shown = [section for section in sections if section.blocks]
-    return StudyPart(prefix, number, results, title, _facts(results), shown)
+    first_lines = following_lines(results.study, results.cases)
+    return StudyPart(prefix, number, results, title, first_lines, _facts(results), shown)
 
 
 def _tables(*tables: Table | None) -> list[Block]:

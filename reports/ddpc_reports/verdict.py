@@ -37,9 +37,13 @@ def verdict(condition: Condition) -> list[Statement]:
     statements = [Statement("Completed", _completeness(condition))]
     if not any(one.completed for one in condition.controllers):
         return statements
-    statements += tracking(condition)
-    statements += least(condition, "settled_error", "Settling", "settles closest to the reference")
-    statements += least_travel(condition)
+    if condition.nobody_follows:
+        nothing = Markup("<b>{}</b>, so nothing is ranked.").format(condition.nobody_follows)
+        statements.insert(0, Statement("Reference", nothing))
+    else:
+        statements += tracking(condition)
+        statements += least(condition, "settled_error", "Settling", "settles closest to the reference")
+        statements += least_travel(condition)
     statements.append(Statement("Bounds", _violations(condition)))
     statements.append(Statement("Step time", _times(condition)))
     statements.append(Statement("Fallbacks", _fallbacks(condition)))
@@ -434,7 +438,8 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
             )
     if not won:
         return Markup(
-            "There is no scenario in which two controllers hold their reference in every case and differ."
+            "There is no scenario in which the reference is followed and two controllers that hold it in "
+            "every case differ."
         )
     parts: list[Markup] = []
     for winners, where in won.items():

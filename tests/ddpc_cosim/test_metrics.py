@@ -150,7 +150,7 @@ def test_one_step_that_does_not_settle_is_not_hidden_by_others_that_do() -> None
 
 def test_a_moving_reference_has_no_steps() -> None:
     trace = trace_of([0, 1, 2, 3, 4], [0, 0, 1, 2, 3])
-    for name in ("overshoot", "rise_time", "settling_time", "settled_error"):
+    for name in ("overshoot", "rise_time", "settling_time", "settled_error", "settled_share"):
         assert math.isnan(figure(trace, name))
 
 
@@ -159,6 +159,14 @@ def test_the_settled_error_is_the_mean_over_the_last_fifth_of_each_stretch() -> 
     y = [*[1] * 8, 0.8, 1.1, *[2] * 8, 1.7, 1.5, 0]
     trace = trace_of([1] * 10 + [2] * 10 + [0], y)
     assert figure(trace, "settled_error") == pytest.approx(0.4)
+
+
+def test_what_is_left_of_a_step_is_its_own_settled_error() -> None:
+    """A small step that is missed by half counts more than a large one that is missed by more."""
+    y = [0, *[9.0] * 9, *[10.5] * 10, 0]
+    trace = trace_of([10] * 10 + [11] * 10 + [0], y)
+    assert figure(trace, "settled_error") == pytest.approx(1.0)
+    assert figure(trace, "settled_share") == pytest.approx(50.0)
 
 
 def stepping(

@@ -91,6 +91,7 @@ def figures_of(folder: Path, preview: int) -> dict[str, float]:
             f"mean_abs_error.{name} [{unit}]": factor * math.fsum(map(abs, errors)) / len(errors),
             f"rmse.{name} [{unit}]": factor * math.sqrt(math.fsum(e * e for e in errors) / len(errors)),
             f"settled_error.{name} [{unit}]": factor * worst([one.settled for one in stretches]),
+            f"settled_share.{name} [%]": worst([100 * one.settled / abs(one.size) for one in steps]),
             f"overshoot.{name} [%]": worst([step.overshoot for step in steps]),
             f"rise_time.{name} [s]": middle([step.rise for step in steps]),
             f"settling_time.{name} [s]": worst([step.settling for step in steps]),

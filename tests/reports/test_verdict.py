@@ -12,6 +12,7 @@ from ddpc_cosim.metrics import MetricSettings
 from ddpc_reports.case_tables import cases_table
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.comparison_tables import response_table, verdict_table
+from ddpc_reports.page import render_page
 from ddpc_reports.table import Table
 from ddpc_reports.verdict import across_statements, join_words, limitations, verdict
 
@@ -64,6 +65,20 @@ def test_the_numbers_in_the_words_are_those_of_the_cases(make_results: MakeResul
     said = statements(results)["Spread"]
     assert f"{median(costs):.3f}°" in said
     assert f"[{min(costs):.3f} … {max(costs):.3f}]" in said
+
+
+def test_where_nobody_follows_nobody_wins(make_results: MakeResults) -> None:
+    """Lags of 3 and 4 s hold a reference of 6 s, and leave about a fifth and a quarter of it."""
+    results = make_results(lambda key, seed: make_trace(3.0 if key == "quick" else 4.0, noise_seed=seed))
+    left = min(case.metrics["settled_share.angle [%]"] for case in results.cases)
+    assert all(case.holds for case in results.cases)
+    sentence = f"No controller follows the reference; the best leaves {left:.0f} % of its change"
+    topic, text = verdict(only(results))[0]
+    assert (topic, str(text)) == ("Reference", f"<b>{sentence}</b>, so nothing is ranked.")
+    assert {"Tracking", "Settling", "Actuator"} & statements(results).keys() == set()
+    assert not any(filter(None, best(verdict_table(only(results), "")).values()))
+    page = render_page([results])
+    assert f"<strong>{sentence}.</strong>" in page[: page.index("<dl")]
 
 
 def test_who_is_fastest_and_how_near_the_deadline(make_results: MakeResults) -> None:

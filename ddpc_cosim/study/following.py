@@ -1,0 +1,89 @@
+"""Whether any controller follows its reference: one sentence, the same for files, terminal and page."""
+
+import math
+from collections.abc import Iterable
+from statistics import median
+
+from ddpc_cosim.metrics import split_key
+from ddpc_cosim.study.results import CaseResult
+from ddpc_cosim.study.sections import Study
+from ddpc_cosim.trace import Outcome
+
+FOLLOWS = 5.0
+"""A run follows its reference where it leaves less of every step, in %."""
+_STUCK = 0.5  # share of the time from which on inputs at their limits are a likely reason
+
+
+def left_by(case: CaseResult) -> float:
+    """Return what a case leaves of a step of its reference at worst [%].
+
+    It is infinite of a run that did not complete or that left its limits, and NaN where the reference has no
+    steps, or none whose window is long enough.
+    """
+    values = (value for key, value in case.metrics.items() if split_key(key)[0] == "settled_share")
+    shares = [value for value in values if not math.isnan(value)]
+    if not shares:
+        return math.nan
+    fell_out = case.outcome is not Outcome.COMPLETED or (not case.holds and max(shares) < FOLLOWS)
+    return math.inf if fell_out else max(shares)
+
+
+def nobody_follows(cases: Iterable[CaseResult]) -> str:
+    """Return a sentence where no controller follows its reference: none leaves less than 5 % of a step.
+
+    Parameters
+    ----------
+    cases : iterable of CaseResult
+        Of one scenario; what a controller leaves is the median over its cases.
+
+    Returns
+    -------
+    str
+        Empty where one does, or where the references have no steps to judge that by.
+    """
+    best = min(_left_by_controller(cases).values(), default=0.0)
+    return f"No controller follows the reference; {_what_is_left(best)}" if best >= FOLLOWS else ""
+
+
+def following_lines(study: Study, cases: Iterable[CaseResult]) -> list[str]:
+    """Return a line for each scenario of a study in which no controller follows its reference."""
+    by_scenario: dict[str, list[CaseResult]] = {}
+    for case in cases:
+        by_scenario.setdefault(case.scenario, []).append(case)
+    return [
+        (f"{study.scenarios[name].label or name}: " if len(by_scenario) > 1 else "")
+        + text
+        + _likely_reason(own, study.loop.duration)
+        for name, own in by_scenario.items()
+        if (text := nobody_follows(own))
+    ]
+
+
+def _left_by_controller(cases: Iterable[CaseResult]) -> dict[str, float]:
+    by_controller: dict[str, list[float]] = {}
+    for case in cases:
+        if not math.isnan(share := left_by(case)):
+            by_controller.setdefault(case.controller, []).append(share)
+    return {name: median(shares) for name, shares in by_controller.items()}
+
+
+def _what_is_left(best: float) -> str:
+    if math.isinf(best):
+        return "no run completes within its limits"
+    if best > 100.0:
+        return "the best ends further from it than it began"
+    return f"the best leaves {best:.{0 if best >= 10.0 else 1}f} % of its change"
+
+
+def _likely_reason(cases: Iterable[CaseResult], duration: float) -> str:
+    """Name the inputs that are at their limits most of the time with the best controller."""
+    best = min((case for case in cases if not math.isnan(left_by(case))), key=left_by)
+    times = {
+        split_key(key)[1]: time for key, time in best.metrics.items() if key.startswith("time_at_bounds.")
+    }
+    stuck = [
+        f"{name} {time / duration:.0%} of the time"
+        for name, time in times.items()
+        if time > _STUCK * duration
+    ]
+    return f"; at its limits: {', '.join(stuck)}".replace("%", " %") if stuck else ""

@@ -1,0 +1,85 @@
+"""One sentence says where no controller follows its reference, and none where that cannot be judged."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from ddpc_cosim import CaseResult, Outcome
+from ddpc_cosim.study.following import following_lines, left_by, nobody_follows
+from ddpc_cosim.study.sections import Study
+
+
+def case(
+    controller: str,
+    *shares: float,
+    outcome: Outcome = Outcome.COMPLETED,
+    holds: bool = True,
+    scenario: str = "nominal",
+    at_limits: float = 0.0,
+) -> CaseResult:
+    """Return a case of one output per share, and how long [s] of 10 s its input was at its limits."""
+    metrics = {f"settled_share.y{n} [%]": share for n, share in enumerate(shares)}
+    metrics["time_at_bounds.u [s]"] = at_limits
+    head = ("id", controller, controller, scenario, 0, outcome, "", holds)
+    return CaseResult(*head, metrics, {}, {}, (), Path())
+
+
+@pytest.mark.parametrize(
+    ("cases", "sentence"),
+    [
+        ([case("a", 4.9), case("b", 60.0, holds=False)], ""),
+        (
+            [case("a", 42.0), case("b", 60.0, holds=False)],
+            "No controller follows the reference; the best leaves 42 % of its change",
+        ),
+        # Of several outputs the worst counts; one whose reference has no steps does not.
+        (
+            [case("a", 1.0, 7.25)],
+            "No controller follows the reference; the best leaves 7.2 % of its change",
+        ),
+        ([case("a", 1.0, math.nan)], ""),
+        ([case("a", math.nan)], ""),  # regulation: nothing to size an error by
+        # Over the seeds it is the median.
+        ([case("a", 3.0), case("a", 90.0), case("a", 4.0)], ""),
+        (
+            [case("a", 3.0), case("a", 90.0), case("a", 80.0)],
+            "No controller follows the reference; the best leaves 80 % of its change",
+        ),
+        (
+            [case("a", 1.0, outcome=Outcome.DIVERGED, holds=False), case("b", 2.0, holds=False)],
+            "No controller follows the reference; no run completes within its limits",
+        ),
+        (
+            [case("a", 480.0, holds=False)],
+            "No controller follows the reference; the best ends further from it than it began",
+        ),
+        ([], ""),
+    ],
+)
+def test_the_sentence_is_said_where_it_is_true(cases: list[CaseResult], sentence: str) -> None:
+    assert nobody_follows(cases) == sentence
+
+
+def test_a_run_that_fell_out_of_its_limits_leaves_more_than_any_number() -> None:
+    assert left_by(case("a", 1.0, holds=False)) == math.inf
+    assert left_by(case("a", 70.0, holds=False)) == 70.0
+
+
+def test_scenarios_are_told_apart_and_inputs_at_their_limits_are_named() -> None:
+    study = Study.model_validate(
+        {
+            "name": "s",
+            "seeds": [0],
+            "plant": {"name": "pendulum"},
+            "loop": {"sampling_time": 0.1, "duration": 10.0},
+            "reference": {"angle": {"kind": "constant", "value": 1.0}},
+            "controllers": {"a": {"type": "pid"}},
+            "scenarios": {"calm": {}, "storm": {"label": "in a storm"}},
+        }
+    )
+    cases = [case("a", 1.0, scenario="calm"), case("a", 30.0, scenario="storm", at_limits=8.0)]
+    assert following_lines(study, cases) == [
+        "in a storm: No controller follows the reference; the best leaves 30 % of its change; "
+        "at its limits: u 80 % of the time"
+    ]
