@@ -23,7 +23,7 @@ warning. Loops are judged one by one.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite, log, sqrt
+from math import inf, isfinite, log, sqrt
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -83,7 +83,8 @@ class TunedLoops(NamedTuple):
     maximum_sensitivity : array, shape (loops,)
         M_s of the sampled loop with the fitted model; infinite if that is not stable.
     closed_loop_time : array, shape (loops,)
-        Time constant of the closed loop that keeps the margin [s]: the loop's, unless one was asked for.
+        Time constant of the closed loop that keeps the margin [s]: the loop's, unless one was asked for;
+        infinite if none does.
     """
 
     gains: Gains
@@ -91,8 +92,10 @@ class TunedLoops(NamedTuple):
     closed_loop_time: FloatArray
 
 
-class SampledModel(NamedTuple):
+class PulseTransferFunction(NamedTuple):
     """``y = z^-delay (b_1 z + b_2) / (z^2 + a_1 z + a_2) u``.
+
+    The name is that of K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, chapter 2.
 
     Parameters
     ----------
@@ -119,14 +122,11 @@ class SecondOrder:
         The poles [1/s].
     delay : float
         theta [s], inverse response included.
-    sampled : SampledModel, optional
-        The model as it was fitted.
     """
 
     gain: float
     poles: tuple[complex, complex]
     delay: float
-    sampled: SampledModel | None = None
 
 
 def fewest_test_samples(inputs: int) -> int:
@@ -142,8 +142,8 @@ def tune_from_recording(
     Raises
     ------
     DataError
-        The recording is too short, shows a loop that the rules do not cover, or one without gains that keep
-        the margins.
+        The recording is too short, shows a loop that the rules do not cover, or, with no closed-loop time
+        asked for, one without gains that keep the margin.
     """
     needed = fewest_test_samples(recording.u.shape[1])
     if count_windows(len(recording), _LAGS + 1, recording.seams) < needed - _LAGS:
@@ -157,29 +157,34 @@ def tune_from_recording(
 
 def _tune_one(recording: Recording, output: int, chosen: int, wanted: float) -> tuple[float, ...]:
     """Return the gains of a loop, its maximum sensitivity, and the time constant that keeps the margin."""
-    h, model = recording.sampling_time, fit_second_order(recording, output, chosen)
+    h, (model, sampled) = recording.sampling_time, fit_second_order(recording, output, chosen)
     first = time = wanted or _rule_of_thumb(model, h)
-    while time <= _SLOWEST * first:
-        gains = simc(model, h, time)
-        found = sensitivity(model.sampled, gains, h) if model.sampled else 0.0
-        if found <= _LARGEST_SENSITIVITY:
-            if wanted:
-                gains = simc(model, h, wanted)
-                found = sensitivity(model.sampled, gains, h) if model.sampled else 0.0
-            return *gains, found, time
+    gains = simc(model, h, time)
+    found = margin = sensitivity(sampled, gains, h)
+    while margin > _LARGEST_SENSITIVITY:
         time *= _SLOWER
+        if time > _SLOWEST * first:
+            time = inf
+            break
+        slower = simc(model, h, time)
+        margin = sensitivity(sampled, slower, h)
+        if not wanted:
+            gains, found = slower, margin
+    if wanted or isfinite(time):
+        return *gains, found, time
     raise DataError(
-        f"PID: no closed_loop_time up to {time:.4g} s gives the loop of output {output} and input {chosen} a "
-        f"maximum sensitivity of {_LARGEST_SENSITIVITY} on the model of the recording: tune by hand"
+        f"PID: no closed_loop_time up to {_SLOWEST * first:.4g} s gives the loop of output {output} and "
+        f"input {chosen} a maximum sensitivity of {_LARGEST_SENSITIVITY} on the model of the recording: "
+        "tune by hand"
     )
 
 
-def sensitivity(model: SampledModel, gains: Sequence[float], sampling_time: float) -> float:
+def sensitivity(model: PulseTransferFunction, gains: Sequence[float], sampling_time: float) -> float:
     """Return the maximum sensitivity M_s of the sampled loop; infinite if that is not stable.
 
     Parameters
     ----------
-    model : SampledModel
+    model : PulseTransferFunction
         The plant.
     gains : sequence of float
         K_p, K_i, K_d and T_f.
@@ -208,8 +213,17 @@ def _rule_of_thumb(model: SecondOrder, sampling_time: float) -> float:
     return max(model.delay + sampling_time / 2.0, _SAMPLES * sampling_time)
 
 
-def fit_second_order(recording: Recording, output: int, chosen: int) -> SecondOrder:
+def fit_second_order(
+    recording: Recording, output: int, chosen: int
+) -> tuple[SecondOrder, PulseTransferFunction]:
     """Fit a second-order model with the delay, in whole samples, that explains an output best.
+
+    Returns
+    -------
+    model : SecondOrder
+        What the rules are for.
+    sampled : PulseTransferFunction
+        The model as it was fitted.
 
     Raises
     ------
@@ -235,14 +249,14 @@ def fit_second_order(recording: Recording, output: int, chosen: int) -> SecondOr
     # What is slower than the experiment counts as ten times as long, what is faster than sampling as instant.
     slowest = np.exp(-0.1 / samples)
     held = np.poly([pole * min(1.0, slowest / max(abs(pole), _FASTEST_POLE)) for pole in discrete])
-    sampled = SampledModel(model.b[:, chosen], np.asarray(held.real, dtype=np.float64), delay)
+    sampled = PulseTransferFunction(model.b[:, chosen], np.asarray(held.real, dtype=np.float64), delay)
     discrete = np.array([_within(pole, _FASTEST_POLE, slowest) for pole in discrete])
     gain = float(model.b[:, chosen].sum() / np.prod(1.0 - discrete).real)
     if gain == 0.0 or not np.isfinite(gain):
         raise DataError(f"PID: output {output} of the recording does not follow input {chosen}: tune by hand")
     first, second = np.log(discrete.astype(complex)) / h
     inverse = _inverse_response(model.b[:, chosen], h)
-    return SecondOrder(gain, (complex(first), complex(second)), delay * h + inverse, sampled)
+    return SecondOrder(gain, (complex(first), complex(second)), delay * h + inverse), sampled
 
 
 def simc(model: SecondOrder, sampling_time: float, closed_loop_time: float = 0.0) -> tuple[float, ...]:
@@ -425,7 +439,7 @@ class PID(Controller):
                 else f"makes loop {i} unstable"
             )
             + f" on the model of the recording; a maximum sensitivity of {_LARGEST_SENSITIVITY} takes "
-            f"closed_loop_time = {time:.4g} s"
+            + (f"closed_loop_time = {time:.4g} s" if isfinite(time) else "gains tuned by hand")
             for i, (found, time) in enumerate(zip(sensitivities.tolist(), times.tolist(), strict=True))
             if float(f"{found:.3g}") > _LARGEST_SENSITIVITY
         ]

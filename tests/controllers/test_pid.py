@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
+from ddpc_controllers import pid
 from ddpc_controllers.pid import PID, SecondOrder, fit_second_order, simc
 from ddpc_cosim import Action, ConfigError, DataError, FloatArray, Recording, Sample
 
@@ -147,7 +148,7 @@ def test_the_second_order_model_of_the_pendulum_is_found(delay: int, source: str
         small = experiment(quick_pendulum, 0.1 * free.u, 2, ANGLE)
         y = np.vstack([np.zeros((delay, 1)), small.y])[: len(small)]
         recording = Recording(small.u, y, y, H)
-    model = fit_second_order(recording, 0, 0)
+    model, _ = fit_second_order(recording, 0, 0)
     assert model.delay == pytest.approx(delay * H)
     assert abs(model.poles[0]) == pytest.approx(np.sqrt(9.81 / 0.2), rel=0.01)
     assert model.poles[0].real == pytest.approx(-1.0, rel=0.02)
@@ -201,7 +202,7 @@ def test_an_inverse_response_counts_as_delay(zero: float) -> None:
     numerator = 0.15 * np.array([[-1.0, zero]]) / (zero - 1.0)
     plant = LinearPlant(np.array([[1.2, -0.35], [1.0, 0.0]]), np.array([[1.0], [0.0]]), numerator)
     u = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 1))
-    model = fit_second_order(experiment(plant.advance, u, 2, plant.c), 0, 0)
+    model, _ = fit_second_order(experiment(plant.advance, u, 2, plant.c), 0, 0)
     assert model.delay == pytest.approx(H / np.log(zero))
     assert tuned_error(plant) < 1e-6
 
@@ -272,6 +273,20 @@ def test_a_loop_that_is_asked_to_be_too_fast_says_so_and_what_would_do() -> None
     enough = PID(tuning="step-test", closed_loop_time=1.001 * float(warning.split()[-2]))
     enough.start(loop)
     assert enough.warnings() == []
+
+
+def test_a_time_that_was_asked_for_is_kept_where_no_other_keeps_the_margin(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(pid, "sensitivity", lambda *_: 2.5)
+    loop = pendulum_loop(step_test())
+    asked = PID(tuning="step-test", closed_loop_time=0.5)
+    asked.start(loop)
+    (warning,) = asked.warnings()
+    assert "closed_loop_time = 0.5 s gives loop 0 a maximum sensitivity of 2.5" in warning
+    assert warning.endswith("a maximum sensitivity of 1.7 takes gains tuned by hand")
+    with pytest.raises(DataError, match=r"no closed_loop_time up to .* s gives the loop of output 0"):
+        PID(tuning="step-test").start(loop)
 
 
 def test_an_unstable_plant_is_not_tuned() -> None:
