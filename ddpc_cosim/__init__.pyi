@@ -2,6 +2,7 @@
 
 from .conditions import Conditions as Conditions
 from .controller import (
+    OK as OK,
     Action as Action,
     Bounds as Bounds,
     Controller as Controller,

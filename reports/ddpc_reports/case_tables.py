@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from ddpc_cosim import CaseResult, Outcome, StudyResults, judge_prediction
+from ddpc_cosim import OK, CaseResult, Outcome, StudyResults, judge_prediction
 from ddpc_cosim.metrics import metric_of
 from ddpc_reports.comparison import (
     STEP_TIMES,
@@ -34,7 +34,6 @@ from ddpc_reports.table import (
     text_headings,
 )
 
-_OK = "ok"
 _READ = 20
 """Cases of a controller whose samples are read: the first ones tell the reasons."""
 _REASONS_SHOWN = 6
@@ -288,7 +287,7 @@ def _reasons(cases: Sequence[CaseResult]) -> list[_Reason]:
         pairs = list(zip(trace.time.tolist(), trace.status, strict=True))
         # The fault that ended a case is not a fallback: it is listed with the cases that did not complete.
         for time, status in pairs[: trace.decided]:
-            if status == _OK:
+            if status == OK:
                 continue
             time = float(f"{time:.9g}")
             key = _NUMBER.sub("#", status)

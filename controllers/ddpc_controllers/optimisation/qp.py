@@ -31,7 +31,14 @@ from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 from ddpc_controllers.checks import all_finite
 from ddpc_controllers.data.online import OnlineData
 from ddpc_controllers.optimisation.backends import ActiveSet, Backend, PIQPBackend
-from ddpc_controllers.optimisation.condensing import CondensedProblem, condense, reduce
+from ddpc_controllers.optimisation.condensing import (
+    CondensedProblem,
+    ReducedProblem,
+    RowFactor,
+    condense,
+    factorise,
+    reduce,
+)
 from ddpc_controllers.optimisation.limits import (
     CLIPPED,
     HELD,
@@ -41,7 +48,7 @@ from ddpc_controllers.optimisation.limits import (
     unmet_bounds,
 )
 from ddpc_controllers.optimisation.problem import Problem
-from ddpc_cosim import Action, ConfigError, FloatArray, Variable
+from ddpc_cosim import OK, Action, ConfigError, FloatArray, Variable
 
 _FEASIBLE = 1e-11
 _NO_CONFLICT = 1e-6
@@ -52,7 +59,6 @@ _REMEMBERED = 256
 
 
 COST, ACTIVE_BOUNDS = "cost", "active_bounds"
-_OK = Action(np.empty(0)).status
 
 
 class Move(NamedTuple):
@@ -69,6 +75,10 @@ class Move(NamedTuple):
 
     u: FloatArray | None
     fault: str
+
+
+Correction = tuple[ActiveSet, FloatArray | None]
+"""The active bounds of a constrained optimum, and t; None: that of the optimum on these bounds."""
 
 
 class Solution(NamedTuple):
@@ -147,13 +157,8 @@ def ends_told(ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> d
     return dict(zip(ends, (predicted[-len(ends) :] * unit).tolist(), strict=True))
 
 
-def _all_told(
-    solution: tuple[FloatArray, ActiveSet, FloatArray | None],
-    rest: int,
-    gain: FloatArray,
-    *ends: Any,
-) -> dict[str, float]:
-    return Solution(*solution).told(rest, gain) | ends_told(*ends)
+def _all_told(solution: Solution, rest: int, gain: FloatArray, *ends: Any) -> dict[str, float]:
+    return solution.told(rest, gain) | ends_told(*ends)
 
 
 def predicted_ends(outputs: Sequence[Variable]) -> tuple[str, ...]:
@@ -163,7 +168,7 @@ def predicted_ends(outputs: Sequence[Variable]) -> tuple[str, ...]:
 
 def action(u: FloatArray, fault: str, info: Mapping[str, float]) -> Action:
     """Return an action that is a fallback where there is a fault."""
-    return Action(u, fault or _OK, info)
+    return Action(u, fault or OK, info)
 
 
 class Law(Protocol):
@@ -184,12 +189,12 @@ class Relaxation:
     ----------
     problem : Problem
         The problem that has no solution.
-    data : array or OnlineData
+    data : RowFactor or OnlineData
         What it meets.
     """
 
     problem: Problem
-    data: FloatArray | OnlineData
+    data: RowFactor | OnlineData
 
     def law(self, limits: InputLimits, backend: Backend) -> "_BoundedLaw | None":
         """Return the law of the easier problem, None if there is none."""
@@ -215,9 +220,7 @@ class _BoundedLaw(ABC):
         self._active: ActiveSet = ()
         self._easier: _BoundedLaw | None = None
         self._rest, self._gain = 0, np.empty((0, 0))
-        self._used: ActiveSet = ()
-        self._t: FloatArray | None = None
-        self._solution: tuple[FloatArray, ActiveSet, FloatArray | None] | None = None
+        self._solution: Solution | None = None
 
     def info(self, ends: Sequence[str], predicted: FloatArray, unit: FloatArray) -> StepInfo:
         """Return what there is to say of the last move; arguments as of :func:`ends_told`."""
@@ -237,31 +240,34 @@ class _BoundedLaw(ABC):
             The parameter vector p; its last entry is 1.
         """
 
-    def _take(self, bounds: int, conflict_law: FloatArray) -> None:
-        """Take the number of bounds, and what must vanish, of new matrices."""
-        self._bounds, self._conflict_law = bounds, conflict_law
-        self._watches_conflict = conflict_law.size > 0
+    def _take(self, problem: CondensedProblem | ReducedProblem) -> None:
+        """Take the number of bounds, their names, and what must vanish, of new matrices."""
+        self._bounds, self._labels = len(problem.excess_law), problem.labels
+        self._conflict_law, self._watches_conflict = problem.conflict_law, problem.conflict_law.size > 0
         # Where nothing else would hold it back, an input that is not finite would pass.
-        self._checks_inputs = self._limits.endless or not bounds
+        self._checks_inputs = self._limits.endless or not self._bounds
 
     def _move(
-        self, answer: FloatArray, parameters: FloatArray, correct: Callable[[FloatArray, FloatArray], str]
+        self,
+        answer: FloatArray,
+        parameters: FloatArray,
+        correct: Callable[[FloatArray, FloatArray], Correction | None],
     ) -> Move:
         """Return the move, given the excess over the bounds and the inputs of the unconstrained optimum."""
         bounds = self._bounds
         u = answer[bounds : self._rest]
-        self._solution = answer, (), None
+        self._solution = Solution(answer, (), None)
         fault = find_conflict(self._conflict_law, parameters) if self._watches_conflict else ""
         if bounds and not max(answer[:bounds].tolist()) <= 0.0:
             excess = answer[:bounds]
             if not all_finite(excess):
                 return Move(None, HELD)
-            self._t = None
-            unmet = correct(excess, u)
-            self._solution = answer, self._used, self._t
+            correction = correct(excess, u)
             self._limits.reach(u)
-            if unmet:
-                return self._relax(u, parameters, self.unmet or unmet)
+            if correction is None:
+                unmet = self.unmet or unmet_bounds(self._gain, excess, self._labels)
+                return self._relax(u, parameters, unmet)
+            self._solution = Solution(answer, *correction)
         elif self._checks_inputs and not np.isfinite(u).all():
             return Move(None, HELD)
         self._limits.hold(u)
@@ -307,11 +313,12 @@ class ParametricQP(_BoundedLaw):
 
     def replace(self, problem: CondensedProblem) -> None:
         """Take new matrices; active sets seen before stay the first guesses."""
-        self._problem, self._easier = problem, None
-        self._take(len(problem.excess_law), problem.conflict_law)
+        self._easier = None
+        self._take(problem)
         cost_law = np.empty((0, problem.move_law.shape[1])) if problem.cost_law is None else problem.cost_law
         self._law = np.vstack([problem.excess_law, problem.move_law, cost_law])
-        self._rest, self._gain = len(self._law) - len(cost_law), problem.excess_gain
+        self._rest = len(self._law) - len(cost_law)
+        self._gain, self._move_gain = problem.excess_gain, problem.move_gain
         self._laws: dict[ActiveSet, FloatArray | None] = {}
         if self._bounds:
             self._backend.load(problem.excess_gain)
@@ -326,15 +333,15 @@ class ParametricQP(_BoundedLaw):
         """
         return self._move(np.dot(self._law, parameters), parameters, self._respect_bounds)
 
-    def _respect_bounds(self, excess: FloatArray, u: FloatArray) -> str:
+    def _respect_bounds(self, excess: FloatArray, u: FloatArray) -> Correction | None:
         """Correct the unconstrained optimum ``u`` in place."""
         if self._active and self._apply(self._active, excess, u):
-            return ""
+            return self._active, None
         pattern = tuple(np.flatnonzero(excess > 0.0).tolist())
         guess = self._active_sets.get(pattern, pattern)
         if guess and self._apply(guess, excess, u):
             self._active = guess
-            return ""
+            return guess, None
         return self._ask_solver(excess, u, pattern)
 
     def _apply(self, active: ActiveSet, excess: FloatArray, u: FloatArray) -> bool:
@@ -349,23 +356,22 @@ class ParametricQP(_BoundedLaw):
         if not max(answer[: self._bounds].tolist()) <= _FEASIBLE:
             return False
         u += answer[self._bounds :]
-        self._used = active
         return True
 
     def _derive_law(self, active: ActiveSet) -> FloatArray | None:
         """Return the map from e_0 to (e inactive, -mu active; change of u), None if degenerate."""
         rows = list(active)
-        gain = self._problem.excess_gain[rows]
+        gain = self._gain[rows]
         curvature = gain @ gain.T
         if np.linalg.cond(curvature) > _LARGEST_CONDITION:
             return None
         multipliers = np.zeros((len(rows), self._bounds))
         multipliers[:, rows] = np.linalg.inv(curvature)
-        certificate = np.eye(self._bounds) - self._problem.excess_gain @ (gain.T @ multipliers)
+        certificate = np.eye(self._bounds) - self._gain @ (gain.T @ multipliers)
         certificate[rows] = -multipliers / np.abs(multipliers).max()
-        return np.vstack([certificate, -self._problem.move_gain @ (gain.T @ multipliers)])
+        return np.vstack([certificate, -self._move_gain @ (gain.T @ multipliers)])
 
-    def _ask_solver(self, excess: FloatArray, u: FloatArray, pattern: ActiveSet) -> str:
+    def _ask_solver(self, excess: FloatArray, u: FloatArray, pattern: ActiveSet) -> Correction | None:
         """Solve, read off the active set, and prefer its exact law to the solver's digits."""
         t, active, failure = self._backend.solve(excess)
         # Whatever the solver says of itself: a law that satisfies the optimality conditions is the optimum.
@@ -373,12 +379,11 @@ class ParametricQP(_BoundedLaw):
             self._active = active
             _make_room(self._active_sets)
             self._active_sets[pattern] = active
-            return ""
+            return active, None
         if failure:
-            return unmet_bounds(self._problem.excess_gain, excess, self._problem.labels)
-        u += self._problem.move_gain @ t
-        self._used, self._t = active, t
-        return ""
+            return None
+        u += self._move_gain @ t
+        return active, t
 
 
 def make_law(
@@ -393,16 +398,16 @@ def make_law(
     """
     if online:
         condense(problem, data)  # weights that leave the optimum undetermined are refused here, not in a step
-    return _law(problem, online or data, limits, backend)
+    return _law(problem, online or factorise(data, problem.weights), limits, backend)
 
 
 def _law(
-    problem: Problem, data: FloatArray | OnlineData, limits: InputLimits, backend: Backend
+    problem: Problem, data: RowFactor | OnlineData, limits: InputLimits, backend: Backend
 ) -> _BoundedLaw:
     relaxation = Relaxation(problem, data)
     if isinstance(data, OnlineData):
         return AdaptiveQP(problem, data, limits, backend, relaxation)
-    return ParametricQP(condense(problem, data), limits, backend, relaxation)
+    return ParametricQP(reduce(problem, data).optimise(), limits, backend, relaxation)
 
 
 def find_conflict(conflict_law: FloatArray, parameters: FloatArray) -> str:
@@ -482,7 +487,7 @@ class AdaptiveQP(_BoundedLaw):
         reduced = self._reduced = reduce(self._problem, self._factor)
         rank, size = reduced.own[0].gain.shape
         terms = len(reduced.own)
-        self._take(len(reduced.excess_law), reduced.conflict_law)
+        self._take(reduced)
         self._split = size + terms * rank
         linear = reduced.residual.T @ reduced.offset
         self._offset = np.asarray(np.linalg.qr(reduced.offset, mode="r"))
@@ -538,7 +543,7 @@ class AdaptiveQP(_BoundedLaw):
         left = factor[size:, size]
         return triangular, -dtrtrs(triangular, factor[:size, size])[0], float(left @ left)
 
-    def _respect_bounds(self, triangular: FloatArray, excess: FloatArray, u: FloatArray) -> str:
+    def _respect_bounds(self, triangular: FloatArray, excess: FloatArray, u: FloatArray) -> Correction | None:
         """Correct the unconstrained optimum ``u`` in place; t = R (w - optimum) is the deviation."""
         gains = dtrsm(1.0, triangular, self._gains, side=1)
         gain, move_gain = gains[: self._bounds], gains[self._bounds : self._rest]
@@ -550,11 +555,10 @@ class AdaptiveQP(_BoundedLaw):
             # Whatever the solver says of itself: what satisfies the optimality conditions is the optimum.
             exact = _certified(gain, excess, active)
             if failure and exact is None:
-                return unmet_bounds(gain, excess, self._reduced.labels)
+                return None
             t, self._active = (t if exact is None else exact), active
-        self._used, self._t = self._active, t
         u += move_gain @ t
-        return ""
+        return self._active, t
 
     def _deviation(self, gain: FloatArray, excess: FloatArray) -> FloatArray | None:
         """Try the last active set, and then the bounds that are exceeded."""

@@ -4,12 +4,13 @@ Slow: the cost of a step grows with the length of the recording.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ddpc_controllers.optimisation.backends import SparseQP
-from ddpc_controllers.optimisation.condensing import factorise, reduce
+from ddpc_controllers.optimisation.condensing import ReducedProblem, factorise, reduce
 from ddpc_controllers.optimisation.limits import HELD, LAST_HELD, InputLimits, bounds_not_met, unmet_bounds
 from ddpc_controllers.optimisation.problem import Problem
 from ddpc_controllers.optimisation.qp import Move, StepInfo, ends_told
@@ -71,7 +72,7 @@ class UncondensedLaw:
         problem, easier = self._problem, self._easier
         unmet = self._unmet
         if not unmet:  # whatever g costs, what it can reach is the same
-            reduced = reduce(problem, factorise(self._data, [(problem.row_count, 1.0)]))
+            reduced = self._reduced
             unmet = unmet_bounds(reduced.excess_gain, reduced.excess_law @ parameters, reduced.labels)
         relaxed = problem.relaxed() if easier is None else None
         if relaxed is not None:
@@ -80,6 +81,10 @@ class UncondensedLaw:
             return Move(None, bounds_not_met(unmet, LAST_HELD))
         self._easier, easier._unmet = easier, unmet
         return easier.solve(parameters)
+
+    @cached_property
+    def _reduced(self) -> ReducedProblem:
+        return reduce(self._problem, factorise(self._data, [(self._problem.row_count, 1.0)]))
 
     def _set_up(self) -> SparseQP:
         """Write the problem in ``g = g+ - g-``, the variables x below the past, and differences of these.

@@ -46,14 +46,15 @@ def test_the_optimum_is_that_of_another_method(n: int, size: int, repeated: bool
     gain = rng.standard_normal((n, size))
     if repeated and n > 1:
         gain[-1] = 2.0 * gain[0]  # dependent bounds
-    qp = ParametricQP(problem(gain, rng.standard_normal((1, size))), WIDE)
+    move_gain = rng.standard_normal((1, size))
+    qp = ParametricQP(problem(gain, move_gain), WIDE)
     for _ in range(6):
         excess = rng.uniform(-1.0, 0.5, n)
         t = least_distance(gain, excess)
         assume(t is not None and np.abs(t).max() < 1e3)
         move = qp.solve(np.append(excess, 1.0))
         assert move.fault == ""
-        assert move.u == pytest.approx(qp._problem.move_gain @ t, rel=1e-6, abs=1e-6)
+        assert move.u == pytest.approx(move_gain @ t, rel=1e-6, abs=1e-6)
 
 
 def test_an_infeasible_problem_is_a_fault_and_the_move_stays_within_limits() -> None:
