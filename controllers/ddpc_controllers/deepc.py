@@ -32,7 +32,7 @@ from ddpc_controllers.data.hankel import (
     resting_input,
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
-from ddpc_controllers.data.quality import dead_time_warnings, fit_by_windows
+from ddpc_controllers.data.quality import Span, fit_by_windows, judge
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Problem
@@ -104,8 +104,10 @@ class BehavioralTracking(ScaledSignals):
         self._resting: bool = not loop.continues_recording
         self._pending: list[FloatArray] = []
         data = self._stack(recording)
-        self._tested = fit_by_windows(data, self.horizon * p, p, self._layout.depth)
-        self._data_warnings = self._judge(loop, recording)
+        test = fit_by_windows(data, self.horizon * p, p, self._layout.depth)
+        self._judgement = judge(
+            type(self).__name__, recording, loop.outputs, self._spans, (test, self.horizon)
+        )
         windows = {
             "u_ini": (self.initial_length, m),
             "y_ini": (self._past_outputs, p),
@@ -151,12 +153,8 @@ class BehavioralTracking(ScaledSignals):
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
-        online = dict(self._learner.data.counts()) if self._learner else {}
-        return self._diagnostics.as_dict() | (self._tested.as_dict() if self._tested else {}) | online
-
-    def warnings(self) -> Sequence[str]:
-        """Return what speaks against the recording: its signals' size, dead time, a poor prediction."""
-        return [*super().warnings(), *self._data_warnings]
+        online = self._learner.data.counts() if self._learner else {}
+        return {**self._diagnostics.as_dict(), **self._judgement.diagnostics, **online}
 
     @abstractmethod
     def _write_down(self, loop: Loop) -> Problem:
@@ -228,15 +226,14 @@ class BehavioralTracking(ScaledSignals):
         require_excitation(self._diagnostics, f"depth {depth} + assumed order {order - depth}", who)
         return data
 
-    def _judge(self, loop: Loop, recording: Recording) -> list[str]:
-        """Return what speaks against predicting with this recording."""
+    @property
+    def _spans(self) -> Sequence[Span]:
+        """How long a dead time the windows cover."""
         # The first predicted output is the present one, which no input changes, or the next.
         seen = self.horizon - 1 + self.use_current_output
         if self.terminal_equality:  # at its end the outputs have to be there already
             seen -= self.initial_length - 1
-        spans = (seen, "horizon"), (self.initial_length + self.use_current_output, "initial_length")
-        late = dead_time_warnings(recording, [output.name for output in loop.outputs], *spans)
-        return late + (self._tested.warnings(type(self).__name__, self.horizon) if self._tested else [])
+        return Span(seen, "horizon"), Span(self._past_outputs, "initial_length")
 
     def _sum_rows(self, recording: Recording) -> NDArray[np.intp]:
         """Return the number of the row that sums g, if there is one."""

@@ -34,7 +34,7 @@ from ddpc_controllers.data.hankel import (
     window_starts,
     without_first,
 )
-from ddpc_controllers.data.quality import PredictionTest, dead_time_warnings, fit_by_model, head_of
+from ddpc_controllers.data.quality import PredictionTest, Span, fit_by_model, head_of, judge
 from ddpc_controllers.models.linear import SampledModel
 from ddpc_controllers.mpc import Predictor
 from ddpc_controllers.optimisation.limits import PREDICTED
@@ -237,11 +237,11 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         n_z, m, seams = z.shape[1], len(loop.inputs), recording.seams
         require_samples(count_windows(len(z), 2, seams), n_z + m, "KoopmanMPC")
         self._model = model = fit_lifted_model(z, recording.u, recording.y, self.ridge, seams)
-        self._tested = self._test(z, recording)
-        memory = (self.delays + 1, "delays") if self.state == "delays" else (1, 'state = "measured"')
-        names = [output.name for output in loop.outputs]
-        self._data_warnings = dead_time_warnings(recording, names, (self.horizon, "horizon"), memory)
-        self._data_warnings += self._tested.warnings("KoopmanMPC", self.horizon) if self._tested else []
+        memory = Span(1, 'state = "measured"', 'set state = "delays"')
+        if self.state == "delays":
+            memory = Span(self.delays + 1, "delays")
+        spans, tested = (Span(self.horizon, "horizon"), memory), (self._test(z, recording), self.horizon)
+        self._judgement = judge("KoopmanMPC", recording, loop.outputs, spans, tested)
         # The state of the problem is (z, w).
         a = np.block([[model.a, np.eye(n_z)], [np.zeros((n_z, n_z)), np.eye(n_z)]])
         b, c = np.vstack([model.b, np.zeros((n_z, m))]), np.hstack([model.c, np.zeros_like(model.c)])
@@ -293,11 +293,9 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         return {
             "model_order": float(len(self._model.a)),
             "spectral_radius": float(np.abs(np.linalg.eigvals(self._model.a)).max()),
-        } | (self._model.fit | (self._tested.as_dict() if self._tested else {}))
-
-    def warnings(self) -> Sequence[str]:
-        """Return what speaks against the recording: its signals' size, dead time, a poor prediction."""
-        return [*super().warnings(), *self._data_warnings]
+            **self._model.fit,
+            **self._judgement.diagnostics,
+        }
 
     def _test(self, z: FloatArray, recording: Recording) -> PredictionTest | None:
         """Return how well a model of the recording's first samples predicts the last ones."""

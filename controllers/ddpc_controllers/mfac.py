@@ -17,7 +17,7 @@ Applications, CRC Press, 2013, chapter 4; Z. Hou and S. Jin, IEEE Transactions o
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite, sqrt
 from operator import sub
@@ -28,7 +28,7 @@ from scipy.linalg.lapack import dposv
 
 from ddpc_controllers.checks import knowing
 from ddpc_controllers.data.hankel import resting_input
-from ddpc_controllers.data.quality import dead_time_warnings
+from ddpc_controllers.data.quality import Judgement, Span, judge
 from ddpc_controllers.models.data_model import DataModel, Estimation, Form
 from ddpc_controllers.models.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
 from ddpc_controllers.optimisation.limits import HELD, ChangeLimits, rate_limits
@@ -97,10 +97,9 @@ class ModelFreeAdaptive(ScaledSignals):
         self._limits = ChangeLimits(loop.bounds, rates, steps, optimise)
         self._ends, self._unit = predicted_ends(loop.outputs), self._scales.y
         self._u: list[float] = resting_input(loop).tolist()
-        spans = (self.horizon, "horizon"), (self.horizon, "horizon")
-        outputs = [output.name for output in loop.outputs]
-        recording = loop.recording
-        self._data_warnings = dead_time_warnings(recording, outputs, *spans) if recording else []
+        self._judgement = Judgement()
+        if loop.recording:
+            self._judgement = judge(type(self).__name__, loop.recording, loop.outputs, [self._ahead])
         if loop.continues_recording and loop.recording is not None:
             self._u = loop.recording.u[-1].tolist()
             self._model.resume(loop.recording.pieces[-1])
@@ -112,10 +111,6 @@ class ModelFreeAdaptive(ScaledSignals):
         else:
             told = "the sign of its gain" if self.assume_sign else "a first gain"
         return knowing(f"{told}, by initial_gradient", loop.outputs)
-
-    def warnings(self) -> Sequence[str]:
-        """Return what speaks against the method here: the signals' size, a dead time."""
-        return [*super().warnings(), *self._data_warnings]
 
     def _step(self, sample: Sample) -> FloatArray | Action:
         """Return the last inputs plus the change that the control law finds."""
@@ -172,6 +167,11 @@ class ModelFreeAdaptive(ScaledSignals):
         answer: FloatArray = changes
         return answer
 
+    @property
+    def _ahead(self) -> Span:
+        """How far the method looks ahead."""
+        return Span(self.horizon, "horizon")
+
     @abstractmethod
     def _gradients(self) -> list[float]:
         """Return Phi_k, ..., Phi_k+N-1 of every output, one after another."""
@@ -191,6 +191,10 @@ class MFAC(ModelFreeAdaptive):
 
     def _start(self, loop: Loop) -> None:
         self._begin(loop, steps=1, optimise=False)
+
+    @property
+    def _ahead(self) -> Span:
+        return Span(1, "the one-step law", "choose MFAPC, which looks further ahead")
 
     def _gradients(self) -> list[float]:
         return [phi for gradient in self._model.gradients for phi in gradient.value]

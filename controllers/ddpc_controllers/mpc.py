@@ -9,12 +9,13 @@ A model's trajectories over the horizon are all ``h = (x, u, y) = M (x, u)``: wh
 a recording, the matrix M is to a model. Costs, limits, condensing and the online solution are shared.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ddpc_controllers.data.hankel import resting_input
+from ddpc_controllers.data.quality import Span
 from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import make_backend
 from ddpc_controllers.optimisation.limits import InputLimits, rate_limits
@@ -155,8 +156,8 @@ class MPC(TrackingSettings, ModelBased):
         )
 
     @property
-    def _reach(self) -> int:
-        return self.horizon
+    def _ahead(self) -> Sequence[Span]:
+        return (Span(self.horizon, "horizon"),)
 
     def _decide(self, sample: Sample) -> tuple[FloatArray, str]:
         """Return the first optimal inputs of the horizon."""

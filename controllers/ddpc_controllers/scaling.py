@@ -13,6 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from ddpc_controllers.data.quality import Judgement
 from ddpc_controllers.optimisation.limits import InputLimits
 from ddpc_controllers.wrapper import SingleWrapper
 from ddpc_cosim import (
@@ -59,6 +60,7 @@ class Scales:
 
     def __init__(self, loop: Loop, by: ScaleBy) -> None:
         self.u, self.y, self.measured = _scales_of(loop, by)
+        self._by = by
         self._variables = loop.inputs, loop.outputs
         self._trivial = all(bool(np.all(scale == 1.0)) for scale in (self.u, self.y, self.measured))
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
@@ -89,13 +91,24 @@ class Scales:
             "output": (self._variables[1], self.y, bounds.y_min, bounds.y_max, y),
         }
         return [
-            f'the {what} "{variable.name}" is {_times(size)} its nominal value of {scale:g} '
-            f"{variable.unit}".rstrip()
-            + ', on which the weights rest: set it, or scaling = "range"'
+            f'the {what} "{variable.name}" is {_times(size)} {self._unit_of(variable, scale)}'
             for what, (variables, scales, low, high, values) in known.items()
             for variable, scale, size in zip(variables, scales, _largest(low, high, values), strict=True)
             if not (_SMALLEST <= size <= _LARGEST)
         ]
+
+    def _unit_of(self, variable: Variable, scale: float) -> str:
+        """Say what one unit of a scaled signal is, and how to choose another."""
+        worth = f"{scale:g} {variable.unit}".rstrip()
+        if self._by == "none":
+            return 'its unit, on which the weights rest: choose scaling = "nominal" or "range"'
+        if scale == abs(variable.nominal):
+            other = "bounds" if self._by == "range" else 'scaling = "range"'
+            return f"its nominal value of {worth}, on which the weights rest: set it, or {other}"
+        return (
+            f"half its range, {worth}, on which the weights rest: set bounds that it comes close to, or "
+            'scaling = "nominal"'
+        )
 
     def _in_units(self, u: FloatArray) -> FloatArray:
         inputs: FloatArray = u * self.u
@@ -202,6 +215,7 @@ class ScaledSignals(Controller):
         choices=SCALES,
         doc="what weighs 1: the signal's nominal value, half its range (else the nominal value), or its unit",
     )
+    _judgement = Judgement()
 
     def start(self, loop: Loop) -> None:
         """Start the method on the loop in scaled signals.
@@ -226,8 +240,8 @@ class ScaledSignals(Controller):
             raise
 
     def warnings(self) -> Sequence[str]:
-        """Return which signals are far from the size that the method takes them to have."""
-        return self._scales.misfits()
+        """Return what speaks against the recording: its signals' size, dead time, a poor prediction."""
+        return [*self._scales.misfits(), *self._judgement.warnings]
 
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the inputs that the method finds, in their units."""

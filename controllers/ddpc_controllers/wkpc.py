@@ -1,7 +1,7 @@
 """Willems-Koopman predictive control, equations (10)-(12)."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Literal
@@ -22,7 +22,7 @@ from ddpc_controllers.data.hankel import (
     without_first,
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
-from ddpc_controllers.data.quality import dead_time_warnings, fit_by_windows
+from ddpc_controllers.data.quality import Span, fit_by_windows, judge
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem
@@ -98,10 +98,9 @@ class WKPC(OnlineSettings, ScaledSignals):
             }
         )
         self._data = self._stack(recording, lifted)
-        self._tested = fit_by_windows(self._data, self.horizon * p, p, self._layout.depth)
-        spans = (self.horizon - 1, "horizon"), (past, "initial_length")
-        late = dead_time_warnings(recording, [output.name for output in loop.outputs], *spans)
-        self._data_warnings = late + (self._tested.warnings("WKPC", self.horizon) if self._tested else [])
+        spans = Span(self.horizon - 1, "horizon"), Span(past, "initial_length")
+        test = fit_by_windows(self._data, self.horizon * p, p, self._layout.depth)
+        self._judgement = judge("WKPC", recording, loop.outputs, spans, (test, self.horizon))
         self._problem = self._write_down(loop)
         self._limits = InputLimits(loop.bounds.u_min, loop.bounds.u_max)
         self._learner: Learner | None = None
@@ -179,11 +178,7 @@ class WKPC(OnlineSettings, ScaledSignals):
     def diagnostics(self) -> Mapping[str, float]:
         """Return order of excitation, rank and smallest singular value of the recording."""
         online = self._learner.data.counts() if self._learner else {}
-        return {**self._diagnostics.as_dict(), **(self._tested.as_dict() if self._tested else {}), **online}
-
-    def warnings(self) -> Sequence[str]:
-        """Return what speaks against the recording: its signals' size, dead time, a poor prediction."""
-        return [*super().warnings(), *self._data_warnings]
+        return {**self._diagnostics.as_dict(), **self._judgement.diagnostics, **online}
 
     def _faults_between_settings(self) -> list[str]:
         faults = []

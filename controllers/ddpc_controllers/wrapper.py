@@ -6,7 +6,8 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 
 from ddpc_controllers.checks import check_settings_and
-from ddpc_cosim import Action, Controller, FloatArray, Loop, Sample, setting
+from ddpc_controllers.optimisation.qp import StepInfo
+from ddpc_cosim import OK, Action, Controller, FloatArray, Loop, Sample, setting
 
 
 class Inner:
@@ -49,7 +50,7 @@ class Inner:
         if not self._name:
             return action
         status = f"{self._name}: {action.status}" if is_fallback(action) else action.status
-        return Action(action.u, status, self._named(action.info))
+        return Action(action.u, status, StepInfo(self._named, (action.info,)))
 
     def diagnostics(self) -> dict[str, float]:
         """Return what it says about its data or model."""
@@ -66,15 +67,19 @@ class Inner:
 
 def is_fallback(action: Action) -> bool:
     """Whether an action's inputs are not those that its controller wanted."""
-    return action.status != Action(action.u).status
+    return action.status != OK
 
 
 def joined(u: FloatArray, actions: Iterable[Action]) -> Action:
     """Return inputs with the statuses and the values of several actions."""
     actions = list(actions)
-    info = {name: value for action in actions for name, value in action.info.items()}
     fallbacks = [action.status for action in actions if is_fallback(action)]
-    return Action(u, "; ".join(fallbacks), info) if fallbacks else Action(u, info=info)
+    info = StepInfo(_merged, tuple(action.info for action in actions))
+    return Action(u, "; ".join(fallbacks) or OK, info)
+
+
+def _merged(*infos: Mapping[str, float]) -> dict[str, float]:
+    return {name: value for info in infos for name, value in info.items()}
 
 
 def joined_knowledge(parts: Mapping[str, Mapping[str, str]]) -> dict[str, str]:

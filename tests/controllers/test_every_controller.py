@@ -19,13 +19,16 @@ from ddpc_controllers import (
     SPSA,
     WKPC,
     Cascade,
+    Decentralised,
     DeePC,
     Delays,
     GammaDDPC,
+    Group,
     KoopmanMPC,
     OffsetFree,
     Scaled,
 )
+from ddpc_controllers.optimisation.qp import StepInfo
 from ddpc_controllers.published import PublishedDeePC, PublishedWKPC
 from ddpc_cosim import Action, ConfigError, Controller, DataError, Loop, Recording, Sample, declared_settings
 from ddpc_cosim.testing import ControllerConformance
@@ -139,6 +142,28 @@ def test_what_a_controller_says_that_it_uses_is_what_moves_it(name: str, loop: L
         moved.append(not np.array_equal(u, other))
         state = quick_pendulum(state, u)
     assert any(moved) == ("x1" in facts["measures"])
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [*SET_UP.values(), Decentralised(groups=[Group(inputs=["u0"], outputs=["y0"], controller=MPC())])],
+    ids=[*SET_UP, "decentralised"],
+)
+def test_what_a_controller_says_of_a_step_is_worked_out_after_it(
+    controller: Controller, loop: Loop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read_too_early(_: StepInfo) -> None:
+        raise AssertionError("read while the step is timed")
+
+    controller = deepcopy(controller)
+    controller.start(loop)
+    state, future = np.zeros(2), np.full((controller.horizon, 1), 0.2)
+    with monkeypatch.context() as patch:
+        patch.setattr(StepInfo, "_read", read_too_early)
+        answers = [controller.step(Sample(k, 0.1 * k, state[:1], state, future, future[0])) for k in range(3)]
+    assert all(
+        np.isfinite(list(answer.info.values())).all() for answer in answers if isinstance(answer, Action)
+    )
 
 
 @pytest.mark.parametrize("name", SET_UP)

@@ -16,9 +16,10 @@ from ddpc_controllers import (
     Scaled,
     StateSpace,
 )
+from ddpc_controllers.scaling import ScaleBy, Scales
 from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Recording, Sample, Variable
 
-from .loops import LinearPlant, printed_deepc, printed_wkpc, regulating_gamma_ddpc, regulating_spc
+from .loops import LinearPlant, make_loop, printed_deepc, printed_wkpc, regulating_gamma_ddpc, regulating_spc
 
 UNITS = [(np.array([1e-4, 1e5]), np.array([1e5, 1e-4])), (np.array([3.5, 0.7]), np.array([57.3, 9.0]))]
 """Sizes of two inputs and of two outputs."""
@@ -200,3 +201,28 @@ def test_a_nominal_value_that_cannot_be_a_scale_is_named(nominal: float) -> None
     assert '"u0" cannot be scaled: its nominal value is' in caught.value.faults[0]
     printed_deepc(scaling="none").start(bad)
     printed_deepc(scaling="range").start(bad)
+
+
+@pytest.mark.parametrize(
+    ("scaling", "size", "words"),
+    [
+        (
+            "nominal",
+            1e5,
+            '1e+05 times its nominal value of 1: set it, or scaling = "range"',
+        ),
+        (
+            "none",
+            1e5,
+            '1e+05 times its unit: choose scaling = "nominal" or "range"',
+        ),
+        ("range", 1e-5, "1/1e+05 of half its range, 1: set bounds that it comes close to"),
+    ],
+)
+def test_a_signal_far_from_its_scale_is_told_what_that_is(scaling: ScaleBy, size: float, words: str) -> None:
+    rows = np.array([[-size, 1.0], [size, 1.0]])
+    loop = make_loop(Recording(rows, rows, rows, 0.1), np.ones(2), np.full(2, np.inf))
+    nominal = 1.0 if scaling == "nominal" else 3.0
+    loop = replace(loop, inputs=tuple(replace(variable, nominal=nominal) for variable in loop.inputs))
+    told = Scales(loop, scaling).misfits()[0].replace(", on which the weights rest", "")
+    assert f'the input "u0" is {words}' in told

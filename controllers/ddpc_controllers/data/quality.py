@@ -1,6 +1,6 @@
 """What a recording is worth to a predictor: its error on samples held out, the dead time it has to span."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ddpc_controllers.data.hankel import count_windows, window_starts
-from ddpc_cosim import FloatArray, Recording, judge_prediction
+from ddpc_cosim import FloatArray, Recording, Variable, judge_prediction
 
 if TYPE_CHECKING:
     from ddpc_controllers.models.linear import SampledModel
@@ -21,6 +21,41 @@ _SIGNIFICANT = 1e-4
 # Of a standardised signal: what explains less is rounding.
 _EXPLAINED = 1e-6
 _RANK = 1e-9
+# Of a signal's mean, or of its unit: what moves by less is constant but for rounding.
+_NEGLIGIBLE = 1e-10
+
+
+class Judgement(NamedTuple):
+    """What a method has to say of its recording.
+
+    Parameters
+    ----------
+    warnings : tuple of str
+        What speaks against it.
+    diagnostics : mapping of str to float
+        How well it lets the method predict; empty where that was not tested.
+    """
+
+    warnings: tuple[str, ...] = ()
+    diagnostics: Mapping[str, float] = {}
+
+
+class Span(NamedTuple):
+    """How long a dead time a method covers.
+
+    Parameters
+    ----------
+    samples : int
+        The longest dead time whose inputs show in the prediction, or are remembered until they show.
+    what : str
+        What covers it, commonly a setting.
+    remedy : str, optional
+        How it covers more; default: by a longer setting.
+    """
+
+    samples: int
+    what: str
+    remedy: str | None = None
 
 
 class PredictionTest(NamedTuple):
@@ -38,19 +73,42 @@ class PredictionTest(NamedTuple):
     error: float
     fitted: float
 
-    def as_dict(self) -> dict[str, float]:
-        """Return the errors as diagnostics."""
-        return {"prediction_error": self.error, "prediction_error_fitted": self.fitted}
 
-    def warnings(self, who: str, horizon: int) -> list[str]:
-        """Return a warning where the prediction is poor."""
-        judgement = judge_prediction(self.error, self.fitted)
-        if not judgement.startswith("poor"):
-            return []
-        return [
-            f"{who}: {horizon} samples ahead it is off by {100 * self.error:.0f} % of the output's standard "
-            f"deviation on the recording's last quarter, held out; {judgement}"
-        ]
+def judge(
+    who: str,
+    recording: Recording,
+    outputs: Sequence[Variable],
+    spans: Sequence[Span],
+    tested: tuple[PredictionTest | None, int] = (None, 0),
+) -> Judgement:
+    """Return what speaks for and against a recording: dead times, a poor prediction.
+
+    Parameters
+    ----------
+    who : str
+        The method.
+    recording : Recording
+        The experiment.
+    outputs : sequence of Variable
+        The controlled outputs.
+    spans : sequence of Span
+        What has to cover a dead time.
+    tested : (PredictionTest or None, int)
+        How well the method predicts, and how many samples ahead.
+    """
+    late = tuple(_dead_time_warnings(recording, [output.name for output in outputs], spans))
+    test, horizon = tested
+    if test is None:
+        return Judgement(late)
+    figures = {"prediction_error": test.error, "prediction_error_fitted": test.fitted}
+    verdict = judge_prediction(test.error, test.fitted)
+    if not verdict.startswith("poor"):
+        return Judgement(late, figures)
+    poor = (
+        f"{who}: {horizon} samples ahead it is off by {100 * test.error:.0f} % of the output's standard "
+        f"deviation on the recording's last quarter, held out; {verdict}"
+    )
+    return Judgement((*late, poor), figures)
 
 
 def fit_by_windows(data: FloatArray, future: int, outputs: int, depth: int) -> PredictionTest | None:
@@ -157,7 +215,7 @@ def dead_times(recording: Recording, most: int) -> list[int]:
         lags -= 1
     if lags < 1:
         return [1] * p
-    y, u = _standardised(recording.y), _standardised(recording.u)
+    y, u = standardised(recording.y)[0], standardised(recording.u)[0]
     now = window_starts(samples, lags + 1, seams) + lags
     past_y = [y[now - i] for i in range(1, lags + 1)]
     past_u = [u[now - i] for i in range(lags, 0, -1)]
@@ -174,49 +232,40 @@ def dead_times(recording: Recording, most: int) -> list[int]:
     return first
 
 
-def dead_time_warnings(
-    recording: Recording, names: Sequence[str], horizon: tuple[int, str], memory: tuple[int, str]
-) -> list[str]:
-    """Return a warning for every output whose dead time a predictor does not span.
+def standardised(signals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return signals, time along axis 0, off their means and in parts of their deviations; means; deviations.
 
-    Parameters
-    ----------
-    recording : Recording
-        The experiment.
-    names : sequence of str
-        Of the outputs.
-    horizon : (int, str)
-        The longest dead time with which the first input still shows in the prediction, and the setting that
-        lengthens it.
-    memory : (int, str)
-        The longest dead time whose inputs on their way the predictor remembers, and the setting.
+    The deviation is the standard deviation, and 1 of a signal that is constant but for rounding.
     """
-    found = dead_times(recording, max(horizon[0], memory[0]) + 1)
+    means, deviations = signals.mean(axis=0), _deviations(signals)
+    return (signals - means) / deviations, means, deviations
+
+
+def _deviations(signals: FloatArray) -> FloatArray:
+    size = np.maximum(signals.std(axis=0), np.finfo(float).tiny)
+    constant = size < _NEGLIGIBLE * np.maximum(np.abs(signals.mean(axis=0)), 1.0)
+    return np.asarray(np.where(constant, 1.0, size))
+
+
+def _dead_time_warnings(recording: Recording, names: Sequence[str], spans: Sequence[Span]) -> list[str]:
+    """Return a warning for every output whose dead time is not covered."""
+    found = dead_times(recording, max(span.samples for span in spans) + 1)
     texts = []
     for name, samples in zip(names, found, strict=True):
-        short = [
-            f"{setting} covers {spanned}"
-            for spanned, setting in dict.fromkeys((horizon, memory))
-            if spanned < samples
-        ]
-        if short:
+        if short := [span for span in spans if span.samples < samples]:
+            covered = " and ".join(f"{span.what} covers {span.samples}" for span in short)
+            longer = " and ".join(span.what for span in short if span.remedy is None)
+            remedies = [f"lengthen {longer}" if longer else "", *(span.remedy for span in short)]
             texts.append(
                 f'in the recording "{name}" does not answer the inputs before {samples} samples have passed, '
-                f"and {' and '.join(short)}: lengthen it, or sample more slowly"
+                f"and {covered}: {', or '.join([*filter(None, remedies), 'sample more slowly'])}"
             )
     return texts
 
 
-def _standardised(signals: FloatArray) -> FloatArray:
-    moves = signals - signals.mean(axis=0)
-    size = moves.std(axis=0)
-    return np.asarray(moves / np.where(size > 0.0, size, 1.0))
-
-
 def _in_parts(head: FloatArray, tail: FloatArray, y: FloatArray) -> PredictionTest:
     """Return errors in parts of the standard deviations of the outputs, of the worst output."""
-    size = y.std(axis=0)
-    size = np.where(size > 0.0, size, 1.0)
+    size = _deviations(y)
     error, fitted = (np.sqrt(np.mean(np.square(part), axis=0)) / size for part in (tail, head))
     worst = int(np.argmax(error))
     return PredictionTest(float(error[worst]), float(fitted[worst]))

@@ -19,7 +19,7 @@ from ddpc_controllers.data.hankel import (
     window_starts,
     without_first,
 )
-from ddpc_controllers.data.quality import PredictionTest, fit_by_model, head_of
+from ddpc_controllers.data.quality import PredictionTest, fit_by_model, head_of, standardised
 from ddpc_controllers.models.control_api import realise
 from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_cosim import DataError, FloatArray, Loop, Recording, check_settings, setting
@@ -188,11 +188,7 @@ def _observed(model: SampledModel, recording: Recording, lags: int) -> FloatArra
 
 def _standardised(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return outputs and inputs side by side, off their means and in parts of their size; means; sizes."""
-    signals = np.hstack([recording.y, recording.u])
-    means = signals.mean(axis=0)
-    size = np.maximum(signals.std(axis=0), np.finfo(float).tiny)
-    size[size < _NEGLIGIBLE * np.maximum(np.abs(means), 1.0)] = 1.0
-    return (signals - means) / size, means, size
+    return standardised(np.hstack([recording.y, recording.u]))
 
 
 def _past(signals: FloatArray, lags: int, seams: Sequence[int]) -> FloatArray:

@@ -18,14 +18,14 @@ import numpy as np
 
 from ddpc_controllers.checks import check_settings_and, knowing
 from ddpc_controllers.data.hankel import numerical_rank, resting_input
-from ddpc_controllers.data.quality import PredictionTest, dead_time_warnings
+from ddpc_controllers.data.quality import Judgement, Span, judge
 from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_controllers.optimisation.limits import PREDICTED
 from ddpc_controllers.optimisation.qp import NOTHING_TOLD, action
 from ddpc_controllers.scaling import ScaledSignals, Scales
-from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Recording, Sample, setting
+from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, setting
 
 Disturbance = Literal["auto", "output", "input", "none"]
 DISTURBANCES: tuple[str, ...] = get_args(Disturbance)
@@ -207,35 +207,26 @@ class ModelBased(ScaledSignals):
         """
         scales = self._scales = Scales(loop, self.scaling)
         self._model = self._scaled_model(loop, scales)
-        self._tested: PredictionTest | None = None
-        self._data_warnings: list[str] = []
-        if isinstance(self.model, Identified) and scales.loop.recording is not None:
-            self._judge(self.model, scales.loop, scales.loop.recording)
+        self._judgement = self._judge(scales.loop)
         self._start_scaled()
 
-    def _judge(self, model: Identified, loop: Loop, recording: Recording) -> None:
-        """Test the identified model's prediction, and what speaks against it."""
+    def _judge(self, loop: Loop) -> Judgement:
+        """Test the prediction of a model that is identified from the recording."""
+        if not isinstance(self.model, Identified) or loop.recording is None:
+            return Judgement()
         steps = max(self.horizon, _FEWEST_STEPS)
-        self._tested = model.test(loop, steps)
-        names = [output.name for output in loop.outputs]
-        memory = int(self._model.fit["lags"]), "lags"
-        self._data_warnings = dead_time_warnings(
-            recording, names, (self._reach or memory[0], "horizon"), memory
-        )
-        self._data_warnings += self._tested.warnings(type(self).__name__, steps) if self._tested else []
+        spans = [*self._ahead, Span(int(self._model.fit["lags"]), "lags")]
+        tested = self.model.test(loop, steps), steps
+        return judge(type(self).__name__, loop.recording, loop.outputs, spans, tested)
 
     @property
-    def _reach(self) -> int:
-        """Samples ahead that the method looks, 0 for all."""
-        return 0
-
-    def warnings(self) -> Sequence[str]:
-        """Return what speaks against the recording: its signals' size, dead time, a poor prediction."""
-        return [*super().warnings(), *self._data_warnings]
+    def _ahead(self) -> Sequence[Span]:
+        """How far the method looks ahead; empty: for ever."""
+        return ()
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the quality of the model's identification."""
-        return self._model.fit | (self._tested.as_dict() if self._tested else {})
+        return {**self._model.fit, **self._judgement.diagnostics}
 
     def _scaled_model(self, loop: Loop, scales: Scales) -> SampledModel:
         """Return the model of scaled signals: identified from them, or given for the signals themselves."""
@@ -263,7 +254,7 @@ class ModelBased(ScaledSignals):
             self._observer.follow(newest.u, newest.y)
             self._u, self._resting = newest.u[-1], False
 
-    def _step(self, sample: Sample) -> FloatArray | Action:
+    def _step(self, sample: Sample) -> Action:
         """Correct the estimate, decide on the inputs, and predict what they do."""
         missing = "" if np.isfinite(sample.y).all() else PREDICTED
         if self._resting:
@@ -275,7 +266,7 @@ class ModelBased(ScaledSignals):
         u, fallback = self._decide(sample)
         self._observer.predict(u)
         self._u = u.copy()
-        return action(u, fallback or missing, self._told) if fallback or missing or self._told else u
+        return action(u, fallback or missing, self._told)
 
     @abstractmethod
     def _decide(self, sample: Sample) -> tuple[FloatArray, str]:

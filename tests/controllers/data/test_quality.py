@@ -19,7 +19,7 @@ from ddpc_controllers import (
     Identity,
     KoopmanMPC,
 )
-from ddpc_controllers.data.quality import dead_times
+from ddpc_controllers.data.quality import dead_times, fit_by_windows
 from ddpc_controllers.models.identification import _observed, fit_arx
 from ddpc_cosim import Bounds, ConfigError, Controller, Loop, Recording
 
@@ -165,6 +165,37 @@ def test_a_dead_time_beyond_horizon_or_memory_is_told(controller: Controller, sp
         return any("does not answer" in text for text in started(controller, loop_with(recording)).warnings())
 
     assert [told(spanned), told(spanned + 1)] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("controller", "remedy"),
+    [
+        (
+            DeePC(),
+            "horizon covers 4 and initial_length covers 3: lengthen horizon and initial_length, or sample",
+        ),
+        (LQR(model=Identified(lags=3)), "and lags covers 3: lengthen lags, or sample"),
+        (KoopmanMPC(state="measured", horizon=30), '"measured" covers 1: set state = "delays", or sample'),
+        (MFAC(), "and the one-step law covers 1: choose MFAPC, which looks further ahead, or sample"),
+    ],
+    ids=repr,
+)
+def test_the_remedy_names_settings_that_the_method_has(controller: Controller, remedy: str) -> None:
+    (told,) = (
+        text
+        for text in started(controller, loop_with(recording_of(8, delay=8))).warnings()
+        if "does not answer" in text
+    )
+    assert f"{remedy} more slowly" in told
+
+
+def test_an_output_that_is_constant_but_for_rounding_is_not_predicted_poorly() -> None:
+    u, y = recording_of(0).u, np.full((300, 1), 0.3)
+    y[::2] = 0.1 + 0.2
+    assert 0.0 < y.std() < 1e-15
+    tested = fit_by_windows(np.hstack([u, y, np.roll(y, 1)]).T, future=1, outputs=1, depth=1)
+    assert tested is not None
+    assert tested.error < 1e-9
 
 
 @pytest.mark.parametrize("method", [*PREDICTIVE, MFAC, MFAPC])
