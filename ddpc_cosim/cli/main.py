@@ -7,7 +7,6 @@ Exit codes: 0 done; 1 some case failed or a check failed; 2 usage or configurati
 import os
 import signal
 import sys
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
@@ -183,6 +182,18 @@ def inspect(fmu: Path, as_json: bool, strict: bool, every: bool) -> None:
 )
 @click.option("--input", "inputs", multiple=True, metavar="NAME", help="Drive this input; may be repeated.")
 @click.option("--output", "outputs", multiple=True, metavar="NAME", help="Control this; may be repeated.")
+@click.option(
+    "--at", multiple=True, metavar="NAME=VALUE", help="Level of an input, or a parameter; may be repeated."
+)
+@click.option(
+    "--range",
+    "ranges",
+    multiple=True,
+    metavar="NAME=LO:HI",
+    help="How far an input may go, or an output's setpoints; may be repeated.",
+)
+@click.option("--sampling-time", type=float, help="Of the loop, in s [what the step test shows].")
+@click.option("--duration", type=float, help="Of the loop, in s [what the step test shows].")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 @click.option(
     "--step-timeout",
@@ -192,25 +203,32 @@ def inspect(fmu: Path, as_json: bool, strict: bool, every: bool) -> None:
     help="Seconds that one call of the FMU may take.",
 )
 def init(
-    fmu: Path, out: Path, inputs: tuple[str, ...], outputs: tuple[str, ...], force: bool, step_timeout: float
+    fmu: Path,
+    out: Path,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    at: tuple[str, ...],
+    ranges: tuple[str, ...],
+    sampling_time: float | None,
+    duration: float | None,
+    force: bool,
+    step_timeout: float,
 ) -> None:
     """Write a study for an FMU that runs at once, from a step test in a process of its own."""
-    from ddpc_cosim.errors import ConfigError, CosimWarning
-    from ddpc_cosim.suggestion import suggest_study, write_study
-    from ddpc_cosim.texts import printable
+    from ddpc_cosim.cli.init import init_command
 
-    if out.exists() and not force:  # before the step test, which may take a while
-        raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
-    click.echo(f"step test of {printable(fmu.name)} ...", err=True)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", CosimWarning)  # they stand in the study
-        proposal = suggest_study(
-            fmu, inputs=list(inputs) or None, outputs=list(outputs) or None, step_timeout=step_timeout
-        )
-        path = write_study(proposal, fmu, out, replace=force)
-    driven, controlled = (", ".join(v.name for v in s) for s in (proposal.inputs, proposal.outputs))
-    click.echo(printable(f"{path}: {controlled} by {driven}, every {proposal.sampling_time:g} s"))
-    click.echo(printable(f"run it: ddpc-cosim run {path}"))
+    init_command(
+        fmu,
+        out,
+        at=at,
+        ranges=ranges,
+        force=force,
+        inputs=list(inputs) or None,
+        outputs=list(outputs) or None,
+        sampling_time=sampling_time,
+        duration=duration,
+        step_timeout=step_timeout,
+    )
 
 
 @main.command()

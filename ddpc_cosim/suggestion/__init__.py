@@ -1,17 +1,18 @@
 """A study for a supplied FMU: signals chosen, limits, sampling time and setpoints from a step test."""
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError
-from ddpc_cosim.fmu.description import FMUDescription, default_signals
+from ddpc_cosim.fmu.description import FMUDescription, choose_interface, default_signals
 from ddpc_cosim.fmu.description.defects import Severity
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
+from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice, choose
 from ddpc_cosim.suggestion.design import (
@@ -20,6 +21,7 @@ from ddpc_cosim.suggestion.design import (
     recording_length,
     suggested_controllers,
 )
+from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.step_test import ResponseType, Resting, StepTest, Timing, step_test
 from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, study_text
 from ddpc_cosim.variables import FloatArray, Variable, names
@@ -52,6 +54,10 @@ def suggest_study(
     *,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
+    at: Mapping[str, ParameterValue] | None = None,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    sampling_time: float | None = None,
+    duration: float | None = None,
     step_timeout: float = 60.0,
 ) -> Proposal:
     """Run a step test of an FMU in a process of its own, and suggest a study.
@@ -62,26 +68,37 @@ def suggest_study(
         The FMU.
     inputs, outputs : sequence of str, optional
         Signals to use; default: those that the step test shows to be of use.
+    at : mapping of str to number or str, optional
+        The operating point: levels of inputs, parameters and start values, by name; default: the FMU's own.
+    ranges : mapping of str to (float, float), optional
+        Of inputs: how far they may go; of outputs: between what values their setpoints are.
+    sampling_time, duration : float, optional
+        Of the loop [s]; default: what the step test shows.
     step_timeout : float
         Seconds that one call of the FMU may take.
 
     Raises
     ------
     ConfigError
-        The FMU has no such signals, or none to drive or to control.
+        The FMU has no such signals, or none to drive or to control, or does not allow what is asked for.
     CosimError
         It cannot be loaded, or does not run.
     """
     path = Path(path)
     description = _runnable(path)
-    driven, drives_too = _candidates(description, path.name, inputs, "input", _MOST_INPUT_CANDIDATES)
-    read, reads_too = _candidates(description, path.name, outputs, "output", _MOST_OUTPUT_CANDIDATES)
-    timing = _timing(description)
-    with FMUPlant(path, inputs=driven, outputs=read, isolated=True, step_timeout=step_timeout) as plant:
+    request = Request(at or {}, ranges or {}, sampling_time, duration, inputs, outputs)
+    request.check(description, path.name)
+    driven, drives_too = _candidates(description, path.name, request, "input", _MOST_INPUT_CANDIDATES)
+    read, reads_too = _candidates(description, path.name, request, "output", _MOST_OUTPUT_CANDIDATES)
+    timing = _timing(description, path.name)
+    start = request.start(description)
+    with FMUPlant(
+        path, inputs=driven, outputs=read, start=start, isolated=True, step_timeout=step_timeout
+    ) as plant:
         candidates = Candidates(plant.inputs, plant.outputs, (*drives_too, *reads_too), plant.warnings)
-        bounds = design.input_bounds(candidates.inputs)
+        bounds = design.input_bounds(candidates.inputs, request.ranges)
         rest, room = design.rest_and_room(candidates.inputs, bounds)
-        tested = step_test(plant, Resting(rest, room), timing)
+        tested = step_test(plant, Resting(rest, room, request.parameters(description)), timing)
     choice = choose(tested, room, timing.longest / _LONGEST_IN_TIME_SCALES, all_outputs=outputs is not None)
     if not choice.inputs:
         tried = ", ".join(names(candidates.inputs))
@@ -89,7 +106,10 @@ def suggest_study(
             f"{path.name}: no output responds to a step of an input ({tried}); write the study by hand, "
             "or choose other outputs with --output"
         )
-    return _propose(path.stem, candidates, tested, choice, bounds, timing)
+    proposal = _propose(path.stem, candidates, tested, choice, bounds, timing, request)
+    levels = zip(candidates.inputs, rest.tolist(), strict=True)
+    moved = {variable.name: level for variable, level in levels if level != variable.start}
+    return replace(proposal, parameters=request.parameters(description), start=start | moved)
 
 
 def write_study(proposal: Proposal, fmu: str | Path, out: str | Path, *, replace: bool = False) -> Path:
@@ -141,9 +161,10 @@ def _runnable(path: Path) -> FMUDescription:
 
 
 def _candidates(
-    description: FMUDescription, label: str, chosen: Sequence[str] | None, causality: str, most: int
+    description: FMUDescription, label: str, request: Request, causality: str, most: int
 ) -> tuple[list[str], list[str]]:
     """Return the signals to try, and those that are left out because there are so many."""
+    chosen = request.inputs if causality == "input" else request.outputs
     if chosen is not None:
         return list(chosen), []
     known = [signal.variable.name for signal in default_signals(description, causality)]
@@ -152,12 +173,13 @@ def _candidates(
         hint = f"; local variables may serve, with --output: {', '.join(locals_)}" if locals_ else ""
         why = "there is nothing to drive" if causality == "input" else f"there is nothing to control{hint}"
         raise ConfigError(f"{label}: the FMU has no {causality} that is a number: {why}")
+    known.sort(key=lambda name: name not in request.ranges)  # what is asked for comes first
     return known[:most], known[most:]
 
 
-def _timing(description: FMUDescription) -> Timing:
+def _timing(description: FMUDescription, label: str) -> Timing:
     experiment = description.default_experiment
-    interface = description.interfaces[min(description.interfaces)]  # co-simulation before model-exchange
+    interface = choose_interface(description, "auto", label)
     stop = (experiment.stop_time or 0.0) - (experiment.start_time or 0.0)
     longest = _LONGEST_IN_STOP_TIMES * stop if stop > 0.0 else _LONGEST
     if interface.fixed_step or not interface.variable_step:
@@ -173,14 +195,17 @@ def _propose(
     choice: Choice,
     bounds: dict[str, Bounds],
     timing: Timing,
+    request: Request,
 ) -> Proposal:
     inputs = tuple(candidates.inputs[i] for i in choice.inputs)
     outputs = tuple(candidates.outputs[j] for j in choice.outputs)
     measurements = outputs + _also_measured(candidates.outputs, outputs, tested)
     working = design.working_range(candidates.inputs, bounds).of(choice.inputs)
-    sample = design.sampling_time(tested, choice, timing.step if timing.fixed else None)
+    sample = request.sampling_time or design.sampling_time(
+        tested, choice, timing.step if timing.fixed else None, request.duration
+    )
     unstable = any(response.is_unstable for row in tested.responses for response in row)
-    references, duration = design.setpoints(tested, choice, candidates.outputs, working, sample)
+    references, duration = design.setpoints(tested, choice, candidates.outputs, working, sample, request)
     if unstable:  # there is nothing else to ask for before it is stabilised
         references = design.at_rest(tested, choice, candidates.outputs)
     nominal = _sizes(inputs, working.size) | _sizes(outputs, _output_sizes(choice, working))
@@ -198,6 +223,8 @@ def _propose(
         inputs=inputs,
         outputs=outputs,
         measurements=measurements,
+        parameters={},
+        start={},
         nominal=nominal,
         bounds={v.name: bounds[v.name] for v in inputs},
         setpoints=references,

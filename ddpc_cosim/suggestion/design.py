@@ -8,8 +8,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.loop_setup import whole_steps
 from ddpc_cosim.plugins import plugin_names
 from ddpc_cosim.suggestion.choice import Choice
+from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.step_test import BLOCK, ResponseType, StepTest
 from ddpc_cosim.variables import FloatArray, Variable
 
@@ -52,9 +55,12 @@ _MARGIN = 0.05  # of an output's range, kept from its limits
 _ROOM = 0.5  # share of the way from rest to a limit that a setpoint takes: the rest is for overshoot
 
 
-def input_bounds(inputs: Sequence[Variable]) -> dict[str, Bounds]:
-    """Return limits of every input: its declared range, else a guess from its nominal or start value."""
-    return {variable.name: _input_bounds(variable) for variable in inputs}
+def input_bounds(
+    inputs: Sequence[Variable], ranges: Mapping[str, tuple[float, float]] | None = None
+) -> dict[str, Bounds]:
+    """Return limits of every input: those given, else declared, else a guess from nominal or start value."""
+    given = {name: Bounds(low, high, "as asked for") for name, (low, high) in (ranges or {}).items()}
+    return {variable.name: given.get(variable.name) or _input_bounds(variable) for variable in inputs}
 
 
 def _input_bounds(variable: Variable) -> Bounds:
@@ -115,8 +121,18 @@ def working_range(inputs: Sequence[Variable], bounds: Mapping[str, Bounds]) -> R
     return Range(rest, np.maximum(low, rest - width), np.minimum(high, rest + width))
 
 
-def sampling_time(tested: StepTest, choice: Choice, fixed_step: float | None) -> float:
-    """Return a sampling time [s]: 1, 2 or 5 times a power of ten, or a multiple of fixed steps."""
+def sampling_time(
+    tested: StepTest, choice: Choice, fixed_step: float | None, duration: float | None
+) -> float:
+    """Return a sampling time [s]: 1, 2 or 5 times a power of ten, or a multiple of fixed steps.
+
+    A duration that is given is a whole number of samples.
+
+    Raises
+    ------
+    ConfigError
+        It is not a whole number of fixed steps.
+    """
     rises = [
         response.rise_time
         for j in choice.outputs
@@ -129,9 +145,25 @@ def sampling_time(tested: StepTest, choice: Choice, fixed_step: float | None) ->
     if rises and not choice.guessed:
         wanted = min(wanted, min(rises) / _SAMPLES_PER_RISE)
     wanted = max(wanted, float(tested.time[0]))
+    multiple = 1 if fixed_step is None else max(1, round(wanted / fixed_step))
+    sample = nearest_125(wanted) if fixed_step is None else multiple * fixed_step
+    if duration is None or _divides(sample, duration):
+        return sample
     if fixed_step is None:
-        return nearest_125(wanted)
-    return max(1, round(wanted / fixed_step)) * fixed_step
+        return duration / math.ceil(duration / sample)
+    fitting = [m * fixed_step for m in range(multiple, 0, -1) if _divides(m * fixed_step, duration)]
+    if not fitting:
+        raise ConfigError(
+            f"duration = {duration:g} must be a whole multiple of the fixed step {fixed_step:g} s"
+        )
+    return fitting[0]
+
+
+def _divides(sample: float, duration: float) -> bool:
+    try:
+        return whole_steps(duration, sample) > 0
+    except ConfigError:
+        return False
 
 
 def _swing_time(time: FloatArray, y: FloatArray) -> float:
@@ -148,29 +180,47 @@ def nearest_125(value: float) -> float:
 
 
 def setpoints(
-    tested: StepTest, choice: Choice, outputs: Sequence[Variable], working: Range, sample: float
+    tested: StepTest,
+    choice: Choice,
+    outputs: Sequence[Variable],
+    working: Range,
+    sample: float,
+    request: Request,
 ) -> tuple[dict[str, Setpoints], float]:
     """Return a reference in steps for each chosen output, and the duration of the loop [s].
 
-    One after the other the outputs go up, then down: as far as the inputs can hold them, and half of the way
-    to a limit of the output at most.
+    One after the other the outputs go up, then down: to the ends of a range that is asked for, else as far as
+    the inputs can hold them, and half of the way to a limit of the output at most.
+
+    Raises
+    ------
+    ConfigError
+        The duration that is asked for has fewer samples than there are steps.
     """
-    hold = max(_LEAST_SAMPLES_PER_SETPOINT, math.ceil(_SETTLING_PER_SETPOINT * choice.time_scale / sample))
     n, rest = len(choice.outputs), where_it_rests(tested)
+    hold = max(_LEAST_SAMPLES_PER_SETPOINT, math.ceil(_SETTLING_PER_SETPOINT * choice.time_scale / sample))
+    samples = 2 * n * hold if request.duration is None else whole_steps(request.duration, sample)
+    if samples < 2 * n:
+        short = f"duration = {request.duration:g} has {samples} samples of {sample:g} s"
+        raise ConfigError(f"{short}; needed: at least {2 * n}, one for each step of a setpoint")
     up, down = reachable(choice.gains, working)
     references = {}
     for position, j in enumerate(choice.outputs):
         first, output = _inside(rest[j], outputs[j]), outputs[j]
         rise = min(up[position], _ROOM * (output.max - first))
         fall = min(down[position], _ROOM * (first - output.min))
+        if output.name in request.ranges:
+            low, high = request.ranges[output.name]
+            first = min(max(first, low), high)
+            rise, fall = high - first, first - low
         values = [first, first + rise, first - fall]
         steps = dict(zip((0, position, n + position), values, strict=True))  # the first output starts at once
         resolution = max(rise, fall) / 100
         references[outputs[j].name] = Setpoints(
-            tuple(_clean(k * hold * sample) for k in steps),
+            tuple(_clean(k * samples // (2 * n) * sample) for k in steps),
             tuple(rounded(value, resolution) for value in steps.values()),
         )
-    return references, _clean(2 * n * hold * sample)
+    return references, _clean(samples * sample)
 
 
 def at_rest(tested: StepTest, choice: Choice, outputs: Sequence[Variable]) -> dict[str, Setpoints]:

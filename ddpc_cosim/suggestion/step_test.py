@@ -4,7 +4,7 @@ The samples lie in blocks, each twice as long as the one before: the last block 
 Within a block the intervals vary, so that an oscillation is not sampled in step with its period.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from time import monotonic
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.errors import CosimError, FMUStepError
-from ddpc_cosim.plant import Plant
+from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.variables import FloatArray
 
 BLOCK = 24
@@ -186,10 +186,13 @@ class Resting:
         Inputs at rest.
     room : array, shape (m,)
         Signed: how far each may go in the direction in which there is more room.
+    parameters : mapping of str to number or str
+        What differs from the plant's defaults.
     """
 
     u: FloatArray
     room: FloatArray
+    parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,7 +304,7 @@ def _until_clear(
     while True:
         started = monotonic()
         grid = _Grid(step, blocks, timing.fixed)
-        tested, _ = _run_all(plant, resting.u, steps, grid)
+        tested, _ = _run_all(plant, resting, steps, grid)
         types = {r.type for row in tested.responses for r in row}
         if tested.fault or not (types & _UNCLEAR or types == {ResponseType.INSENSITIVE}):
             return tested
@@ -325,10 +328,12 @@ class _Grid:
         self.end = float(self.time[-1])
         self.communication_steps = int(self._counts.sum()) if fixed else len(self._counts)
 
-    def run(self, plant: Plant, u: FloatArray) -> tuple[FloatArray, str]:
+    def run(
+        self, plant: Plant, u: FloatArray, parameters: Mapping[str, ParameterValue]
+    ) -> tuple[FloatArray, str]:
         """Run the plant from its start with constant inputs; return outputs, shape (n, p), and a fault."""
         plant.plan(self._step, self.end)
-        plant.reset()
+        plant.reset(parameters)
         rows: list[FloatArray] = []
         try:
             for count in self._counts:
@@ -347,15 +352,16 @@ def _stacked(rows: Sequence[FloatArray], plant: Plant) -> FloatArray:
 
 
 def _run_all(
-    plant: Plant, u: FloatArray, steps: FloatArray, grid: _Grid
+    plant: Plant, resting: Resting, steps: FloatArray, grid: _Grid
 ) -> tuple[StepTest, list[FloatArray]]:
     """Run at rest, then with a step of each input; return the responses and what they are taken from."""
-    rest, fault = grid.run(plant, u)
+    u, parameters = resting.u, resting.parameters
+    rest, fault = grid.run(plant, u, parameters)
     if len(rest) < BLOCK:
         raise CosimError(f"the plant does not run with its inputs at rest: {fault}")
     deviations = []
     for i, height in enumerate(steps):
-        stepped, failed = grid.run(plant, u + height * np.eye(len(u))[i])
+        stepped, failed = grid.run(plant, u + height * np.eye(len(u))[i], parameters)
         n = _whole_blocks(min(len(rest), len(stepped)))
         fault = fault or failed
         deviations.append(stepped[:n] - rest[:n])
@@ -376,7 +382,7 @@ def _with_instabilities(plant: Plant, resting: Resting, tested: StepTest, timing
     if tested.fault:
         return tested
     grid = _Grid(float(tested.time[0]), len(tested.time) // BLOCK, timing.fixed)
-    smaller, deviations = _run_all(plant, resting.u, _SMALLER_SHARE * tested.steps, grid)
+    smaller, deviations = _run_all(plant, resting, _SMALLER_SHARE * tested.steps, grid)
     responses = [list(row) for row in tested.responses]
     unstable = set()
     for j, row in enumerate(smaller.responses):

@@ -6,6 +6,7 @@ from typing import Any
 
 import tomli_w
 
+from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.suggestion.choice import Choice
 from ddpc_cosim.suggestion.design import Bounds, Setpoints, SuggestedController, drifting
 from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
@@ -25,6 +26,10 @@ class Proposal:
         Name of the plant, for the title.
     inputs, outputs, measurements : tuple of Variable
         What is driven, controlled and measured.
+    parameters : mapping of str to number or str
+        Parameters and start values that differ from the plant's defaults.
+    start : mapping of str to float
+        Where inputs start and rest, as far as the plant declares something else.
     nominal : mapping of str to float
         Sizes of inputs and controlled outputs, in their units: what controllers scale them by.
     bounds : mapping of str to Bounds
@@ -47,6 +52,8 @@ class Proposal:
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     measurements: tuple[Variable, ...]
+    parameters: Mapping[str, ParameterValue]
+    start: Mapping[str, float]
     nominal: Mapping[str, float]
     bounds: Mapping[str, Bounds]
     setpoints: Mapping[str, Setpoints]
@@ -95,10 +102,17 @@ def _plant(proposal: Proposal, fmu: str) -> list[str]:
         *_names("inputs", proposal.inputs),
         *_names("outputs", proposal.outputs),
         *_names("measurements", proposal.measurements),
-        "# how far each signal goes: what controllers scale it by",
-        "[plant.nominal]",
-        *(f"{_key(name)} = {_value(size)}" for name, size in proposal.nominal.items()),
+        *_subtable("plant.parameters", "the operating point", proposal.parameters),
+        *_subtable("plant.start", "where inputs start and rest", proposal.start),
+        *_subtable(
+            "plant.nominal", "how far each signal goes: what controllers scale it by", proposal.nominal
+        ),
     ]
+
+
+def _subtable(name: str, what: str, values: Mapping[str, Any]) -> list[str]:
+    rows = [f"{_key(key)} = {_value(value)}" for key, value in values.items()]
+    return [f"# {what}", f"[{name}]", *rows] if rows else []
 
 
 def _names(key: str, variables: Iterable[Variable]) -> list[str]:

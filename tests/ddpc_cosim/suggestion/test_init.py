@@ -14,6 +14,7 @@ from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.suggestion import suggest_study, write_study
 from ddpc_cosim.suggestion.choice import Choice
 from ddpc_cosim.suggestion.design import Range, setpoints
+from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
 from ddpc_cosim.variables import Variable, names
 
@@ -120,7 +121,7 @@ def test_setpoints_leave_as_much_room_to_the_limits_as_they_take(
     choice = Choice((0,), (0,), np.ones((1, 1)), 10.0, False)
     working = Range(np.zeros(1), np.full(1, -10.0), np.full(1, 10.0))
     level = Variable("level", "m", min=low, max=high)
-    references, _ = setpoints(tested, choice, [level], working, 1.0)
+    references, _ = setpoints(tested, choice, [level], working, 1.0, Request())
     values = references["level"].values
     assert (min(values), max(values)) == pytest.approx((lowest, highest), abs=0.01 * (highest - lowest))
 
