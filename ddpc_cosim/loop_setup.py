@@ -13,7 +13,7 @@ from ddpc_cosim.controller import Bounds, Loop, Recording
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.plant import Plant
-from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference, values_at
+from ddpc_cosim.signals import Constant, GaussianNoise, ParameterChange, Reference, values_at
 from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 
@@ -145,11 +145,14 @@ class LoopSetup:
         The plant.
     sampling_time, outputs, measurements, bounds, noise, conditions, seed, preview
         As in :func:`ddpc_cosim.cosimulate`.
+    open_loop : bool
+        Nothing is controlled: inputs without a signal rest at their start values.
 
     Raises
     ------
     ConfigError
-        Names that the plant does not have, impossible values, or nothing to drive or to read.
+        Names that the plant does not have, impossible values, or nothing to drive or to read in a closed
+        loop.
     """
 
     def __init__(
@@ -163,15 +166,17 @@ class LoopSetup:
         conditions: Conditions | None,
         seed: int,
         preview: int | None,
+        *,
+        open_loop: bool = False,
     ) -> None:
         check_sampling_time(sampling_time)
         check_seed(seed)
         check_preview(preview)
         missing = [what for what, has in (("inputs", plant.inputs), ("outputs", plant.outputs)) if not has]
-        if missing:
+        if missing and not open_loop:
             raise ConfigError([f"the plant has no {what}: there is nothing to control" for what in missing])
         available = names(plant.outputs)
-        controlled = _chosen("outputs", outputs) or available
+        controlled = () if open_loop else _chosen("outputs", outputs) or available
         measured = _chosen("measurements", measurements) or available
         check_names("outputs and measurements", dict.fromkeys((*controlled, *measured)), plant.outputs)
         self.plant, self.sampling_time, self._seed, self._preview = plant, sampling_time, seed, preview
@@ -179,7 +184,11 @@ class LoopSetup:
         self._measured = np.array([available.index(name) for name in measured], dtype=np.intp)
         self.outputs = tuple(plant.outputs[i] for i in self._outputs)
         self.measurements = tuple(plant.outputs[i] for i in self._measured)
-        self._conditions = conditions = conditions or Conditions()
+        conditions = conditions or Conditions()
+        if open_loop:
+            resting = {variable.name: Constant(variable.start) for variable in plant.inputs}
+            conditions = replace(conditions, inputs={**resting, **conditions.inputs})
+        self._conditions, self._open_loop = conditions, open_loop
         self.inputs = tuple(v for v in plant.inputs if v.name not in conditions.inputs)
         self.changed_inputs = changed_inputs(conditions, plant.inputs)
         self.bounds = _bounds(self.inputs, self.outputs, bounds or {})
@@ -196,7 +205,7 @@ class LoopSetup:
     def _deviations(self, given: Mapping[str, float]) -> FloatArray:
         """Return the noise of the plant's outputs up to the last that takes part."""
         check_names("noise", given, self.measurements)
-        deviations = np.zeros(int(max(self._outputs.max(), self._measured.max())) + 1)
+        deviations = np.zeros(int(max((*self._outputs, *self._measured), default=-1)) + 1)
         for index, variable in zip(self._measured, self.measurements, strict=True):
             deviations[index] = given.get(variable.name, 0.0)
         return deviations
@@ -206,7 +215,7 @@ class LoopSetup:
         faults = []
         for key, (_, signals) in known.items():
             faults += _unknown(key, getattr(conditions, key), signals)
-        if not self.inputs:
+        if not self.inputs and not self._open_loop:
             faults.append("inputs: every input of the plant has a signal; leave one to the controller")
         for name, delay in conditions.delay.items():
             if fault := delay_error(delay, self.sampling_time):
@@ -265,9 +274,9 @@ class LoopSetup:
         missing = [name for name in names(self.outputs) if name not in reference]
         if missing:
             raise ConfigError(f"reference: none for {', '.join(missing)}")
-        table = np.column_stack(
-            [values_at(reference[v.name], f"reference of {v.name}", time) for v in self.outputs]
-        )
+        table = np.empty((len(time), len(self.outputs)))
+        for i, name in enumerate(names(self.outputs)):
+            table[:, i] = values_at(reference[name], f"reference of {name}", time)
         table.setflags(write=False)  # controllers are handed views of it
         return table
 

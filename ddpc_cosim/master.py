@@ -72,7 +72,7 @@ EARLY = 1e-6
 
 def cosimulate(
     plant: Plant,
-    controller: Controller,
+    controller: Controller | None,
     *,
     sampling_time: float,
     duration: float,
@@ -99,8 +99,9 @@ def cosimulate(
     ----------
     plant : Plant
         The plant; it is reset here, and stays open.
-    controller : Controller
-        The controller; it is started here.
+    controller : Controller or None
+        The controller; it is started here. None: the plant runs in open loop, on the signals of its inputs
+        (``conditions``), the others at rest; outputs are measured and none is controlled.
     sampling_time, duration : float
         Time between samples and simulated time [s]; the duration is a whole number of samples.
     reference : Reference or mapping of str to Reference
@@ -150,7 +151,9 @@ def cosimulate(
         What can be known before the first sample: settings, signals and data that do not fit, a parameter
         change after the end of the run, a plant that cannot be initialised.
     """
-    setup = LoopSetup(plant, sampling_time, outputs, measurements, bounds, noise, conditions, seed, preview)
+    signals = (outputs, measurements, bounds, noise, conditions)
+    setup = LoopSetup(plant, sampling_time, *signals, seed, preview, open_loop=controller is None)
+    controller = controller or _NoController()
     steps = whole_steps(duration, sampling_time)
     end = end_time(start_time, steps, sampling_time)
     check_events(events, end)
@@ -274,6 +277,17 @@ class ExcitingController(Controller):
         u, status, *_ = ask_controller(self._stabiliser, sample, len(excitation))
         self.fallbacks += status != OK
         return Action(u + excitation, status)
+
+
+class _NoController(Controller):
+    """What stands in the loop where the plant runs in open loop: it drives nothing."""
+
+    def start(self, loop: Loop) -> None:
+        """Prepare nothing."""
+
+    def step(self, sample: Sample) -> FloatArray:
+        """Return no inputs, shape (0,)."""
+        return np.empty(0)
 
 
 class _Experiment(NamedTuple):

@@ -59,7 +59,10 @@ class EventInfo:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where an instance comes from: the FMU's unpacked folder, its library, and the model's identifiers."""
+    """Where an instance comes from: the FMU's unpacked folder, its library, and the model's identifiers.
+
+    ``trace_calls`` is the file that all calls are written to, if there is to be one.
+    """
 
     folder: Path
     library: Path
@@ -67,6 +70,7 @@ class Origin:
     model_identifier: str
     guid: str
     model_name: str
+    trace_calls: Path | None = None
 
 
 class Instance(ABC):
@@ -99,6 +103,7 @@ class Instance(ABC):
                 model_identifier=origin.model_identifier,
                 guid=origin.guid,
                 name=self.log.instance_name,
+                trace_calls=origin.trace_calls,
             )
         except BaseException:
             self.log.close()

@@ -28,6 +28,7 @@ import fmpy.fmi3
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.archive import is_file_name
 from ddpc_cosim.fmu.build import compile_sources, has_sources
+from ddpc_cosim.fmu.call_trace import TracedFunction
 from ddpc_cosim.fmu.description import FMUDescription, Interface
 from ddpc_cosim.fmu.status import missing_function
 
@@ -80,6 +81,9 @@ class _TolerantLoading:
             function = _find(fmu.dll, [prefix + plain for prefix in ordered])
             if not isinstance(function, _MissingFunction):
                 function.argtypes, function.restype = arguments, result
+                if fmu.trace_calls is not None:
+                    names = _argument_names(type(self).__bases__[1], name)
+                    function = TracedFunction(plain, names, function, fmu.trace_calls)
             fmu._functions[name] = function
 
 
@@ -107,6 +111,11 @@ def _prototypes(fmpy_class: Any) -> Mapping[str, tuple[list[Any], Any]]:
     return table
 
 
+def _argument_names(fmpy_class: Any, function: str) -> list[str]:
+    """Return what FMPy's class calls the arguments of an FMI function."""
+    return [name for name in inspect.signature(getattr(fmpy_class, function)).parameters if name != "self"]
+
+
 def _c_type(annotation: Any) -> Any:
     return typing.get_args(annotation)[0] if isinstance(annotation, types.UnionType) else annotation
 
@@ -126,7 +135,15 @@ def _tolerant_class(major: int, kind: str) -> Any:
 
 
 def load_library(
-    major: int, kind: str, *, library: Path, folder: Path, model_identifier: str, guid: str, name: str
+    major: int,
+    kind: str,
+    *,
+    library: Path,
+    folder: Path,
+    model_identifier: str,
+    guid: str,
+    name: str,
+    trace_calls: Path | None = None,
 ) -> Any:
     """Load a library and return FMPy's object for it, not yet instantiated.
 
@@ -140,6 +157,8 @@ def load_library(
         The shared library, and the unpacked FMU.
     model_identifier, guid, name : str
         From the model description, and the instance's name.
+    trace_calls : Path, optional
+        File that all calls are written to.
 
     Raises
     ------
@@ -148,7 +167,7 @@ def load_library(
     """
     tolerant = _tolerant_class(major, kind)
     fmu = tolerant.__new__(tolerant)
-    fmu.library_stem = library.stem
+    fmu.library_stem, fmu.trace_calls = library.stem, trace_calls
     with _kept_working_directory(), BundledLibraries(library.parent, folder / "resources") as bundled:
         while True:
             try:

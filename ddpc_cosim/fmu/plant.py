@@ -53,6 +53,8 @@ class FMUPlant(Plant):
         Relative tolerance of the integration; default: the FMU's own.
     max_unpacked_size, max_files : int
         How large the FMU may get when it is unpacked: bytes, and number of files.
+    trace_calls : str or Path, optional
+        File that every FMI call is written to, with arguments, status and results, up to a crash.
 
     Attributes
     ----------
@@ -90,6 +92,7 @@ class FMUPlant(Plant):
         tolerance: float | None = None,
         max_unpacked_size: int = _DEFAULTS.max_unpacked_size,
         max_files: int = _DEFAULTS.max_files,
+        trace_calls: str | Path | None = None,
     ) -> None:
         self.path = Path(path)
         if not self.path.is_file():
@@ -108,6 +111,7 @@ class FMUPlant(Plant):
                 start=start,
                 tolerance=tolerance,
                 limits=UnpackLimits(max_unpacked_size, max_files),
+                trace_calls=Path(trace_calls).absolute() if trace_calls else None,
             )
             self.inputs, self.outputs = self._shown_in(display_units or {})
             self.warnings = self._fmu.warnings

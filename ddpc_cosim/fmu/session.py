@@ -102,6 +102,7 @@ def unpack_fmu(
     start: Mapping[str, float] | None = None,
     tolerance: float | None = None,
     limits: UnpackLimits | None = None,
+    trace_calls: Path | None = None,
 ) -> UnpackedFMU:
     """Unpack and describe an FMU; parameters as of :class:`FMUPlant`.
 
@@ -128,6 +129,7 @@ def unpack_fmu(
         model_identifier=interface.model_identifier,
         guid=description.guid,
         model_name=description.model_name or label,
+        trace_calls=trace_calls,
     )
     warnings = dict.fromkeys(
         (*description.warnings, *library_warnings, *([tool] if interface.needs_execution_tool else []))

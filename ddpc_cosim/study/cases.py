@@ -53,7 +53,7 @@ class Case:
     label : str
         Name of the controller in reports.
     section : dict
-        The controller's type and settings, every default filled in.
+        The controller's type and settings, every default filled in; no type: the plant runs in open loop.
     plant : PlantSpec
         The plant.
     inputs, outputs, measurements : tuple of Variable
@@ -259,9 +259,11 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
         return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
 
 
-def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller:
-    """Return a controller that finds the plant's FMU where its settings ask for it."""
+def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller | None:
+    """Return a controller that finds the plant's FMU where its settings ask for it; None for no type."""
     kind = section["type"]
+    if not kind:
+        return None
     settings = map_files(
         controller_class(kind), section["settings"], lambda path: plant.fmu if path == PLANT else path
     )

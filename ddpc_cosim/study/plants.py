@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from ddpc_cosim.safe_calls import (
 )
 from ddpc_cosim.study.sections import PlantSection
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, names, with_display_units
+
+if TYPE_CHECKING:
+    from ddpc_cosim.fmu.description import FMUDescription
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,8 @@ class PlantSpec:
     content : str
         What decides the behaviour: SHA-256 of the FMU, or the Python class with a hash of its source; empty
         until :meth:`built`.
+    trace_calls : str
+        File that every FMI call is written to; empty: none.
     """
 
     name: str
@@ -103,6 +108,7 @@ class PlantSpec:
     nominal: Mapping[str, float] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
     content: str = ""
+    trace_calls: str = ""
 
     @classmethod
     def of(cls, section: PlantSection, folder: Path) -> Self:
@@ -154,7 +160,7 @@ class PlantSpec:
             The plant cannot be read.
         """
         if self.fmu:
-            return _fmu_variables(Path(self.fmu), self.fmi_type)
+            return _fmu_variables(read_fmu(Path(self.fmu)), Path(self.fmu).name, self.fmi_type)
         plugin = self._plugin()
         if _is_model(plugin):
             return _model_variables(plugin)
@@ -224,6 +230,7 @@ class PlantSpec:
                 fmi_type=self.fmi_type,
                 display_units=units,
                 start=self.start,
+                trace_calls=self.trace_calls or None,
             )
 
 
@@ -254,20 +261,31 @@ def _is_plant_class(plugin: Any) -> bool:
     return isinstance(plugin, type) and issubclass(plugin, Plant)
 
 
-def _fmu_variables(path: Path, fmi_type: FMIType) -> PlantVariables:
+def read_fmu(path: Path) -> "FMUDescription":
+    """Return what an FMU says about itself; nothing of it is run.
+
+    Raises
+    ------
+    FMUImportError
+        The file does not exist, or cannot be read as an FMU.
+    """
     from ddpc_cosim.fmu.archive import unpack
-    from ddpc_cosim.fmu.description import choose_interface, choose_signals
     from ddpc_cosim.fmu.description.reader import read_description
 
     if not path.is_file():
         raise FMUImportError(f"{path}: no such file")
     with TemporaryDirectory() as folder:
         unpack(path, Path(folder))
-        description = read_description(Path(folder), path.name)
-    choose_interface(description, fmi_type, path.name)
-    inputs, outputs = choose_signals(description, path.name, None, None)
+        return read_description(Path(folder), path.name)
+
+
+def _fmu_variables(description: "FMUDescription", label: str, fmi_type: FMIType) -> PlantVariables:
+    from ddpc_cosim.fmu.description import choose_interface, choose_signals
+
+    choose_interface(description, fmi_type, label)
+    inputs, outputs = choose_signals(description, label, None, None)
     for warning in description.warnings:
-        warnings.warn(f"{path.name}: {warning}", CosimWarning, stacklevel=2)
+        warnings.warn(f"{label}: {warning}", CosimWarning, stacklevel=3)
     settable = {v.name: v.variable for v in description.variables.values() if v.is_settable and not v.shape}
     elements = {s.variable.name: s.variable for s in description.signals("parameter", "input")}
     free = {s.variable.name for s in description.signals("input")}

@@ -22,7 +22,7 @@ from typing import NamedTuple, Protocol
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import load_plugin, package_version
-from ddpc_cosim.rows import Call, info_path
+from ddpc_cosim.rows import Call, RowStore, info_path
 from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.study.cases import Case, cases_of, no_samples, partial_trace, row_store, run_case
 from ddpc_cosim.study.plants import PlantSpec
@@ -57,11 +57,12 @@ _TRANSIENT = (Outcome.CRASHED, Outcome.TIMED_OUT)
 
 
 class Update(NamedTuple):
-    """How far a running case is."""
+    """How far a running case is, and its rows, which outlive it."""
 
     case: str
     samples: int
     planned: int
+    rows: RowStore
 
 
 Watcher = Callable[[Update], None]
@@ -216,7 +217,7 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
                 for run in list(running):
                     ended = run.has_ended(run.worker.channel.socket in ready)
                     if watch is not None:
-                        watch(Update(run.case.name, *run.progress))
+                        watch(run.progress)
                     if ended:
                         running.remove(run)
                         if run.can_be_reused:
@@ -239,7 +240,7 @@ def _staging(folder: Path) -> ScratchFolder:
 
 def _plugin_modules(cases: Sequence[Case]) -> list[str]:
     """Return the modules of the installed controllers; those beside a study may change between two runs."""
-    installed = {case.section["type"] for case in cases if ":" not in case.section["type"]}
+    installed = {kind for case in cases if (kind := case.section["type"]) and ":" not in kind}
     return sorted({load_plugin("controllers", name).__module__ for name in installed})
 
 
@@ -268,9 +269,9 @@ class _Run:
             ask(worker.channel, run_and_write, case, self._rows, self._folder, staging)
 
     @property
-    def progress(self) -> tuple[int, int]:
-        """Samples begun, and planned."""
-        return self._store.count, len(self._store.y)
+    def progress(self) -> Update:
+        """How far it is."""
+        return Update(self.case.name, self._store.count, len(self._store.y), self._store)
 
     def has_ended(self, has_replied: bool) -> bool:
         """Whether the case is over, and then all that is known of it written.

@@ -10,6 +10,7 @@ from hypothesis import given, strategies as st
 
 from ddpc_cosim import (
     Action,
+    Conditions,
     ConfigError,
     Constant,
     Controller,
@@ -487,3 +488,26 @@ def test_the_frame_has_a_column_per_signal_with_its_unit() -> None:
         "status",
     ]
     assert len(frame) == 5
+
+
+def test_an_open_loop_applies_the_signals_of_inputs_and_measures_every_output() -> None:
+    diary: list[Call] = []
+    plant = Integrators(2, diary, start=0.5)
+    conditions = Conditions(inputs={"u1": Ramp(0.0, 1.0, 0.0, 1.0)})
+    trace = cosimulate(plant, None, sampling_time=0.25, duration=1.0, reference={}, conditions=conditions)
+    assert diary == [("reset", {}, 0.0)] + [("step", 0.5, 0.25 * k, 0.25) for k in range(4)]
+    assert trace.completed
+    assert trace.inputs == trace.outputs == ()
+    assert trace.measured[:, 0].tolist() == [0.0, 0.125, 0.25, 0.375, 0.5]
+    assert trace.measured[:, 1].tolist() == pytest.approx([0.0, 0.0, 0.0625, 0.1875, 0.375])
+    assert trace.applied.tolist() == [[0.5, 0.25 * k] for k in range(5)]
+
+
+def test_an_open_loop_needs_neither_inputs_nor_outputs() -> None:
+    plant = Integrators(0)
+    trace = cosimulate(plant, None, sampling_time=0.5, duration=1.0, reference={})
+    assert trace.measured.tolist() == [[0.0], [0.5], [1.0]]
+    plant.outputs = ()
+    plant.reset = lambda *_: np.empty(0)  # type: ignore[method-assign, assignment]
+    plant.step = lambda *_: np.empty(0)  # type: ignore[method-assign, assignment]
+    assert len(cosimulate(plant, None, sampling_time=0.5, duration=1.0, reference={})) == 3
