@@ -122,7 +122,7 @@ def report(folders: tuple[Path, ...], out: Path | None) -> None:
     """Rebuild the report of a run, or put several runs into one."""
     from ddpc_cosim.cli.run import report_command
 
-    report_command(folders, out)
+    sys.exit(report_command(folders, out))
 
 
 @main.command("list")

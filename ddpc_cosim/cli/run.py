@@ -34,7 +34,7 @@ from ddpc_cosim.trace import Outcome
 
 REPORT_FILE = "report.html"
 _WIDE = 1000
-_FAILED_LISTED = 20
+_MOST_LISTED = 20
 
 
 def run_command(
@@ -58,12 +58,30 @@ def run_command(
     if report:
         print(write_report([results], folder / REPORT_FILE))
     _print_warnings(results)
-    failed = [case for case in results.cases if case.outcome is not Outcome.COMPLETED]
-    for case in failed[:_FAILED_LISTED]:
-        print(printable(f"{case.id}: {case.outcome}: {case.reason}"), file=sys.stderr)
-    if len(failed) > _FAILED_LISTED:
-        print(f"and {len(failed) - _FAILED_LISTED} more: {folder / METRICS_FILE}", file=sys.stderr)
-    return 1 if failed else 0
+    failed = [
+        f"{case.id}: {case.outcome}: {case.reason}"
+        for case in results.cases
+        if case.outcome is not Outcome.COMPLETED
+    ]
+    _print_some(failed, f": {folder / METRICS_FILE}")
+    return 1 if failed or _damaged(results) else 0
+
+
+def _print_some(lines: Sequence[str], rest: str) -> None:
+    for line in lines[:_MOST_LISTED]:
+        print(printable(line), file=sys.stderr)
+    if len(lines) > _MOST_LISTED:
+        print(f"and {len(lines) - _MOST_LISTED} more{rest}", file=sys.stderr)
+
+
+def _damaged(results: StudyResults) -> bool:
+    """Print which cases are damaged and what to do, and return whether any is."""
+    damaged, total = len(results.damaged), len(results.damaged) + len(results.cases)
+    _print_some([f"error: {why}" for why in results.damaged.values()], "")
+    if damaged:
+        remedy = f"run the study again with --out {results.folder}: only they are run"
+        print(printable(f"{damaged} of {total} cases are damaged and left out; {remedy}"), file=sys.stderr)
+    return damaged > 0
 
 
 def _print_warnings(results: StudyResults) -> None:
@@ -96,10 +114,12 @@ def _parse_seeds(text: str | None) -> list[int]:
         raise ConfigError(f"--seeds: {error}") from error
 
 
-def report_command(folders: Sequence[Path], out: Path | None) -> None:
-    """Write one report on several folders of results and print its path."""
+def report_command(folders: Sequence[Path], out: Path | None) -> int:
+    """Write one report on several folders of results, print its path, and return the exit code."""
     results = [load_results(folder) for folder in folders]
-    print(write_report(results, out or folders[0] / "report.html"))
+    print(write_report(results, out or folders[0] / REPORT_FILE))
+    damaged = [_damaged(one) for one in results]
+    return int(any(damaged))
 
 
 def write_report(results: Sequence[StudyResults], path: Path) -> Path:

@@ -11,7 +11,7 @@ import shutil
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +31,22 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "metrics.csv",
     "cases",
 )
-
+_RUN_FILE, _SIGNALS_FILE = "run.json", "signals.csv"
+# A JSON file ends with the checksum of all that stands before it.
+_SEAL = b',\n "sha256": "%s"\n}\n'
 
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
-# What reading a file raises that has been cut off or changed.
-_DAMAGED = (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration)
+# What reading a file raises that has been cut off or changed, or that another version wrote.
+_DAMAGED = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    StopIteration,
+    RecursionError,
+    csv.Error,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +104,7 @@ class CaseResult:
         try:
             return read_trace(self.folder)
         except _DAMAGED as error:
-            raise ConfigError(
-                f"{self.folder}: the samples cannot be read ({error!r}); run the study again"
-            ) from error
+            raise _damaged(self.folder, error) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +121,15 @@ class StudyResults:
         In the study's order: controllers x scenarios x seeds.
     provenance : dict of str to str
         Versions, machine, plant, command, date.
+    damaged : dict of str to str
+        Cases whose files are not what the run wrote, by id, and what is wrong: they are not among the cases.
     """
 
     folder: Path
     study: Study
     cases: tuple[CaseResult, ...]
     provenance: dict[str, str]
+    damaged: dict[str, str] = field(default_factory=dict)
 
     def warnings(self) -> dict[tuple[str, str], tuple[CaseResult, ...]]:
         """Return the cases of every warning, by controller and text.
@@ -134,12 +146,12 @@ class StudyResults:
 
 
 def load_results(folder: str | Path) -> StudyResults:
-    """Read a folder of results.
+    """Read a folder of results; cases that are damaged are left out, and named.
 
     Raises
     ------
     ConfigError
-        The folder holds no results, or they cannot be read, and why.
+        The folder holds no results, or what all cases share cannot be read, and why.
     """
     import tomllib
 
@@ -147,29 +159,38 @@ def load_results(folder: str | Path) -> StudyResults:
     if not (folder / STUDY_FILE).is_file():
         raise ConfigError(f"{folder}: no results: {STUDY_FILE} is missing; give the folder that `run` wrote")
     try:
-        study = Study.model_validate(tomllib.loads((folder / STUDY_FILE).read_text(encoding="utf-8")))
-        provenance = json.loads((folder / PROVENANCE_FILE).read_text(encoding="utf-8"))
-        case_ids = list(provenance.pop("cases"))
+        provenance = _read_json(folder / PROVENANCE_FILE)
+        case_ids = provenance.pop("cases")
+        content = (folder / STUDY_FILE).read_bytes()
+        if provenance.pop(STUDY_FILE) != _checksum(content):
+            raise ValueError(f"{STUDY_FILE} is not what was written: its checksum differs")
+        study = Study.model_validate(tomllib.loads(content.decode()))
     except _DAMAGED as error:
-        raise ConfigError(f"{folder}: results cannot be read: {error}; run the study again") from error
-    return StudyResults(folder, study, load_cases(folder, study, case_ids), provenance)
+        raise _damaged(folder, error) from error
+    cases, damaged = load_cases(folder, study, case_ids)
+    return StudyResults(folder, study, cases, provenance, damaged)
 
 
-def load_cases(folder: Path, study: Study, case_ids: Iterable[str]) -> tuple[CaseResult, ...]:
-    """Read cases of a study, labelled as it labels them now: a label does not decide a result.
+def load_cases(
+    folder: Path, study: Study, case_ids: Iterable[str]
+) -> tuple[tuple[CaseResult, ...], dict[str, str]]:
+    """Return the cases of a study that are sound, and by id what is wrong with the others.
 
-    Raises
-    ------
-    ConfigError
-        The files of a case are missing or damaged.
+    They are labelled as the study labels them now: a label does not decide a result.
     """
-    cases = [load_case(folder / CASES_FOLDER / case_id) for case_id in case_ids]
     labels = {name: section.label or name for name, section in study.controllers.items()}
-    return tuple(replace(case, label=labels.get(case.controller, case.label)) for case in cases)
+    cases, damaged = [], {}
+    for case_id in case_ids:
+        try:
+            case = load_case(folder / CASES_FOLDER / case_id)
+            cases.append(replace(case, label=labels.get(case.controller, case.label)))
+        except ConfigError as error:
+            damaged[case_id] = str(error)
+    return tuple(cases), damaged
 
 
 def load_case(folder: Path) -> CaseResult:
-    """Read one case.
+    """Read one case, whose files have to be what was written to the last byte.
 
     Raises
     ------
@@ -178,12 +199,18 @@ def load_case(folder: Path) -> CaseResult:
     """
     try:
         run = read_run(folder)
+        _signals(folder, run)
         head = {key: run[key] for key in ("id", "controller", "label", "scenario", "seed", "reason")}
         values = {key: run[key] for key in ("holds", "metrics", "diagnostics", "settings")}
         told = (*run["warnings"], *run["metric_warnings"])
         return CaseResult(**head, **values, outcome=Outcome(run["outcome"]), warnings=told, folder=folder)
     except _DAMAGED as error:
-        raise ConfigError(f"{folder}: this case cannot be read ({error!r}); run the study again") from error
+        raise _damaged(folder, error) from error
+
+
+def _damaged(folder: Path, error: Exception) -> ConfigError:
+    why = f"{Path(error.filename).name}: {error.strerror}" if isinstance(error, OSError) else str(error)
+    return ConfigError(f"{folder}: damaged: {why}; run the study again, which runs only what is damaged")
 
 
 def study_hash(study: Study) -> str:
@@ -203,12 +230,12 @@ def write_results(
     """
     import tomli_w
 
-    content = study.model_dump(mode="python", exclude_none=True)
-    facts: dict[str, Any] = {**provenance, "cases": [case.id for case in cases]}
+    content = tomli_w.dumps(study.model_dump(mode="python", exclude_none=True)).encode()
+    facts = {**provenance, "cases": [case.id for case in cases], STUDY_FILE: _checksum(content)}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / STUDY_FILE, tomli_w.dumps(content).encode())
-        write_atomically(folder / PROVENANCE_FILE, (json.dumps(facts, indent=1) + "\n").encode())
+        write_atomically(folder / STUDY_FILE, content)
+        write_atomically(folder / PROVENANCE_FILE, _json(facts))
         write_atomically(folder / METRICS_FILE, _metrics_table(study, cases).encode())
     except OSError as error:
         reason = error.strerror or str(error)
@@ -284,8 +311,9 @@ def write_case(
     shutil.rmtree(staged, ignore_errors=True)  # of a process of the same number that died here
     try:
         staged.mkdir(parents=True)
-        (staged / "run.json").write_bytes(_json(run))
-        trace.write_csv(staged / "signals.csv")
+        trace.write_csv(staged / _SIGNALS_FILE)
+        signals = {"rows": len(trace), "sha256": _checksum((staged / _SIGNALS_FILE).read_bytes())}
+        (staged / _RUN_FILE).write_bytes(_json(run | {"signals": signals}))
         _move_into_place(staged, folder)
     except OSError as error:
         reason = error.strerror or str(error)
@@ -307,7 +335,7 @@ def judge_again(folder: Path, settings: MetricSettings) -> None:
         if run["metric_settings"] == asdict(settings):
             return
         run |= _judged(read_trace(folder), settings)
-        write_atomically(folder / "run.json", _json(run))
+        write_atomically(folder / _RUN_FILE, _json(run))
     except _DAMAGED as error:
         raise CosimError(f"{folder}: metrics cannot be computed again: {error}") from error
 
@@ -325,8 +353,33 @@ def _judged(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
     }
 
 
-def _json(run: dict[str, Any]) -> bytes:
-    return (json.dumps(_finite(run), indent=1) + "\n").encode()
+def _json(content: dict[str, Any]) -> bytes:
+    """Return a JSON object whose last entry is the checksum of all before it."""
+    text = json.dumps(_finite(content), indent=1).removesuffix("\n}").encode()
+    return text + _SEAL % _checksum(text).encode()
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """Return what :func:`_json` was given; raises ValueError unless the file holds it to the last byte."""
+    content = path.read_bytes()
+    text = content[: -len(_SEAL % _checksum(b"").encode())]
+    if content != text + _SEAL % _checksum(text).encode():
+        raise ValueError(f"{path.name} is not what was written: its checksum differs")
+    read: dict[str, Any] = json.loads(text + b"\n}")
+    return read
+
+
+def _signals(folder: Path, run: dict[str, Any]) -> bytes:
+    """Return ``signals.csv``; raises ValueError unless it holds what was written to the last byte."""
+    content, written = (folder / _SIGNALS_FILE).read_bytes(), run["signals"]
+    if _checksum(content) != written["sha256"]:
+        rows = f"{len(content.splitlines()[1:])} rows, {written['rows']} were written"
+        raise ValueError(f"{_SIGNALS_FILE} is not what was written: its checksum differs ({rows})")
+    return content
+
+
+def _checksum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def _move_into_place(staged: Path, folder: Path) -> None:
@@ -337,7 +390,7 @@ def _move_into_place(staged: Path, folder: Path) -> None:
     try:
         staged.replace(folder)
     except OSError:
-        if not (folder / "run.json").is_file():
+        if not (folder / _RUN_FILE).is_file():
             with suppress(FileNotFoundError):
                 older.replace(folder)
             raise
@@ -347,7 +400,7 @@ def _move_into_place(staged: Path, folder: Path) -> None:
 
 def read_run(folder: Path) -> dict[str, Any]:
     """Return ``run.json`` of a case."""
-    run: dict[str, Any] = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    run = _read_json(folder / _RUN_FILE)
     run["metrics"] = {name: float(value) for name, value in run["metrics"].items()}
     run["diagnostics"] = {name: float(value) for name, value in run["diagnostics"].items()}
     return run
@@ -359,7 +412,7 @@ def read_trace(folder: Path) -> Trace:
     inputs, outputs, measurements, changed_inputs = (
         [_variable(v) for v in run[key]] for key in ("inputs", "outputs", "measurements", "changed_inputs")
     )
-    columns, status = _read_signals(folder / "signals.csv")
+    columns, status = _read_signals(_signals(folder, run))
 
     def table(variables: list[Variable], prefixes: tuple[str, ...] = ("",)) -> FloatArray:
         found = [
@@ -396,9 +449,8 @@ def read_trace(folder: Path) -> Trace:
     )
 
 
-def _read_signals(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        header, *rows = csv.reader(file)
+def _read_signals(content: bytes) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+    header, *rows = csv.reader(io.StringIO(content.decode(), newline=""))
     cells = list(zip(*rows, strict=True)) or [()] * len(header)
     columns = {name: np.array(column, dtype=float) for name, column in zip(header[:-1], cells, strict=False)}
     return columns, tuple(cells[-1])

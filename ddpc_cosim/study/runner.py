@@ -132,10 +132,10 @@ def run_study(
         if case.id not in new:
             judge_again(cases_folder / case.id, case.metrics)
     study = resolved.study.model_copy(update={"seeds": selection.seeds or resolved.study.seeds})
-    results = load_cases(folder, study, [case.id for case in cases])
+    results, damaged = load_cases(folder, study, [case.id for case in cases])
     provenance = _provenance(results, plant, selection, study, resolved.metrics.preview)
     write_results(folder, study, results, provenance)
-    return StudyResults(folder, study, results, provenance)
+    return StudyResults(folder, study, results, provenance, damaged)
 
 
 def _is_there(folder: Path) -> bool:

@@ -49,6 +49,7 @@ from ddpc_reports.verdict import Statement, across_statements, limitations, verd
 _MOST_DRAWN = 4
 """Scenarios of a study with figures over time: each costs some 300 kB of page."""
 
+_MOST_LISTED = 20
 Block = tuple[str, Any]
 """A part of a section: its kind, which chooses how the template sets it, and what it is."""
 
@@ -136,6 +137,7 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
     drawn = each(time_blocks)
     parameters = [("see parameters", reproduction.parameters)] if reproduction else _tables(*families)
     sections = [
+        Section("damaged", "Damaged cases", _damaged_blocks(results)),
         Section("verdict", "Verdict", [*overview, *each(_verdict_blocks), *lost]),
         Section("fairness", "Fairness", _statements(fairness_statements(results, seen))),
         Section("reproduction", "Reproduction", _reproduction_blocks(first, reproduction, families, prefix)),
@@ -153,6 +155,20 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
     shown = [section for section in sections if section.blocks]
     first_lines = following_lines(results.study, results.cases)
     return StudyPart(prefix, number, results, title, first_lines, _facts(results), shown)
+
+
+def _damaged_blocks(results: StudyResults) -> list[Block]:
+    """Say which cases are left out because their files are not what the run wrote."""
+    if not results.damaged:
+        return []
+    damaged, total = list(results.damaged.values()), len(results.damaged) + len(results.cases)
+    first = (
+        f"{len(damaged)} of {total} cases are damaged and left out: all that follows is of the others. "
+        "Run the study again with the same folder of results: only they are run."
+    )
+    more = len(damaged) - _MOST_LISTED
+    rest = [f"and {more} more"] if more > 0 else []
+    return [("notes", [first, *damaged[:_MOST_LISTED], *rest])]
 
 
 def _tables(*tables: Table | None) -> list[Block]:

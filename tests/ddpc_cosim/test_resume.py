@@ -141,15 +141,47 @@ def test_a_label_is_the_one_of_the_study_as_it_is_now(write_study: WriteStudy) -
     assert load_results(results.folder).cases[0].label == "ours"
 
 
-def test_a_damaged_case_is_run_again(write_study: WriteStudy) -> None:
-    study = write_study("mfapc")
+def test_damage_to_any_byte_is_noticed_and_only_that_case_run_again(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    study = write_study("mfapc", seeds="[0, 1]")
     results, _ = run(study)
-    (results.cases[0].folder / "run.json").write_text("{", encoding="utf-8")
-    with pytest.raises(ConfigError, match="run the study again"):
-        load_results(results.folder)
+    sound = {case.id for case in results.cases}
+    rng = np.random.default_rng(0)
+    files = sorted(results.folder.glob("cases/*/*"))
+    for path in [*files, *rng.choice(files, 40)]:
+        content = path.read_bytes()
+        place, other = rng.integers(len(content)), bytes([rng.integers(256)])
+        for damaged in (content[:place], content[:place] + other + content[place + 1 :]):
+            path.write_bytes(damaged)
+            found = load_results(results.folder)
+            assert damaged == content or list(found.damaged) == [path.parent.name]
+            assert {case.id for case in found.cases} == sound - set(found.damaged)
+        path.write_bytes(content)
+    (damaged, *_) = files
+    damaged.unlink()
+    done = run_program("report", "out")
+    assert done.returncode == 1
+    assert "1 of 2 cases are damaged and left out; run the study again with --out out: only" in done.stderr
+    assert damaged.parent.name in done.stderr
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    assert "1 of 2 cases are damaged and left out" in page
+    (tmp_path / "out/metrics.csv").write_text("forged", encoding="utf-8")
     _, diary = run(study)
-    assert diary.started == (1, 0)
-    assert load_results(results.folder).cases
+    assert diary.started == (1, 1)
+    assert [f"{name}_" in damaged.parent.name for name in diary.done] == [True]
+    assert not load_results(results.folder).damaged
+    assert len((tmp_path / "out/metrics.csv").read_text(encoding="utf-8").splitlines()) == 3
+
+
+def test_a_report_on_nothing_but_damaged_cases_says_so(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    results, _ = run(write_study("mfapc"))
+    (results.cases[0].folder / "signals.csv").unlink()
+    done = run_program("report", "out")
+    assert (done.returncode, "Traceback" in done.stderr) == (1, False), done.stderr
+    assert "1 of 1 cases are damaged" in (tmp_path / "out/report.html").read_text(encoding="utf-8")
 
 
 def test_a_faulty_fmu_costs_its_case_a_result_and_the_others_nothing(write_study: WriteStudy) -> None:

@@ -3,6 +3,7 @@
 import errno
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from hypothesis.extra import numpy as arrays
 
 from ddpc_cosim import ConfigError, CosimError, DisplayUnit, Outcome, Trace, Variable, load_results
 from ddpc_cosim.controller import Bounds
+from ddpc_cosim.study import results
+from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import load_case, read_run, read_trace, write_case
 
 HEAD = {"id": "a_seed0_1", "controller": "a", "label": "A", "scenario": "nominal", "seed": 0}
@@ -206,23 +209,55 @@ def test_figures_that_do_not_exist_are_nan_again(tmp_path: Path, trace: Trace) -
     assert math.isnan(read_run(tmp_path / "case")["metrics"]["overshoot.y [%]"])
 
 
-@pytest.mark.parametrize(
-    "content", ["", "{", "[]", "{}", '{"metrics": 3}', '{"metrics": {}, "diagnostics": {}}']
-)
-def test_a_damaged_case_is_named(tmp_path: Path, trace: Trace, content: str) -> None:
+DAMAGE: dict[str, Callable[[bytes], bytes | None]] = {
+    "deleted": lambda content: None,
+    "empty": lambda content: b"",
+    "half the rows": lambda content: b"".join(content.splitlines(keepends=True)[:2]),
+    "zeroed": lambda content: bytes(len(content)),
+    "another value": lambda content: content.replace(b"0", b"1e300", 1),
+    "another figure": lambda content: content.replace(b"0", b"7"),
+    "a blank": lambda content: content + b" ",
+    "another blank": lambda content: content.replace(b"\n", b"\r\n"),
+    "null": lambda content: b"null",
+    "a list": lambda content: b"[]",
+    "nothing in it": lambda content: b"{}",
+    "wrong types": lambda content: b'{"metrics": 3}',
+    "not UTF-8": lambda content: b'{"a": "\xff"}',
+    "nested": lambda content: b"[" * 100_000,
+}
+
+
+@pytest.mark.parametrize("file", ["run.json", "signals.csv"])
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
+def test_a_damaged_case_is_named(
+    tmp_path: Path, trace: Trace, file: str, damage: Callable[[bytes], bytes | None]
+) -> None:
     write_case(tmp_path / "case", trace, HEAD)
-    (tmp_path / "case" / "run.json").write_text(content, encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"case: this case cannot be read .*; run the study again"):
+    case, path = load_case(tmp_path / "case"), tmp_path / "case" / file
+    content = damage(path.read_bytes())
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    words = rf"case: damaged: {file}.*; run the study again, which runs only what is damaged"
+    for read in (lambda: load_case(tmp_path / "case"), case.trace):
+        with pytest.raises(ConfigError, match=words):
+            read()
+
+
+def test_rows_that_are_missing_are_counted(tmp_path: Path, trace: Trace) -> None:
+    write_case(tmp_path / "case", trace, HEAD)
+    path = tmp_path / "case" / "signals.csv"
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:2]))
+    with pytest.raises(ConfigError, match=r"its checksum differs \(1 rows, 2 were written\)"):
         load_case(tmp_path / "case")
 
 
-@pytest.mark.parametrize("content", ["", "time [s],status\n0.0,ok\n", "a,b\n1\n", "time [s],y [m]\nx,y\n"])
-def test_damaged_samples_are_named(tmp_path: Path, trace: Trace, content: str) -> None:
-    write_case(tmp_path / "case", trace, HEAD)
-    (tmp_path / "case" / "signals.csv").write_text(content, encoding="utf-8")
-    case = load_case(tmp_path / "case")
-    with pytest.raises(ConfigError, match="the samples cannot be read"):
-        case.trace()
+@pytest.mark.parametrize("content", [{"metrics": 3}, {"metrics": {}, "diagnostics": {}}, {"id": 1}])
+def test_a_case_of_another_version_is_damaged(tmp_path: Path, content: dict[str, Any]) -> None:
+    (tmp_path / "case").mkdir()
+    (tmp_path / "case" / "run.json").write_bytes(results._json(content))
+    with pytest.raises(ConfigError, match=r"case: damaged: "):
+        load_case(tmp_path / "case")
 
 
 def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
@@ -230,9 +265,18 @@ def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
         load_results(tmp_path)
 
 
-@pytest.mark.parametrize("provenance", ["", "[]", "{}", '{"cases": 3}'])
-def test_damaged_results_are_named(tmp_path: Path, provenance: str, paper_text: str) -> None:
-    (tmp_path / "study.toml").write_text(paper_text.replace('[5489, "0:30"]', "[1]"), encoding="utf-8")
-    (tmp_path / "provenance.json").write_text(provenance, encoding="utf-8")
-    with pytest.raises(ConfigError, match="results cannot be read"):
+@pytest.mark.parametrize("file", ["study.toml", "provenance.json"])
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
+def test_damaged_results_are_named(
+    tmp_path: Path, paper_text: str, file: str, damage: Callable[[bytes], bytes | None]
+) -> None:
+    study = read_study("paper").study
+    results.write_results(tmp_path, study, [], {"date": "2020"})
+    assert load_results(tmp_path).study == study
+    path = tmp_path / file
+    content = damage(path.read_bytes())
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"study\.toml is missing|damaged: .*; run the study again"):
         load_results(tmp_path)
