@@ -1,10 +1,13 @@
 """The rows of a run, in memory or in a file that outlives the process that fills it.
 
 Time is implied. Besides its rows a file tells which call of a plant or controller the run is in: whoever
-opens it knows how far the run is, whether it hangs, and where it was when its process died.
+follows it knows how far the run is, whether it hangs, and where it was when its process died.
 """
 
 import mmap
+import os
+import stat
+import weakref
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -20,7 +23,7 @@ from ddpc_cosim.variables import FloatArray
 _ROWS, _CALLS, _TEXT_BYTES, _TIME = range(4)
 _CALL = slice(32, 96)
 _HEADER = 96
-_TEXTS = 1 << 16
+_TEXTS, _CHUNK = 1 << 16, 1 << 20
 _NOTHING: FloatArray = np.empty(0)
 _END = "\n"
 _MOST_INFO, _LONGEST_NAME = 64, 400
@@ -59,6 +62,8 @@ class RowStore:
         Number of inputs of which the plant may be given something else.
     path : Path, optional
         A file, made if there is none; who opens the same one has the same rows. Default: in memory.
+    follow : bool
+        Make the file, for another process to fill, and read it: :meth:`look`, :meth:`written`.
 
     Attributes
     ----------
@@ -83,10 +88,16 @@ class RowStore:
         path: Path | None = None,
         *,
         changed_inputs: int = 0,
+        follow: bool = False,
     ) -> None:
         columns = (outputs, outputs, measurements, inputs, changed_inputs, 1, 1)
         size = _HEADER + 8 * samples * sum(columns) + (_TEXTS if path else 0)
-        self._memory: Any = _mapped(path, size) if path else np.zeros(size, np.uint8).data
+        # Whoever fills a file may cut it off, which would be a bus error in mapped memory.
+        self._followed = _made(path, size) if path and follow else None
+        if self._followed is not None:
+            weakref.finalize(self, os.close, self._followed)
+        mapped = path and not follow
+        self._memory: Any = _mapped(path, size) if path and mapped else np.zeros(size, np.uint8).data
         head = memoryview(self._memory)[:_HEADER]
         self._numbers_of, self._times, self._call = head.cast("q"), head.cast("d"), head[_CALL]
         tables, start = [], _HEADER
@@ -98,10 +109,25 @@ class RowStore:
         self.solve_time: FloatArray = solve_time[:, 0]
         self._status = status[:, 0].view(np.int64)
         self._info_path = info_path(path) if path else None
-        self._info = self._stored_info()
         self._text_memory = memoryview(self._memory)[start:]
+        self._read_texts()
+
+    def _read_texts(self) -> None:
+        self._info = self._stored_info()
         written = bytes(self._text_memory[: self._numbers_of[_TEXT_BYTES]]).decode("utf-8", "replace")
         self._texts = {text: number for number, text in enumerate([OK, _FAILED, *written.split(_END)[:-1]])}
+
+    def look(self, *, closely: bool = False) -> None:
+        """Read from a file that is followed how far the run is; closely: all of it."""
+        if self._followed is None:
+            return
+        memory = memoryview(self._memory)[: None if closely else _HEADER]
+        os.lseek(self._followed, 0, os.SEEK_SET)
+        while memory and (content := os.read(self._followed, min(len(memory), _CHUNK))):
+            memory[: len(content)] = content
+            memory = memory[len(content) :]
+        if closely:
+            self._read_texts()
 
     @property
     def count(self) -> int:
@@ -154,6 +180,7 @@ class RowStore:
 
     def written(self) -> dict[str, Any]:
         """Return the rows up to the last one that was begun, as a trace names them."""
+        self.look(closely=True)
         n = self.count
         numbers = ("reference", "y", "measured", "u", "applied", "solve_time")
         tables = {name: getattr(self, name)[:n] for name in numbers}
@@ -178,9 +205,13 @@ class RowStore:
         """Return the values by name that lie in the file beside the rows'."""
         if self._info_path is None or not self._info_path.exists():
             return {}
-        samples, size = len(self.y), self._info_path.stat().st_size
+        samples = len(self.y)
         width = _LONGEST_NAME + 8 * samples
-        memory = _mapped(self._info_path, size) if size >= width else b""
+        if self._followed is not None:
+            memory: Any = _content(self._info_path, _MOST_INFO * width)
+        else:
+            size = self._info_path.stat().st_size
+            memory = _mapped(self._info_path, size) if size >= width else b""
         starts = range(0, len(memory) - width + 1, width)
         names = [memory[i : i + _LONGEST_NAME].rstrip(b"\0").decode("utf-8", "replace") for i in starts]
         columns = [np.frombuffer(memory, np.float64, samples, i + _LONGEST_NAME) for i in starts]
@@ -204,7 +235,24 @@ def info_path(path: Path) -> Path:
     return path.with_name(f"{path.name}-info")
 
 
+def _made(path: Path, size: int) -> int:
+    """Make a file of zeros and return its descriptor."""
+    made = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o600)
+    os.ftruncate(made, size)
+    return made
+
+
 def _mapped(path: Path, size: int) -> mmap.mmap:
     with path.open("a+b") as file:
         file.truncate(size)
         return mmap.mmap(file.fileno(), size)
+
+
+def _content(path: Path, longest: int) -> bytes:
+    """Return the content of a file that another process has made, nothing of what a link leads to."""
+    harmless = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    try:
+        with os.fdopen(os.open(path, os.O_RDONLY | harmless), "rb") as file:
+            return file.read(longest) if stat.S_ISREG(os.fstat(file.fileno()).st_mode) else b""
+    except OSError:
+        return b""

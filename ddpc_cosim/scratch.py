@@ -96,6 +96,12 @@ def _remove_folder(path: Path) -> None:
     with suppress(OSError):  # another one removes it too
         for entry in path.iterdir():
             if entry.name != _LOCK:
-                shutil.rmtree(entry, ignore_errors=True)
-                entry.unlink(missing_ok=True)
+                remove(entry)
     shutil.rmtree(path, ignore_errors=True)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, or a folder and all that is in it, if there is one and it can be removed."""
+    shutil.rmtree(path, ignore_errors=True)
+    with suppress(OSError):
+        path.unlink()

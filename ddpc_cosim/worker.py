@@ -4,14 +4,15 @@ On POSIX, workers are forked from a server: a process without threads in which w
 already. It collects what they print, ends whole process groups, and ends them all when this process is gone.
 A worker protects against faults, not against malice: it has the user's rights.
 
-What goes to a worker is pickled. What comes back never is: it is JSON of a bounded length, or numbers of a
-known one.
+What goes to a worker is pickled. What comes back never is: it is JSON and numbers of a bounded length, and
+anything else is a crash of that worker.
 """
 
 import atexit
 import contextlib
 import gc
 import importlib
+import io
 import itertools
 import json
 import math
@@ -33,15 +34,17 @@ from time import monotonic
 from typing import Any, ClassVar, NamedTuple, NoReturn
 
 from ddpc_cosim import errors
-from ddpc_cosim.errors import CosimError, FMUStepError, StepStatus
+from ddpc_cosim.errors import ConfigError, CosimError, DataError, FMUStepError, StepStatus
 
 LONGEST_REPLY = 1 << 27
+# JSON of a megabyte can take twenty in memory, numbers take no more than they have.
+_LONGEST_JSON, _LONGEST_TEXT, _MOST_TEXTS = 1 << 22, 10_000, 100
 _PHASES = {"reset": "initialisation", "close": "terminate"}
 _LENGTH = struct.Struct("=q")
 
-_START_SECONDS = 120.0
+_START_SECONDS, _LOOK_SECONDS = 120.0, 1.0
 _OUTPUT_KEPT, _OUTPUT_SHOWN = 4000, 300
-_CHUNK = 1 << 16
+_CHUNK, _CHUNKS = 1 << 16, 16
 _LEFT_BEHIND = 70
 _FIRST_WINDOWS_FAULT = 0xC0000000
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
@@ -51,6 +54,13 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 
 class UnexpectedError(Exception):
     """What was called in a worker raised an error that is not of this project's family."""
+
+
+_ERRORS: dict[str, type[Any]] = {"": UnexpectedError} | {
+    name: kind
+    for name, kind in vars(errors).items()
+    if isinstance(kind, type) and issubclass(kind, CosimError)
+}
 
 
 class Channel:
@@ -83,48 +93,71 @@ class Channel:
         ValueError
             It is too long.
         """
-        deadline = None if seconds is None else monotonic() + seconds
-        before = self.socket.gettimeout()
-        try:
-            head = beginning + self._receive(_LENGTH.size - len(beginning), deadline)
-            (length,) = _LENGTH.unpack_from(head)
-            if not 0 <= length <= longest:
-                raise ValueError(f"a message of {length} bytes; allowed: {longest}")
-            content = head[_LENGTH.size :]
-            return content + self._receive(length - len(content), deadline)
-        finally:
-            self.socket.settimeout(before)
+        deadline = monotonic() + (math.inf if seconds is None else seconds)
+        head = beginning + self.receive_bytes(_LENGTH.size - len(beginning), seconds)
+        (length,) = _LENGTH.unpack_from(head)
+        if not 0 <= length <= longest:
+            raise ValueError(f"a message of {length} bytes; allowed: {longest}")
+        content = head[_LENGTH.size :]
+        left = None if seconds is None else deadline - monotonic()
+        return content + self.receive_bytes(length - len(content), left)
 
-    def _receive(self, count: int, deadline: float | None) -> bytes:
+    def receive_bytes(self, count: int, seconds: float | None = None) -> bytes:
+        """Return so many bytes, all of which have to be there in time; errors as of :meth:`receive`."""
+        deadline = monotonic() + (seconds or 0.0)
+        before = self.socket.gettimeout()
         buffer = bytearray(max(count, 0))
         rest = memoryview(buffer)
-        while rest:
-            if deadline is not None:
-                self.socket.settimeout(max(deadline - monotonic(), 1e-3))
-            received = self.socket.recv_into(rest)
-            if not received:
-                raise EOFError
-            rest = rest[received:]
+        try:
+            while rest:
+                if seconds is not None:
+                    self.socket.settimeout(max(deadline - monotonic(), 1e-3))
+                received = self.socket.recv_into(rest)
+                if not received:
+                    raise EOFError
+                rest = rest[received:]
+        finally:
+            self.socket.settimeout(before)
         return bytes(buffer)
 
 
 def reply(channel: Channel, call: Callable[[], Any]) -> None:
     """Send from a worker what a call returns: what JSON can say, and arrays; or the error that it raises."""
+    numbers: list[bytes] = []
+
+    def plain(value: Any) -> Any:
+        if is_dataclass(value) and not isinstance(value, type):
+            return asdict(value)
+        numbers.append(value.astype(float).tobytes())
+        return {"shape": value.shape}
+
     try:
-        content = json.dumps({"result": call()}, default=_plain)
+        content = json.dumps({"result": call()}, default=plain).encode()
+        _flush()
     except BaseException as error:  # anyone's code can fail in any way, exit() included
         reply_error(channel, error)
     else:
-        channel.send(content.encode())
+        channel.send(b"\n".join((content, b"".join(numbers))))
+
+
+def _flush() -> None:
+    """Write out what has been printed, by libraries too: it belongs to what was called last."""
+    sys.stdout.flush()
+    if sys.platform != "win32":
+        import ctypes
+
+        ctypes.CDLL(None).fflush(None)
 
 
 def reply_error(channel: Channel, error: BaseException) -> None:
     """Send an error: by its class and arguments if it is of this project's family, else in words."""
-    kind, arguments = "", (f"{type(error).__name__}: {error}".removesuffix(": "),)
+    kind, arguments = "", [f"{type(error).__name__}: {error}".removesuffix(": ")]
     if isinstance(error, CosimError):
         kind = next(base.__name__ for base in type(error).__mro__ if base.__module__ == errors.__name__)
-        arguments = error.__reduce__()[1]  # type: ignore[assignment]
-    channel.send(json.dumps({"error": kind, "arguments": arguments}, default=str).encode())
+        faults = getattr(error, "faults", None)
+        arguments = [*(error.__reduce__()[1] if faults is None else faults)][:_MOST_TEXTS]
+    texts = [a[:_LONGEST_TEXT] if isinstance(a, str) else a for a in arguments]
+    channel.send(json.dumps({"error": kind, "arguments": texts}, default=str).encode())
 
 
 def result_of(content: bytes) -> Any:
@@ -139,32 +172,39 @@ def result_of(content: bytes) -> Any:
     UnexpectedError
         What was called raised something else.
     """
+    text, _, numbers = content.partition(b"\n")
+    begin = 0
+
+    def array_or_dict(value: dict[str, Any]) -> Any:
+        nonlocal begin
+        if value.keys() != {"shape"}:
+            return value
+        import numpy as np
+
+        count = math.prod(value["shape"])
+        begin, start = begin + 8 * count, begin
+        return np.frombuffer(numbers, np.float64, count, start).reshape(value["shape"]).copy()
+
     try:
-        answer = json.loads(content, object_hook=_array_or_dict)
+        if len(text) > _LONGEST_JSON:
+            raise ValueError(f"{len(text)} bytes of JSON")
+        answer = json.loads(text, object_hook=array_or_dict)
         if "error" not in answer:
             return answer["result"]
-        kind = getattr(errors, answer["error"]) if answer["error"] else UnexpectedError
-        error = kind(*answer["arguments"])
-        if not isinstance(error, CosimError | UnexpectedError):
-            raise TypeError(answer["error"])
+        error = _error(answer["error"], answer["arguments"])
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as fault:
         raise ValueError("the reply cannot be read") from fault
     raise error
 
 
-def _plain(value: Any) -> Any:
-    """Return an array or a dataclass as JSON can say it."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return asdict(value)
-    return {"shape": value.shape, "values": value.ravel().tolist()}
-
-
-def _array_or_dict(value: dict[str, Any]) -> Any:
-    if value.keys() != {"shape", "values"}:
-        return value
-    import numpy as np
-
-    return np.array(value["values"], dtype=np.float64).reshape(value["shape"])
+def _error(name: str, arguments: list[Any]) -> CosimError | UnexpectedError:
+    """Return an error of this project's family, and of none else, with arguments of the types that it has."""
+    kind = _ERRORS[name]
+    if kind is FMUStepError:
+        message, status, time = arguments
+        return FMUStepError(str(message), StepStatus(status), float(time))
+    texts = [*map(str, arguments)]
+    return kind(texts) if issubclass(kind, ConfigError | DataError) else kind(*texts)
 
 
 class Ending(NamedTuple):
@@ -228,10 +268,11 @@ class Worker:
         ours, theirs = socket.socketpair()
         self.channel = Channel(ours)
         self._owner, self._ending = os.getpid(), Ending(None)
-        self._end: Callable[[], Ending] | None = None
+        self._process: _Forked | _Shared | None = None
         try:
             with theirs:
-                self._end = _start(theirs, preload)
+                self._process = _start(theirs, preload)
+            self.channel.limit(_START_SECONDS)  # one that is stopped reads nothing
             # Two pickles: the import path has to be there before the target can be found.
             place = (sys.path, _here(), dict(os.environ), str(folder))
             self.channel.send(pickle.dumps(place))
@@ -248,27 +289,40 @@ class Worker:
 
         In a forked copy of this process, the worker is left alone.
         """
-        end, self._end = self._end, None
-        if end is not None and os.getpid() == self._owner:
-            self._ending = end()
+        process, self._process = self._process, None
+        if process is not None and os.getpid() == self._owner:
+            self._ending = process.end()
         self.channel.socket.close()
         return self._ending
 
+    def printed(self) -> str:
+        """Return the end of what it has printed since it was asked last, as far as the system tells."""
+        return "" if self._process is None else self._process.printed()
 
-def _start(connection: socket.socket, preload: Sequence[str]) -> Callable[[], Ending]:
-    """Start a process with the far end of a channel; return what ends it."""
+
+def _start(connection: socket.socket, preload: Sequence[str]) -> "_Forked | _Shared":
+    """Start a process with the far end of a channel."""
     if sys.platform != "win32":
         return _ForkServer.running().fork(connection, preload)
-    process = _python("ddpc_cosim.worker._run_shared()", stdin=subprocess.PIPE)
-    assert process.stdin is not None
-    with process.stdin as pipe:
-        pipe.write(connection.share(process.pid))
+    return _Shared(connection)
 
-    def end() -> Ending:
-        process.kill()
-        return Ending(process.wait())
 
-    return end
+class _Shared:
+    """A process of its own with the far end of a channel (Windows)."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._process = _python("ddpc_cosim.worker._run_shared()", stdin=subprocess.PIPE)
+        assert self._process.stdin is not None
+        if sys.platform == "win32":
+            with self._process.stdin as pipe:
+                pipe.write(connection.share(self._process.pid))
+
+    def end(self) -> Ending:
+        self._process.kill()
+        return Ending(self._process.wait())
+
+    def printed(self) -> str:
+        return ""
 
 
 def _python(code: str, stdin: int, pass_fds: Sequence[int] = ()) -> "subprocess.Popen[bytes]":
@@ -326,7 +380,7 @@ class _ForkServer:
             descriptor = other.fileno()
             code = f"ddpc_cosim.worker._Server({descriptor}).serve()"
             self._process = _python(code, subprocess.DEVNULL, (descriptor,))
-        self._socket.settimeout(_START_SECONDS)
+        self._socket.settimeout(_LOOK_SECONDS)
         atexit.register(self._stop)
 
     @classmethod
@@ -338,26 +392,25 @@ class _ForkServer:
                 server = cls._current = _ForkServer()
             return server
 
-    def fork(self, connection: socket.socket, preload: Sequence[str]) -> Callable[[], Ending]:
-        """Fork a worker and return what ends it; raises OSError."""
-        pid = self._ask({"preload": [*preload]}, connection.fileno())["pid"]
+    def fork(self, connection: socket.socket, preload: Sequence[str]) -> "_Forked":
+        """Fork a worker; raises OSError."""
+        return _Forked(self, self.ask({"preload": [*preload]}, connection.fileno())["pid"])
 
-        def end() -> Ending:
-            try:
-                answer = self._ask({"end": pid})
-            except OSError:  # the server has gone, and its workers with it
-                return Ending(None)
-            return Ending(answer["code"], answer["output"])
-
-        return end
-
-    def _ask(self, request: dict[str, Any], *descriptors: int) -> dict[str, Any]:
+    def ask(self, request: dict[str, Any], *descriptors: int) -> dict[str, Any]:
         with self._lock:
             number = next(self._numbers)
             line = json.dumps({"number": number, **request}).encode() + b"\n"
             socket.send_fds(self._socket, [line], descriptors)
+            deadline = monotonic() + _START_SECONDS
             while number not in self._answers:
-                chunk = self._socket.recv(_CHUNK)
+                self._process.send_signal(signal.SIGCONT)  # someone may have stopped it
+                try:
+                    chunk = self._socket.recv(_CHUNK)
+                except TimeoutError:
+                    if monotonic() > deadline:
+                        self._process.kill()  # and its workers with it
+                        raise
+                    continue
                 if not chunk:
                     raise ConnectionError(f"the server ended with exit code {self._process.wait()}")
                 self._received += chunk
@@ -371,7 +424,32 @@ class _ForkServer:
     def _stop(self) -> None:
         if os.getpid() == self._owner:
             self._socket.close()  # which is what it waits for
-            self._process.wait()
+            self._process.send_signal(signal.SIGCONT)
+            try:
+                self._process.wait(_START_SECONDS)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+
+
+class _Forked(NamedTuple):
+    """A process that a server has forked."""
+
+    server: _ForkServer
+    pid: int
+
+    def end(self) -> Ending:
+        try:
+            answer = self.server.ask({"end": self.pid})
+        except OSError:  # the server has gone, and its workers with it
+            return Ending(None)
+        return Ending(answer["code"], answer["output"])
+
+    def printed(self) -> str:
+        try:
+            return str(self.server.ask({"printed": self.pid})["output"])
+        except OSError:
+            return ""
 
 
 class _Server:
@@ -413,6 +491,9 @@ class _Server:
         try:
             if "end" in request:
                 answer = self._end(request["end"])
+            elif "printed" in request:
+                self._collect(request["printed"])
+                answer = {"output": self._output(request["printed"])}
             else:
                 answer = {"pid": self._fork(request["preload"], descriptors.pop(0))}
         except OSError as error:  # no more processes or descriptors
@@ -453,6 +534,8 @@ class _Server:
                 os.dup2(source, target)
             os.close(nowhere)
             os.close(printing)
+            if isinstance(sys.stdout, io.TextIOWrapper):
+                sys.stdout.reconfigure(line_buffering=True)  # what is not written out dies with the process
             channel = Channel(socket.socket(fileno=connection))  # not closed before the process ends
             _run(channel)
         except BaseException:
@@ -462,11 +545,13 @@ class _Server:
             os._exit(_LEFT_BEHIND)
 
     def _collect(self, pid: int) -> None:
-        """Read what a worker has printed, of which the end is kept."""
+        """Read of what a worker has printed, some at a time; the end is kept."""
         with contextlib.suppress(BlockingIOError, KeyError):  # for now, or its output has ended before
-            while chunk := os.read(self._outputs[pid], _CHUNK):
+            for _ in range(_CHUNKS):
+                if not (chunk := os.read(self._outputs[pid], _CHUNK)):
+                    self._selector.unregister(self._outputs[pid])
+                    break
                 self._printed[pid] = (self._printed[pid] + chunk)[-_OUTPUT_KEPT:]
-            self._selector.unregister(self._outputs[pid])
 
     def _end(self, pid: int) -> dict[str, Any]:
         for kill in (os.killpg, os.kill):  # it may not have made its group yet
@@ -479,7 +564,13 @@ class _Server:
         with contextlib.suppress(KeyError):
             self._selector.unregister(self._outputs[pid])
         os.close(self._outputs.pop(pid))
-        return {"code": code, "output": self._printed.pop(pid).decode("utf-8", "replace")}
+        return {"code": code, "output": self._output(pid)}
+
+    def _output(self, pid: int) -> str:
+        printed, self._printed[pid] = self._printed[pid], b""
+        if pid not in self._outputs:
+            del self._printed[pid]
+        return printed.decode("utf-8", "replace")
 
     def _bury(self, pid: int) -> None:
         """End what a worker that died has left: its group, and what has left that, may hold its channel."""

@@ -8,9 +8,8 @@ import pickle
 import sys
 import weakref
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,6 +29,7 @@ from ddpc_cosim.worker import (
     result_of,
 )
 
+T = TypeVar("T")
 _STEP = -1  # where a message has its length
 # What NumPy and zipfile would import when they are first used there.
 _PRELOAD = (__name__, "encodings.cp437", "numpy.ctypeslib")
@@ -51,12 +51,12 @@ class Frame:
         self.scalars = self.memory.cast("d")
         self.values: FloatArray = np.frombuffer(self.memory, dtype=np.float64)[2:]
 
-    def receive(self, channel: Channel) -> int:
+    def receive(self, channel: Channel, seconds: float | None = None) -> int:
         """Receive a step, or the beginning of another message; return how many bytes."""
         received = channel.socket.recv_into(self.memory)
-        while 8 <= received < self.size and self.mark[0] == _STEP:
-            more = channel.socket.recv_into(self.memory[received:])
-            received += more or self.size
+        if 8 <= received < self.size and self.mark[0] == _STEP:
+            self.memory[received:] = channel.receive_bytes(self.size - received, seconds)
+            received = self.size
         return received
 
 
@@ -84,17 +84,15 @@ class IsolatedSession:
         self.time = 0.0
         self._worker: Worker | None = self._start()
 
-    def __getattr__(self, method: str) -> Callable[..., Any]:
-        if method.startswith("_"):
-            raise AttributeError(method)
-        return partial(self._call, method)
-
     def reset(self, *arguments: Any) -> FloatArray:
         """Initialise the FMU anew, in another process if it has brought down the last one."""
         if self._worker is None:
             self._worker = self._start()
-        y: FloatArray = self._call("reset", *arguments)
-        return y
+        return self._call(self._outputs, "reset", *arguments)
+
+    def set_parameters(self, *arguments: Any) -> None:
+        """Change parameters: as :meth:`FMUSession.set_parameters`."""
+        self._call(_nothing, "set_parameters", *arguments)
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
@@ -106,37 +104,35 @@ class IsolatedSession:
         request.values[:] = u
         try:
             worker.channel.socket.sendall(request.memory)
-            received = answer.receive(worker.channel)
+            received = answer.receive(worker.channel, self._timeout)
             if received == answer.size and answer.mark[0] == _STEP:
                 self.time = answer.scalars[1]
                 return answer.values.copy()
-            y: FloatArray = self._received(worker, bytes(answer.memory[:received]))
-            return y
+            return self._received(self._outputs, worker, bytes(answer.memory[:received]))
         except BaseException as error:
             self._end_unless_told("step", error)
             raise
 
     def linearise(self, *arguments: Any) -> LinearModel:
         """Return the linear model about where the run is: as :meth:`FMUSession.linearise`."""
-        told = self._call("linearise", *arguments)
-        return LinearModel(**told | {"states": tuple(told["states"])})
+        return self._call(_linear_model, "linearise", *arguments)
 
     def save_state(self) -> object:
         """Return a handle to a copy of the FMU's state, which stays in the worker."""
         freed = [self._freed_states.pop() for _ in range(len(self._freed_states))]
-        return _SavedState(self._call("save_state", freed), self._worker, self._freed_states)
+        return _SavedState(self._call(int, "save_state", freed), self._worker, self._freed_states)
 
     def restore_state(self, state: object) -> None:
         """Go back to a saved state of this run."""
         if not isinstance(state, _SavedState) or state.worker is not self._worker:
             raise ConfigError(f"{self.fmu.label}: the state to restore was not saved in this run")
-        self._call("restore_state", state.number)
+        self._call(_nothing, "restore_state", state.number)
 
     def close(self) -> None:
         """Terminate and free the FMU, and end its process, also if the FMU crashes or does not return."""
         if self._worker is not None:
             try:
-                self._call("close")
+                self._call(_nothing, "close")
             finally:
                 self._end()
 
@@ -147,28 +143,36 @@ class IsolatedSession:
         self._freed_states = []  # those of an earlier worker went with it
         return worker
 
-    def _call(self, method: str, *arguments: Any) -> Any:
-        """Call a method of the session in the worker."""
+    def _outputs(self, told: Any) -> FloatArray:
+        if not isinstance(told, np.ndarray) or told.shape != self._reply.values.shape:
+            raise ValueError("it has other outputs")
+        return told
+
+    def _call(self, read: Callable[[Any], T], method: str, *arguments: Any) -> T:
+        """Call a method of the session in the worker; return its result as it is read here."""
         worker = self._worker
         if worker is None:
             raise ConfigError(f"{self.fmu.label}: {method} before reset")
         try:
             worker.channel.send(pickle.dumps((method, arguments)))
-            return self._received(worker, b"")
+            return self._received(read, worker, b"")
         except BaseException as error:
             self._end_unless_told(method, error)
             raise
 
-    def _received(self, worker: Worker, beginning: bytes) -> Any:
-        """Return what a call returned, or raise what it raised."""
+    def _received(self, read: Callable[[Any], T], worker: Worker, beginning: bytes) -> T:
+        """Return what a call returned, or raise what it raised; ValueError: it cannot be read."""
         content = worker.channel.receive(LONGEST_REPLY, beginning, self._timeout)
         try:
-            result, self.time = result_of(content)
+            told, time = result_of(content)
+            result, self.time = read(told), float(time)
         except UnexpectedError as error:
             raise FMUStepError(f"{self.fmu.label}: {error}", StepStatus.ERROR, self.time) from error
         except FMUStepError as error:
             self.time = error.time
             raise
+        except (LookupError, TypeError) as error:
+            raise ValueError("the reply cannot be read") from error
         return result
 
     def _end_unless_told(self, method: str, error: BaseException) -> None:
@@ -183,6 +187,14 @@ class IsolatedSession:
     def _end(self) -> Ending:
         worker, self._worker = self._worker, None
         return worker.end() if worker is not None else Ending(None)
+
+
+def _nothing(told: Any) -> None:
+    """Read the result of what returns nothing."""
+
+
+def _linear_model(told: Any) -> LinearModel:
+    return LinearModel(**{**told, "states": tuple(map(str, told["states"]))})
 
 
 class _SavedState:

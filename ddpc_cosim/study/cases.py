@@ -270,10 +270,11 @@ def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller | No
     return safe_calls.make_controller(partial(make_controller, kind, settings), kind)
 
 
-def row_store(case: Case, path: Path | None = None) -> RowStore:
-    """Return the store for a case's rows, in a file or in memory."""
+def row_store(case: Case, path: Path | None = None, *, follow: bool = False) -> RowStore:
+    """Return the store for a case's rows, in a file, perhaps of another process, or in memory."""
     columns = len(case.outputs), len(case.measurements), len(case.inputs)
-    return RowStore(_planned_samples(case), *columns, path, changed_inputs=len(case.changed_inputs))
+    changed = len(case.changed_inputs)
+    return RowStore(_planned_samples(case), *columns, path, changed_inputs=changed, follow=follow)
 
 
 def partial_trace(case: Case, store: RowStore, outcome: Outcome, reason: str) -> Trace:

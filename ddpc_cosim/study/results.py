@@ -8,6 +8,7 @@ import math
 import os
 import re
 import shutil
+import stat
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -35,6 +36,7 @@ _RUN_FILE, _SIGNALS_FILE = "run.json", "signals.csv"
 # A JSON file ends with the checksum of all that stands before it.
 _SEAL = b',\n "sha256": "%s"\n}\n'
 
+_LONGEST_RUN = 1 << 26
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 # What reading a file raises that has been cut off or changed, or that another version wrote.
 _DAMAGED = (
@@ -284,42 +286,97 @@ def write_case(
     CosimError
         It cannot be written, and why; an older one is kept.
     """
-    settings = settings or MetricSettings(trace.preview)
-    run = head | {
-        "outcome": trace.outcome.value,
-        "reason": trace.reason,
-        **_judged(trace, settings),
-        "diagnostics": trace.diagnostics,
-        "info": list(trace.info),
-        "warnings": list(trace.warnings),
-        "settings": trace.settings,
-        "sampling_time": trace.sampling_time,
-        "planned_samples": trace.planned_samples,
-        "preview": trace.preview,
-        "inputs": [asdict(v) for v in trace.inputs],
-        "outputs": [asdict(v) for v in trace.outputs],
-        "measurements": [asdict(v) for v in trace.measurements],
-        "changed_inputs": [asdict(v) for v in trace.changed_inputs],
-        "bounds": {
-            name: getattr(trace.bounds, name).tolist() for name in ("u_min", "u_max", "y_min", "y_max")
-        },
-        "recorded_samples": trace.recorded_samples,
-        "knowledge": trace.knowledge,
-        "provenance": trace.provenance,
-    }
     staged = (staging or folder.parent) / f".{folder.name}.{os.getpid()}"
     shutil.rmtree(staged, ignore_errors=True)  # of a process of the same number that died here
     try:
-        staged.mkdir(parents=True)
-        trace.write_csv(staged / _SIGNALS_FILE)
-        signals = {"rows": len(trace), "sha256": _checksum((staged / _SIGNALS_FILE).read_bytes())}
-        (staged / _RUN_FILE).write_bytes(_json(run | {"signals": signals}))
+        stage_case(staged, trace, head, settings)
         _move_into_place(staged, folder)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise CosimError(f"{folder}: cannot be written: {reason}; finished cases are kept") from error
+        raise _not_written(folder, error) from error
     finally:
         shutil.rmtree(staged, ignore_errors=True)
+
+
+def stage_case(
+    staged: Path, trace: Trace, head: dict[str, Any], settings: MetricSettings | None = None
+) -> None:
+    """Write a case's files into a folder that is not yet its own; parameters as of :func:`write_case`.
+
+    Raises
+    ------
+    OSError
+        They cannot be written.
+    """
+    settings = settings or MetricSettings(trace.preview)
+    run = (
+        {"printed": ""}
+        | head
+        | {
+            "outcome": trace.outcome.value,
+            "reason": trace.reason,
+            **_judged(trace, settings),
+            "diagnostics": trace.diagnostics,
+            "info": list(trace.info),
+            "warnings": list(trace.warnings),
+            "settings": trace.settings,
+            "sampling_time": trace.sampling_time,
+            "planned_samples": trace.planned_samples,
+            "preview": trace.preview,
+            "inputs": [asdict(v) for v in trace.inputs],
+            "outputs": [asdict(v) for v in trace.outputs],
+            "measurements": [asdict(v) for v in trace.measurements],
+            "changed_inputs": [asdict(v) for v in trace.changed_inputs],
+            "bounds": {
+                name: getattr(trace.bounds, name).tolist() for name in ("u_min", "u_max", "y_min", "y_max")
+            },
+            "recorded_samples": trace.recorded_samples,
+            "knowledge": trace.knowledge,
+            "provenance": trace.provenance,
+        }
+    )
+    staged.mkdir(parents=True, exist_ok=True)
+    trace.write_csv(staged / _SIGNALS_FILE)
+    signals = {"rows": len(trace), "sha256": _checksum((staged / _SIGNALS_FILE).read_bytes())}
+    (staged / _RUN_FILE).write_bytes(_json(run | {"signals": signals}))
+
+
+def accept_case(staged: Path, folder: Path, printed: str) -> None:
+    """Move what a process that has ended has staged to where its case belongs, if it is that case.
+
+    Parameters
+    ----------
+    staged, folder : Path
+        Where it lies, and where it belongs; both on one disk.
+    printed : str
+        What the process printed last.
+
+    Raises
+    ------
+    ConfigError
+        It is not that case: an FMU may have written into the folder, or linked to what is not its own.
+    CosimError
+        It cannot be moved, and why.
+    """
+    for path in staged.iterdir():
+        if not stat.S_ISREG((found := path.lstat()).st_mode) or found.st_nlink > 1:
+            raise ConfigError(f"{path.name} is not a file of its own")
+        if path.name == _RUN_FILE and found.st_size > _LONGEST_RUN:
+            raise ConfigError(f"{path.name} has {found.st_size} bytes; allowed: {_LONGEST_RUN}")
+    case = load_case(staged)
+    if case.id != folder.name:
+        raise ConfigError(f"{_RUN_FILE} is of {str(case.id)[:100]}")
+    try:
+        if printed:
+            run = read_run(staged) | {"printed": printed}
+            (staged / _RUN_FILE).write_bytes(_json(run))
+        _move_into_place(staged, folder)
+    except OSError as error:
+        raise _not_written(folder, error) from error
+
+
+def _not_written(folder: Path, error: OSError) -> CosimError:
+    reason = error.strerror or str(error)
+    return CosimError(f"{folder}: cannot be written: {reason}; finished cases are kept")
 
 
 def judge_again(folder: Path, settings: MetricSettings) -> None:

@@ -8,6 +8,7 @@ import os
 import platform
 import shlex
 import sys
+import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -23,7 +24,7 @@ from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import load_plugin, package_version
 from ddpc_cosim.rows import Call, RowStore, info_path
-from ddpc_cosim.scratch import ScratchFolder
+from ddpc_cosim.scratch import ScratchFolder, remove
 from ddpc_cosim.study.cases import Case, cases_of, no_samples, partial_trace, row_store, run_case
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.resolve import ResolvedStudy
@@ -31,10 +32,12 @@ from ddpc_cosim.study.results import (
     CASES_FOLDER,
     CaseResult,
     StudyResults,
+    accept_case,
     judge_again,
     load_case,
     load_cases,
     read_run,
+    stage_case,
     study_hash,
     write_case,
     write_results,
@@ -222,11 +225,12 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
                         running.remove(run)
                         if run.can_be_reused:
                             idle.append(run.worker)
-                        else:
-                            run.worker.end()
                         yield run.case
         finally:
-            for worker in (*idle, *(run.worker for run in running)):
+            for run in running:
+                run.close()
+                run.worker.end()
+            for worker in idle:
                 worker.end()
 
 
@@ -262,11 +266,12 @@ class _Run:
     def __init__(self, case: Case, worker: Worker, folder: Path, staging: Path, temporary: Path) -> None:
         self.case, self.worker, self.can_be_reused = case, worker, not case.plant.isolated
         self._folder, self._staging = folder / case.id, staging
-        self._rows = temporary / f"rows-{case.id}"
-        self._store = row_store(case, self._rows)
+        self._staged = Path(tempfile.mkdtemp(dir=staging))
+        self._rows = temporary / f"rows-{self._staged.name}"
+        self._store = row_store(case, self._rows, follow=True)
         self._call, self._since = 0, monotonic()
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
-            ask(worker.channel, run_and_write, case, self._rows, self._folder, staging)
+            ask(worker.channel, run_and_stage, case, self._rows, self._staged)
 
     @property
     def progress(self) -> Update:
@@ -279,22 +284,37 @@ class _Run:
         Raises
         ------
         CosimError
-            The worker could not write the case, and so no one can.
+            The case cannot be written.
         """
+        self._store.look()
         if has_replied:
             try:
                 result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=_REPLY_SECONDS))
-            except UnexpectedError as error:  # a fault of ours, or of the interpreter, must not cost others
+            except (CosimError, UnexpectedError) as error:
                 self._give_up(Outcome.CRASHED, str(error))
             except (OSError, EOFError, ValueError):
                 self._end_worker()
+            else:
+                self._accept()
         elif self._hangs():
             self._end_worker(self._limit(self._store.call))
         else:
             return False
-        for path in (self._rows, info_path(self._rows)):
-            path.unlink(missing_ok=True)
+        self.close()
         return True
+
+    def close(self) -> None:
+        """Remove what the run has left besides its case."""
+        for path in (self._rows, info_path(self._rows), self._staged):
+            remove(path)
+
+    def _accept(self) -> None:
+        """Put what the worker has staged in its place: what it ran has no more to say in that by now."""
+        printed = self.worker.printed() if self.can_be_reused else self.worker.end().output
+        try:
+            accept_case(self._staged, self._folder, printed)
+        except ConfigError as error:
+            self._give_up(Outcome.CRASHED, f"its process has left no results: {error}")
 
     def _hangs(self) -> bool:
         """Whether the run has been waiting for too long, mostly for the plant or the controller."""
@@ -324,13 +344,13 @@ class _Run:
         self._give_up(OUTCOME_OF[error.status], f"{when}{error}")
 
     def _give_up(self, outcome: Outcome, reason: str) -> None:
-        """Write a case that its worker has not written."""
+        """Write a case that its worker has not written, with the rows that it has left."""
         self.can_be_reused = False
-        store = row_store(self.case, self._rows)  # opened anew, for the texts that have been added
-        trace = partial_trace(self.case, store, outcome, reason)
-        write_case(self._folder, trace, self.case.head(), self._staging, self.case.metrics)
+        head = self.case.head() | {"printed": self.worker.end().output}
+        trace = partial_trace(self.case, self._store, outcome, reason)
+        write_case(self._folder, trace, head, self._staging, self.case.metrics)
 
 
-def run_and_write(case: Case, rows: Path, folder: Path, staging: Path) -> None:
-    """Run a case, in a worker, and write its folder."""
-    write_case(folder, run_case(case, row_store(case, rows)), case.head(), staging, case.metrics)
+def run_and_stage(case: Case, rows: Path, staged: Path) -> None:
+    """Run a case, in a worker, and write its files where they do not count yet."""
+    stage_case(staged, run_case(case, row_store(case, rows)), case.head(), case.metrics)

@@ -12,7 +12,9 @@ from fmus.plants import model_fmu, mutate, pendulum_fmi3
 __all__ = ["model_fmu", "mutate", "pendulum_fmi3"]  # fixtures
 
 # Signals to process groups and terminals in software are matters of POSIX.
-collect_ignore = ["test_interrupt.py", "test_terminal.py"] if sys.platform == "win32" else []
+collect_ignore = (
+    ["test_interrupt.py", "test_meddling.py", "test_terminal.py"] if sys.platform == "win32" else []
+)
 
 MakeFMU = Callable[..., Path]
 

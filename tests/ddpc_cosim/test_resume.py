@@ -499,16 +499,34 @@ def test_a_run_that_hangs_between_two_calls_is_ended_too(
     assert case.reason.startswith("the run: no return within 5 s in between two calls; ")
 
 
-def test_a_disk_that_is_full_ends_the_run_and_what_is_done_is_kept(
-    write_study: WriteStudy, tmp_path: Path, run_program: Run
-) -> None:
+@pytest.fixture
+def full_disk(write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A study of two cases, of which the worker of the second cannot write."""
     (tmp_path / "leaving.py").write_text(LEAVING, encoding="utf-8")
-    write_study("mfapc", "leaving:Fills")
-    done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
-    assert done.returncode == 1
-    assert "cannot be written: No space left on device; finished cases are kept" in done.stderr
-    assert "Traceback" not in done.stderr
-    assert [path.name.partition("_")[0] for path in (tmp_path / "out/cases").iterdir()] == ["mfapc"]
+    monkeypatch.syspath_prepend(tmp_path)
+    return write_study("mfapc", "leaving:Fills")
+
+
+def test_a_worker_that_cannot_write_costs_its_case(full_disk: Path) -> None:
+    """What it says of the disk need not be so."""
+    results, _ = run(full_disk)
+    assert [case.outcome for case in results.cases] == ["completed", "crashed"]
+    assert results.cases[1].reason == "OSError: [Errno 28] No space left on device"
+
+
+def test_a_disk_that_is_full_ends_the_run_and_what_is_done_is_kept(
+    full_disk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("ddpc_cosim.study.results.stage_case", fail)
+    with pytest.raises(
+        CosimError, match="cannot be written: No space left on device; finished cases are kept"
+    ):
+        run(full_disk)
+    cases = full_disk.parent / "out/cases"
+    assert [path.name.partition("_")[0] for path in cases.iterdir()] == ["mfapc"]
 
 
 def test_results_that_cannot_be_written_are_told(

@@ -145,7 +145,7 @@ def test_an_interrupt_ends_the_process(session: FMUPlant, monkeypatch: pytest.Mo
     """Otherwise the answer that is still to come would be taken for the next one's."""
     session.reset()
 
-    def interrupted(frame: Frame, channel: Channel) -> int:
+    def interrupted(frame: Frame, channel: Channel, seconds: float) -> int:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
@@ -171,7 +171,17 @@ HEAD = struct.Struct("=q")
 
 @pytest.mark.parametrize(
     "words",
-    ["pickle", HEAD.pack(1 << 60), HEAD.pack(5) + b"[1,2]", HEAD.pack(2) + b"{}", HEAD.pack(3) + b"\xff{}"],
+    [
+        "pickle",
+        HEAD.pack(2 << 30),
+        HEAD.pack(1 << 60),
+        HEAD.pack(5) + b"[1,2]",
+        HEAD.pack(2) + b"{}",
+        HEAD.pack(3) + b"\xff{}",
+        HEAD.pack(13) + b'{"result": 1}',
+        HEAD.pack(20) + b'{"result": [[1], []]}'[:20],
+        HEAD.pack(20) + b'{"result": ["x", 0]}',
+    ],
     ids=str,
 )
 def test_an_fmu_that_writes_into_its_channel_is_a_crash(

@@ -1,0 +1,157 @@
+"""Workers that meddle with what the master reads, stop, or print without end: it costs their own case."""
+
+import os
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from ddpc_cosim import CosimError, load_results
+from ddpc_cosim.rows import RowStore, info_path
+from ddpc_cosim.study.results import read_run
+from ddpc_cosim.worker import result_of
+
+WriteStudy = Callable[..., Path]
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+MEDDLING = """
+import os, signal, socket, stat, struct, tempfile
+from dataclasses import dataclass
+from pathlib import Path
+import numpy as np
+from ddpc_cosim import Controller
+from ddpc_cosim.trace import Trace
+
+@dataclass(kw_only=True)
+class Meddles(Controller):
+    def start(self, loop):
+        pass
+    def step(self, sample):
+        if sample.k == 3:
+            self.meddle()
+        return np.ones(1)
+
+def say(content):
+    channel = next(n for n in range(3, 99) if is_socket(n))
+    with socket.socket(fileno=os.dup(channel)) as channel:
+        channel.sendall(struct.pack("=q", len(content)) + content)
+    while True:
+        signal.pause()
+
+def is_socket(number):
+    try:
+        return stat.S_ISSOCK(os.fstat(number).st_mode)
+    except OSError:
+        return False
+
+class Done(Meddles):
+    def meddle(self): say(b'{"result": null}')
+
+class Error(Meddles):
+    def meddle(self): say(b'{"error": "CosimError", "arguments": ["stop all of it"]}')
+
+class Cut(Meddles):
+    def meddle(self):
+        for rows in Path(tempfile.gettempdir()).glob("rows-*"):
+            os.truncate(rows, 0)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+class Links(Meddles):
+    def meddle(self):
+        def link(trace, path):
+            path.symlink_to("/etc/hostname")
+        Trace.write_csv = link
+
+class Stops(Meddles):
+    def meddle(self): os.kill(os.getpid(), signal.SIGSTOP)
+
+class StopsServer(Meddles):
+    def meddle(self): os.kill(os.getppid(), signal.SIGSTOP)
+
+class Prints(Meddles):
+    def meddle(self):
+        for _ in range(20_000):
+            print(999 * "x")
+        print("the end")
+
+class Says(Meddles):
+    def meddle(self):
+        print("no", "way out")
+        os._exit(3)
+"""
+
+ENDINGS = {
+    "Done": ("crashed", "its process has left no results: "),
+    "Error": ("crashed", "stop all of it"),
+    "Cut": ("crashed", "before the first sample: the run: crashed in between two calls: SIGKILL"),
+    "Links": ("crashed", "its process has left no results: signals.csv is not a file of its own"),
+    "Stops": ("timed-out", "controller meddling:Stops: no return within 2 s in step at t = 0.3 s"),
+    "StopsServer": ("completed", ""),
+    "Prints": ("completed", ""),
+    "Says": (
+        "crashed",
+        "controller meddling:Says: crashed in step at t = 0.3 s: its process ended with exit code 3; "
+        "it printed: no way out",
+    ),
+}
+
+
+def test_a_worker_that_meddles_costs_its_case_and_no_other(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    (tmp_path / "meddling.py").write_text(MEDDLING, encoding="utf-8")
+    study = write_study(*(f"meddling:{name}" for name in ENDINGS), "mfapc")
+    text = study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nstep_timeout = 2.0")
+    study.write_text(text, encoding="utf-8")
+    done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
+    assert done.returncode == 1
+    assert len(done.stdout + done.stderr) < 20_000
+    *cases, last = load_results(tmp_path / "out").cases
+    assert last.outcome == "completed"
+    for case, (outcome, reason) in zip(cases, ENDINGS.values(), strict=True):
+        assert (case.outcome, case.reason[: len(reason)]) == (outcome, reason)
+    printed = {case.controller: read_run(case.folder)["printed"] for case in cases}
+    assert (
+        printed["prints"] == (999 * "x" + "\n")[-(4000 - 8) % 1000 :] + 3 * (999 * "x" + "\n") + "the end\n"
+    )
+    assert printed["says"] == "no way out\n"
+    assert printed["stopsserver"] == ""
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b'{"error": "__setattr__", "arguments": ["ConfigError", 1]}',
+        b'{"error": "StrEnum", "arguments": ["x", "y"]}',
+        b'{"error": "FMUStepError", "arguments": ["x", "error", []]}',
+        b'{"error": "FMUStepError", "arguments": []}',
+        b'{"result": {"shape": [4]}}\n' + bytes(24),
+        b'{"result": {"shape": ["x"]}}\n' + bytes(24),
+        b'{"result": ' + 100_000 * b"[",
+        b'{"result": "' + (1 << 23) * b"x" + b'"}',
+        b"\x80\x04.",
+    ],
+    ids=lambda content: content[:40].decode("latin-1"),
+)
+def test_what_is_not_a_reply_is_refused(content: bytes) -> None:
+    """Nothing of this process is called by a name from there, nor made in a size from there."""
+    from ddpc_cosim import errors
+
+    before = dict(vars(errors))
+    with pytest.raises(ValueError, match="cannot be read"):
+        result_of(content)
+    assert vars(errors) == before
+
+
+def test_errors_are_of_this_family_and_of_texts() -> None:
+    with pytest.raises(CosimError, match=r"^\[1, 2\]$"):
+        result_of(b'{"error": "ControllerError", "arguments": [[1, 2]]}')
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/etc/passwd"), Path.mkdir])
+def test_a_file_of_values_that_is_none(make: Callable[[Path], None], tmp_path: Path) -> None:
+    """It is neither waited for nor followed elsewhere."""
+    store = RowStore(1, 1, 0, 1, tmp_path / "rows", follow=True)
+    make(info_path(tmp_path / "rows"))
+    assert "info" not in store.written()
