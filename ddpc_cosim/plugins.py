@@ -4,14 +4,16 @@ import ast
 import hashlib
 import importlib
 import importlib.metadata
+import importlib.util
 import inspect
 import sys
 import sysconfig
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.machinery import EXTENSION_SUFFIXES
+from importlib.abc import MetaPathFinder
+from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
@@ -131,10 +133,38 @@ def _load_entry_point(entry: EntryPoint) -> Plugin:
         return Plugin(entry.name, entry.value, package, error=f"{type(error).__name__}: {error}")
 
 
+_own_folder: Path | None = None
+
+
+def find_modules_in(folder: str | Path) -> None:
+    """Let ``module:attribute`` name modules of a folder: that of a study, or where a command was typed."""
+    global _own_folder
+    _own_folder = Path(folder).resolve()
+
+
+def own_folder() -> str:
+    """Return the folder whose modules ``module:attribute`` may name besides those that are installed."""
+    return str(_own_folder or Path.cwd())
+
+
+class _OwnModules(MetaPathFinder):
+    """Finds modules of that folder, which is not in the import path: its metadata would install plug-ins."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return how to load a top-level module that is not installed."""
+        return PathFinder.find_spec(fullname, [own_folder()]) if path is None else None
+
+
+_OWN_MODULES = _OwnModules()
+
+
 def load_target(target: str, kind: str) -> Any:
     """Load anything as ``module:attribute``; ``kind`` is what the error calls it.
 
-    Modules in the current folder are found too, after everything that is installed.
+    A module that is not installed is looked for in the study's folder, see :func:`find_modules_in`; from then
+    on what it imports is found there too, after everything that is installed.
 
     Raises
     ------
@@ -142,16 +172,28 @@ def load_target(target: str, kind: str) -> Any:
         It cannot be loaded, and why.
     """
     module_name, _, attribute = target.partition(":")
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
+    top = module_name.partition(".")[0]
     try:
+        # Only now: other packages try whether there are modules that they could do without.
+        if _OWN_MODULES not in sys.meta_path and top not in sys.modules and not importlib.util.find_spec(top):
+            sys.meta_path.append(_OWN_MODULES)
         value: Any = importlib.import_module(module_name)
         for part in attribute.split("."):
             value = getattr(value, part)
     except (Exception, SystemExit) as error:  # a third party's import can fail in any way
-        raise PluginError(f'{kind} "{target}" cannot be loaded: {type(error).__name__}: {error}') from error
+        reason = f"{type(error).__name__}: {error}{_hint(error, top)}"
+        raise PluginError(f'{kind} "{target}" cannot be loaded: {reason}') from error
     return value
+
+
+def _hint(error: BaseException, top: str) -> str:
+    """Return why a module was not found, or not the one that was meant."""
+    if isinstance(error, ModuleNotFoundError) and error.name == top:
+        return f"; it is not installed, and not in {own_folder()}"
+    beside, found = Path(own_folder(), f"{top}.py"), getattr(sys.modules.get(top), "__file__", None)
+    if isinstance(error, AttributeError) and beside.is_file() and found and not beside.samefile(found):
+        return f"; {found} is installed and comes first: give {beside} another name"
+    return ""
 
 
 _CODE = (".py", *EXTENSION_SUFFIXES)

@@ -7,7 +7,7 @@ def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
     """Return a text in which nothing acts on what shows it.
 
     Control characters (escape sequences, U+009B, line breaks), direction controls and other invisible
-    letters, lone surrogates and what is not assigned are written out as Python does; any blank is a space.
+    letters, lone surrogates and what is not assigned are written out as Python does; blanks are left.
 
     Parameters
     ----------
@@ -23,8 +23,8 @@ def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
         text = text[: max(longest - len(cut), 0)] + cut
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c in keep else _written_out(c) for c in text)
+    return "".join(c if c in keep or _is_seen(c) else repr(c)[1:-1] for c in text)
 
 
-def _written_out(letter: str) -> str:
-    return " " if unicodedata.category(letter) == "Zs" else repr(letter)[1:-1]
+def _is_seen(letter: str) -> bool:
+    return letter.isprintable() or unicodedata.category(letter) == "Zs"

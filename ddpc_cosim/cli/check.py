@@ -19,7 +19,7 @@ from rich.text import Text
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError
 from ddpc_cosim.plant import Plant
-from ddpc_cosim.plugins import load_plugin, load_target, plugin_names
+from ddpc_cosim.plugins import find_modules_in, load_plugin, load_target, plugin_names
 from ddpc_cosim.safe_calls import CallsInTime
 from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
@@ -165,6 +165,7 @@ def check_command(
     subject: str, sampling_time: float | None, timeout: float, settings: Sequence[str] = ()
 ) -> int:
     """Check a plant or a controller and print a table; return 1 if a check failed."""
+    find_modules_in(Path.cwd())
     found = find_subject(subject, settings, timeout)
     step = sampling_time or _natural_step(found)
     with ScratchFolder() as folder, _CheckWorker(folder) as worker:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.errors import ConfigError, CosimError, PluginError
-from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.plugins import find_modules_in, load_plugin
 
 _MATRICES = ("A", "B", "C", "D")
 
@@ -72,8 +72,8 @@ def _load(target: str) -> Any:
         raise ConfigError(f'"{target}": name the model in the file, for example {target}:MODEL')
     if file.endswith(".py"):
         return _load_from_file(Path(file), attribute)
-    with _importable(Path.cwd()):
-        return load_plugin("plants", target)
+    find_modules_in(Path.cwd())
+    return load_plugin("plants", target)
 
 
 def _load_from_file(path: Path, attribute: str) -> Any:
@@ -96,9 +96,10 @@ def _load_from_file(path: Path, attribute: str) -> Any:
 
 @contextmanager
 def _importable(folder: Path) -> Iterator[None]:
-    """Let modules of a folder be imported."""
-    sys.path.insert(0, str(folder))
+    """Let modules of a folder be imported, after everything that is installed."""
+    before = [*sys.path]
+    sys.path.append(str(folder))
     try:
         yield
     finally:
-        sys.path.remove(str(folder))
+        sys.path[:] = before

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.errors import ConfigError, Place, PluginError, dotted
-from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.plugins import find_modules_in, load_plugin
 from ddpc_cosim.study.resolve import ResolvedStudy, resolve
 from ddpc_cosim.study.sections import Study
 from ddpc_cosim.study.validation_errors import ValidationErrors, parse
@@ -25,6 +25,8 @@ def read_study(name: str) -> ResolvedStudy:
         There is no such study, or it has errors: all of them, each with file, line, key and what to do.
     """
     path = find_study(name)
+    if path == Path(name):
+        find_modules_in(path.parent)
     try:
         # Some editors put a byte order mark in front, which TOML does not know.
         text = path.read_text(encoding="utf-8-sig")

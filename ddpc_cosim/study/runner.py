@@ -22,7 +22,7 @@ from typing import NamedTuple, Protocol
 
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.master import OUTCOME_OF
-from ddpc_cosim.plugins import load_plugin, package_version
+from ddpc_cosim.plugins import find_modules_in, load_plugin, own_folder, package_version
 from ddpc_cosim.rows import Call, RowStore, info_path
 from ddpc_cosim.scratch import ScratchFolder, remove
 from ddpc_cosim.study.cases import Case, cases_of, no_samples, partial_trace, row_store, run_case
@@ -271,7 +271,7 @@ class _Run:
         self._store = row_store(case, self._rows, follow=True)
         self._call, self._since = 0, monotonic()
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
-            ask(worker.channel, run_and_stage, case, self._rows, self._staged)
+            ask(worker.channel, run_and_stage, case, self._rows, self._staged, own_folder())
 
     @property
     def progress(self) -> Update:
@@ -351,6 +351,7 @@ class _Run:
         write_case(self._folder, trace, head, self._staging, self.case.metrics)
 
 
-def run_and_stage(case: Case, rows: Path, staged: Path) -> None:
+def run_and_stage(case: Case, rows: Path, staged: Path, modules: str) -> None:
     """Run a case, in a worker, and write its files where they do not count yet."""
+    find_modules_in(modules)
     stage_case(staged, run_case(case, row_store(case, rows)), case.head(), case.metrics)

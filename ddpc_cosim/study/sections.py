@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from ddpc_cosim.csv_files import TIME_TOLERANCE
 from ddpc_cosim.loop_setup import end_time, limits_error, whole_steps
@@ -20,7 +21,10 @@ from ddpc_cosim.study.signal_sections import (
     faults_of,
 )
 from ddpc_cosim.study.validation_errors import FilePath, Section
+from ddpc_cosim.texts import printable
 
+Text = Annotated[str, AfterValidator(partial(printable, keep="\n"))]
+"""What people read: nothing in it acts on a terminal or a page."""
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
 Preview = Annotated[int, Field(ge=0)] | Literal["horizon"]
 Value = bool | int | Finite | str
@@ -236,7 +240,7 @@ class RecordingChanges(Section):
 class ScenarioSection(Section):
     """What every controller is run under: see :mod:`ddpc_cosim.conditions` for the order of effects."""
 
-    label: str = ""
+    label: Text = ""
     parameters: dict[str, Value] = Field({}, description="plant parameters in this scenario")
     noise: dict[str, NotNegative] = Field(
         {}, description="standard deviation of the noise of each measurement, in its unit"
@@ -299,15 +303,15 @@ class TunedSection(Section):
         description="seeds of the trials; none of them may be a seed of the study"
     )
     by: str = Field(description="what was compared, e.g. median rmse over the scenarios")
-    source: str = Field("", description="where the trials can be repeated from")
+    source: Text = Field("", description="where the trials can be repeated from")
 
 
 class ControllerSection(Section):
     """One controller of the study."""
 
     type: str = Field(description="a controller of `ddpc-cosim list controllers`, or module:Class")
-    label: str = Field("", description="name in reports; empty: the key of the section")
-    note: str = Field("", description="one line about this controller for the report")
+    label: Text = Field("", description="name in reports; empty: the key of the section")
+    note: Text = Field("", description="one line about this controller for the report")
     settings: dict[str, Any] = Field({}, description="settings that differ from the controller's defaults")
     bounds: dict[str, BoundsSection] = Field(
         {}, description="limits that replace the study's for this controller"
@@ -331,7 +335,7 @@ class ControllerSection(Section):
 class PublishedMethod(Section):
     """Published results of one method, and the controllers here that stand for it."""
 
-    label: str
+    label: Text
     printed: str = Field(description="the controller that follows the publication")
     published_code: str = Field(
         "", description="the controller that follows the authors' program, if one does"
@@ -345,7 +349,7 @@ class PublishedMethod(Section):
 class Reproduction(Section):
     """Published results that the report compares with."""
 
-    source: str
+    source: Text
     metrics: dict[str, str] = Field(description="title of each metric compared, by its key")
     methods: list[PublishedMethod]
     notes: list[str] = Field([])
@@ -355,7 +359,7 @@ class Reproduction(Section):
 class Panel(Section):
     """One panel of the report's figures."""
 
-    title: str
+    title: Text
     controllers: list[str]
 
 
@@ -371,9 +375,9 @@ class Study(Section):
     """A study file: one plant, controllers, conditions and seeds."""
 
     name: Name = Field("study", description="short name; the folder of results is called after it")
-    title: str = ""
-    summary: str = ""
-    source: str = Field("", description="publication that the study follows")
+    title: Text = ""
+    summary: Text = ""
+    source: Text = Field("", description="publication that the study follows")
     seeds: Annotated[Seeds, Field(min_length=1)] = Field([0])
     plant: PlantSection
     loop: LoopSection

@@ -29,7 +29,7 @@ _NO_COMPILER = (
 # processor.
 FLAGS = ("-std=c11", "-ffp-contract=off", "-fvisibility=hidden")
 _FAST = ("-O2", "-shared")
-ZIG = (sys.executable, "-m", "ziglang", "cc")
+ZIG = (sys.executable, "-P", "-m", "ziglang", "cc")  # -P: nothing in the current folder is a module
 
 _NO_ZIG = (
     "compiling for other platforms needs the Python package ziglang, which is not installed: "

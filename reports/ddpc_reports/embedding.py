@@ -15,6 +15,7 @@ from typing import Any
 import vl_convert
 from markupsafe import Markup
 
+from ddpc_cosim.texts import printable
 from ddpc_reports.charts import CONFIG
 from ddpc_reports.samples import Column
 
@@ -114,8 +115,18 @@ def static_svg(
         The data sets by name.
     """
     datasets = {name: rows_of(columns) for name, columns in (data or {}).items()}
+    spec = drawable(spec)
     full = {**spec, "config": CONFIG, "width": _WIDTH, "datasets": {**spec.get("datasets", {}), **datasets}}
     return _finish(vl_convert.vegalite_to_svg(full), identifier, description)
+
+
+def drawable(value: Any) -> Any:
+    """Return a specification without characters that XML does not have: of one of them the renderer dies."""
+    if isinstance(value, Mapping):
+        return {drawable(key): drawable(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [drawable(entry) for entry in value]
+    return printable(value, keep="\n") if isinstance(value, str) else value
 
 
 def rows_of(columns: Mapping[str, Column]) -> list[dict[str, float | None]]:

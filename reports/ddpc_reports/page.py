@@ -10,6 +10,7 @@ from markupsafe import Markup
 from ddpc_cosim import Outcome, StudyResults
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.sections import Reproduction
+from ddpc_cosim.texts import printable
 from ddpc_reports.case_tables import (
     cases_table,
     diagnostics_table,
@@ -96,6 +97,7 @@ def render_page(results: Sequence[StudyResults]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
+        finalize=_shown,
     )
     return environment.get_template("page.html.jinja").render(
         studies=studies,
@@ -106,6 +108,11 @@ def render_page(results: Sequence[StudyResults]) -> str:
         data=Markup(json_for_script(_data(studies, data))),
         colours=COLOURS,
     )
+
+
+def _shown(value: Any) -> Any:
+    """Return what the page shows of a value: a name that turns the direction of a line is written out."""
+    return printable(value, keep="\n") if type(value) is str else value
 
 
 def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Column]]) -> StudyPart:

@@ -3,15 +3,18 @@
 import csv
 import io
 import math
+import re
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from ddpc_cosim.texts import printable
 from ddpc_reports.comparison import ControllerResults, Spread
 from ddpc_reports.numbers import MISSING, column
 
 Raw = float | int | str
+_FORMULA = re.compile(r"[=@]|[+-](?![\d.]+(?:[eE][+-]?\d+)?$)")
 
 
 @dataclass(frozen=True)
@@ -114,15 +117,21 @@ class Table:
         heads = [heading.words for heading in self.headings]
         writer.writerow(["group", *heads] if grouped else heads)
         for row in self.rows:
-            values = [row.header, *(_csv_value(cell) for cell in row.cells)]
-            writer.writerow([row.group, *values] if grouped else values)
+            texts = [row.group] * grouped + [row.header]
+            writer.writerow([*map(_csv_text, texts), *(_csv_value(cell) for cell in row.cells)])
         return "data:text/csv;charset=utf-8;base64," + b64encode(buffer.getvalue().encode()).decode("ascii")
 
 
 def _csv_value(cell: Cell) -> str:
     if isinstance(cell.raw, float):
         return "" if math.isnan(cell.raw) else repr(cell.raw)
-    return str(cell.raw) if cell.raw != "" else cell.text
+    return _csv_text(str(cell.raw) if cell.raw != "" else cell.text)
+
+
+def _csv_text(text: str) -> str:
+    """Return a text that a spreadsheet does not take for a formula."""
+    text = printable(text, keep="\n")
+    return f"'{text}" if _FORMULA.match(text) else text
 
 
 Column = tuple[Heading, list[Cell]]

@@ -17,7 +17,7 @@ ROOMS = {
     "ddpc_reports": ROOT / "reports" / "ddpc_reports",
 }
 # Modules that plug-ins may use besides the names of the package.
-PUBLIC_MODULES = {"metrics", "plugins", "responses", "study.following", "study.sections", "testing"}
+PUBLIC_MODULES = {"metrics", "plugins", "responses", "study.following", "study.sections", "testing", "texts"}
 
 
 def modules(room: str) -> dict[str, Path]:
