@@ -3,15 +3,20 @@
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from threading import Event, Thread
+from time import monotonic
+from typing import Any, Self, TypeVar
 
 import click
+from rich.console import Console
+from rich.text import Text
 
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.suggestion import suggest_study, write_study
 from ddpc_cosim.texts import printable
 
 T = TypeVar("T")
+_SECONDS_BETWEEN_LINES = 1.5
 
 
 def init_command(
@@ -34,13 +39,14 @@ def init_command(
     limits = assignments("--range", ranges, _limits)
     if out.exists() and not force:  # before the step test, which may take a while
         raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
-    click.echo(f"step test of {printable(fmu.name)} ...", err=True)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), Status(Console(stderr=True)) as status:
         warnings.simplefilter("ignore", CosimWarning)  # they stand in the study
-        proposal = suggest_study(fmu, at=levels, ranges=limits, **wanted)
+        proposal = suggest_study(fmu, at=levels, ranges=limits, tell=status, **wanted)
         path = write_study(proposal, fmu, out, replace=force)
     driven, controlled = (", ".join(v.name for v in s) for s in (proposal.inputs, proposal.outputs))
     click.echo(printable(f"{path}: {controlled} by {driven}, every {proposal.sampling_time:g} s"))
+    for line in proposal.comments.get("head", ()):
+        click.echo(printable(line))
     click.echo(printable(f"run it: ddpc-cosim run {path}"))
 
 
@@ -79,3 +85,42 @@ def _limits(text: str) -> Any:
     """Return a range as two numbers, or as what it is, which will be refused together with other faults."""
     parts = [number_or_text(part) for part in text.split(":")]
     return tuple(parts) if len(parts) == 2 and not any(isinstance(part, str) for part in parts) else text
+
+
+class Status:
+    """What is being done, and for how long: in place on a terminal, elsewhere a line every other second.
+
+    Parameters
+    ----------
+    console : Console
+        Where it is shown.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console, self._began, self._text = console, monotonic(), ""
+        self._done, self._thread = Event(), Thread(target=self._go_on, daemon=True)
+        self._shown = console.status("") if console.is_terminal else None
+
+    def __enter__(self) -> Self:
+        if self._shown is not None:
+            self._shown.start()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+        if self._shown is not None:
+            self._shown.stop()
+
+    def __call__(self, text: str) -> None:
+        """Take note of what is being done now."""
+        self._text = text
+
+    def _go_on(self) -> None:
+        while not self._done.wait(_SECONDS_BETWEEN_LINES):
+            line = Text(f"{monotonic() - self._began:.0f} s: {printable(self._text)}")
+            if self._shown is not None:
+                self._shown.update(line)
+            else:
+                self._console.print(line, soft_wrap=True)

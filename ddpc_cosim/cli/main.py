@@ -202,6 +202,13 @@ def inspect(fmu: Path, as_json: bool, strict: bool, every: bool) -> None:
     show_default=True,
     help="Seconds that one call of the FMU may take.",
 )
+@click.option(
+    "--budget",
+    type=click.FloatRange(min=0, min_open=True),
+    default=60.0,
+    show_default=True,
+    help="Seconds for step test and trial; what is not tried in them is told.",
+)
 def init(
     fmu: Path,
     out: Path,
@@ -213,8 +220,9 @@ def init(
     duration: float | None,
     force: bool,
     step_timeout: float,
+    budget: float,
 ) -> None:
-    """Write a study for an FMU that runs at once, from a step test in a process of its own."""
+    """Write a study for an FMU, from a step test, with controllers that were tried on it."""
     from ddpc_cosim.cli.init import init_command
 
     init_command(
@@ -228,6 +236,7 @@ def init(
         sampling_time=sampling_time,
         duration=duration,
         step_timeout=step_timeout,
+        budget=budget,
     )
 
 

@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 
@@ -18,16 +19,19 @@ from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice, choose
 from ddpc_cosim.suggestion.design import (
     Bounds,
     ScaledGains,
+    SuggestedController,
     recording_length,
     suggested_controllers,
 )
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.step_test import ResponseType, Resting, StepTest, Timing, step_test
-from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, study_text
+from ddpc_cosim.suggestion.trial import Tell, tried_out
+from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, hints, study_text
 from ddpc_cosim.variables import FloatArray, Variable, names
 
 _MOST_INPUT_CANDIDATES, _MOST_OUTPUT_CANDIDATES = 12, 50
 _MOST_LISTED = 12
+_STEP_TEST = 0.5  # of the time for all
 _SAMPLES = 200
 # Blocks of 24 samples, each twice as long as the one before: twelve of them have about 10^5 first steps.
 _FIRST_STEPS = 24 * (2**12 - 1)
@@ -59,8 +63,11 @@ def suggest_study(
     sampling_time: float | None = None,
     duration: float | None = None,
     step_timeout: float = 60.0,
+    budget: float = 60.0,
+    trial: bool = True,
+    tell: Tell = lambda _: None,
 ) -> Proposal:
-    """Run a step test of an FMU in a process of its own, and suggest a study.
+    """Run a step test of an FMU in a process of its own, suggest a study, and try it out.
 
     Parameters
     ----------
@@ -76,6 +83,13 @@ def suggest_study(
         Of the loop [s]; default: what the step test shows.
     step_timeout : float
         Seconds that one call of the FMU may take.
+    budget : float
+        Seconds that all of it may take: up to half of them for the step test, the rest for the trial.
+    trial : bool
+        Whether to run each proposed controller once, to leave out those that fail, and to move setpoints to
+        what can be reached.
+    tell : callable
+        Is told what is being done.
 
     Raises
     ------
@@ -84,13 +98,15 @@ def suggest_study(
     CosimError
         It cannot be loaded, or does not run.
     """
-    path = Path(path)
+    path, deadline = Path(path), monotonic() + budget
+    tell(f"reading {path.name}")
     description = _runnable(path)
     request = Request(at or {}, ranges or {}, sampling_time, duration, inputs, outputs)
     request.check(description, path.name)
     driven, drives_too = _candidates(description, path.name, request, "input", _MOST_INPUT_CANDIDATES)
     read, reads_too = _candidates(description, path.name, request, "output", _MOST_OUTPUT_CANDIDATES)
-    timing = _timing(description, path.name)
+    timing = replace(_timing(description, path.name), budget=_STEP_TEST * budget)
+    tell(f"step test of {path.name}")
     start = request.start(description)
     with FMUPlant(
         path, inputs=driven, outputs=read, start=start, isolated=True, step_timeout=step_timeout
@@ -109,7 +125,8 @@ def suggest_study(
     proposal = _propose(path.stem, candidates, tested, choice, bounds, timing, request)
     levels = zip(candidates.inputs, rest.tolist(), strict=True)
     moved = {variable.name: level for variable, level in levels if level != variable.start}
-    return replace(proposal, parameters=request.parameters(description), start=start | moved)
+    proposal = replace(proposal, parameters=request.parameters(description), start=start | moved)
+    return tried_out(proposal, path, deadline, tell) if trial else proposal
 
 
 def write_study(proposal: Proposal, fmu: str | Path, out: str | Path, *, replace: bool = False) -> Path:
@@ -207,7 +224,7 @@ def _propose(
     unstable = any(response.is_unstable for row in tested.responses for response in row)
     references, duration = design.setpoints(tested, choice, candidates.outputs, working, sample, request)
     if unstable:  # there is nothing else to ask for before it is stabilised
-        references = design.at_rest(tested, choice, candidates.outputs)
+        references = design.near_rest(tested, choice, candidates.outputs, duration)
     nominal = _sizes(inputs, working.size) | _sizes(outputs, _output_sizes(choice, working))
     u_size = np.array([nominal[v.name] for v in inputs])
     y_size = np.array([nominal[v.name] for v in outputs])[:, np.newaxis]
@@ -216,7 +233,7 @@ def _propose(
         lasting=choice.gains * u_size / y_size,
     )
     chosen = suggested_controllers(gains, may_record=not unstable)
-    needed = max(recording_length(c, len(inputs), len(outputs), len(measurements)) for c in chosen.values())
+    needed = max(_recording_length(c, len(inputs), len(outputs), len(measurements)) for c in chosen.values())
     circumstances = Circumstances(candidates.inputs, candidates.outputs, tested, choice, sample, unstable)
     return Proposal(
         plant=name,
@@ -234,7 +251,16 @@ def _propose(
         samples=max(_SAMPLES, 2 * needed),
         controllers=chosen,
         comments=comments(circumstances, candidates.left_out, candidates.warnings),
+        hints=tuple(hints(circumstances, design.rest_and_room(candidates.inputs, bounds)[1])),
+        asked=request,
     )
+
+
+def _recording_length(controller: SuggestedController, *signals: int) -> int:
+    try:
+        return recording_length(controller, *signals)
+    except ConfigError:  # the trial leaves it out, and says why
+        return 0
 
 
 def _also_measured(

@@ -48,7 +48,9 @@ _EXCITED = 0.3  # share of an input's range that experiment and setpoints use, t
 _SAMPLES_PER_SETTLING = 30  # a first-order lag gets ten samples per time constant
 _SAMPLES_PER_RISE = 2
 _SETTLING_PER_SETPOINT = 1.5
-_LEAST_SAMPLES_PER_SETPOINT = 30
+_HORIZON, _INITIAL_LENGTH = 15, 5
+_LEAST_SAMPLES_PER_SETPOINT = 4 * _HORIZON
+_SMALL_STEP = 0.2  # of what an unstable output has done after a few doublings
 _REACHED = 0.6  # share of what the inputs could hold that the setpoints ask for
 _DRIFT = 0.1  # of the largest response: how far an output at rest may still move
 _MARGIN = 0.05  # of an output's range, kept from its limits
@@ -223,9 +225,17 @@ def setpoints(
     return references, _clean(samples * sample)
 
 
-def at_rest(tested: StepTest, choice: Choice, outputs: Sequence[Variable]) -> dict[str, Setpoints]:
-    """Return a reference for each chosen output that keeps it where it begins."""
-    return {outputs[j].name: Setpoints((0.0,), (_clean(float(tested.rest[0, j])),)) for j in choice.outputs}
+def near_rest(
+    tested: StepTest, choice: Choice, outputs: Sequence[Variable], duration: float
+) -> dict[str, Setpoints]:
+    """Return a reference for each chosen output that stays where it begins, and then makes a small step."""
+    references = {}
+    for j in choice.outputs:
+        first = float(tested.rest[0, j])
+        step = _SMALL_STEP * max(abs(response.effect) or response.peak for response in tested.responses[j])
+        values = (_clean(first), rounded(first + step, step / 10))
+        references[outputs[j].name] = Setpoints((0.0, _clean(duration / 2)), values)
+    return references
 
 
 def where_it_rests(tested: StepTest) -> FloatArray:
@@ -301,7 +311,6 @@ def first_gains(tested: StepTest, choice: Choice, sample: float) -> FloatArray:
     return gains
 
 
-_HORIZON, _INITIAL_LENGTH = 15, 5
 _OUTPUT_WEIGHT, _SETPOINT_WEIGHT, _INPUT_WEIGHT = 10.0, 30.0, 0.1
 _DAMPING = 5.0
 
@@ -360,7 +369,7 @@ def _deepc() -> SuggestedController:
 
 
 def _mfapc(gains: ScaledGains) -> SuggestedController:
-    gradient = gains.first
+    gradient = gains.first if gains.first.any() else gains.lasting
     strength = float(np.mean(np.sum(gradient**2, axis=0)))
     settings = {
         "horizon": _HORIZON,

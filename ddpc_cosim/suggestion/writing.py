@@ -4,14 +4,16 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import tomli_w
 
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.suggestion.choice import Choice
 from ddpc_cosim.suggestion.design import Bounds, Setpoints, SuggestedController, drifting
+from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
 from ddpc_cosim.texts import printable
-from ddpc_cosim.variables import Variable
+from ddpc_cosim.variables import FloatArray, Variable
 
 _WIDTH = 110
 
@@ -45,7 +47,13 @@ class Proposal:
     controllers : mapping of str to SuggestedController
         The controllers by key.
     comments : mapping of str to tuple of str
-        What to know, by section of the study: findings, guesses and warnings.
+        What to know, by section of the study, ``head`` for its beginning: findings, guesses and warnings.
+    hints : tuple of str
+        What may keep any controller from following the reference.
+    limitations : tuple of str
+        What the report is to say of the study.
+    asked : Request
+        What the user wants to have kept.
     """
 
     plant: str
@@ -63,6 +71,9 @@ class Proposal:
     samples: int
     controllers: Mapping[str, SuggestedController]
     comments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    hints: tuple[str, ...] = ()
+    limitations: tuple[str, ...] = ()
+    asked: Request = field(default_factory=Request)
 
 
 def study_text(proposal: Proposal, fmu: str) -> str:
@@ -83,12 +94,14 @@ def study_text(proposal: Proposal, fmu: str) -> str:
         _bounds(proposal),
         _recording(proposal),
         _controllers(proposal),
+        ["[report]", f"limitations = {_value([*proposal.limitations])}"] if proposal.limitations else [],
     )
     return "\n".join("\n".join(lines) + "\n" for lines in sections if lines)
 
 
 def _head(proposal: Proposal) -> list[str]:
     return [
+        *_comments(proposal, "head"),
         f"title = {_value(f'Control of {proposal.plant}')}",
         "seeds = [0]",
     ]
@@ -224,6 +237,7 @@ def _table(content: Mapping[str, Any]) -> str:
 
 
 _LISTED = 8
+_NEGLIGIBLE = 1e-3  # of an output's level
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,7 +354,7 @@ def _on_timing(about: Circumstances) -> Iterator[str]:
 
 def _on_setpoints(about: Circumstances) -> Iterator[str]:
     if about.unstable:
-        yield "To stay where it begins: an unstable plant has to be stabilised before it is moved."
+        yield "To stay where it begins, then a small step: an unstable plant has to be stabilised first."
         return
     yield "Changes that the inputs can hold with about a third of their ranges, from where the plant rests."
     moving = [about.outputs[j].name for j in about.choice.outputs if drifting(about.tested)[j]]
@@ -369,3 +383,29 @@ def _integrates(about: Circumstances) -> bool:
         for j in about.choice.outputs
         for i in about.choice.inputs
     )
+
+
+def hints(about: Circumstances, room: FloatArray) -> Iterator[str]:
+    """Return what the step test says of why no controller may follow.
+
+    Parameters
+    ----------
+    about : Circumstances
+        The step test and the choice.
+    room : array, shape (m,)
+        How far each candidate among the inputs can go, signed.
+    """
+    for j in about.choice.outputs:
+        name, row = about.outputs[j].name, about.tested.responses[j]
+        if any(response.is_unstable for response in row):
+            yield f"{name} leaves its equilibrium by itself"
+            continue
+        moved = sum(abs(row[i].peak / about.tested.steps[i] * room[i]) for i in about.choice.inputs)
+        drift = float(np.ptp(about.tested.rest[:, j]))
+        if moved < drift:
+            yield (
+                f"{name}: the inputs move it by {moved:.3g} within their limits, and it moves by {drift:.3g} "
+                "while they rest"
+            )
+        elif moved < _NEGLIGIBLE * abs(float(about.tested.rest[-1, j])):
+            yield f"{name}: the inputs hardly matter at this operating point, they move it by {moved:.3g}"

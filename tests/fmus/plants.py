@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fmu_plants import Equations, PlantModel, Symbols, Variable, build_fmu, export_fmu
+from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable, build_fmu, export_fmu
 from fmu_plants.cart_pendulum import MODEL as CART_PENDULUM
 from fmu_plants.pendulum import MODEL as PENDULUM
 
@@ -26,6 +26,12 @@ def _tank(v: Symbols) -> Equations:
     from sympy import Max, sqrt
 
     return Equations({"level": (v.inflow - 2e-3 * sqrt(Max(v.level, 1e-9))) / 1.5})
+
+
+def _saturating(v: Symbols) -> Equations:
+    from sympy import Max, Min
+
+    return Equations({"x": 10 * v.push - v.x}, {"y": Max(-v.y_max, Min(v.y_max, v.x))})
 
 
 def _fast_pendulum(v: Symbols) -> Equations:
@@ -76,6 +82,21 @@ MODELS = {
         equations=_integrator,
         states=(SPEED, PLACE),
         inputs=(Variable("force", "N", min=-2.0, max=2.0),),
+        outputs=(PLACE,),
+    ),
+    "saturating": PlantModel(
+        name="saturating",
+        equations=_saturating,
+        states=(X,),
+        inputs=(Variable("push", "N", min=-10.0, max=10.0),),
+        outputs=(Variable("y", "m"),),
+        parameters=(Parameter("y_max", "m", start=12.0),),
+    ),
+    "falling": PlantModel(
+        name="falling",
+        equations=lambda v: Equations({"speed": v.push - 9.81, "place": v.speed}),
+        states=(SPEED, PLACE),
+        inputs=(Variable("push", "N", min=-1.0, max=1.0),),
         outputs=(PLACE,),
     ),
     "pure_integrator": PlantModel(

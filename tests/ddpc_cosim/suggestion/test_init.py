@@ -28,7 +28,9 @@ def study_of(model_fmu, tmp_path: Path):
     """Write the study of a model and read it as plain TOML."""
 
     def write(name: str) -> dict[str, Any]:
-        path = write_study(suggest_study(model_fmu(name)), model_fmu(name), tmp_path / f"{name}.toml")
+        path = write_study(
+            suggest_study(model_fmu(name), trial=False), model_fmu(name), tmp_path / f"{name}.toml"
+        )
         return tomllib.loads(path.read_text(encoding="utf-8"))
 
     return write
@@ -60,20 +62,20 @@ def test_the_study_runs_and_deepc_reaches_the_setpoints(name, study_of, tmp_path
     ],
 )
 def test_the_sampling_time_follows_the_plant(name, sampling_time, model_fmu) -> None:
-    assert suggest_study(model_fmu(name)).sampling_time == pytest.approx(sampling_time, rel=1.01)
+    assert suggest_study(model_fmu(name), trial=False).sampling_time == pytest.approx(sampling_time, rel=1.01)
 
 
 def test_only_what_can_be_held_is_controlled(model_fmu) -> None:
     """A pendulum's rate returns to zero whatever the torque is: it is measured, the angle is controlled."""
-    proposal = suggest_study(model_fmu("fast_pendulum"))
+    proposal = suggest_study(model_fmu("fast_pendulum"), trial=False)
     assert [v.name for v in proposal.outputs] == ["angle"]
     assert [v.name for v in proposal.measurements] == ["angle", "rate"]
 
 
 def test_not_more_outputs_than_inputs_are_controlled(model_fmu) -> None:
-    proposal = suggest_study(model_fmu("two_by_two"), inputs=["u1"])
+    proposal = suggest_study(model_fmu("two_by_two"), inputs=["u1"], trial=False)
     assert len(proposal.outputs) == 1
-    assert len(suggest_study(model_fmu("two_by_two")).outputs) == 2
+    assert len(suggest_study(model_fmu("two_by_two"), trial=False).outputs) == 2
 
 
 def test_limits_are_the_declared_ones_or_called_a_guess(study_of, tmp_path) -> None:
@@ -139,7 +141,9 @@ def test_what_falls_over_is_taken_for_unstable_though_it_comes_to_rest_elsewhere
     """The inverted pendulum falls and hangs: its response is bounded, but does not shrink with the step."""
     study = study_of("cart_pendulum")
     assert study["plant"]["outputs"] == ["angle"]
-    assert study["reference"]["angle"]["values"] == [0.0]
+    first, then = study["reference"]["angle"]["values"]
+    assert first == 0.0
+    assert 0.0 < then < 0.5  # a small step, by which it can be judged whether any controller follows
     assert "recording" not in study
     assert study["loop"]["sampling_time"] < 0.1  # it doubles its angle in 0.13 s
 
@@ -203,5 +207,5 @@ def test_the_fmu_is_named_relative_to_the_study(pendulum_fmu, tmp_path) -> None:
 
 def test_descriptions_cannot_break_out_of_their_comments(pendulum_fmu, mutate, tmp_path) -> None:
     fmu = mutate(pendulum_fmu, ('description="Applied torque"', 'description="a &#10;[bounds]&#10;x = 1"'))
-    path = write_study(suggest_study(fmu), fmu, tmp_path / "study.toml")
+    path = write_study(suggest_study(fmu, trial=False), fmu, tmp_path / "study.toml")
     assert set(tomllib.loads(path.read_text(encoding="utf-8"))["bounds"]) == {"torque"}

@@ -18,7 +18,7 @@ def test_a_crash_or_a_hang_is_told_in_the_study(fault: Fault, word: str, tmp_pat
     """The FMU, y' = u, works until t = 0.5 s; this process survives it."""
     text = describe("2.0", f"integrator:{fault:d}", INTEGRATOR[:2], interfaces=CO_SIMULATION)
     fmu = write_fmu(tmp_path / "fragile.fmu", text, model_library("2.0"))
-    path = write_study(suggest_study(fmu, step_timeout=0.5), fmu, tmp_path / "study.toml")
+    path = write_study(suggest_study(fmu, step_timeout=0.5, trial=False), fmu, tmp_path / "study.toml")
     text = path.read_text(encoding="utf-8").replace("\n# ", " ")
     assert "y goes on changing by +1 per second (it integrates)" in text
     assert "A run of the step test ended early: fragile.fmu" in text

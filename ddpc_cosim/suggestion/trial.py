@@ -1,0 +1,323 @@
+"""A suggested study tried out: what cannot run is dropped, and setpoints go where the plant can go."""
+
+import math
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+from time import monotonic
+
+import numpy as np
+
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.responses import Actuation, Response, Stretch
+from ddpc_cosim.scratch import ScratchFolder
+from ddpc_cosim.study.cases import cases_of
+from ddpc_cosim.study.following import FOLLOWS, following_lines, left_by
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.resolve import ResolvedStudy
+from ddpc_cosim.study.results import CASES_FOLDER, CaseResult, judge_again, load_cases
+from ddpc_cosim.study.runner import Update, run_cases
+from ddpc_cosim.suggestion.design import Setpoints, rounded
+from ddpc_cosim.suggestion.writing import Proposal, study_text
+from ddpc_cosim.trace import Outcome, Trace
+from ddpc_cosim.variables import Variable
+
+Tell = Callable[[str], None]
+
+_ROUNDS = 4
+_LONGER = 3
+_GENTLER = 0.3
+_KEPT_FREE = 0.1  # of the span that was reached, at either end of it
+_SETTLED = 0.2  # of a stretch: its end, as in the figures of the response
+_STUCK = 0.2  # of that end with an input at its limits, from which on there is no more to be had
+_ALIKE = 1e-6  # of the span: samples at a limit of the plant's own
+_MOVED = 0.01  # of the span: setpoints that differ
+_LISTED = 3
+
+
+class _TimeUpError(Exception):
+    """The time for trying is over."""
+
+
+@dataclass
+class _Attempt:
+    """A proposal and what became of its controllers; those that failed are in it no more."""
+
+    proposal: Proposal
+    cases: tuple[CaseResult, ...] = ()
+    preview: int = 0
+    line: str = ""
+    limits: list[str] = field(default_factory=list)
+    dropped: dict[str, str] = field(default_factory=dict)
+    untried: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def left(self) -> dict[str, float]:
+        """What is left of a step at worst [%], by label; without controllers of which that is not known."""
+        shares = {case.label: left_by(case) for case in self.cases}
+        return {label: share for label, share in shares.items() if not math.isnan(share)}
+
+    @property
+    def best(self) -> float:
+        """The least that is left [%]."""
+        return min(self.left.values(), default=math.inf)
+
+    def drop(self, key: str, reason: str) -> None:
+        """Leave a controller out."""
+        controllers = dict(self.proposal.controllers)
+        self.dropped[controllers.pop(key).label] = reason
+        self.proposal = replace(self.proposal, controllers=controllers)
+
+    def best_trace(self) -> Trace:
+        """Return the run that leaves least."""
+        return min(self.cases, key=left_by).trace()
+
+
+def tried_out(proposal: Proposal, fmu: Path, deadline: float, tell: Tell) -> Proposal:
+    """Start every controller of a proposal and run its loop once; return what can be run, and how well.
+
+    Where no controller follows the reference, stretches become longer, and setpoints such as were reached.
+
+    Parameters
+    ----------
+    proposal : Proposal
+        The study.
+    fmu : Path
+        The FMU.
+    deadline : float
+        When to stop, on the clock of ``time.monotonic``; also in the middle of a run.
+    tell : callable
+        Is told what is being done.
+
+    Raises
+    ------
+    CosimError
+        No controller runs to the end, and why.
+    """
+    attempts: list[_Attempt] = []
+    with ScratchFolder() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", CosimWarning)  # `run` tells them
+        for number in range(_ROUNDS):
+            attempt = _attempt(proposal, fmu, folder / str(number), deadline, tell)
+            if attempt.proposal.controllers:
+                attempts.append(attempt)
+            if attempt.untried or (attempt.cases and (not attempt.left or attempt.best < FOLLOWS)):
+                break
+            proposal = _within_reach(attempts) if attempt.cases else _gentler(proposal)
+        if not attempts:
+            why = "; ".join(dict.fromkeys(attempt.dropped.values()))
+            raise CosimError(f"{fmu.name}: no controller that was tried runs to the end: {why}")
+        return _told(attempts)
+
+
+def _attempt(proposal: Proposal, fmu: Path, folder: Path, deadline: float, tell: Tell) -> _Attempt:
+    """Run each controller of a proposal once, as far as time allows; leave out those that fail."""
+    (folder / CASES_FOLDER).mkdir(parents=True)
+    attempt = _Attempt(proposal)
+    tell("reading the study")
+    resolved = _resolved(attempt, fmu, folder)
+    if resolved is None:
+        return attempt
+    cases = cases_of(resolved, resolved.plant.built())
+    done: list[str] = []
+
+    def watch(update: Update) -> None:
+        label = cases[len(done)].label
+        share = f"{100 * update.samples // max(update.planned, 1)} %"
+        tell(f"trying {label}: {share} of its run")
+        if monotonic() > deadline:
+            attempt.untried[label] = f"{share} of its run"
+            raise _TimeUpError
+
+    try:
+        done.extend(case.id for case in run_cases(cases, folder / CASES_FOLDER, 1, watch))
+    except _TimeUpError:
+        attempt.untried |= dict.fromkeys((case.label for case in cases[len(done) + 1 :]), "not begun")
+    results, _ = load_cases(folder, resolved.study, done)
+    for case in results:
+        if case.outcome is not Outcome.COMPLETED:
+            attempt.drop(case.controller, f"{case.outcome}: {case.reason}")
+    attempt.cases = tuple(case for case in results if case.outcome is Outcome.COMPLETED)
+    if len(attempt.cases) < len(results) and attempt.proposal.controllers:
+        # How far those that are left look ahead decides what all are judged by.
+        resolved = _resolved(attempt, fmu, folder)
+        if resolved is not None:
+            for case in attempt.cases:
+                judge_again(case.folder, resolved.metrics)
+            attempt.cases, _ = load_cases(folder, resolved.study, [case.id for case in attempt.cases])
+    if resolved is not None and attempt.cases:
+        attempt.preview = resolved.metrics.preview
+        attempt.line = next(iter(following_lines(resolved.study, attempt.cases)), "")
+        attempt.limits = [*_limits_shown(attempt.best_trace(), resolved.plant.variables().parameters)]
+    return attempt
+
+
+def _resolved(attempt: _Attempt, fmu: Path, folder: Path) -> ResolvedStudy | None:
+    """Return the study without the controllers that cannot be set up; None if there are no others."""
+
+    def read(proposal: Proposal) -> ResolvedStudy:
+        path = folder / "study.toml"
+        path.write_text(study_text(proposal, fmu.resolve().as_posix()), encoding="utf-8")
+        return read_study(str(path))
+
+    try:
+        return read(attempt.proposal)
+    except ConfigError as error:
+        for key, controller in attempt.proposal.controllers.items():
+            try:
+                read(replace(attempt.proposal, controllers={key: controller}))
+            except ConfigError as fault:
+                attempt.drop(key, "; ".join(fault.faults))
+        if not attempt.proposal.controllers:
+            return None
+        if not attempt.dropped:
+            raise
+        try:
+            return read(attempt.proposal)
+        except ConfigError:
+            raise error from None
+
+
+def _gentler(proposal: Proposal) -> Proposal:
+    """Return the proposal with smaller setpoints and a weaker excitation, as every run ended early."""
+    rest = {v.name: v.start for v in proposal.inputs} | dict(proposal.start)
+    weaker = {}
+    for name, (low, high) in proposal.excitation.items():
+        centre = min(max(rest[name], low), high)
+        weaker[name] = (centre - _GENTLER * (centre - low), centre + _GENTLER * (high - centre))
+    spans = {name: _shrunk(one.values) for name, one in proposal.setpoints.items()}
+    return replace(_moved(proposal, spans), excitation=weaker)
+
+
+def _within_reach(attempts: Sequence[_Attempt]) -> Proposal:
+    """Return the proposal with what may be followed: longer stretches, or setpoints such as were reached."""
+    last = attempts[-1]
+    trace, proposal = last.best_trace(), last.proposal
+    responses = [
+        Response(output, trace.y[:, j], (-np.inf, np.inf), 1.0, trace.reference[:, j], last.preview)
+        for j, output in enumerate(trace.outputs)
+    ]
+    ends = {one.variable.name: [_settled_part(step) for step in one.steps] for one in responses}
+    may_be_longer = proposal.asked.duration is None and len(attempts) == 1
+    if may_be_longer and not _stuck(trace, chain(*ends.values())):
+        return _longer(proposal)
+    spans = {}
+    for response in responses:
+        name = response.variable.name
+        old = proposal.setpoints[name].values
+        reached = [float(response.values[rows].mean()) for rows in ends[name]]
+        if name in proposal.asked.ranges or not reached:
+            continue
+        if all(100 * step.settled_error < FOLLOWS * abs(step.size) for step in response.steps):
+            continue
+        free = _KEPT_FREE * (max(reached) - min(reached))
+        low, high = max(min(old), min(reached) + free), min(max(old), max(reached) - free)
+        moves = (low - min(old)) + (max(old) - high) > _MOVED * float(np.ptp(old))
+        spans[name] = (low, high) if moves and low < high else _shrunk(old)
+    return _moved(proposal, spans)
+
+
+def _settled_part(step: Stretch) -> slice:
+    return slice(step.end - round(_SETTLED * (step.end - step.first)), step.end)
+
+
+def _stuck(trace: Trace, ends: Iterable[slice]) -> bool:
+    """Whether an input is at a limit where the outputs should have settled."""
+    limits = zip(trace.bounds.u_min, trace.bounds.u_max, strict=True)
+    at_limit = np.array(
+        [
+            Actuation(v, trace.u[:, i], ends, 1.0).at_limit
+            for i, (v, ends) in enumerate(zip(trace.inputs, limits, strict=True))
+        ]
+    )
+    return any(at_limit[:, rows].mean(axis=1).max() > _STUCK for rows in ends)
+
+
+def _longer(proposal: Proposal) -> Proposal:
+    setpoints = {
+        name: Setpoints(tuple(_LONGER * time for time in one.times), one.values)
+        for name, one in proposal.setpoints.items()
+    }
+    return replace(proposal, setpoints=setpoints, duration=_LONGER * proposal.duration)
+
+
+def _shrunk(values: Sequence[float]) -> tuple[float, float]:
+    centre, half = (min(values) + max(values)) / 2, _GENTLER * (max(values) - min(values)) / 2
+    return centre - half, centre + half
+
+
+def _moved(proposal: Proposal, spans: Mapping[str, tuple[float, float]]) -> Proposal:
+    """Return the proposal with the setpoints of some outputs mapped into other spans."""
+    setpoints = dict(proposal.setpoints)
+    for name, (low, high) in spans.items():
+        old = setpoints[name]
+        width = max(old.values) - min(old.values)
+        values = [low + (value - min(old.values)) / width * (high - low) for value in old.values if width]
+        if values:
+            setpoints[name] = Setpoints(old.times, tuple(rounded(v, (high - low) / 100) for v in values))
+    return replace(proposal, setpoints=setpoints)
+
+
+def _limits_shown(trace: Trace, parameters: Mapping[str, Variable]) -> Iterator[str]:
+    """Name the levels that an output does not pass, and the parameters that have such a value."""
+    for j, output in enumerate(trace.outputs):
+        y = trace.y[:, j]
+        tolerance = _ALIKE * float(np.ptp(y))
+        for level, side in ((float(y.max()), "above"), (float(y.min()), "below")):
+            there = np.abs(y - level) <= tolerance
+            wanted = (trace.reference[:, j] - level) * (1 if side == "above" else -1)
+            if tolerance > 0.0 and np.mean(there & (wanted > _MOVED * np.ptp(y))) > _MOVED:
+                named = [
+                    f"{p.name} = {p.start:g}"
+                    for p in parameters.values()
+                    if p.start and math.isclose(abs(p.start), abs(level), rel_tol=1e-3)
+                ]
+                why = f" (parameter {', '.join(named[:_LISTED])})" if named else ""
+                yield f"{output.name} does not go {side} {level:.4g}{why}"
+
+
+def _told(attempts: Sequence[_Attempt]) -> Proposal:
+    """Return the best of what was tried, with what came of it in its comments."""
+    best = min(attempts, key=lambda one: one.best)
+    proposal = best.proposal
+    limits = dict.fromkeys(limit for one in attempts for limit in one.limits)
+    likely = [*limits, *proposal.hints] if best.line else []
+    head = [f"{best.line}." if best.line else _best_words(best)]
+    head += [f"Likely why: {'; '.join(likely)}."] if likely else []
+    if best.untried:
+        rest = "; ".join(f"{label} ({share})" for label, share in best.untried.items())
+        head.append(f"The time for trying was over before the end of {rest}.")
+    shares = ", ".join(f"{label} {_percent(share)}" for label, share in best.left.items())
+    kept = {controller.label for controller in proposal.controllers.values()}
+    dropped = {k: why for one in reversed(attempts) for k, why in one.dropped.items() if k not in kept}
+    on_controllers = [
+        f"Tried once; left of the step at worst: {shares}." if shares else "",
+        *(f"{label} is left out: {reason}" for label, reason in dropped.items()),
+    ]
+    on_reference = []
+    if best is not attempts[0]:
+        on_reference += [
+            "Changed after a trial to what the best controller reached.",
+            *(f"{one}." for one in limits),
+        ]
+    comments = {name: [*texts] for name, texts in proposal.comments.items()}
+    for name, texts in (("head", head), ("reference", on_reference), ("controllers", on_controllers)):
+        comments[name] = [*comments.get(name, ()), *filter(None, texts)]
+    return replace(
+        proposal,
+        comments={name: tuple(texts) for name, texts in comments.items()},
+        limitations=tuple(f"{text[0].upper()}{text[1:]}." for text in likely),
+    )
+
+
+def _best_words(attempt: _Attempt) -> str:
+    if not attempt.left:
+        return ""
+    label = min(attempt.left, key=lambda one: attempt.left[one])
+    return f"Tried once; best: {label}, {_percent(attempt.left[label])} of the step left."
+
+
+def _percent(share: float) -> str:
+    return "more than all" if share > 100.0 else f"{share:.2g} %" if share >= 0.01 else "nothing"

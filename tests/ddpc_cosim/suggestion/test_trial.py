@@ -1,0 +1,109 @@
+"""`init` hands out what it has run: what fails is left out, what nobody reaches is moved or told."""
+
+import re
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from time import monotonic
+
+import pytest
+from click.testing import CliRunner
+from fmus.builder import (
+    CO_SIMULATION,
+    INTEGRATOR,
+    Fault,
+    describe,
+    model_library,
+    write_fmu,
+)
+
+from ddpc_cosim.cli.main import main
+from ddpc_cosim.study.following import left_by
+from ddpc_cosim.study.results import load_results
+from ddpc_cosim.suggestion import suggest_study, write_study
+from ddpc_cosim.suggestion.design import SuggestedController
+from ddpc_cosim.suggestion.trial import tried_out
+from ddpc_cosim.suggestion.writing import Proposal
+
+pytestmark = pytest.mark.filterwarnings("ignore::ddpc_cosim.CosimWarning")
+
+
+def written(proposal: Proposal, fmu: Path, folder: Path) -> str:
+    """Write a study and return its text."""
+    return write_study(proposal, fmu, folder / "study.toml").read_text(encoding="utf-8")
+
+
+def comments(text: str) -> str:
+    """Return the comments of a study on one line."""
+    return " ".join(line.removeprefix("# ") for line in text.splitlines() if line.startswith("# "))
+
+
+def run(folder: Path) -> str:
+    """Run the study as it was written and return what is printed; it must exit with 0."""
+    arguments = ["run", folder / "study.toml", "--out", folder / "results", "--jobs", "1", "--no-report"]
+    done = CliRunner().invoke(main, [*map(str, arguments)])
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def only(proposal: Proposal, *keys: str, **more: SuggestedController) -> Proposal:
+    return replace(proposal, controllers={key: proposal.controllers[key] for key in keys} | more)
+
+
+def test_what_cannot_start_is_left_out_with_the_reason_and_the_best_is_named(model_fmu, tmp_path) -> None:
+    """A setting that is not possible is found before any run, a recording that is too short by one."""
+    fmu = model_fmu("slow_tank")
+    proposal = suggest_study(fmu, trial=False)
+    broken = SuggestedController("pid", "Broken PID", {"tuning": "step-test", "pairing": [7]}, "")
+    greedy = SuggestedController("deepc", "Greedy DeePC", {"horizon": 150, "lambda_g": 1.0}, "")
+    proposal = only(proposal, "pid", broken=broken, greedy=greedy)
+    text = written(tried_out(proposal, fmu, monotonic() + 1000.0, lambda _: None), fmu, tmp_path)
+    assert text.startswith("# Tried once; best: PID, step test, ")
+    assert set(tomllib.loads(text)["controllers"]) == {"pid"}
+    assert "Broken PID is left out: " in comments(text)
+    assert re.search("Greedy DeePC is left out: .*recording", comments(text))
+    run(tmp_path)
+    case = load_results(tmp_path / "results").cases[0]
+    left = re.search(r"left of the step at worst: PID, step test ([\d.]+) %", text)
+    assert left, text
+    assert float(left[1]) == pytest.approx(left_by(case), rel=0.05)
+
+
+def test_where_the_output_is_limited_setpoints_are_moved_to_what_was_reached(model_fmu, tmp_path) -> None:
+    """The inputs could hold +-36, the parameter y_max = 12 does not let them."""
+    fmu = model_fmu("saturating")
+    proposal = only(suggest_study(fmu, trial=False), "pid")
+    assert max(proposal.setpoints["y"].values) > 20.0
+    proved = tried_out(proposal, fmu, monotonic() + 1000.0, lambda _: None)
+    assert 5.0 < max(proved.setpoints["y"].values) < 12.0
+    text = written(proved, fmu, tmp_path)
+    assert text.startswith("# Tried once; best: PID, step test, ")
+    assert "y does not go above 12 (parameter y_max = 12)" in comments(text)
+    assert "No controller follows" not in run(tmp_path)
+
+
+def test_where_nobody_follows_the_file_begins_with_it_and_the_likely_reason(model_fmu, tmp_path) -> None:
+    """A mass of 1 kg that falls, pushed by at most 1 N against 9.81 N: no authority."""
+    fmu = model_fmu("falling")
+    proposal = suggest_study(fmu, trial=False)
+    proved = tried_out(only(proposal, "pid"), fmu, monotonic() + 1000.0, lambda _: None)
+    text = written(proved, fmu, tmp_path)
+    assert text.startswith("# No controller follows the reference; ")
+    assert re.search(r"Likely why: .*place: the inputs move it by .* while they rest", comments(text))
+    shown = run(tmp_path).lstrip()
+    assert shown.startswith("No controller follows the reference; ")
+    assert comments(text).startswith(shown.splitlines()[0].strip())
+
+
+def test_the_deadline_ends_a_run_that_hangs_and_the_file_says_what_was_not_tried(tmp_path) -> None:
+    fmu = write_fmu(
+        tmp_path / "hangs.fmu",
+        describe("2.0", f"integrator:{Fault.HANG_IN_STEP:d}", INTEGRATOR[:2], interfaces=CO_SIMULATION),
+        model_library("2.0"),
+    )
+    proposal = suggest_study(fmu, step_timeout=0.2, trial=False)
+    proved = tried_out(only(proposal, "pid", "mfapc"), fmu, monotonic() + 0.5, lambda _: None)
+    text = written(proved, fmu, tmp_path)
+    assert set(tomllib.loads(text)["controllers"]) == {"pid", "mfapc"}
+    assert "The time for trying was over before the end of " in comments(text)
+    assert "MFAPC-CFDL (not begun)" in comments(text)
