@@ -1,16 +1,15 @@
-"""Vega-Lite specifications (Altair): signals over time, strips over seeds, step times, maps.
+"""Vega-Lite specifications: signals over time, strips over seeds, step times, maps.
 
 Colours are CSS variables of the page (``var(--c0)``), so that one specification serves light, dark and print.
 Five parameters are driven by the script of the page: ``span`` (the time shown), ``extent`` (the range of the
 values), ``band`` (the time being chosen), ``at`` (the sample under the pointer) and ``hidden`` (the
-controllers that the reader hid).
+controllers that the reader hid). They are written as https://vega.github.io/vega-lite/docs describes them:
+a layer of marks, each with its data, what is done to them (``transform``) and what they show (``encoding``).
 """
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
-
-import altair as alt
+from typing import Any, NamedTuple
 
 from ddpc_reports.samples import Signal
 
@@ -36,6 +35,7 @@ _VALUE_LABELS = (
     " ? replace(format(datum.value, '~e'), 'e+', 'e') : " + LABELS
 )
 _LABEL_ROOM = 44
+_PANEL_HEIGHT = 168
 
 _MANTISSAS = {
     0.5: (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9),
@@ -85,6 +85,11 @@ CONFIG: dict[str, Any] = {
 }
 
 
+Spec = dict[str, Any]
+
+_NOT_HIDDEN = {"filter": "indexof(hidden, datum.key) < 0"}
+
+
 class Mark(NamedTuple):
     """Something that happens during a run: its label, and from when to when [s], which may be an instant."""
 
@@ -105,7 +110,7 @@ def time_chart(
     sampling_time: float,
     marks: Sequence[Mark],
     last: bool,
-) -> Any:
+) -> Spec:
     """Return the chart of one signal over time, for the controllers of one panel.
 
     Parameters
@@ -123,126 +128,135 @@ def time_chart(
     last : bool
         Whether this is the lowest chart of the figure, which carries the title of the time axis.
     """
-    x = (
-        alt.X("t:Q")
-        .title("time / s" if last else None)
-        .scale(domain=list(signal.end), domainRaw=alt.ExprRef("span"), nice=False)
-        .axis(tickCount=8, grid=False, labelExpr=LABELS)
-    )
-    samples = alt.Chart(alt.NamedData(signal.id))
+    x = {
+        **_field("t", "time / s" if last else None),
+        "scale": {"domain": list(signal.end), "domainRaw": {"expr": "span"}, "nice": False},
+        "axis": {"tickCount": 8, "grid": False, "labelExpr": LABELS},
+    }
+    # One sample more on both sides, so that lines reach the edge.
+    margin = f"{1.01 * sampling_time:g}"
+    within = {"filter": f"span == null || (datum.t >= span[0] - {margin} && datum.t <= span[1] + {margin})"}
     layers = [
         *_limits(signal),
         *_marks(marks, x),
         _band(x),
-        *([_reference(samples, signal, x, sampling_time)] if signal.has_reference else []),
-        _lines(samples, signal, names, dashes, x, sampling_time),
-        *_reading(samples, signal, names, x),
+        *([_reference(signal, x, within)] if signal.has_reference else []),
+        _lines(signal, names, dashes, x, within),
+        *_reading(signal, names, x),
     ]
-    parameters = [alt.param(name=name, value=None) for name in ("span", "band", "at")]
-    parameters.append(alt.param(name="hidden", value=[]))
-    parameters.append(alt.param(name="extent", value=list(signal.extent(names))))
-    return alt.layer(*layers).add_params(*parameters)
+    parameters = {"span": None, "band": None, "at": None, "hidden": [], "extent": list(signal.extent(names))}
+    return {
+        "layer": layers,
+        "height": _PANEL_HEIGHT,
+        "params": [{"name": name, "value": value} for name, value in parameters.items()],
+    }
 
 
-def _y(signal: Signal, field: str = "value:Q") -> alt.Y:
-    scale = alt.Scale(domainRaw=alt.ExprRef("extent"), zero=False, nice=False)
-    axis = alt.Axis(minExtent=_LABEL_ROOM, maxExtent=_LABEL_ROOM, labelExpr=_VALUE_LABELS)
-    return alt.Y(field).title(signal.title).scale(scale).axis(axis)
+def _field(name: str, title: str | None, kind: str = "quantitative") -> Spec:
+    return {"field": name, "type": kind, "title": title}
 
 
-def _within(sampling_time: float) -> str:
-    """Filter for the time shown, one sample more on both sides so that lines reach the edge."""
-    margin = 1.01 * sampling_time
-    return f"span == null || (datum.t >= span[0] - {margin:g} && datum.t <= span[1] + {margin:g})"
+def _layer(
+    mark: Spec, encoding: Spec, data: str | list[dict[str, Any]] | None = None, *transform: Spec
+) -> Spec:
+    """Return marks of the data of a name, of rows, or of what the whole chart is of."""
+    layer: Spec = {"mark": mark, "encoding": encoding}
+    if data is not None:
+        layer["data"] = {"name": data} if isinstance(data, str) else {"values": data}
+    return layer | ({"transform": list(transform)} if transform else {})
 
 
-def _folded(samples: alt.Chart, names: Sequence[str]) -> Any:
-    folded = samples.transform_fold(list(names), as_=["key", "value"])
-    return folded.transform_filter("isValid(datum.value) && indexof(hidden, datum.key) < 0")
+def _y(signal: Signal, field: str = "value") -> Spec:
+    return {
+        **_field(field, signal.title),
+        "scale": {"domainRaw": {"expr": "extent"}, "zero": False, "nice": False},
+        "axis": {"minExtent": _LABEL_ROOM, "maxExtent": _LABEL_ROOM, "labelExpr": _VALUE_LABELS},
+    }
 
 
-def _colours(names: Sequence[str]) -> alt.Color:
-    return (
-        alt.Color("key:N")
-        .legend(None)
-        .scale(domain=list(names), range=[colour(int(name[1:])) for name in names])
+def _folded(names: Sequence[str]) -> list[Spec]:
+    return [
+        {"fold": list(names), "as": ["key", "value"]},
+        {"filter": "isValid(datum.value) && indexof(hidden, datum.key) < 0"},
+    ]
+
+
+def _chosen_by(field: str, domain: Sequence[str], values: Sequence[Any]) -> Spec:
+    """Return a channel with a value for each text of a field, and no legend."""
+    scale = {"domain": list(domain), "range": list(values)}
+    return {"field": field, "type": "nominal", "legend": None, "scale": scale}
+
+
+def _colours(names: Sequence[str]) -> Spec:
+    return _chosen_by("key", names, [colour(int(name[1:])) for name in names])
+
+
+def _lines(signal: Signal, names: Sequence[str], dashes: dict[str, int], x: Spec, within: Spec) -> Spec:
+    dash = _chosen_by("key", names, [list(DASHES[dashes[name] % len(DASHES)]) for name in names])
+    shape = "step-after" if signal.held else "linear"
+    return _layer(
+        {"type": "line", "clip": True, "strokeWidth": 1.6, "interpolate": shape},
+        {"x": x, "y": _y(signal), "color": _colours(names), "strokeDash": dash},
+        signal.id,
+        *_folded(names),
+        within,
     )
 
 
-def _lines(
-    samples: alt.Chart,
-    signal: Signal,
-    names: Sequence[str],
-    dashes: dict[str, int],
-    x: alt.X,
-    sampling_time: float,
-) -> Any:
-    dash = (
-        alt.StrokeDash("key:N")
-        .legend(None)
-        .scale(domain=list(names), range=[list(DASHES[dashes[name] % len(DASHES)]) for name in names])
-    )
-    return (
-        _folded(samples, names)
-        .transform_filter(_within(sampling_time))
-        .mark_line(clip=True, strokeWidth=1.6, interpolate="step-after" if signal.held else "linear")
-        .encode(x=x, y=_y(signal), color=_colours(names), strokeDash=dash)
-    )
+def _reference(signal: Signal, x: Spec, within: Spec) -> Spec:
+    line = {"type": "line", "clip": True, "strokeWidth": 1, "interpolate": "step-after", "opacity": 0.75}
+    return _layer(line | {"color": "var(--ink)"}, {"x": x, "y": _y(signal, "r")}, signal.id, within)
 
 
-def _reference(samples: alt.Chart, signal: Signal, x: alt.X, sampling_time: float) -> Any:
-    return (
-        samples.transform_filter(_within(sampling_time))
-        .mark_line(clip=True, strokeWidth=1, interpolate="step-after", color="var(--ink)", opacity=0.75)
-        .encode(x=x, y=_y(signal, "r:Q"))
-    )
-
-
-def _limits(signal: Signal) -> list[Any]:
+def _limits(signal: Signal) -> list[Spec]:
     if not signal.limits:
         return []
-    rows = alt.InlineData(values=[{"value": limit} for limit in signal.limits])
-    return [alt.Chart(rows).mark_rule(color="var(--limit)", strokeDash=[3, 3]).encode(y=_y(signal))]
+    rows = [{"value": limit} for limit in signal.limits]
+    rule = {"type": "rule", "color": "var(--limit)", "strokeDash": [3, 3]}
+    return [_layer(rule, {"y": _y(signal)}, rows)]
 
 
-def _marks(marks: Sequence[Mark], x: alt.X) -> list[Any]:
+def _marks(marks: Sequence[Mark], x: Spec) -> list[Spec]:
     """Shade spans and rule instants, their labels at the upper edge: once for all that begin at one time."""
     labels: dict[float, str] = {}
     for mark in marks:
         labels[mark.begin] = ", ".join(filter(None, (labels.get(mark.begin), mark.label)))
     spans = [{"t": mark.begin, "to": mark.end} for mark in marks if mark.end > mark.begin]
     rules = [{"t": time, "label": label} for time, label in labels.items()]
-    shade = alt.Chart(alt.InlineData(values=spans)).mark_rect(clip=True, color="var(--ink)", opacity=0.06)
-    named = alt.Chart(alt.InlineData(values=rules))
-    rule = named.mark_rule(clip=True, color="var(--ink-soft)", strokeWidth=0.8, strokeDash=[1, 2])
-    words = named.mark_text(
-        clip=True, align="left", baseline="top", dx=3, dy=3, fontSize=11, color="var(--ink-soft)"
-    )
+    shade = {"type": "rect", "clip": True, "color": "var(--ink)", "opacity": 0.06}
+    faint = {"clip": True, "color": "var(--ink-soft)"}
+    rule = {"type": "rule", "strokeWidth": 0.8, "strokeDash": [1, 2]} | faint
+    words = {"type": "text", "align": "left", "baseline": "top", "dx": 3, "dy": 3, "fontSize": 11} | faint
+    named = {"x": x, "y": {"value": 0}, "text": {"field": "label", "type": "nominal"}}
     return [
-        *([shade.encode(x=x, x2=alt.X2("to:Q"))] if spans else []),
-        *([rule.encode(x=x), words.encode(x=x, y=alt.value(0), text="label:N")] if rules else []),
+        *([_layer(shade, {"x": x, "x2": {"field": "to"}}, spans)] if spans else []),
+        *([_layer(rule, {"x": x}, rules), _layer(words, named, rules)] if rules else []),
     ]
 
 
-def _band(x: alt.X) -> Any:
-    chosen = alt.Chart(alt.InlineData(values=[{"chosen": 1}])).transform_filter("band != null")
-    placed = chosen.transform_calculate(t="band[0]", to="band[1]")
-    return placed.mark_rect(clip=True, color="var(--accent)", opacity=0.15).encode(x=x, x2=alt.X2("to:Q"))
-
-
-def _reading(samples: alt.Chart, signal: Signal, names: Sequence[str], x: alt.X) -> list[Any]:
-    rule = (
-        samples.transform_filter("datum.t === at").mark_rule(clip=True, color="var(--ink-soft)").encode(x=x)
+def _band(x: Spec) -> Spec:
+    return _layer(
+        {"type": "rect", "clip": True, "color": "var(--accent)", "opacity": 0.15},
+        {"x": x, "x2": {"field": "to"}},
+        [{"chosen": 1}],
+        {"filter": "band != null"},
+        {"calculate": "band[0]", "as": "t"},
+        {"calculate": "band[1]", "as": "to"},
     )
-    dots = (
-        _folded(samples.transform_filter("datum.t === at"), names)
-        .mark_point(clip=True, filled=True, size=36, opacity=1)
-        .encode(x=x, y=_y(signal), color=_colours(names))
-    )
-    return [rule, dots]
 
 
-def spread_chart(rows: list[dict[str, Any]], title: str, logarithmic: bool) -> Any:
+def _reading(signal: Signal, names: Sequence[str], x: Spec) -> list[Spec]:
+    here = {"filter": "datum.t === at"}
+    rule = {"type": "rule", "clip": True, "color": "var(--ink-soft)"}
+    dots = {"type": "point", "clip": True, "filled": True, "size": 36, "opacity": 1}
+    values = {"x": x, "y": _y(signal), "color": _colours(names)}
+    return [
+        _layer(rule, {"x": x}, signal.id, here),
+        _layer(dots, values, signal.id, here, *_folded(names)),
+    ]
+
+
+def spread_chart(rows: list[dict[str, Any]], title: str, logarithmic: bool) -> Spec:
     """Return a strip of one point per seed for each controller, its median and the first seed marked.
 
     Parameters
@@ -254,30 +268,26 @@ def spread_chart(rows: list[dict[str, Any]], title: str, logarithmic: bool) -> A
     logarithmic : bool
         Whether the range asks for a logarithmic axis.
     """
-    labels, colours = _labels_and_colours(rows)
-    x = alt.X("value:Q").title(title)
+    labels, hue, y = _rows(rows)
+    x = _field("value", title)
     if logarithmic:
-        x = _logarithmic(x, [row["value"] for row in rows], _GROUPED)
+        x |= _logarithmic([row["value"] for row in rows], _GROUPED)
     else:
-        x = x.scale(zero=False, nice=True).axis(tickCount=6, labelExpr=LABELS)
-    y = alt.Y("label:N", sort=labels).title(None).axis(_row_axis())
-    hue = alt.Color("label:N").legend(None).scale(domain=labels, range=colours)
-    shown = alt.Chart(alt.InlineData(values=rows)).transform_filter("indexof(hidden, datum.key) < 0")
-    seeds = shown.mark_circle(size=34, opacity=0.5).encode(x=x, y=y, color=hue)
-    middle = (
-        shown.transform_aggregate(value="median(value)", groupby=["label"])
-        .mark_tick(thickness=2.5, size=18, color="var(--ink)")
-        .encode(x=x, y=y)
-    )
-    first = (
-        shown.transform_filter("datum.first")
-        .mark_point(shape="diamond", size=90, filled=False, strokeWidth=1.8, color="var(--ink)")
-        .encode(x=x, y=y)
-    )
-    return _rows_of(alt.layer(seeds, middle, first), len(labels))
+        x |= {"scale": {"zero": False, "nice": True}, "axis": {"tickCount": 6, "labelExpr": LABELS}}
+    ink = {"color": "var(--ink)"}
+    median = {"aggregate": [{"op": "median", "field": "value", "as": "value"}], "groupby": ["label"]}
+    seeds = {"type": "circle", "size": 34, "opacity": 0.5}
+    middle = {"type": "tick", "thickness": 2.5, "size": 18} | ink
+    first = {"type": "point", "shape": "diamond", "size": 90, "filled": False, "strokeWidth": 1.8} | ink
+    layers = [
+        _layer(seeds, {"x": x, "y": y, "color": hue}, None, _NOT_HIDDEN),
+        _layer(middle, {"x": x, "y": y}, None, _NOT_HIDDEN, median),
+        _layer(first, {"x": x, "y": y}, None, _NOT_HIDDEN, {"filter": "datum.first"}),
+    ]
+    return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})
 
 
-def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Any:
+def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Spec:
     """Return median, 95 %, 99 % and longest step time of each controller, and the sampling time.
 
     Parameters
@@ -287,36 +297,36 @@ def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Any:
     sampling_time : float
         Time between samples [s].
     """
-    labels, colours = _labels_and_colours(rows)
+    labels, hue, y = _rows(rows)
     figures = list(dict.fromkeys(row["figure"] for row in rows))
     times = [*(row["value"] for row in rows), sampling_time]
-    x = _logarithmic(alt.X("value:Q").title("time of one step"), times, _TIME_LABELS)
-    y = alt.Y("label:N", sort=labels).title(None).axis(_row_axis())
-    hue = alt.Color("label:N").legend(None).scale(domain=labels, range=colours)
-    shape = (
-        alt.Shape("figure:N")
-        .legend(None)
-        .scale(domain=figures, range=["circle", "triangle-up", "diamond", "cross"])
-    )
-    shown = alt.Chart(alt.InlineData(values=rows)).transform_filter("indexof(hidden, datum.key) < 0")
-    line = (
-        shown.transform_aggregate(low="min(value)", high="max(value)", groupby=["label"])
-        .mark_rule(strokeWidth=1.2)
-        .encode(x=alt.X("low:Q"), x2=alt.X2("high:Q"), y=y, color=hue)
-    )
-    points = shown.mark_point(filled=True, size=55, opacity=1).encode(x=x, y=y, color=hue, shape=shape)
-    limit = alt.InlineData(values=[{"value": sampling_time}])
-    deadline = (
-        alt.Chart(limit).mark_rule(color="var(--limit)", strokeDash=[4, 3], strokeWidth=1.5).encode(x=x)
-    )
-    return _rows_of(alt.layer(deadline, line, points), len(labels))
+    x = _field("value", "time of one step") | _logarithmic(times, _TIME_LABELS)
+    shape = _chosen_by("figure", figures, ["circle", "triangle-up", "diamond", "cross"])
+    ends = [{"op": op, "field": "value", "as": name} for op, name in (("min", "low"), ("max", "high"))]
+    deadline = {"type": "rule", "color": "var(--limit)", "strokeDash": [4, 3], "strokeWidth": 1.5}
+    span = {"x": {"field": "low", "type": "quantitative"}, "x2": {"field": "high"}, "y": y, "color": hue}
+    points = {"type": "point", "filled": True, "size": 55, "opacity": 1}
+    layers = [
+        _layer(deadline, {"x": x}, [{"value": sampling_time}]),
+        _layer(
+            {"type": "rule", "strokeWidth": 1.2},
+            span,
+            None,
+            _NOT_HIDDEN,
+            {"aggregate": ends, "groupby": ["label"]},
+        ),
+        _layer(points, {"x": x, "y": y, "color": hue, "shape": shape}, None, _NOT_HIDDEN),
+    ]
+    return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})
 
 
-def _logarithmic(x: alt.X, values: Sequence[float], labels: str) -> alt.X:
+def _logarithmic(values: Sequence[float], labels: str) -> Spec:
     """Give an axis decades, and steps between them where there are few: never a tick without label."""
     low, high = min(values) / 1.25, max(values) * 1.25
-    ticks = log_ticks(low, high)
-    return x.scale(type="log", domain=[low, high], nice=False).axis(values=ticks, labelExpr=labels)
+    return {
+        "scale": {"type": "log", "domain": [low, high], "nice": False},
+        "axis": {"values": log_ticks(low, high), "labelExpr": labels},
+    }
 
 
 def log_ticks(low: float, high: float) -> list[float]:
@@ -328,7 +338,7 @@ def log_ticks(low: float, high: float) -> list[float]:
     return [tick for tick in ticks if low <= tick <= high]
 
 
-def heat_chart(rows: list[dict[str, Any]], titles: Sequence[str]) -> Any:
+def heat_chart(rows: list[dict[str, Any]], titles: Sequence[str]) -> Spec:
     """Return a map of a metric over one or two settings, the value written into each cell.
 
     Parameters
@@ -340,62 +350,60 @@ def heat_chart(rows: list[dict[str, Any]], titles: Sequence[str]) -> Any:
         Settings on the vertical and on the horizontal axis.
     """
     across, down = (list(dict.fromkeys(row[side] for row in rows)) for side in ("x", "y"))
-    frame: dict[str, Any] = {
-        "domain": False,
-        "ticks": False,
-        "grid": False,
-        "labelAngle": 0,
-        "labelLimit": 160,
-    }
-    x = alt.X("x:N", sort=across).title(titles[1]).axis(alt.Axis(**frame, labelOverlap="greedy"))
-    y = alt.Y("y:N", sort=down).title(titles[0] or None).axis(alt.Axis(**frame, minExtent=44))
+    bare = {"domain": False, "ticks": False, "grid": False, "labelAngle": 0, "labelLimit": 160}
+    x = _field("x", titles[1], "nominal") | {"sort": across, "axis": {**bare, "labelOverlap": "greedy"}}
+    y = _field("y", titles[0] or None, "nominal") | {"sort": down, "axis": {**bare, "minExtent": 44}}
     known = [row["value"] for row in rows if row["value"] is not None]
     best, worst = min(known, default=1.0), max(known, default=1.0)
-    kind: Literal["log", "linear"] = "log" if best > 0 else "linear"
     # Small differences stay pale: full shade is for three times the best at least.
-    domain = [best, max(worst, 3 * best)]
-    shade = alt.Opacity("value:Q").legend(None).scale(type=kind, domain=domain, range=[0.03, 0.5], nice=False)
-    cells = alt.Chart(alt.InlineData(values=rows))
-    filled = (
-        cells.transform_filter("datum.value !== null").mark_rect(color="var(--accent)").encode(x, y, shade)
-    )
-    framed = (
-        cells.transform_filter("datum.own")
-        .mark_rect(fill=None, stroke="var(--ink)", strokeWidth=2)
-        .encode(x, y)
-    )
+    shades = {"domain": [best, max(worst, 3 * best)], "range": [0.03, 0.5], "nice": False}
+    scale = {"type": "log" if best > 0 else "linear", **shades}
+    opacity = {"field": "value", "type": "quantitative", "legend": None, "scale": scale}
     # Where a cell is too narrow for its words, pointing at it tells them.
-    room = alt.ExprRef(f"width > {_CELL_WORDS * len(across)} ? 1 : 0")
-    paint = alt.condition("datum.value === null", alt.value("var(--bad)"), alt.value("var(--ink)"))
-    words = cells.mark_text(fontSize=12, opacity=room).encode(x, y, alt.Text("shown:N"), color=paint)
-    chart = alt.layer(filled, framed, words).add_params(alt.param(name="hidden", value=[]))
-    return chart.properties(height=34 * len(down) + 8)
+    room = {"expr": f"width > {_CELL_WORDS * len(across)} ? 1 : 0"}
+    paint = {"condition": {"test": "datum.value === null", "value": "var(--bad)"}, "value": "var(--ink)"}
+    words = {"text": {"field": "shown", "type": "nominal"}, "color": paint}
+    place = {"x": x, "y": y}
+    layers = [
+        _layer(
+            {"type": "rect", "color": "var(--accent)"},
+            {**place, "opacity": opacity},
+            None,
+            {"filter": "datum.value !== null"},
+        ),
+        _layer(
+            {"type": "rect", "fill": None, "stroke": "var(--ink)", "strokeWidth": 2},
+            place,
+            None,
+            {"filter": "datum.own"},
+        ),
+        _layer({"type": "text", "fontSize": 12, "opacity": room}, {**place, **words}),
+    ]
+    return _chart_of_rows(rows, layers, 34 * len(down) + 8)
 
 
-def _labels_and_colours(rows: list[dict[str, Any]]) -> tuple[list[str], list[str]]:
+def _rows(rows: list[dict[str, Any]]) -> tuple[list[str], Spec, Spec]:
+    """Return the labels of the rows, their colours, and the axis: labels above the marks cost no width."""
     indices = {row["label"]: int(row["key"][1:]) for row in rows}
-    return list(indices), [colour(index) for index in indices.values()]
+    labels = list(indices)
+    axis = {
+        "labelAlign": "left",
+        "labelPadding": -4,
+        "labelOffset": -18,
+        "labelBaseline": "middle",
+        "labelLimit": 600,
+        "labelFontSize": 12,
+        "labelColor": "var(--ink)",
+        "ticks": False,
+        "grid": True,
+        "minExtent": 0,
+        "maxExtent": 0,
+    }
+    y = _field("label", None, "nominal") | {"sort": labels, "axis": axis}
+    return labels, _chosen_by("label", labels, [colour(index) for index in indices.values()]), y
 
 
-def _row_axis() -> alt.Axis:
-    """Set the label of a row above its marks, so that long labels cost no width."""
-    return alt.Axis(
-        labelAlign="left",
-        labelPadding=-4,
-        labelOffset=-18,
-        labelBaseline="middle",
-        labelLimit=600,
-        labelFontSize=12,
-        labelColor="var(--ink)",
-        ticks=False,
-        grid=True,
-        minExtent=0,
-        maxExtent=0,
-    )
-
-
-def _rows_of(chart: Any, rows: int) -> Any:
-    frameless = alt.ViewBackground(stroke=None)
-    return chart.add_params(alt.param(name="hidden", value=[])).properties(
-        height=46 * rows + 10, view=frameless
-    )
+def _chart_of_rows(rows: list[dict[str, Any]], layers: list[Spec], height: int, **more: Any) -> Spec:
+    """Return a chart of one table, which no time runs through."""
+    hidden = [{"name": "hidden", "value": []}]
+    return {"data": {"values": rows}, "layer": layers, "height": height, "params": hidden, **more}

@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
-from ddpc_reports.charts import COLOURS, DASHES, Mark, spread_chart, step_time_chart, time_chart
+from ddpc_reports.charts import COLOURS, DASHES, Mark, Spec, spread_chart, step_time_chart, time_chart
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
@@ -26,7 +26,6 @@ from ddpc_reports.samples import Column, FirstSeed, Said, Signal, column_name, f
 from ddpc_reports.settings_tables import own_units, scenario_effects
 
 _LOGARITHMIC_FROM = 8.0
-_PANEL_HEIGHT = 168
 _SAID = "What controllers said of their steps"
 
 
@@ -48,7 +47,7 @@ class View:
     id: str
     title: str
     description: str
-    spec: dict[str, Any]
+    spec: Spec
     svg: Markup
     data: str = ""
     names: tuple[str, ...] = ()
@@ -277,10 +276,9 @@ def _time_view(
     sampling_time = condition.results.study.loop.sampling_time
     # Restless lines at the back: they would hide the calm ones.
     order = sorted(names, key=lambda name: -_travel(signal.columns[name]))
-    chart = time_chart(signal, order, dashes, sampling_time, marks, last).properties(height=_PANEL_HEIGHT)
+    spec = time_chart(signal, order, dashes, sampling_time, marks, last)
     who = ", ".join(one.label for one in panel.members if column_name(one) in names)
     description = f"{signal.title} over time of {who}"
-    spec = _specification(chart)
     svg = static_svg(spec, identifier, description, {signal.id: signal.columns})
     scaled_by = signal.scaling(names)
     return View(
@@ -371,18 +369,11 @@ def _step_time_row(one: ControllerResults, words: str, seconds: float) -> dict[s
     }
 
 
-def one_chart(identifier: str, title: str, caption: str, chart: Any, panel: str = "") -> Figure:
+def one_chart(identifier: str, title: str, caption: str, spec: Spec, panel: str = "") -> Figure:
     """Return a figure of one chart that needs no legend; the caption describes it."""
-    name, spec = f"{identifier}-1", _specification(chart)
+    name = f"{identifier}-1"
     view = View(name, panel, caption, spec, static_svg(spec, name, caption))
     return Figure(identifier, title, caption, (view,))
-
-
-def _specification(chart: Any) -> dict[str, Any]:
-    """Return a chart without what the page sets for all of them."""
-    # Checking against the schema takes longer than drawing; drawing fails on a faulty chart too.
-    spec: dict[str, Any] = chart.to_dict(validate=False)
-    return {key: value for key, value in spec.items() if key not in ("$schema", "config")}
 
 
 def _short(value: float) -> float:

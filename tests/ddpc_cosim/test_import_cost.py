@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-HEAVY = {"pandas", "control", "scipy.signal", "sympy", "altair", "matplotlib", "vl_convert"}
+HEAVY = {"pandas", "control", "scipy.signal", "sympy", "matplotlib", "vl_convert"}
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -188,9 +188,7 @@ ROUGH: dict[str, Any] = {
 
 def marked(spec: dict[str, Any]) -> tuple[set[tuple[float, str]], set[tuple[float, float]]]:
     """Return the labelled instants and the shaded spans of a chart."""
-    inline = [
-        (layer["mark"]["type"], spec["datasets"].get(layer["data"]["name"], [])) for layer in spec["layer"]
-    ]
+    inline = [(layer["mark"]["type"], layer["data"].get("values", [])) for layer in spec["layer"]]
     labels = {
         (row["t"], row["label"]) for mark, rows in inline if mark == "rule" for row in rows if "t" in row
     }

@@ -56,7 +56,7 @@ def results(tmp_path: Path) -> StudyResults:
 
 def rows_of(results: StudyResults, number: int) -> list[dict[str, Any]]:
     spec = sensitivity_figures(conditions(results)[0], "x-")[number].views[0].spec
-    rows: list[dict[str, Any]] = spec["datasets"][spec["data"]["name"]]
+    rows: list[dict[str, Any]] = spec["data"]["values"]
     return rows
 
 

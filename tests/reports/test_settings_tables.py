@@ -6,7 +6,6 @@ from copy import deepcopy
 from dataclasses import replace
 from typing import Any, get_args
 
-import altair as alt
 import pytest
 from hypothesis import given, strategies as st
 from markupsafe import Markup
@@ -374,7 +373,7 @@ def test_what_the_study_says_of_itself_is_in_the_page(
     make_results: MakeResults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Drawing takes most of the time, and what is drawn does not follow from these texts.
-    monkeypatch.setattr(figures, "time_chart", lambda *given: alt.Chart(alt.NamedData("none")).mark_point())
+    monkeypatch.setattr(figures, "time_chart", lambda *given: {"mark": "point"})
     monkeypatch.setattr(figures, "static_svg", lambda *drawing: Markup(""))
     content = {key: CONTENT[key] for key in sorted(TEXTS)}
     results = make_results(**content)

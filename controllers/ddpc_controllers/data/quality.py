@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.special import fdtrc
 
 from ddpc_controllers.data.hankel import count_windows, window_starts
 from ddpc_cosim import FloatArray, Recording, Variable, judge_prediction
@@ -209,6 +208,8 @@ def dead_times(recording: Recording, most: int) -> list[int]:
     samples : list of int
         For each output: at least 1; one more than was looked at if nothing shows.
     """
+    from scipy.special import fdtrc  # takes long to import, and only recordings need it
+
     m, p, samples = recording.u.shape[1], recording.y.shape[1], len(recording)
     lags, seams = min(most, _MOST_LAGS, (samples // 3 - 1) // (m + p + 1)), recording.seams
     while lags > 0 and count_windows(samples, lags + 1, seams) < 2 * (1 + lags * (m + p)):
