@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ddpc_cosim.controller import OK, Action, Bounds, Controller, Loop, Sample
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.texts import recorded
 from ddpc_cosim.variables import FloatArray
 
 CLIPPED = "input beyond its bounds, clipped"
@@ -108,7 +109,7 @@ def plant_provenance(plant: Plant) -> dict[str, str]:
     """Return the identifiers of a plant; a failure to tell them does not prevent the run."""
     try:
         with _PlantCall("provenance", own=_ANY_FAULT):
-            return {str(name): str(value) for name, value in plant.provenance().items()}
+            return {recorded(name): recorded(value) for name, value in plant.provenance().items()}
     except _ANY_FAULT as error:
         return {"class": type(plant).__qualname__, "provenance": _raised(error)}
 
@@ -228,7 +229,7 @@ def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decis
         seconds = perf_counter() - started
         if isinstance(answer, Action):
             info = {name: _info_value(controller, name, value) for name, value in answer.info.items()}
-            status, answer = _storable(answer.status), answer.u
+            status, answer = recorded(answer.status), answer.u
         u = np.asarray(answer)
     if u.shape != (inputs,) or u.dtype.kind not in _REAL_KINDS or not np.isfinite(u).all():
         needed = f"needed: finite values, shape ({inputs},)"
@@ -277,19 +278,19 @@ def controller_settings(controller: Controller) -> dict[str, Any]:
 def controller_knowledge(controller: Controller, loop: Loop) -> dict[str, str]:
     """Return what a controller says it goes by, in words."""
     with _ControllerCall(controller, "knowledge"):
-        return {_storable(name): _storable(text) for name, text in controller.knowledge(loop).items()}
+        return {recorded(name): recorded(text) for name, text in controller.knowledge(loop).items()}
 
 
 def controller_diagnostics(controller: Controller) -> dict[str, float]:
     """Return what a controller says about its data or model, in numbers."""
     with _ControllerCall(controller, "diagnostics"):
-        return {str(name): float(value) for name, value in controller.diagnostics().items()}
+        return {recorded(name): float(value) for name, value in controller.diagnostics().items()}
 
 
 def controller_warnings(controller: Controller) -> tuple[str, ...]:
     """Return what a controller says against its data or model."""
     with _ControllerCall(controller, "warnings"):
-        return tuple(map(_storable, controller.warnings()))
+        return tuple(map(recorded, controller.warnings()))
 
 
 _Own = type[BaseException] | tuple[type[BaseException], ...]
@@ -357,14 +358,9 @@ def _outputs(plant: Plant, call: str, y: NDArray[Any], time: float) -> FloatArra
     return np.asarray(y, dtype=np.float64)
 
 
-def _storable(text: object) -> str:
-    """Return a text that a file can hold: a lone surrogate must not cost the run."""
-    return str(text).encode("utf-8", "replace").decode()
-
-
 def _returned(answer: NDArray[Any]) -> str:
     return f"returned {reprlib.repr(answer.tolist())}, shape {answer.shape}"
 
 
 def _raised(error: BaseException) -> str:
-    return f"raised {type(error).__name__}: {error}".removesuffix(": ")
+    return f"raised {type(error).__name__}: {recorded(error)}".removesuffix(": ")

@@ -2,6 +2,8 @@
 
 import unicodedata
 
+_LONGEST_RECORDED = 2000
+
 
 def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
     """Return a text in which nothing acts on what shows it.
@@ -24,6 +26,26 @@ def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
     if text.isprintable():
         return text
     return "".join(c if c in keep or _is_seen(c) else repr(c)[1:-1] for c in text)
+
+
+def encodable(text: str) -> str:
+    """Return a text that a file can hold.
+
+    Bytes of file names that the locale cannot say are taken for UTF-8; other lone surrogates are replaced.
+    """
+    try:
+        return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    except UnicodeEncodeError:
+        return text.encode("utf-8", "replace").decode()
+
+
+def recorded(text: object) -> str:
+    """Return anyone's text, or the words of an error, as a run keeps them: printable, and not too long."""
+    try:
+        words = str(text)
+    except Exception as error:
+        words = f"{type(text).__name__} without words: they raise {type(error).__name__}"
+    return printable(encodable(words), _LONGEST_RECORDED, keep="\n")
 
 
 def _is_seen(letter: str) -> bool:

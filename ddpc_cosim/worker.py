@@ -35,6 +35,7 @@ from typing import Any, ClassVar, NamedTuple, NoReturn
 
 from ddpc_cosim import errors
 from ddpc_cosim.errors import ConfigError, CosimError, DataError, FMUStepError, StepStatus
+from ddpc_cosim.texts import recorded
 
 LONGEST_REPLY = 1 << 27
 # JSON of a megabyte can take twenty in memory, numbers take no more than they have.
@@ -151,7 +152,7 @@ def _flush() -> None:
 
 def reply_error(channel: Channel, error: BaseException) -> None:
     """Send an error: by its class and arguments if it is of this project's family, else in words."""
-    kind, arguments = "", [f"{type(error).__name__}: {error}".removesuffix(": ")]
+    kind, arguments = "", [f"{type(error).__name__}: {recorded(error)}".removesuffix(": ")]
     if isinstance(error, CosimError):
         kind = next(base.__name__ for base in type(error).__mro__ if base.__module__ == errors.__name__)
         faults = getattr(error, "faults", None)

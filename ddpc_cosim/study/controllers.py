@@ -30,7 +30,7 @@ from ddpc_cosim.study.sections import (
     StabiliserSection,
     Study,
 )
-from ddpc_cosim.study.validation_errors import InvalidFieldError, ValidationErrors, independent
+from ddpc_cosim.study.validation_errors import InvalidFieldError, ValidationErrors, in_folder, independent
 from fmu_plants.spelling import did_you_mean
 
 _LONGEST_NAME = 60
@@ -164,7 +164,7 @@ def _build(
     def absolute(path: str) -> str:
         if path == PLANT:
             return path
-        file = (folder / path).resolve()
+        file = in_folder(folder, path)
         if not file.is_file():
             errors.add((*place, "settings"), f"{file}: no such file")
         return str(file)

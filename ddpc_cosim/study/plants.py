@@ -22,6 +22,7 @@ from ddpc_cosim.safe_calls import (
     step_plant,
 )
 from ddpc_cosim.study.sections import PlantSection
+from ddpc_cosim.study.validation_errors import in_folder
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, names, with_display_units
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ class PlantSpec:
         """
         spec = cls(
             name=section.name,
-            fmu=str((folder / section.fmu).resolve()) if section.fmu else "",
+            fmu=str(in_folder(folder, section.fmu)) if section.fmu else "",
             # The project's own C code is trusted; what a supplied FMU does is not known.
             isolated=bool(section.fmu) if section.isolated == "auto" else section.isolated,
             fmi_type=section.fmi_type,

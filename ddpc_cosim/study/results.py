@@ -22,6 +22,7 @@ from ddpc_cosim.controller import Bounds
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.sections import Study
+from ddpc_cosim.texts import encodable, recorded
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
 from fmu_plants.files import write_atomically
@@ -33,6 +34,7 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "cases",
 )
 _RUN_FILE, _SIGNALS_FILE = "run.json", "signals.csv"
+_STUDY_CHECKSUM = "study sha256"
 # A JSON file ends with the checksum of all that stands before it.
 _SEAL = b',\n "sha256": "%s"\n}\n'
 
@@ -155,8 +157,6 @@ def load_results(folder: str | Path) -> StudyResults:
     ConfigError
         The folder holds no results, or what all cases share cannot be read, and why.
     """
-    import tomllib
-
     folder = Path(folder)
     if not (folder / STUDY_FILE).is_file():
         raise ConfigError(f"{folder}: no results: {STUDY_FILE} is missing; give the folder that `run` wrote")
@@ -164,9 +164,9 @@ def load_results(folder: str | Path) -> StudyResults:
         provenance = _read_json(folder / PROVENANCE_FILE)
         case_ids = provenance.pop("cases")
         content = (folder / STUDY_FILE).read_bytes()
-        if provenance.pop(STUDY_FILE) != _checksum(content):
+        if provenance[_STUDY_CHECKSUM] != _checksum(content):
             raise ValueError(f"{STUDY_FILE} is not what was written: its checksum differs")
-        study = Study.model_validate(tomllib.loads(content.decode()))
+        study = _study(content)
     except _DAMAGED as error:
         raise _damaged(folder, error) from error
     cases, damaged = load_cases(folder, study, case_ids)
@@ -215,33 +215,44 @@ def _damaged(folder: Path, error: Exception) -> ConfigError:
     return ConfigError(f"{folder}: damaged: {why}; run the study again, which runs only what is damaged")
 
 
-def study_hash(study: Study) -> str:
-    """Return a hash of everything that a study says, defaults filled in."""
-    return hashlib.sha256(study.model_dump_json().encode()).hexdigest()
+def _toml(study: Study) -> bytes:
+    import tomli_w
+
+    return encodable(tomli_w.dumps(study.model_dump(mode="python", exclude_none=True))).encode()
 
 
-def write_results(
-    folder: Path, study: Study, cases: Sequence[CaseResult], provenance: dict[str, str]
-) -> None:
+def _study(content: bytes) -> Study:
+    import tomllib
+
+    return Study.model_validate(tomllib.loads(content.decode()))
+
+
+def write_results(results: StudyResults) -> StudyResults:
     """Write ``study.toml``, ``metrics.csv`` and ``provenance.json`` next to the cases.
+
+    Returns
+    -------
+    results : StudyResults
+        The results as they are read back.
 
     Raises
     ------
     CosimError
         They cannot be written, and why.
     """
-    import tomli_w
-
-    content = tomli_w.dumps(study.model_dump(mode="python", exclude_none=True)).encode()
-    facts = {**provenance, "cases": [case.id for case in cases], STUDY_FILE: _checksum(content)}
+    folder, content = results.folder, _toml(results.study)
+    provenance = {**results.provenance, _STUDY_CHECKSUM: _checksum(content)}
+    facts = {**provenance, "cases": [*(case.id for case in results.cases), *results.damaged]}
+    results = replace(results, study=_study(content), provenance=provenance)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(folder / STUDY_FILE, content)
         write_atomically(folder / PROVENANCE_FILE, _json(facts))
-        write_atomically(folder / METRICS_FILE, _metrics_table(study, cases).encode())
+        write_atomically(folder / METRICS_FILE, _metrics_table(results.study, results.cases).encode())
     except OSError as error:
         reason = error.strerror or str(error)
         raise CosimError(f"{folder}: results cannot be written: {reason}; finished cases are kept") from error
+    return results
 
 
 def _metrics_table(study: Study, cases: Sequence[CaseResult]) -> str:
@@ -313,12 +324,12 @@ def stage_case(
         | head
         | {
             "outcome": trace.outcome.value,
-            "reason": trace.reason,
+            "reason": recorded(trace.reason),
             **_judged(trace, settings),
             "diagnostics": trace.diagnostics,
             "info": list(trace.info),
             "warnings": list(trace.warnings),
-            "settings": trace.settings,
+            "settings": _recorded(trace.settings),
             "sampling_time": trace.sampling_time,
             "planned_samples": trace.planned_samples,
             "preview": trace.preview,
@@ -405,9 +416,20 @@ def _judged(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
     return {
         "holds": trace.holds(settings),
         "metrics": metrics,
-        "metric_warnings": [str(one.message) for one in caught if issubclass(one.category, CosimWarning)],
+        "metric_warnings": [
+            recorded(one.message) for one in caught if issubclass(one.category, CosimWarning)
+        ],
         "metric_settings": asdict(settings),
     }
+
+
+def _recorded(value: Any) -> Any:
+    """Return settings whose texts can be kept, whatever they are."""
+    if isinstance(value, dict):
+        return {recorded(key): _recorded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_recorded(item) for item in value]
+    return recorded(value) if isinstance(value, str) else value
 
 
 def _json(content: dict[str, Any]) -> bytes:

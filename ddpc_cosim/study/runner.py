@@ -38,11 +38,10 @@ from ddpc_cosim.study.results import (
     load_cases,
     read_run,
     stage_case,
-    study_hash,
     write_case,
     write_results,
 )
-from ddpc_cosim.study.sections import Study
+from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome
 from ddpc_cosim.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, lost, result_of, serve_calls
 
@@ -136,9 +135,8 @@ def run_study(
             judge_again(cases_folder / case.id, case.metrics)
     study = resolved.study.model_copy(update={"seeds": selection.seeds or resolved.study.seeds})
     results, damaged = load_cases(folder, study, [case.id for case in cases])
-    provenance = _provenance(results, plant, selection, study, resolved.metrics.preview)
-    write_results(folder, study, results, provenance)
-    return StudyResults(folder, study, results, provenance, damaged)
+    provenance = _provenance(results, plant, selection, resolved.metrics.preview)
+    return write_results(StudyResults(folder, study, results, provenance, damaged))
 
 
 def _is_there(folder: Path) -> bool:
@@ -150,17 +148,16 @@ def _is_there(folder: Path) -> bool:
 
 
 def _provenance(
-    results: Sequence[CaseResult], spec: PlantSpec, selection: Selection, study: Study, preview: int
+    results: Sequence[CaseResult], spec: PlantSpec, selection: Selection, preview: int
 ) -> dict[str, str]:
     # A case that failed before its first sample does not know its plant.
     known: Iterator[dict[str, str]] = (read_run(result.folder)["provenance"] for result in results)
     plant = next(filter(None, known), {})
     versions = {f"{name.lower()} version": metadata.version(name) for name in _VERSIONS_OF}
-    return {
+    facts = {
         **{key.replace("_", " "): value for key, value in plant.items()},
         "plant content": spec.content,
         "largest preview": f"{preview} samples",
-        "study sha256": study_hash(study),
         "ddpc-cosim version": package_version(),
         "python version": platform.python_version(),
         **versions,
@@ -170,6 +167,7 @@ def _provenance(
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+    return {name: recorded(fact) for name, fact in facts.items()}
 
 
 def _cpu() -> str:

@@ -1,6 +1,8 @@
 """Validation errors of a study file: found all at once, in the user's words, each with its place."""
 
+import os
 import re
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import wraps
@@ -40,11 +42,18 @@ class InvalidFieldError(Exception):
     """A field of a section has no valid value, and that has been reported."""
 
 
-def _in_folder(path: str, info: ValidationInfo) -> str:
-    return str((info.context / path).resolve()) if path and isinstance(info.context, Path) else path
+def in_folder(folder: Path, path: str) -> Path:
+    """Return a path that a file in a folder gives, absolute and in the letters of this locale."""
+    if sys.getfilesystemencoding() != "utf-8":
+        path = os.fsdecode(path.encode("utf-8", "surrogateescape"))
+    return (folder / path).resolve()
 
 
-FilePath = Annotated[str, AfterValidator(_in_folder)]
+def _absolute(path: str, info: ValidationInfo) -> str:
+    return str(in_folder(info.context, path)) if path and isinstance(info.context, Path) else path
+
+
+FilePath = Annotated[str, AfterValidator(_absolute)]
 """A path that a file gives relative to its own folder; absolute when it has been read."""
 
 

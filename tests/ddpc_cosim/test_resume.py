@@ -455,6 +455,67 @@ def test_a_stabilising_controller_that_never_returns_is_an_error(
     )
 
 
+SAYING = """
+import numpy as np
+from ddpc_cosim import Action, ConfigError, Controller
+
+class Says(Controller):
+    def start(self, loop):
+        pass
+    def step(self, sample):
+        return Action(np.ones(1), self.words())
+    def words(self):
+        return "ok"
+
+class Long(Says):
+    def words(self): return "x" * 131_073
+
+class Strange(Says):
+    def words(self): return "a\\0b\\x1b[31m\\ud800"
+    def knowledge(self, loop): return {"k\\ud800": "v" * 1_000_000}
+    def warnings(self): return ("w\\0\\udcff",)
+    def diagnostics(self): return {"d\\0\\ud800": 1.0}
+
+class Fails(Says):
+    def words(self): raise ValueError("y" * 5_000_000 + "\\ud800")
+
+class Refuses(Says):
+    def start(self, loop): raise ConfigError("\\ud800" + "z" * 5_000_000)
+"""
+
+
+def test_no_text_costs_a_case_or_the_report(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    """Nor does a path that the locale cannot say."""
+    (tmp_path / "saying.py").write_text(SAYING, encoding="utf-8")
+    study = write_study(*(f"saying:{kind}" for kind in ("Long", "Strange", "Fails", "Refuses")))
+    (tmp_path / "größe").mkdir()
+    text = study.read_text(encoding="utf-8").replace("no_fault.fmu", "größe/no_fault.fmu")
+    study.write_text(text, encoding="utf-8")
+    (tmp_path / "no_fault.fmu").rename(tmp_path / "größe/no_fault.fmu")
+    out = str(tmp_path / "größe/out")
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0"}
+    done = run_program("run", "study.toml", "--jobs", "1", "--out", out, **locale)
+    assert (done.returncode, "Traceback" in done.stderr) == (1, False), done.stderr
+    assert len(done.stderr) < 20_000
+    results = load_results(out)
+    assert Path(results.study.plant.fmu).is_file()
+    cases = {case.controller: case for case in results.cases}
+    assert {name: case.outcome for name, case in cases.items()} == {
+        **dict.fromkeys(("long", "strange"), "completed"),
+        **dict.fromkeys(("fails", "refuses"), "controller-error"),
+    }
+    assert set(cases["long"].trace().status) == {"x" * 1976 + " ... (131073 characters)"}
+    assert set(cases["strange"].trace().status) == {"a\\x00b\\x1b[31m?"}
+    assert len(cases["refuses"].reason) == 2000
+    page = (Path(out) / "report.html").read_bytes()
+    assert run_program("report", out, **locale).returncode == 0
+    assert (Path(out) / "report.html").read_bytes() == page
+    again = run_program("run", f"{out}/study.toml", "--jobs", "1", "--no-report", "--out", out, **locale)
+    assert "0 cases to run, 4 kept" in again.stderr
+
+
 CLOSE_STDOUT = "import os, subprocess, sys; os.close(1); sys.exit(subprocess.call(sys.argv[1:]))"
 
 

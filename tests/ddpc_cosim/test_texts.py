@@ -5,7 +5,7 @@ import unicodedata
 import pytest
 from hypothesis import given, strategies as st
 
-from ddpc_cosim.texts import printable
+from ddpc_cosim.texts import encodable, printable, recorded
 
 
 @pytest.mark.parametrize(
@@ -39,3 +39,24 @@ def test_a_long_text_is_cut_and_says_so() -> None:
 
 def test_characters_can_be_kept() -> None:
     assert printable("one\ntwo\x1b", keep="\n") == "one\ntwo\\x1b"
+
+
+@given(st.text(st.characters()))
+def test_any_text_can_be_encoded_and_those_that_can_are_left(text: str) -> None:
+    assert encodable(text).encode().decode() == encodable(text)
+    assert encodable(encodable(text)) == encodable(text)
+
+
+def test_a_file_name_that_the_locale_cannot_say_is_taken_for_utf_8() -> None:
+    assert encodable("größe/x".encode().decode("ascii", "surrogateescape")) == "größe/x"
+    assert encodable("gr\udcf6sse") == "gr\ufffdsse"
+
+
+def test_what_a_run_keeps_is_printable_and_short_whatever_it_is() -> None:
+    class WordlessError(Exception):
+        def __str__(self) -> str:
+            raise KeyError
+
+    assert recorded("one\ntwo\0") == "one\ntwo\\x00"
+    assert len(recorded("x" * 131_073)) == 2000
+    assert recorded(WordlessError()) == "WordlessError without words: they raise KeyError"
