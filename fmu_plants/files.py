@@ -1,9 +1,12 @@
 """Files written as a whole, archives whose bytes depend on their content alone, and the cache folder."""
 
+import hashlib
 import os
+import stat
+import sys
 import uuid
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from io import BytesIO
 from pathlib import Path
 
@@ -12,6 +15,7 @@ from platformdirs import user_cache_dir
 _FIXED_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest a zip archive can hold
 _UNIX = 3
 _SMALLEST = 9
+_ANOTHER = "set DDPC_COSIM_CACHE to another folder"
 
 
 def zip_bytes(files: Mapping[str, bytes]) -> bytes:
@@ -44,25 +48,87 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def cache_dir() -> Path:
-    """Return the folder for what can be rebuilt: ``$DDPC_COSIM_CACHE``, else the user's cache folder."""
-    return Path(os.environ.get("DDPC_COSIM_CACHE") or user_cache_dir("ddpc-cosim", appauthor=False))
+    """Return the folder for what can be rebuilt: ``$DDPC_COSIM_CACHE``, else the user's cache folder.
 
-
-def write_to_cache(path: Path, content: bytes) -> None:
-    """Write a file below the cache folder, which several processes may do at the same time.
+    What is in it is executed. So it is made for this user only, and another user's, or one that others may
+    write to, is refused.
 
     Raises
     ------
     OSError
-        It cannot be written to; the message says how to choose another folder.
+        It cannot be used, and how to choose another one.
     """
+    path = Path(os.environ.get("DDPC_COSIM_CACHE") or user_cache_dir("ddpc-cosim", appauthor=False))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.is_dir():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.mkdir(mode=0o700, exist_ok=True)
+        status = path.stat()
+    except OSError as error:
+        raise OSError(f"{path}: the cache cannot be made: {error}; {_ANOTHER}") from error
+    if sys.platform != "win32":
+        if status.st_uid != os.geteuid():
+            raise PermissionError(f"{path}: the cache belongs to another user ({status.st_uid}); {_ANOTHER}")
+        if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            what = f"the cache can be written to by others (mode {stat.S_IMODE(status.st_mode):o})"
+            raise PermissionError(
+                f"{path}: {what}; remove it, chmod go-w it if you trust them, or {_ANOTHER}"
+            )
+    return path
+
+
+def cached(place: str, make: Callable[[], bytes]) -> Path:
+    """Return a file of the cache, which is made if it is not there, or not what was written there.
+
+    Parameters
+    ----------
+    place : str
+        Where it is in the cache; it says all that decides the content. Several processes may make it at the
+        same time.
+    make : callable
+        Makes the content.
+
+    Raises
+    ------
+    OSError
+        The cache cannot be used or written to; the message says how to choose another one.
+    """
+    root = cache_dir()
+    path = root / place
+    if _is_intact(path, root):
+        return path
+    content = make()
+    try:
+        for folder in reversed(path.relative_to(root).parents[:-1]):
+            if not _is_own(root / folder, stat.S_IFDIR):
+                (root / folder).unlink(missing_ok=True)  # a link, or a file
+            (root / folder).mkdir(mode=0o700, exist_ok=True)
         write_atomically(path, content)
+        write_atomically(_hash_file(path), hashlib.sha256(content).hexdigest().encode())
     except OSError as error:
         # Windows does not replace a file that is being read; then another process has written it.
-        if not path.is_file():
-            message = (
-                f"{path}: the cache cannot be written to: {error}; set DDPC_COSIM_CACHE to another folder"
-            )
-            raise OSError(message) from error
+        if not _is_intact(path, root):
+            raise OSError(f"{path}: the cache cannot be written to: {error}; {_ANOTHER}") from error
+    return path
+
+
+def _is_intact(path: Path, root: Path) -> bool:
+    """Whether a file of the cache is what was written, by this user, and reached by no link."""
+    folders = [root / folder for folder in path.relative_to(root).parents[:-1]]
+    files = (path, _hash_file(path))
+    if not all(_is_own(f, stat.S_IFDIR) for f in folders) or not all(_is_own(f, stat.S_IFREG) for f in files):
+        return False
+    return hashlib.sha256(path.read_bytes()).hexdigest().encode() == _hash_file(path).read_bytes()
+
+
+def _is_own(path: Path, kind: int) -> bool:
+    try:
+        status = path.lstat()
+    except OSError:
+        return False
+    is_own = sys.platform == "win32" or status.st_uid == os.geteuid()
+    return is_own and stat.S_IFMT(status.st_mode) == kind
+
+
+def _hash_file(path: Path) -> Path:
+    return path.with_name(f"{path.name}.sha256")

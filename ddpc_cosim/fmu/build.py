@@ -119,7 +119,7 @@ def compile_sources(
     """
     from fmu_plants import ExportError
     from fmu_plants.export.compiler import find_compiler
-    from fmu_plants.files import cache_dir, write_to_cache
+    from fmu_plants.files import cached
 
     sources = folder / "sources"
     described = described_sources(folder, description, label)
@@ -130,18 +130,15 @@ def compile_sources(
         compiler = find_compiler()
     except ExportError as error:
         raise FMUImportError(f"{label}: the FMU comes as C sources, and {error}") from error
-    cached = cache_dir() / "libraries" / _digest(sources, sets, compiler.identity) / target.name
     target.parent.mkdir(parents=True, exist_ok=True)
-    if not cached.is_file():
-        with tempfile.TemporaryDirectory(prefix="ddpc-cosim-") as scratch:
-            built = Path(scratch) / target.name
-            try:
-                _build(compiler, sources, sets, built)
-            except ExportError as error:
-                what = f"no binary for this platform, and {compiler.command[0]} cannot compile its C sources"
-                raise FMUImportError(f"{label}: {what}: {str(error)[:_OUTPUT_SHOWN]}") from error
-            write_to_cache(cached, built.read_bytes())
-    target.write_bytes(cached.read_bytes())
+    place = f"libraries/{_digest(sources, sets, compiler.identity)}/{target.name}"
+    try:
+        target.write_bytes(cached(place, lambda: _built(compiler, sources, sets, target.name)).read_bytes())
+    except ExportError as error:
+        what = f"no binary for this platform, and {compiler.command[0]} cannot compile its C sources"
+        raise FMUImportError(f"{label}: {what}: {str(error)[:_OUTPUT_SHOWN]}") from error
+    except OSError as error:
+        raise FMUImportError(f"{label}: its C sources are compiled, and {error}") from error
 
 
 def _source_sets(sources: Path, sets: list[SourceSet], label: str) -> list[SourceSet]:
@@ -165,6 +162,14 @@ def _compiled_by_themselves(sources: Path) -> tuple[str, ...]:
     files = sorted(sources.glob("*.c"))
     included = {name.decode() for path in files for name in _INCLUSION.findall(path.read_bytes())}
     return tuple(path.name for path in files if path.name not in included)
+
+
+def _built(compiler: "Compiler", sources: Path, sets: Sequence[SourceSet], name: str) -> bytes:
+    """Return the library."""
+    with tempfile.TemporaryDirectory(prefix="ddpc-cosim-") as scratch:
+        built = Path(scratch) / name
+        _build(compiler, sources, sets, built)
+        return built.read_bytes()
 
 
 def _build(compiler: "Compiler", sources: Path, sets: Sequence[SourceSet], built: Path) -> None:

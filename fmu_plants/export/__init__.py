@@ -16,7 +16,7 @@ from typing import Any
 from fmu_plants.export.compiler import Compiler, compile_library, cross_compiler, find_compiler
 from fmu_plants.export.description import Description
 from fmu_plants.export.platforms import Platform, binary_files, parse_platforms
-from fmu_plants.files import cache_dir, write_atomically, write_to_cache, zip_bytes
+from fmu_plants.files import cached, write_atomically, zip_bytes
 from fmu_plants.model import ExportError, PlantModel
 
 DEFAULT_TOLERANCE = 1e-10
@@ -145,18 +145,16 @@ def build_fmu(
     """Return the plant's FMU for this platform from the user's cache folder; compile it if it is new there.
 
     The cache folder is ``$DDPC_COSIM_CACHE``, or else the usual place of the operating system. Several
-    processes may build at the same time. Parameters and errors are those of `export_fmu`.
+    processes may build at the same time; a file that was damaged is built again. Parameters and errors are
+    those of `export_fmu`.
     """
     source = fmu_source(model, fmi_version, relative_tolerance, absolute_tolerance)
     compiler = find_compiler()
     key = _digest([source.guid, compiler.identity, *compiler.flags, compiler.platform.name])
-    path = cache_dir() / "fmus" / key[:16] / f"{model.name}.fmu"
-    if not path.is_file():
-        try:
-            write_to_cache(path, _archive(source, [compiler]))
-        except OSError as error:
-            raise ExportError(str(error)) from error
-    return path
+    try:
+        return cached(f"fmus/{key[:16]}/{model.name}.fmu", lambda: _archive(source, [compiler]))
+    except OSError as error:
+        raise ExportError(str(error)) from error
 
 
 def fmu_source(

@@ -116,8 +116,13 @@ class Compiler:
             It fails or cannot be run; the message has what the compiler says, and the call.
         """
         command = [*self.command, *arguments]
-        zig_cache = str(cache_dir() / "zig")
-        environment = {"ZIG_GLOBAL_CACHE_DIR": zig_cache, "ZIG_LOCAL_CACHE_DIR": zig_cache} | os.environ
+        environment = {**os.environ}
+        if self.command[: len(ZIG)] == ZIG:
+            try:
+                zig_cache = str(cache_dir() / "zig")
+            except OSError as error:
+                raise ExportError(str(error)) from error
+            environment = {"ZIG_GLOBAL_CACHE_DIR": zig_cache, "ZIG_LOCAL_CACHE_DIR": zig_cache} | environment
         try:
             done = _capture(command, cwd=folder, env=environment)
         except OSError as error:

@@ -1,6 +1,7 @@
 """FMUs built once per session, and instances of them at the level of the standard's functions."""
 
 import ctypes
+import sys
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -14,6 +15,8 @@ import pytest
 
 from fmu_plants import Equations, Parameter, PlantModel, Symbols, Variable, build_fmu
 from fmu_plants.pendulum import MODEL
+
+collect_ignore = ["test_cache_posix.py"] if sys.platform == "win32" else []
 
 
 class Library:
@@ -318,3 +321,9 @@ def escape(escape_library: Library) -> Iterator[Instance]:
     instance = Instance(escape_library)
     yield instance
     instance.free()
+
+
+@pytest.fixture
+def cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fmu_plants.files import write_atomically, write_to_cache
+from fmu_plants.files import cached, write_atomically
 
 
 def no_space_left(path, _):
@@ -32,7 +32,13 @@ def test_it_may_be_read_by_whoever_may_read_new_files(tmp_path):
     assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
 
 
-def test_a_cache_that_cannot_be_written_to_can_be_elsewhere(tmp_path, monkeypatch):
+def test_a_cache_that_cannot_be_written_to_can_be_elsewhere(cache, monkeypatch):
     monkeypatch.setattr(Path, "write_bytes", no_space_left)
     with pytest.raises(OSError, match=r"folder/a: .*No space left on device; set DDPC_COSIM_CACHE"):
-        write_to_cache(tmp_path / "folder" / "a", b"")
+        cached("folder/a", lambda: b"")
+
+
+def test_a_file_of_the_cache_is_made_once(cache):
+    path = cached("a/b/c", lambda: b"made")
+    assert cached("a/b/c", lambda: b"again") == path == cache / "a" / "b" / "c"
+    assert path.read_bytes() == b"made"

@@ -52,7 +52,7 @@ def test_equations_that_leave_variables_unused_give_no_warning():
 
 
 def test_zig_is_used_when_there_is_no_other(no_system_compiler, tmp_path, pendulum_fmu, open_fmu):
-    assert find_compiler().command == (sys.executable, "-m", "ziglang", "cc")
+    assert find_compiler().command == (sys.executable, "-P", "-m", "ziglang", "cc")
     path = export_fmu(MODEL, tmp_path / "pendulum.fmu")
     assert validate_fmu(str(path)) == []
     ends = []
