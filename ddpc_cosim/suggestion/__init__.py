@@ -109,7 +109,12 @@ def suggest_study(
     tell(f"step test of {path.name}")
     start = request.start(description)
     with FMUPlant(
-        path, inputs=driven, outputs=read, start=start, isolated=True, step_timeout=step_timeout
+        path,
+        inputs=driven,
+        outputs=read,
+        start=start,
+        isolated=True,
+        step_timeout=min(step_timeout, timing.budget),
     ) as plant:
         candidates = Candidates(plant.inputs, plant.outputs, (*drives_too, *reads_too), plant.warnings)
         bounds = design.input_bounds(candidates.inputs, request.ranges)
@@ -120,7 +125,7 @@ def suggest_study(
         tried = ", ".join(names(candidates.inputs))
         raise CosimError(
             f"{path.name}: no output responds to a step of an input ({tried}); write the study by hand, "
-            "or choose other outputs with --output"
+            f"or choose other outputs with --output{tested.fault and f'; a run ended early: {tested.fault}'}"
         )
     proposal = _propose(path.stem, candidates, tested, choice, bounds, timing, request)
     levels = zip(candidates.inputs, rest.tolist(), strict=True)

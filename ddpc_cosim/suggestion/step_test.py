@@ -4,6 +4,7 @@ The samples lie in blocks, each twice as long as the one before: the last block 
 Within a block the intervals vary, so that an oscillation is not sampled in step with its period.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -12,7 +13,7 @@ from time import monotonic
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_cosim.errors import CosimError, FMUStepError
+from ddpc_cosim.errors import CosimError, FMUStepError, StepStatus
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.variables import FloatArray
 
@@ -174,6 +175,7 @@ _SHARE, _LARGER_SHARE, _SMALLER_SHARE = 0.1, 0.5, 0.001
 _NONLINEAR = 0.3
 _BEYOND = 1e30
 _IMMEDIATE = 3  # samples
+_STEPS_TIMED, _SECONDS_TIMED = 20, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,30 +276,105 @@ def step_test(plant: Plant, resting: Resting, timing: Timing) -> StepTest:
         The plant cannot be initialised, or does not survive its first steps at rest.
     """
     deadline = monotonic() + timing.budget
-    tested = _at_time_scale(plant, resting, _SHARE, timing, deadline)
-    if not any(_responds(tested, i) for i in range(len(resting.u))):
-        tested = _at_time_scale(plant, resting, _LARGER_SHARE, timing, deadline)
-    return _with_instabilities(plant, resting, tested, timing)
+    paced = _Paced(plant, deadline)
+    timing = _for_its_speed(paced, resting, timing)
+    tested = _at_time_scale(paced, resting, _SHARE, timing, deadline)
+    if paced.may_repeat and not any(_responds(tested, i) for i in range(len(resting.u))):
+        tested = _at_time_scale(paced, resting, _LARGER_SHARE, timing, deadline)
+    return _with_instabilities(paced, resting, tested, timing)
+
+
+class _Paced(Plant):
+    """A plant whose runs share the time that there is: a run that takes longer ends early, with a fault."""
+
+    def __init__(self, plant: Plant, deadline: float) -> None:
+        self._plant, self._deadline, self._until, self._took = plant, deadline, deadline, 0.0
+        self.inputs, self.outputs = plant.inputs, plant.outputs
+
+    @property
+    def left(self) -> float:
+        """Seconds that are left."""
+        return self._deadline - monotonic()
+
+    @property
+    def may_repeat(self) -> bool:
+        """Whether there is time for as many and as long runs as the last ones."""
+        return self.left > self._took
+
+    def share(self, runs: int) -> None:
+        """Give the next run its share of the time that is left for it and those after it."""
+        self._until = monotonic() + self.left / runs
+
+    def note(self, seconds: float) -> None:
+        """Take note of how long a set of runs has taken."""
+        self._took = seconds
+
+    def plan(self, sampling_time: float, stop_time: float) -> None:
+        """Announce the next run."""
+        self._plant.plan(sampling_time, stop_time)
+
+    def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
+        """Go to the initial state."""
+        return self._plant.reset(parameters, t0)
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        """Hold the inputs over h."""
+        if monotonic() > self._until:
+            raise FMUStepError("the time for it was over", StepStatus.TIMED_OUT, math.nan)
+        return self._plant.step(u, h)
+
+
+def _for_its_speed(plant: _Paced, resting: Resting, timing: Timing) -> Timing:
+    """Return the timing with as many samples as there is time for; they cover the same time.
+
+    Raises
+    ------
+    CosimError
+        There is not even time for one block of samples.
+    """
+    end = timing.step * BLOCK * 2.0**timing.blocks
+    plant.plan(timing.step, end)
+    plant.reset(resting.parameters)
+    began, steps = monotonic(), 0
+    while steps < _STEPS_TIMED and monotonic() - began < _SECONDS_TIMED:
+        plant.step(resting.u, timing.step)
+        steps += 1
+    block = BLOCK * (monotonic() - began) / steps * (1 + len(resting.u))
+    count = 2.0**timing.blocks - 1 if timing.fixed else timing.blocks
+    if block * count <= plant.left:
+        return timing
+    if block > plant.left:
+        raise CosimError(
+            f"one step of the plant takes {block / BLOCK / (1 + len(resting.u)):.2g} s, so a step test of "
+            f"{len(resting.u)} inputs takes {block:.0f} s: choose fewer with --input, or raise --budget to "
+            f"{3 * block:.0f} s"
+        )
+    fitting = plant.left / block
+    blocks = math.floor(math.log2(fitting + 1)) if timing.fixed else math.floor(fitting)
+    step = timing.step if timing.fixed else end / (BLOCK * 2.0**blocks)
+    return replace(timing, blocks=blocks, step=step)
 
 
 def _responds(tested: StepTest, i: int) -> bool:
     return any(row[i].type is not ResponseType.INSENSITIVE for row in tested.responses)
 
 
-def _at_time_scale(plant: Plant, resting: Resting, share: float, timing: Timing, deadline: float) -> StepTest:
+def _at_time_scale(
+    plant: _Paced, resting: Resting, share: float, timing: Timing, deadline: float
+) -> StepTest:
     """Run with shorter first steps as long as everything happens in the first of them."""
     step = timing.step
     for _ in range(_TIMES_FASTER):
         tested = _until_clear(plant, resting, share * resting.room, step, timing, deadline)
         rises = [r.rise_time for row in tested.responses for r in row if r.type is ResponseType.SETTLED]
-        if timing.fixed or not rises or max(rises) > _IMMEDIATE * step or monotonic() > deadline:
+        if timing.fixed or not rises or max(rises) > _IMMEDIATE * step or not plant.may_repeat:
             return tested
         step /= _FASTER
     return replace(tested, static=True)
 
 
 def _until_clear(
-    plant: Plant, resting: Resting, steps: FloatArray, step: float, timing: Timing, deadline: float
+    plant: _Paced, resting: Resting, steps: FloatArray, step: float, timing: Timing, deadline: float
 ) -> StepTest:
     """Make runs longer until every response has shown its type, or time is up."""
     blocks = timing.blocks
@@ -352,19 +429,23 @@ def _stacked(rows: Sequence[FloatArray], plant: Plant) -> FloatArray:
 
 
 def _run_all(
-    plant: Plant, resting: Resting, steps: FloatArray, grid: _Grid
+    plant: _Paced, resting: Resting, steps: FloatArray, grid: _Grid
 ) -> tuple[StepTest, list[FloatArray]]:
     """Run at rest, then with a step of each input; return the responses and what they are taken from."""
     u, parameters = resting.u, resting.parameters
+    began = monotonic()
+    plant.share(1 + len(u))
     rest, fault = grid.run(plant, u, parameters)
     if len(rest) < BLOCK:
         raise CosimError(f"the plant does not run with its inputs at rest: {fault}")
     deviations = []
     for i, height in enumerate(steps):
+        plant.share(len(u) - i)
         stepped, failed = grid.run(plant, u + height * np.eye(len(u))[i], parameters)
         n = _whole_blocks(min(len(rest), len(stepped)))
         fault = fault or failed
         deviations.append(stepped[:n] - rest[:n])
+    plant.note(monotonic() - began)
     levels = np.max(np.abs(rest), axis=0, initial=0.0)
     responses = tuple(
         tuple(classify(grid.time[: len(d)], d[:, j], float(levels[j])) for d in deviations)
@@ -377,9 +458,9 @@ def _whole_blocks(samples: int) -> int:
     return samples - samples % BLOCK if samples >= BLOCK else samples
 
 
-def _with_instabilities(plant: Plant, resting: Resting, tested: StepTest, timing: Timing) -> StepTest:
+def _with_instabilities(plant: _Paced, resting: Resting, tested: StepTest, timing: Timing) -> StepTest:
     """Tell what moves away from its equilibrium by itself: its response does not shrink with the step."""
-    if tested.fault:
+    if tested.fault or not plant.may_repeat:
         return tested
     grid = _Grid(float(tested.time[0]), len(tested.time) // BLOCK, timing.fixed)
     smaller, deviations = _run_all(plant, resting, _SMALLER_SHARE * tested.steps, grid)

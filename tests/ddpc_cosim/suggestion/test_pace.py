@@ -1,0 +1,65 @@
+"""The step test of a slow plant fits its time: fewer samples of the same responses, and no run beyond it."""
+
+import sys
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import CosimError, Plant
+from ddpc_cosim.plant import ParameterValue
+from ddpc_cosim.suggestion.step_test import ResponseType, Resting, StepTest, Timing, step_test
+from ddpc_cosim.variables import FloatArray, Variable
+
+
+class SlowLag(Plant):
+    """y' = u - y, each step of which takes a while on a clock of its own."""
+
+    inputs = (Variable("u"),)
+    outputs = (Variable("y"),)
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds, self.clock, self.y, self.longest = seconds, 0.0, 0.0, 0.0
+
+    def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
+        self.y = 0.0
+        return np.zeros(1)
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        self.clock += self.seconds
+        self.y = float(u[0]) + (self.y - float(u[0])) * np.exp(-h)
+        return np.array([self.y])
+
+
+def run(plant: SlowLag, monkeypatch: pytest.MonkeyPatch, **timing: float) -> StepTest:
+    monkeypatch.setattr(sys.modules[step_test.__module__], "monotonic", lambda: plant.clock)
+    resting = Resting(np.zeros(1), np.ones(1))
+    return step_test(plant, resting, Timing(1e-4, longest=1e5, **timing))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seconds", [1e-6, 0.01, 0.05, 0.5])
+def test_it_ends_in_time_and_still_sees_the_response(seconds, monkeypatch) -> None:
+    plant = SlowLag(seconds)
+    result = run(plant, monkeypatch, budget=30.0)
+    assert plant.clock <= 30.0 + seconds
+    response = result.responses[0][0]
+    assert response.type is not ResponseType.INSENSITIVE
+    assert response.effect == pytest.approx(0.1, rel=0.1 if seconds < 0.1 else 0.25)
+    if seconds < 0.1:
+        assert response.type is ResponseType.SETTLED
+        assert response.settling_time == pytest.approx(3.0, rel=0.4)
+
+
+def test_too_slow_for_a_single_block_is_refused_with_what_it_takes(monkeypatch) -> None:
+    """24 samples at rest and 24 after a step, 2 s each: 96 s."""
+    with pytest.raises(CosimError, match=r"takes 2 s, so a step test of 1 inputs takes 96 s: .* --budget"):
+        run(SlowLag(2.0), monkeypatch, budget=30.0)
+
+
+def test_steps_of_fixed_size_are_as_many_as_fit(monkeypatch) -> None:
+    plant = SlowLag(0.05)
+    result = run(plant, monkeypatch, budget=30.0, fixed=True, blocks=8)
+    assert plant.clock <= 30.05
+    assert result.time[-1] == pytest.approx(
+        1e-4 * 24 * (2**3 - 1), rel=0.05
+    )  # 3 blocks: 168 of 300 steps each
