@@ -2,7 +2,7 @@
 
 On POSIX, workers are forked from a server: a process without threads in which what they need is imported
 already. It collects what they print, ends whole process groups, and ends them all when this process is gone.
-A worker protects against faults, not against malice: it has the user's rights.
+A worker protects against faults; against malice only in a sandbox: else it has the user's rights.
 
 What goes to a worker is pickled. What comes back never is: it is JSON and numbers of a bounded length, and
 anything else is a crash of that worker.
@@ -35,6 +35,7 @@ from typing import Any, ClassVar, NamedTuple, NoReturn
 
 from ddpc_cosim import errors
 from ddpc_cosim.errors import ConfigError, CosimError, DataError, FMUStepError, StepStatus
+from ddpc_cosim.sandbox import Sandbox, enter
 from ddpc_cosim.texts import recorded
 
 LONGEST_REPLY = 1 << 27
@@ -256,6 +257,8 @@ class Worker:
         Where temporary files of the worker go.
     preload : sequence of str
         Modules to be imported before workers are forked, once for all.
+    sandbox : Sandbox, optional
+        What it enters before it runs anything; default: none, it has the user's rights.
 
     Raises
     ------
@@ -264,7 +267,12 @@ class Worker:
     """
 
     def __init__(
-        self, target: Callable[..., None], *arguments: Any, folder: Path, preload: Sequence[str] = ()
+        self,
+        target: Callable[..., None],
+        *arguments: Any,
+        folder: Path,
+        preload: Sequence[str] = (),
+        sandbox: Sandbox | None = None,
     ) -> None:
         ours, theirs = socket.socketpair()
         self.channel = Channel(ours)
@@ -275,7 +283,7 @@ class Worker:
                 self._process = _start(theirs, preload)
             self.channel.limit(_START_SECONDS)  # one that is stopped reads nothing
             # Two pickles: the import path has to be there before the target can be found.
-            place = (sys.path, _here(), dict(os.environ), str(folder))
+            place = (sys.path, _here(), dict(os.environ), str(folder), sandbox)
             self.channel.send(pickle.dumps(place))
             self.channel.send(pickle.dumps((target, arguments)))
         except OSError as error:
@@ -629,13 +637,15 @@ def _die_with(server: int) -> None:
 def _run(channel: Channel) -> None:
     """Run what the other side says, in its working directory and environment, with its import path."""
     with contextlib.suppress(EOFError, ConnectionError):
-        path, here, environment, folder = pickle.loads(channel.receive(sys.maxsize))
+        path, here, environment, folder, sandbox = pickle.loads(channel.receive(sys.maxsize))
         sys.path += [entry or here for entry in path if entry not in sys.path]
         os.environ.clear()
         os.environ.update(_ONE_THREAD | environment | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
         tempfile.tempdir = folder
         with contextlib.suppress(OSError):
             os.chdir(here or folder)
+        if sandbox is not None:
+            enter(sandbox)
         target, arguments = pickle.loads(channel.receive(sys.maxsize))
         target(channel, *arguments)
 

@@ -16,6 +16,7 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.fmu.linearisation import LinearModel
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU
+from ddpc_cosim.sandbox import Sandbox
 from ddpc_cosim.variables import FloatArray
 from ddpc_cosim.worker import (
     LONGEST_REPLY,
@@ -74,11 +75,14 @@ class IsolatedSession:
         Where its temporary files go.
     step_timeout : float
         Longest time for any call [s].
+    sandboxed : bool
+        Whether the process is in a sandbox, in which it writes into that folder only.
     """
 
-    def __init__(self, fmu: UnpackedFMU, folder: Path, step_timeout: float) -> None:
+    def __init__(self, fmu: UnpackedFMU, folder: Path, step_timeout: float, *, sandboxed: bool) -> None:
         self.fmu = fmu
         self._folder, self._timeout = folder, step_timeout
+        self._sandbox = Sandbox((folder,)) if sandboxed else None
         self._request, self._reply = Frame(len(fmu.inputs)), Frame(len(fmu.outputs))
         self._freed_states: list[int] = []
         self.time = 0.0
@@ -137,7 +141,7 @@ class IsolatedSession:
                 self._end()
 
     def _start(self) -> Worker:
-        worker = Worker(serve_session, self.fmu, folder=self._folder, preload=_PRELOAD)
+        worker = Worker(serve_session, self.fmu, folder=self._folder, preload=_PRELOAD, sandbox=self._sandbox)
         worker.channel.limit(self._timeout)
         weakref.finalize(self, worker.end)
         self._freed_states = []  # those of an earlier worker went with it

@@ -17,6 +17,7 @@ from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
 from ddpc_cosim.fmu.session import FMUSession, unpack_fmu
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
+from ddpc_cosim.sandbox import entered, require
 from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.variables import FloatArray, Variable, names, with_display_units
 from fmu_plants.spelling import did_you_mean
@@ -49,6 +50,9 @@ class FMUPlant(Plant):
         run and not the caller.
     step_timeout : float
         Longest time for any call of an isolated FMU [s].
+    sandbox : bool
+        Whether that process is in a sandbox, in which it writes into its temporary folder only, reads what is
+        installed but not your files, and has no network: see ``docs/whom-you-trust.md``.
     tolerance : float, optional
         Relative tolerance of the integration; default: the FMU's own.
     max_unpacked_size, max_files : int
@@ -89,6 +93,7 @@ class FMUPlant(Plant):
         start: Mapping[str, float] | None = None,
         isolated: bool = False,
         step_timeout: float = 60.0,
+        sandbox: bool = False,
         tolerance: float | None = None,
         max_unpacked_size: int = _DEFAULTS.max_unpacked_size,
         max_files: int = _DEFAULTS.max_files,
@@ -99,6 +104,9 @@ class FMUPlant(Plant):
             raise FMUImportError(f"{self.path}: no such file")
         if not 0 < step_timeout < math.inf:
             raise ConfigError(f"step_timeout = {step_timeout} is not possible; allowed: a finite number > 0")
+        if sandbox and not isolated:
+            raise ConfigError("sandbox = True needs isolated = True: a process of its own enters it")
+        self._sandbox = require() if sandbox else entered()
         self._sha256 = hashlib.sha256(self.path.read_bytes()).hexdigest()
         self._scratch = ScratchFolder()
         try:
@@ -122,7 +130,7 @@ class FMUPlant(Plant):
             raise
         self._session: FMUSession | IsolatedSession
         if isolated:
-            self._session = IsolatedSession(self._fmu, self._scratch.path, step_timeout)
+            self._session = IsolatedSession(self._fmu, self._scratch.path, step_timeout, sandboxed=sandbox)
         else:
             self._session = FMUSession(self._fmu)
         self._stop_time: float | None = None
@@ -242,6 +250,8 @@ class FMUPlant(Plant):
         """Return the FMU's file name, SHA-256, GUID or token, FMI version and type, tool, and warnings."""
         description = self.description
         told = {"fmu_warnings": "; ".join(self.warnings)} if self.warnings else {}
+        if self._sandbox:
+            told["sandbox"] = self._sandbox
         return {
             "fmu": self.path.name,
             "fmu_sha256": self._sha256,
