@@ -145,11 +145,12 @@ def enter(sandbox: Sandbox) -> None:
         raise RuntimeError("the sandbox does not hold: a socket could be opened")
 
 
-def _import_path() -> list[Path]:
-    """Return where this Python finds modules; not the user's whole home, nor what it lies in."""
+def _readable(sandbox: Sandbox) -> list[Path]:
+    """Return what may be read; not the user's whole home, nor what it lies in, by way of the import path."""
     home = Path.home().resolve()
     places = (Path(place).resolve() for place in (sys.prefix, sys.base_prefix, *sys.path) if place)
-    return [place for place in places if not home.is_relative_to(place)]
+    own = [place for place in (*places, *sandbox.readable) if not home.is_relative_to(place.resolve())]
+    return [*map(Path, _INSTALLED), *own]
 
 
 def _restrict_files(libc: ctypes.CDLL, sandbox: Sandbox) -> None:
@@ -160,7 +161,7 @@ def _restrict_files(libc: ctypes.CDLL, sandbox: Sandbox) -> None:
     rules = _check(libc.syscall(_CREATE_RULESET, attributes, len(attributes), 0), "Landlock")
     try:
         for paths, rights in (
-            ((*map(Path, _INSTALLED), *_import_path(), *sandbox.readable), _LOOK),
+            (_readable(sandbox), _LOOK),
             (sandbox.writable, _LOOK | _CHANGE),
             (map(Path, _DEVICES), _READ | _WRITE | _CUT),
         ):

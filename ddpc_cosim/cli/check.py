@@ -21,12 +21,14 @@ from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.plugins import find_modules_in, load_plugin, load_target, plugin_names
 from ddpc_cosim.safe_calls import CallsInTime
+from ddpc_cosim.sandbox import Sandbox, require
 from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
 from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
 from ddpc_cosim.texts import printable
 from ddpc_cosim.worker import LONGEST_REPLY, Ending, UnexpectedError, Worker, ask, result_of, serve_calls
+from fmu_plants.files import cache_dir
 from fmu_plants.spelling import did_you_mean
 
 _PRELOAD = (__name__,)
@@ -162,14 +164,24 @@ _STYLE = {CheckStatus.PASSED: "green", CheckStatus.FAILED: "red", CheckStatus.NO
 
 
 def check_command(
-    subject: str, sampling_time: float | None, timeout: float, settings: Sequence[str] = ()
+    subject: str,
+    sampling_time: float | None,
+    timeout: float,
+    settings: Sequence[str] = (),
+    *,
+    sandboxed: bool = False,
 ) -> int:
     """Check a plant or a controller and print a table; return 1 if a check failed."""
     find_modules_in(Path.cwd())
+    if sandboxed:
+        require()
     found = find_subject(subject, settings, timeout)
     step = sampling_time or _natural_step(found)
-    with ScratchFolder() as folder, _CheckWorker(folder) as worker:
-        results = [worker.check(found, name, step, timeout) for name in found.check_names()]
+    read = (Path(found.path), cache_dir()) if isinstance(found, FMUSubject) else (cache_dir(),)
+    with ScratchFolder() as folder:
+        worker = _CheckWorker(folder, Sandbox((folder,), read) if sandboxed else None)
+        with worker:
+            results = [worker.check(found, name, step, timeout) for name in found.check_names()]
     _print(f"{subject}, steps of {step:g} s", results)
     return 1 if any(result.status is CheckStatus.FAILED for result in results) else 0
 
@@ -195,10 +207,12 @@ class _CheckWorker:
     ----------
     folder : Path
         Where temporary files go.
+    sandbox : Sandbox or None
+        What it runs in.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, sandbox: Sandbox | None) -> None:
+        self._folder, self._sandbox = folder, sandbox
         self._worker: Worker | None = None
 
     def __enter__(self) -> Self:
@@ -210,7 +224,7 @@ class _CheckWorker:
     def check(self, subject: Subject, name: str, sampling_time: float, timeout: float) -> CheckResult:
         """Run one check."""
         if self._worker is None:
-            self._worker = Worker(serve_calls, folder=self._folder, preload=_PRELOAD)
+            self._worker = Worker(serve_calls, folder=self._folder, preload=_PRELOAD, sandbox=self._sandbox)
         try:
             ask(self._worker.channel, _run, subject, name, sampling_time)
             status, reason = result_of(self._worker.channel.receive(LONGEST_REPLY, seconds=timeout))

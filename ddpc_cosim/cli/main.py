@@ -95,6 +95,11 @@ def main() -> None:
     """Co-simulate FMU plants with plug-in controllers and compare them in one HTML report."""
 
 
+_SANDBOX = click.option(
+    "--sandbox", is_flag=True, help="Let the FMU write nothing elsewhere, read no files of yours, no network."
+)
+
+
 @main.command()
 @click.argument("study")
 @click.option(
@@ -104,15 +109,23 @@ def main() -> None:
 @click.option("--only", default="*", metavar="GLOB", help="Only cases or controllers of this name.")
 @click.option("--seeds", metavar="0:30", help="Seeds in place of the study's: 7, 0:30 or 5489,0:30.")
 @click.option("--fresh", is_flag=True, help="Run cases again that already exist.")
+@_SANDBOX
 @click.option("--no-report", is_flag=True, help="Write no report.")
 def run(
-    study: str, out: Path | None, jobs: int | None, only: str, seeds: str | None, fresh: bool, no_report: bool
+    study: str,
+    out: Path | None,
+    jobs: int | None,
+    only: str,
+    seeds: str | None,
+    fresh: bool,
+    sandbox: bool,
+    no_report: bool,
 ) -> None:
     """Run STUDY, a file or the name of a built-in study, and write its report."""
     with orderly_end():
         from ddpc_cosim.cli.run import run_command
 
-        sys.exit(run_command(study, out, jobs, only, seeds, fresh, report=not no_report))
+        sys.exit(run_command(study, out, jobs, only, seeds, fresh, sandbox=sandbox, report=not no_report))
 
 
 @main.command()
@@ -209,6 +222,7 @@ def inspect(fmu: Path, as_json: bool, strict: bool, every: bool) -> None:
     show_default=True,
     help="Seconds for step test and trial; what is not tried in them is told.",
 )
+@_SANDBOX
 def init(
     fmu: Path,
     out: Path,
@@ -221,6 +235,7 @@ def init(
     force: bool,
     step_timeout: float,
     budget: float,
+    sandbox: bool,
 ) -> None:
     """Write a study for an FMU, from a step test, with controllers that were tried on it."""
     from ddpc_cosim.cli.init import init_command
@@ -237,6 +252,7 @@ def init(
         duration=duration,
         step_timeout=step_timeout,
         budget=budget,
+        sandbox=sandbox,
     )
 
 
@@ -257,11 +273,14 @@ def init(
 @click.option(
     "--setting", "settings", multiple=True, metavar="TOML", help="A controller's setting; may be repeated."
 )
-def check(subject: str, sampling_time: float | None, timeout: float, settings: tuple[str, ...]) -> None:
+@_SANDBOX
+def check(
+    subject: str, sampling_time: float | None, timeout: float, settings: tuple[str, ...], sandbox: bool
+) -> None:
     """Run the conformance kit on a plant or a controller; exit with 1 if a check fails."""
     from ddpc_cosim.cli.check import check_command
 
-    sys.exit(check_command(subject, sampling_time, timeout, settings))
+    sys.exit(check_command(subject, sampling_time, timeout, settings, sandboxed=sandbox))
 
 
 @main.command()

@@ -38,7 +38,15 @@ _MOST_LISTED = 20
 
 
 def run_command(
-    name: str, out: Path | None, jobs: int | None, only: str, seeds: str | None, fresh: bool, *, report: bool
+    name: str,
+    out: Path | None,
+    jobs: int | None,
+    only: str,
+    seeds: str | None,
+    fresh: bool,
+    *,
+    sandbox: bool,
+    report: bool,
 ) -> int:
     """Run a study, print the result table and the report's path, and return the exit code."""
     chosen = _parse_seeds(seeds)
@@ -46,7 +54,7 @@ def run_command(
         resolved = read_study(name)
     folder = out or Path("runs") / resolved.study.name
     console = Console(stderr=True)
-    selection = Selection(jobs or os.cpu_count() or 1, chosen, only, fresh)
+    selection = Selection(jobs or os.cpu_count() or 1, chosen, only, fresh, sandbox)
     progress = TerminalProgress(console) if console.is_terminal else LineProgress(sys.stderr)
     with _warnings_in_one_line(), progress:
         results = run_study(resolved, folder, selection, progress)

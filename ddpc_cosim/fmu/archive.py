@@ -1,6 +1,7 @@
 """Unpacking FMUs of unknown origin: within limits, inside one folder, or not at all."""
 
 import lzma
+import os
 import re
 import stat
 import struct
@@ -200,8 +201,10 @@ def _unpack_entries(archive: zipfile.ZipFile, folder: Path, limits: UnpackLimits
                 if remaining < 0:
                     raise too_large
                 file.write(chunk)
-        if mode := _execution(entry, name):
-            target.chmod(target.stat().st_mode | mode)
+            if mode := _execution(entry, name):
+                # By its number: in a sandbox, files are not changed by name.
+                place = file.fileno() if os.chmod in os.supports_fd else target
+                os.chmod(place, target.stat().st_mode | mode)  # noqa: PTH101 - or by its name
 
 
 def _checked(entries: list[zipfile.ZipInfo], label: str) -> dict[str, zipfile.ZipInfo]:

@@ -20,7 +20,7 @@ from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.master import EARLY, OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.plugins import code_version, types_in
+from ddpc_cosim.plugins import code_version, own_folder, types_in
 from ddpc_cosim.rows import RowStore
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference
@@ -92,6 +92,8 @@ class Case:
         Why it is not run: what the controller was asked before has not returned in time; empty: it is run.
     id : str
         Readable name and a hash of everything that decides the result, code version included.
+    sandbox : str
+        The sandbox that it is run in, in words, which does not decide the result; empty: none.
     """
 
     controller: str
@@ -122,6 +124,7 @@ class Case:
     step_timeout: float = DEFAULT_STEP_TIMEOUT
     late: str = ""
     id: str = ""
+    sandbox: str = ""
 
     @property
     def name(self) -> str:
@@ -136,7 +139,7 @@ class Case:
 
     def head(self) -> dict[str, Any]:
         """Return the identifiers of the case for its ``run.json``."""
-        keys = ("id", "controller", "label", "scenario", "seed")
+        keys = ("id", "controller", "label", "scenario", "seed", "sandbox")
         return {key: getattr(self, key) for key in keys}
 
 
@@ -178,12 +181,27 @@ def cases_of(
 
 def _code_and_files(case: Case) -> dict[str, Any]:
     """Return what decides the result of all cases of a controller besides its settings."""
-    sections = [case.section, case.stabiliser] if case.stabiliser else [case.section]
-    files = [files_of(controller_class(section["type"]), section["settings"]) for section in sections]
     return {
-        "code": [code_version(kind) for kind in types_in(sections)],
-        "files": [[hash_of_file(path) for path in paths if path != PLANT] for paths in files],
+        "code": [code_version(kind) for kind in types_in(_sections(case))],
+        "files": [[hash_of_file(path) for path in paths] for paths in _files(case)],
     }
+
+
+def _sections(case: Case) -> list[dict[str, Any]]:
+    return [case.section, case.stabiliser] if case.stabiliser else [case.section]
+
+
+def _files(case: Case) -> list[list[str]]:
+    """Return the files that the settings of a case's controllers name, without the plant's own."""
+    named = [files_of(controller_class(one["type"]), one["settings"]) for one in _sections(case)]
+    return [[path for path in paths if path != PLANT] for paths in named]
+
+
+def files_read(case: Case) -> list[Path]:
+    """Return what a case reads besides what is installed: FMU, files of settings, modules of the study's."""
+    named = [path for paths in _files(case) for path in paths]
+    modules = [own_folder()] if any(":" in kind for kind in types_in(_sections(case))) else []
+    return [Path(path) for path in (case.plant.fmu, *named, *modules) if path]
 
 
 def _hash_of_recording(recording: Recording) -> str:
@@ -198,7 +216,7 @@ def _identifier(case: Case, content: Mapping[str, Any]) -> str:
     decisive = {one.name: getattr(case, one.name) for one in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
     decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements", "undriven")}
-    for key in ("label", "id", "step_timeout", "late", "metrics"):
+    for key in ("label", "id", "step_timeout", "late", "metrics", "sandbox"):
         del decisive[key]
     text = json.dumps(decisive, sort_keys=True, default=repr)
     return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"

@@ -81,6 +81,8 @@ class CaseResult:
         What spoke against the data or the model before the loop was closed, and metrics that failed.
     folder : Path
         Where its files are.
+    sandbox : str
+        The sandbox that it ran in, in words; empty: none.
     """
 
     id: str
@@ -96,6 +98,7 @@ class CaseResult:
     settings: dict[str, Any]
     warnings: tuple[str, ...]
     folder: Path
+    sandbox: str = ""
 
     def trace(self) -> Trace:
         """Read the samples of the run.
@@ -202,7 +205,8 @@ def load_case(folder: Path) -> CaseResult:
     try:
         run = read_run(folder)
         _signals(folder, run)
-        head = {key: run[key] for key in ("id", "controller", "label", "scenario", "seed", "reason")}
+        keys = ("id", "controller", "label", "scenario", "seed", "reason", "sandbox")
+        head = {key: run[key] for key in keys}
         values = {key: run[key] for key in ("holds", "metrics", "diagnostics", "settings")}
         told = (*run["warnings"], *run["metric_warnings"])
         return CaseResult(**head, **values, outcome=Outcome(run["outcome"]), warnings=told, folder=folder)
@@ -320,7 +324,7 @@ def stage_case(
     """
     settings = settings or MetricSettings(trace.preview)
     run = (
-        {"printed": ""}
+        {"printed": "", "sandbox": ""}
         | head
         | {
             "outcome": trace.outcome.value,

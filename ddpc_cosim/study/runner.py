@@ -9,10 +9,10 @@ import platform
 import shlex
 import sys
 import tempfile
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib import metadata
 from multiprocessing.connection import wait
@@ -23,9 +23,10 @@ from typing import NamedTuple, Protocol
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import find_modules_in, load_plugin, own_folder, package_version
-from ddpc_cosim.rows import Call, RowStore, info_path
+from ddpc_cosim.rows import Call, RowStore
+from ddpc_cosim.sandbox import Sandbox, require as require_sandbox
 from ddpc_cosim.scratch import ScratchFolder, remove
-from ddpc_cosim.study.cases import Case, cases_of, no_samples, partial_trace, row_store, run_case
+from ddpc_cosim.study.cases import Case, cases_of, files_read, no_samples, partial_trace, row_store, run_case
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import (
@@ -44,6 +45,7 @@ from ddpc_cosim.study.results import (
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome
 from ddpc_cosim.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, lost, result_of, serve_calls
+from fmu_plants.files import cache_dir
 
 _POLL_SECONDS = 0.1
 _REPLY_SECONDS = 5.0
@@ -97,12 +99,15 @@ class Selection:
         Glob pattern of case or controller names.
     fresh : bool
         Run cases again that already exist.
+    sandboxed : bool
+        Run each case in a sandbox; those that already exist are kept, and say whether they were.
     """
 
     jobs: int = 1
     seeds: list[int] = field(default_factory=list)
     only: str = "*"
     fresh: bool = False
+    sandboxed: bool = False
 
 
 def run_study(
@@ -118,6 +123,8 @@ def run_study(
     ConfigError
         No case is selected, or the folder cannot be written to.
     """
+    if selection.sandboxed:
+        require_sandbox()  # before anything is built
     plant = resolved.plant.built()
     cases = cases_of(resolved, plant, selection.seeds, selection.only)
     cases_folder = folder / CASES_FOLDER
@@ -127,8 +134,12 @@ def run_study(
         raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
     missing = [case for case in cases if selection.fresh or not _is_there(cases_folder / case.id)]
     progress.start(len(missing), len(cases) - len(missing))
-    for case in run_cases(missing, cases_folder, selection.jobs, progress.update) if missing else ():
-        progress.finished(case, load_case(cases_folder / case.id))
+    if missing:
+        done = run_cases(
+            missing, cases_folder, selection.jobs, progress.update, sandboxed=selection.sandboxed
+        )
+        for case in done:
+            progress.finished(case, load_case(cases_folder / case.id))
     new = {case.id for case in missing}
     for case in cases:
         if case.id not in new:
@@ -157,6 +168,7 @@ def _provenance(
     facts = {
         **{key.replace("_", " "): value for key, value in plant.items()},
         "plant content": spec.content,
+        "sandbox": _sandboxes(results),
         "largest preview": f"{preview} samples",
         "ddpc-cosim version": package_version(),
         "python version": platform.python_version(),
@@ -170,6 +182,14 @@ def _provenance(
     return {name: recorded(fact) for name, fact in facts.items()}
 
 
+def _sandboxes(results: Sequence[CaseResult]) -> str:
+    """Return in words how many cases ran in which sandbox."""
+    counts = Counter(result.sandbox for result in results)
+    if list(counts) == [""]:
+        return "none"
+    return "; ".join(f"{count} of {len(results)} cases: {words or 'none'}" for words, count in counts.items())
+
+
 def _cpu() -> str:
     """Return the processor's name and count; Linux tells it only in a file."""
     name = platform.processor()
@@ -180,7 +200,14 @@ def _cpu() -> str:
     return f"{name or 'unknown'}, {os.cpu_count()} logical processors"
 
 
-def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | None = None) -> Iterator[Case]:
+def run_cases(
+    cases: Sequence[Case],
+    folder: Path,
+    jobs: int,
+    watch: Watcher | None = None,
+    *,
+    sandboxed: bool = False,
+) -> Iterator[Case]:
     """Run cases in ``jobs`` worker processes and yield each one when its files are written.
 
     Parameters
@@ -193,12 +220,19 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
         Number of workers.
     watch : callable, optional
         Called with the progress of running cases.
+    sandboxed : bool
+        Whether each case runs in a sandbox, in which it writes nothing but its own files.
 
     Raises
     ------
+    ConfigError
+        This system has no sandbox.
     CosimError
         A case cannot be written.
     """
+    if sandboxed:
+        words = require_sandbox()
+        cases = [replace(case, sandbox=words) for case in cases]
     with ScratchFolder() as temporary, _staging(folder) as staging:
         preload = [*_PRELOAD, *_plugin_modules(cases)]
         waiting, idle, running = deque(cases), list[Worker](), list[_Run]()
@@ -211,9 +245,7 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
                         write_case(folder / case.id, trace, case.head(), staging, case.metrics)
                         yield case
                         continue
-                    reused = None if case.plant.isolated or not idle else idle.pop()
-                    worker = reused or Worker(serve_calls, folder=temporary, preload=preload)
-                    running.append(_Run(case, worker, folder, staging, temporary))
+                    running.append(_Run(case, idle, preload, folder / case.id, staging, temporary))
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
                 for run in list(running):
                     ended = run.has_ended(run.worker.channel.socket in ready)
@@ -226,8 +258,8 @@ def run_cases(cases: Sequence[Case], folder: Path, jobs: int, watch: Watcher | N
                         yield run.case
         finally:
             for run in running:
-                run.close()
                 run.worker.end()
+                run.close()
             for worker in idle:
                 worker.end()
 
@@ -253,23 +285,40 @@ class _Run:
     ----------
     case : Case
         The case.
-    worker : Worker
-        Serves calls.
+    idle : list of Worker
+        Those that may be used again.
+    preload : sequence of str
+        Modules that its worker needs.
     folder, staging : Path
-        Where the case's folder is to be, and to stand until it is complete.
+        The case's folder, and where it is to stand until it is complete.
     temporary : Path
-        Where the file of rows lies.
+        Where temporary files lie.
     """
 
-    def __init__(self, case: Case, worker: Worker, folder: Path, staging: Path, temporary: Path) -> None:
-        self.case, self.worker, self.can_be_reused = case, worker, not case.plant.isolated
-        self._folder, self._staging = folder / case.id, staging
-        self._staged = Path(tempfile.mkdtemp(dir=staging))
-        self._rows = temporary / f"rows-{self._staged.name}"
-        self._store = row_store(case, self._rows, follow=True)
+    def __init__(
+        self,
+        case: Case,
+        idle: list[Worker],
+        preload: Sequence[str],
+        folder: Path,
+        staging: Path,
+        temporary: Path,
+    ) -> None:
+        self.case, self._folder, self._staging = case, folder, staging
+        self._staged, self._place = (Path(tempfile.mkdtemp(dir=within)) for within in (staging, temporary))
+        self.can_be_reused = not (case.plant.isolated or case.sandbox)
+        own, sandbox = temporary, None
+        if not self.can_be_reused:
+            own = self._place
+        if case.sandbox:
+            sandbox = Sandbox((self._place, self._staged), (*files_read(case), cache_dir()))
+        reused = idle.pop() if idle and self.can_be_reused else None
+        self.worker = reused or Worker(serve_calls, folder=own, preload=preload, sandbox=sandbox)
+        rows = self._place / "rows"
+        self._store = row_store(case, rows, follow=True)
         self._call, self._since = 0, monotonic()
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
-            ask(worker.channel, run_and_stage, case, self._rows, self._staged, own_folder())
+            ask(self.worker.channel, run_and_stage, case, rows, self._staged, own_folder())
 
     @property
     def progress(self) -> Update:
@@ -303,8 +352,8 @@ class _Run:
 
     def close(self) -> None:
         """Remove what the run has left besides its case."""
-        for path in (self._rows, info_path(self._rows), self._staged):
-            remove(path)
+        remove(self._place)
+        remove(self._staged)
 
     def _accept(self) -> None:
         """Put what the worker has staged in its place: what it ran has no more to say in that by now."""

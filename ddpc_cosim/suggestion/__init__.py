@@ -66,6 +66,7 @@ def suggest_study(
     budget: float = 60.0,
     trial: bool = True,
     tell: Tell = lambda _: None,
+    sandbox: bool = False,
 ) -> Proposal:
     """Run a step test of an FMU in a process of its own, suggest a study, and try it out.
 
@@ -90,6 +91,8 @@ def suggest_study(
         what can be reached.
     tell : callable
         Is told what is being done.
+    sandbox : bool
+        Whether that process is in a sandbox.
 
     Raises
     ------
@@ -115,6 +118,7 @@ def suggest_study(
         start=start,
         isolated=True,
         step_timeout=min(step_timeout, timing.budget),
+        sandbox=sandbox,
     ) as plant:
         candidates = Candidates(plant.inputs, plant.outputs, (*drives_too, *reads_too), plant.warnings)
         bounds = design.input_bounds(candidates.inputs, request.ranges)
@@ -131,7 +135,7 @@ def suggest_study(
     levels = zip(candidates.inputs, rest.tolist(), strict=True)
     moved = {variable.name: level for variable, level in levels if level != variable.start}
     proposal = replace(proposal, parameters=request.parameters(description), start=start | moved)
-    return tried_out(proposal, path, deadline, tell) if trial else proposal
+    return tried_out(proposal, path, deadline, tell, sandboxed=sandbox) if trial else proposal
 
 
 def write_study(proposal: Proposal, fmu: str | Path, out: str | Path, *, replace: bool = False) -> Path:

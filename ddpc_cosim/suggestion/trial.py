@@ -75,7 +75,9 @@ class _Attempt:
         return min(self.cases, key=left_by).trace()
 
 
-def tried_out(proposal: Proposal, fmu: Path, deadline: float, tell: Tell) -> Proposal:
+def tried_out(
+    proposal: Proposal, fmu: Path, deadline: float, tell: Tell, *, sandboxed: bool = False
+) -> Proposal:
     """Start every controller of a proposal and run its loop once; return what can be run, and how well.
 
     Where no controller follows the reference, stretches become longer, and setpoints such as were reached.
@@ -90,6 +92,8 @@ def tried_out(proposal: Proposal, fmu: Path, deadline: float, tell: Tell) -> Pro
         When to stop, on the clock of ``time.monotonic``; also in the middle of a run.
     tell : callable
         Is told what is being done.
+    sandboxed : bool
+        Whether they run in a sandbox.
 
     Raises
     ------
@@ -100,7 +104,7 @@ def tried_out(proposal: Proposal, fmu: Path, deadline: float, tell: Tell) -> Pro
     with ScratchFolder() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", CosimWarning)  # `run` tells them
         for number in range(_ROUNDS):
-            attempt = _attempt(proposal, fmu, folder / str(number), deadline, tell)
+            attempt = _attempt(proposal, fmu, folder / str(number), deadline, tell, sandboxed=sandboxed)
             if attempt.proposal.controllers:
                 attempts.append(attempt)
             if attempt.untried or (attempt.cases and (not attempt.left or attempt.best < FOLLOWS)):
@@ -112,7 +116,9 @@ def tried_out(proposal: Proposal, fmu: Path, deadline: float, tell: Tell) -> Pro
         return _told(attempts)
 
 
-def _attempt(proposal: Proposal, fmu: Path, folder: Path, deadline: float, tell: Tell) -> _Attempt:
+def _attempt(
+    proposal: Proposal, fmu: Path, folder: Path, deadline: float, tell: Tell, *, sandboxed: bool
+) -> _Attempt:
     """Run each controller of a proposal once, as far as time allows; leave out those that fail."""
     (folder / CASES_FOLDER).mkdir(parents=True)
     attempt = _Attempt(proposal)
@@ -132,7 +138,8 @@ def _attempt(proposal: Proposal, fmu: Path, folder: Path, deadline: float, tell:
             raise _TimeUpError
 
     try:
-        done.extend(case.id for case in run_cases(cases, folder / CASES_FOLDER, 1, watch))
+        tried = run_cases(cases, folder / CASES_FOLDER, 1, watch, sandboxed=sandboxed)
+        done.extend(case.id for case in tried)
     except _TimeUpError:
         attempt.untried |= dict.fromkeys((case.label for case in cases[len(done) + 1 :]), "not begun")
     results, _ = load_cases(folder, resolved.study, done)

@@ -53,6 +53,9 @@ class Fault(IntEnum):
     LEAVE_A_FILE = auto()
     PRINT_AND_ABORT = auto()
     ASK_TO_TERMINATE = auto()
+    WRITE_A_FILE = auto()
+    READ_A_FILE = auto()
+    OPEN_A_SOCKET = auto()
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,11 @@
 #ifdef _WIN32
 #include <io.h>
 #define write _write
+#define open_socket() (-1)
 #else
+#include <sys/socket.h>
 #include <unistd.h>
+#define open_socket() socket(AF_INET, SOCK_STREAM, 0)
 #endif
 
 enum { MEGABYTES = 100, LINE = 1000, LINES = MEGABYTES * 1000 };
@@ -132,6 +135,29 @@ static void leave_a_file(void)
     free(name);
 }
 
+/* Open the file that FAULT_FILE names. */
+static int open_file(const Model *m, const char *mode)
+{
+    const char *path = getenv("FAULT_FILE");
+    FILE *file = path ? fopen(path, mode) : NULL;
+    if (!file) {
+        say(m, ERROR, "the file cannot be opened");
+        return ERROR;
+    }
+    fclose(file);
+    return OK;
+}
+
+static int connect_somewhere(const Model *m)
+{
+    int descriptor = open_socket();
+    if (descriptor < 0) {
+        say(m, ERROR, "there is no network");
+        return ERROR;
+    }
+    return close(descriptor) ? ERROR : OK;
+}
+
 static int misbehave_in_step(Model *m)
 {
     switch ((Fault)m->values[FAULT]) {
@@ -153,6 +179,9 @@ static int misbehave_in_step(Model *m)
     case FLOOD_STDERR: flood_stream(stderr); return OK;
     case FLOOD_DESCRIPTOR: flood_descriptor(); return OK;
     case PRINT_AND_ABORT: flood_stream(stdout); fputs("division by zero\n", stderr); abort();
+    case WRITE_A_FILE: return open_file(m, "w");
+    case READ_A_FILE: return open_file(m, "r");
+    case OPEN_A_SOCKET: return connect_somewhere(m);
     case LEAVE_A_FILE: leave_a_file(); return OK;
     case LOG_AT_EVERY_STEP: say(m, OK, "all is well, %d times"); say(m, WARNING, "nearly out of range"); return OK;
     default: return OK;

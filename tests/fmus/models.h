@@ -54,6 +54,9 @@ typedef enum {
     LEAVE_A_FILE,
     PRINT_AND_ABORT,
     ASK_TO_TERMINATE,
+    WRITE_A_FILE,
+    READ_A_FILE,
+    OPEN_A_SOCKET,
 } Fault;
 
 /* What FEED passes through: reference r + 100 becomes what reference r is. References 20 to 29 are arrays whose
