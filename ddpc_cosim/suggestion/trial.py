@@ -19,16 +19,17 @@ from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, CaseResult, judge_again, load_cases
 from ddpc_cosim.study.runner import Update, run_cases
-from ddpc_cosim.suggestion.design import Setpoints, rounded
+from ddpc_cosim.suggestion.design import Bounds, Setpoints, rounded
 from ddpc_cosim.suggestion.writing import Proposal, study_text
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable
 
 Tell = Callable[[str], None]
 
-_ROUNDS = 4
+_ATTEMPTS, _ATTEMPTS_WITHOUT_AUTHORITY = 4, 2
 _LONGER = 3
-_GENTLER = 0.3
+_SHRUNK = 0.3
+_GENTLER = ((0.1, 0.1), (0.0, 1.0), (1.0, 0.0))  # shares of the way from rest to the limits, down and up
 _KEPT_FREE = 0.1  # of the span that was reached, at either end of it
 _SETTLED = 0.2  # of a stretch: its end, as in the figures of the response
 _STUCK = 0.2  # of that end with an input at its limits, from which on there is no more to be had
@@ -101,15 +102,22 @@ def tried_out(
         No controller runs to the end, and why.
     """
     attempts: list[_Attempt] = []
+    gentler, number = iter([_gentler(proposal, sides) for sides in _GENTLER]), 0
+    wanted: Proposal | None = proposal
     with ScratchFolder() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", CosimWarning)  # `run` tells them
-        for number in range(_ROUNDS):
-            attempt = _attempt(proposal, fmu, folder / str(number), deadline, tell, sandboxed=sandboxed)
+        while wanted is not None:
+            number += 1
+            attempt = _attempt(wanted, fmu, folder / str(number), deadline, tell, sandboxed=sandboxed)
             if attempt.proposal.controllers:
                 attempts.append(attempt)
             if attempt.untried or (attempt.cases and (not attempt.left or attempt.best < FOLLOWS)):
                 break
-            proposal = _within_reach(attempts) if attempt.cases else _gentler(proposal)
+            if not attempt.cases:
+                wanted = next(gentler, None)
+            else:
+                most = _ATTEMPTS_WITHOUT_AUTHORITY if proposal.hints else _ATTEMPTS
+                wanted = _within_reach(attempts) if len(attempts) < most else None
         if not attempts:
             why = "; ".join(dict.fromkeys(attempt.dropped.values()))
             raise CosimError(f"{fmu.name}: no controller that was tried runs to the end: {why}")
@@ -187,15 +195,22 @@ def _resolved(attempt: _Attempt, fmu: Path, folder: Path) -> ResolvedStudy | Non
             raise error from None
 
 
-def _gentler(proposal: Proposal) -> Proposal:
-    """Return the proposal with smaller setpoints and a weaker excitation, as every run ended early."""
+def _gentler(proposal: Proposal, sides: tuple[float, float]) -> Proposal:
+    """Return the proposal with inputs that go less far down and up, in shares: so far, every run failed."""
     rest = {v.name: v.start for v in proposal.inputs} | dict(proposal.start)
-    weaker = {}
-    for name, (low, high) in proposal.excitation.items():
+
+    def nearer(name: str, low: float, high: float) -> tuple[float, float]:
         centre = min(max(rest[name], low), high)
-        weaker[name] = (centre - _GENTLER * (centre - low), centre + _GENTLER * (high - centre))
-    spans = {name: _shrunk(one.values) for name, one in proposal.setpoints.items()}
-    return replace(_moved(proposal, spans), excitation=weaker)
+        down, up = sides if name not in proposal.asked.ranges else (1.0, 1.0)
+        less = centre - down * (centre - low), centre + up * (high - centre)
+        return less if less[0] < less[1] else (low, high)
+
+    excitation = {name: nearer(name, *limits) for name, limits in proposal.excitation.items()}
+    bounds = {
+        name: Bounds(*nearer(name, old.low, old.high), f"{old.origin}; less, as every run failed with that")
+        for name, old in proposal.bounds.items()
+    }
+    return replace(proposal, excitation=excitation, bounds=bounds)
 
 
 def _within_reach(attempts: Sequence[_Attempt]) -> Proposal:
@@ -251,7 +266,7 @@ def _longer(proposal: Proposal) -> Proposal:
 
 
 def _shrunk(values: Sequence[float]) -> tuple[float, float]:
-    centre, half = (min(values) + max(values)) / 2, _GENTLER * (max(values) - min(values)) / 2
+    centre, half = (min(values) + max(values)) / 2, _SHRUNK * (max(values) - min(values)) / 2
     return centre - half, centre + half
 
 
@@ -327,4 +342,6 @@ def _best_words(attempt: _Attempt) -> str:
 
 
 def _percent(share: float) -> str:
-    return "more than all" if share > 100.0 else f"{share:.2g} %" if share >= 0.01 else "nothing"
+    if share > 100.0 or share < 0.01:
+        return "more than all" if share > 100.0 else "nothing"
+    return f"{share:.0f} %" if share >= 10.0 else f"{share:.2g} %"

@@ -28,6 +28,12 @@ def _tank(v: Symbols) -> Equations:
     return Equations({"level": (v.inflow - 2e-3 * sqrt(Max(v.level, 1e-9))) / 1.5})
 
 
+def _one_sided(v: Symbols) -> Equations:
+    from sympy import sqrt
+
+    return Equations({"x": v.inflow - v.x}, {"y": sqrt(v.x)})
+
+
 def _saturating(v: Symbols) -> Equations:
     from sympy import Max, Min
 
@@ -91,6 +97,13 @@ MODELS = {
         inputs=(Variable("push", "N", min=-10.0, max=10.0),),
         outputs=(Variable("y", "m"),),
         parameters=(Parameter("y_max", "m", start=12.0),),
+    ),
+    "one_sided": PlantModel(
+        name="one_sided",
+        equations=_one_sided,
+        states=(X,),
+        inputs=(Variable("inflow", "m3/s", min=-1.0, max=1.0),),
+        outputs=(Variable("y", "m"),),
     ),
     "falling": PlantModel(
         name="falling",

@@ -107,3 +107,14 @@ def test_the_deadline_ends_a_run_that_hangs_and_the_file_says_what_was_not_tried
     assert set(tomllib.loads(text)["controllers"]) == {"pid", "mfapc"}
     assert "The time for trying was over before the end of " in comments(text)
     assert "MFAPC-CFDL (not begun)" in comments(text)
+
+
+def test_where_every_run_fails_the_inputs_keep_to_the_side_that_works(model_fmu, tmp_path) -> None:
+    """y is the root of what is in the tank: if more flows out than is there, it is not a number."""
+    fmu = model_fmu("one_sided")
+    proposal = only(suggest_study(fmu, trial=False), "pid")
+    assert proposal.bounds["inflow"].low == -1.0
+    proved = tried_out(proposal, fmu, monotonic() + 1000.0, lambda _: None)
+    assert (proved.bounds["inflow"].low, proved.bounds["inflow"].high) == (0.0, 1.0)
+    assert "less, as every run failed" in written(proved, fmu, tmp_path)
+    run(tmp_path)
