@@ -8,6 +8,7 @@ from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from functools import cache
 from hashlib import sha256
+from importlib.metadata import version
 from importlib.resources import files
 from itertools import pairwise
 from typing import Any
@@ -15,11 +16,13 @@ from typing import Any
 import vl_convert
 from markupsafe import Markup
 
+from ddpc_cosim.plugins import cached
 from ddpc_cosim.texts import printable
 from ddpc_reports.charts import CONFIG
 from ddpc_reports.samples import Column
 
 _WIDTH = 800
+_SNIPPET = "window.vegaEmbed = vegaEmbed;"
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{2,}")
 _PATH = re.compile(r' d="([^"]*)"')
 _LINES = re.compile(r"(?:[ML]-?[\d.]+(?:e-?\d+)?,-?[\d.]+(?:e-?\d+)?)+")
@@ -41,10 +44,22 @@ def page_script() -> str:
     return _template("report.js")
 
 
+def _bundle() -> bytes:
+    bundle: str = vl_convert.javascript_bundle(_SNIPPET)
+    return bundle.encode()
+
+
 @cache
 def chart_library() -> str:
-    """Return Vega, Vega-Lite and Vega-Embed as one script, taken from the vl-convert package."""
-    bundle: str = vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;")
+    """Return Vega, Vega-Lite and Vega-Embed as one script, taken from the vl-convert package.
+
+    It is kept in the cache: to bundle it takes longer than all the rest of a small report.
+    """
+    place = f"vega/{version('vl-convert-python')}-{sha256(_SNIPPET.encode()).hexdigest()[:8]}.js"
+    try:
+        bundle = cached(place, _bundle).read_text(encoding="utf-8")
+    except OSError:  # the report can do without a cache
+        bundle = _bundle().decode()
     return f"(function () {{\n{bundle}\n}})();".replace("</script", "<\\/script").replace("<!--", "<\\!--")
 
 

@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import vl_convert
 
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_reports import write_report
+from ddpc_reports.embedding import chart_library
 
 from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
 
@@ -109,6 +111,21 @@ def test_the_chart_library_is_embedded_once(make_results: MakeResults, tmp_path:
     page = written(tmp_path, several_seeds(make_results), make_results())
     assert page.count("window.vegaEmbed") <= 2
     assert len(page) < 1_600_000
+
+
+def test_the_chart_library_is_bundled_once_and_without_a_cache_as_often_as_needed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundled = []
+    monkeypatch.setattr(vl_convert, "javascript_bundle", lambda snippet: bundled.append(snippet) or snippet)
+    monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "cache"))
+    library = chart_library.__wrapped__
+    assert library() == library() == "(function () {\nwindow.vegaEmbed = vegaEmbed;\n})();"
+    assert len(bundled) == 1
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "file" / "cache"))
+    assert library() == library()
+    assert len(bundled) == 3
 
 
 def test_hostile_names_stay_text(make_results: MakeResults, tmp_path: Path) -> None:

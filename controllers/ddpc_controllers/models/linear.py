@@ -9,13 +9,16 @@ plant with :mod:`ddpc_controllers.models.from_fmu`). A controller sees the loop 
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from ddpc_controllers.models.control_api import discretise
-from ddpc_cosim import ConfigError, FloatArray, LinearModel, Loop, check_settings, setting
+from ddpc_cosim import ConfigError, FloatArray, Loop, check_settings, setting
 from ddpc_cosim.plugins import load_target
+
+if TYPE_CHECKING:
+    from ddpc_cosim import LinearModel  # which comes with all that runs FMUs
 
 Matrix = Sequence[Sequence[float]]
 
@@ -117,7 +120,7 @@ class StateSpace(ModelSource):
     @classmethod
     def about(
         cls,
-        model: LinearModel | tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+        model: "LinearModel | tuple[FloatArray, FloatArray, FloatArray, FloatArray]",
         u_0: Sequence[float] = (),
         y_0: Sequence[float] = (),
     ) -> "StateSpace":
@@ -131,7 +134,7 @@ class StateSpace(ModelSource):
         u_0, y_0 : sequence of float
             Inputs and outputs at the operating point; empty: the model's own, or zero.
         """
-        if isinstance(model, LinearModel):
+        if not isinstance(model, Sequence):
             u_0 = u_0 if len(u_0) else model.u_0.tolist()
             y_0 = y_0 if len(y_0) else model.y_0.tolist()
             model = model.a, model.b, model.c, model.d
