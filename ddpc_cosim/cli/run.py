@@ -134,7 +134,8 @@ def write_report(results: Sequence[StudyResults], path: Path) -> Path:
     """Write the report with the installed report generator and return its path."""
     generator = load_plugin("reports", "html")
     try:
-        written: Path = generator(results, path)
+        with _warnings_in_one_line():
+            written: Path = generator(results, path)
     except OSError as error:
         raise ConfigError(f"{path}: the report cannot be written: {error.strerror}") from error
     return written

@@ -3,6 +3,7 @@
 Everything heavy is imported when a report is written, so that finding this plug-in costs nothing.
 """
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,7 +25,7 @@ def write_report(results: "Sequence[StudyResults]", path: Path) -> Path:
     results : sequence of StudyResults
         One section of the page for each, in this order.
     path : Path
-        The file to write; missing folders are made, an existing file is replaced.
+        The file to write; missing folders are made, an existing file is replaced as a whole.
 
     Returns
     -------
@@ -35,10 +36,22 @@ def write_report(results: "Sequence[StudyResults]", path: Path) -> Path:
     ------
     ValueError
         There are no results at all.
+    OSError
+        The file cannot be written; an older one is kept.
+
+    Warns
+    -----
+    CosimWarning
+        A part of the page fails: a sentence in its place says why.
     """
     from ddpc_reports.page import render_page
 
-    page = render_page(results)
+    page = render_page(results).encode("utf-8", "backslashreplace")
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page, encoding="utf-8", newline="\n")
+    staged = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        staged.write_bytes(page)
+        staged.replace(path)
+    finally:
+        staged.unlink(missing_ok=True)
     return path

@@ -19,9 +19,11 @@ from markupsafe import Markup
 from ddpc_cosim.plugins import cached
 from ddpc_cosim.texts import printable
 from ddpc_reports.charts import CONFIG
+from ddpc_reports.drawing import DrawingError, svg_of
 from ddpc_reports.samples import Column
 
 _WIDTH = 800
+_MOST_DECIMALS = 300
 _SNIPPET = "window.vegaEmbed = vegaEmbed;"
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{2,}")
 _PATH = re.compile(r' d="([^"]*)"')
@@ -88,16 +90,19 @@ def json_for_script(data: Mapping[str, Any]) -> str:
     return text
 
 
-def pack(column: Sequence[float | None]) -> list[int | None]:
+Packed = list[int | None]
+
+
+def pack(column: Sequence[float | None]) -> Packed:
     """Write a column as decimals, first value, and changes from value to value, all as whole numbers.
 
     Samples change little from one to the next, so this takes half the room. Six digits of the range are kept.
     """
     known = [value for value in column if value is not None]
     span = max(known, default=0.0) - min(known, default=0.0)
-    largest = span or max(map(abs, known), default=0.0)
-    decimals = 5 - math.floor(math.log10(largest)) if largest > 0 else 0
-    packed: list[int | None] = [decimals]
+    largest = span if 0.0 < span < math.inf else max(map(abs, known), default=0.0)
+    decimals = min(5 - math.floor(math.log10(largest)), _MOST_DECIMALS) if largest > 0 else 0
+    packed: Packed = [decimals]
     last = 0
     for value in column:
         whole = None if value is None else round(value * 10.0**decimals)
@@ -116,7 +121,7 @@ def static_svg(
     description: str,
     data: Mapping[str, dict[str, Column]] | None = None,
 ) -> Markup:
-    """Return a chart as an SVG element that scales with its box.
+    """Return a chart as an SVG element that scales with its box; a sentence where it cannot be drawn.
 
     Parameters
     ----------
@@ -132,7 +137,11 @@ def static_svg(
     datasets = {name: rows_of(columns) for name, columns in (data or {}).items()}
     spec = drawable(spec)
     full = {**spec, "config": CONFIG, "width": _WIDTH, "datasets": {**spec.get("datasets", {}), **datasets}}
-    return _finish(vl_convert.vegalite_to_svg(full), identifier, description)
+    try:
+        return _finish(svg_of(full), identifier, description)
+    except DrawingError as error:
+        words = f"This picture could not be drawn: {error}. Where scripts run, the browser draws it."
+        return Markup('<p class="static note">{}</p>').format(words)
 
 
 def drawable(value: Any) -> Any:

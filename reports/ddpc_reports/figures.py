@@ -1,15 +1,18 @@
 """The figures of a study: which panels, which lines, their legend and caption."""
 
 import math
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from string import ascii_lowercase
-from typing import Any
+from typing import Any, TypeVar
 
 from markupsafe import Markup
 
-from ddpc_cosim import CaseResult
+from ddpc_cosim import CaseResult, CosimWarning
+from ddpc_cosim.texts import recorded
 from ddpc_reports.charts import COLOURS, DASHES, Mark, Spec, spread_chart, step_time_chart, time_chart
 from ddpc_reports.comparison import (
     STEP_TIMES,
@@ -75,7 +78,28 @@ class _Panel:
     members: tuple[ControllerResults, ...]
 
 
-def time_figures(condition: Condition, prefix: str) -> tuple[list[Figure], dict[str, dict[str, Column]]]:
+T = TypeVar("T")
+
+
+def in_its_place(what: str, make: Callable[[], T]) -> T | str:
+    """Return what is made, or a sentence for its place: what fails must not cost the page more than itself.
+
+    Warns
+    -----
+    CosimWarning
+        It fails, and why.
+    """
+    try:
+        return make()
+    except Exception as error:
+        sentence = f"{what}: cannot be shown: {type(error).__name__}: {recorded(error)}"
+        warnings.warn(sentence, CosimWarning, stacklevel=2)
+        return sentence
+
+
+def time_figures(
+    condition: Condition, prefix: str
+) -> tuple[list[Figure | str], dict[str, dict[str, Column]]]:
     """Return responses, control signals and their changes at the first seed, and the data they draw."""
     seen = first_seed(condition, prefix)
     panels = _panels(condition)
@@ -93,21 +117,26 @@ def time_figures(condition: Condition, prefix: str) -> tuple[list[Figure], dict[
     marks, words = _scenario(condition)
     briefly = " Letters as with the responses." if marks else ""
     figures = [
-        _time_figure(
-            condition,
-            panels,
-            signals,
+        in_its_place(
             title,
-            what,
-            (marks, words if signals is seen.outputs else briefly),
-            f"{prefix}{_slug(title)}",
+            partial(
+                _time_figure,
+                condition,
+                panels,
+                signals,
+                title,
+                what,
+                (marks, words if signals is seen.outputs else briefly),
+                f"{prefix}{_slug(title)}",
+            ),
         )
         for title, (signals, what) in kinds.items()
         if signals
     ]
     shown = _signals(seen)
     if (told := said(condition, prefix)).signals:
-        figures.append(_said_figure(condition, told, (marks, briefly), prefix))
+        drawn = partial(_said_figure, condition, told, (marks, briefly), prefix)
+        figures.append(in_its_place(_SAID, drawn))
         shown += told.signals
     return figures, {signal.id: signal.columns for signal in shown}
 

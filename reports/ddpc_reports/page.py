@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
@@ -31,6 +33,7 @@ from ddpc_reports.comparison_tables import (
     verdict_table,
 )
 from ddpc_reports.embedding import (
+    Packed,
     chart_library,
     content_policy,
     json_for_script,
@@ -39,9 +42,8 @@ from ddpc_reports.embedding import (
     stylesheet,
 )
 from ddpc_reports.fairness import fairness_statements
-from ddpc_reports.figures import Figure, spread_figures, step_time_figure, time_figures
+from ddpc_reports.figures import Figure, in_its_place, spread_figures, step_time_figure, time_figures
 from ddpc_reports.numbers import as_given, with_unit
-from ddpc_reports.samples import Column
 from ddpc_reports.sensitivity import sensitivity_figures, sweep_statements
 from ddpc_reports.settings_tables import compact_seeds, family_tables, settings_tables
 from ddpc_reports.table import Table
@@ -87,8 +89,9 @@ def render_page(results: Sequence[StudyResults]) -> str:
     """
     if not results:
         raise ValueError("a report needs the results of at least one study")
-    data: dict[str, dict[str, Column]] = {}
-    studies = [_study_part(one, number, data) for number, one in enumerate(results, start=1)]
+    data: dict[str, dict[str, Packed]] = {}
+    with np.errstate(over="ignore", invalid="ignore"):  # a run can have values of any size
+        studies = [_study_part(one, number, data) for number, one in enumerate(results, start=1)]
     scripts = [chart_library(), page_script()]
     environment = Environment(
         loader=PackageLoader("ddpc_reports"),
@@ -115,18 +118,17 @@ def _shown(value: Any) -> Any:
     return printable(value, keep="\n") if type(value) is str else value
 
 
-def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Column]]) -> StudyPart:
+def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Packed]]) -> StudyPart:
     prefix = f"s{number}-"
     seen = conditions(results)
     first = seen[0] if seen else None
     reproduction = results.study.report.reproduction if seen else None
-    families = family_tables(first, prefix) if first else []
 
-    def each(blocks_of: Callable[[Condition, str], list[Block]]) -> list[Block]:
+    def each(what: str, blocks_of: Callable[[Condition, str], list[Block]]) -> list[Block]:
         """Return the blocks of every condition that has any, below its label where there are several."""
         found: list[Block] = []
         for place, condition in enumerate(seen, start=1):
-            if blocks := blocks_of(condition, f"{prefix}{place}-"):
+            if blocks := _in_their_place(what, partial(blocks_of, condition, f"{prefix}{place}-")):
                 found += [("condition", condition.label)] if len(seen) > 1 else []
                 found += blocks
         return found
@@ -135,31 +137,53 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Co
         if not condition.controllers or condition not in seen[:_MOST_DRAWN]:
             return []
         figures, samples = time_figures(condition, place)
-        data.update(samples)
+        packed = {name: {key: pack(column) for key, column in s.items()} for name, s in samples.items()}
+        data.update(packed)
         return _figures(figures, place)
 
-    overview = [*_statements(across_statements(seen)), *_tables(across_table(seen, prefix))]
-    told = _tables(warnings_table(results, prefix))
-    lost = [*told, *_tables(fallbacks_table(seen, prefix), failures_table(results, prefix))]
-    drawn = each(time_blocks)
-    parameters = [("see parameters", reproduction.parameters)] if reproduction else _tables(*families)
+    def overview() -> list[Block]:
+        return [*_statements(across_statements(seen)), *_tables(across_table(seen, prefix))]
+
+    def lost() -> list[Block]:
+        told = _tables(warnings_table(results, prefix))
+        return [*told, *_tables(fallbacks_table(seen, prefix), failures_table(results, prefix))]
+
+    def settings() -> list[Block]:
+        families = [] if reproduction or not first else family_tables(first, prefix)
+        parameters = [("see parameters", reproduction.parameters)] if reproduction else _tables(*families)
+        return [*_tables(*settings_tables(results, first, prefix)), *parameters]
+
+    parts: dict[tuple[str, str], Callable[[str], list[Block]]] = {
+        ("damaged", "Damaged cases"): lambda _: _damaged_blocks(results),
+        ("verdict", "Verdict"): lambda title: [
+            *_in_their_place(title, overview),
+            *each(title, _verdict_blocks),
+            *_in_their_place("Fallbacks and failures", lost),
+        ],
+        ("fairness", "Fairness"): lambda _: _statements(fairness_statements(results, seen)),
+        ("reproduction", "Reproduction"): lambda _: _reproduction_blocks(first, reproduction, prefix),
+        ("figures", "Figures"): lambda title: [("help", ""), *each(title, time_blocks)],
+        ("spread", "Spread over seeds"): lambda title: each(
+            title, lambda *one: _figures(spread_figures(*one), one[1])
+        ),
+        ("sensitivity", "Sensitivity"): lambda title: each(
+            title, lambda *one: _figures(sensitivity_figures(*one), one[1])
+        ),
+        ("time", "Computation time"): lambda title: each(title, _step_time_blocks),
+        ("data", "Data diagnostics"): lambda title: each(
+            title, lambda *one: _tables(diagnostics_table(*one))
+        ),
+        ("settings", "Settings"): lambda _: settings(),
+        ("limitations", "Known limitations"): lambda _: [("notes", limitations(seen, _MOST_DRAWN))],
+        ("cases", "Every case"): lambda _: _tables(cases_table(results, seen, prefix)),
+        ("provenance", "Provenance"): lambda _: _tables(provenance_table(results, prefix)),
+    }
     sections = [
-        Section("damaged", "Damaged cases", _damaged_blocks(results)),
-        Section("verdict", "Verdict", [*overview, *each(_verdict_blocks), *lost]),
-        Section("fairness", "Fairness", _statements(fairness_statements(results, seen))),
-        Section("reproduction", "Reproduction", _reproduction_blocks(first, reproduction, families, prefix)),
-        Section("figures", "Figures", [("help", ""), *drawn] if drawn else []),
-        Section("spread", "Spread over seeds", each(lambda *one: _figures(spread_figures(*one), one[1]))),
-        Section("sensitivity", "Sensitivity", each(lambda *one: _figures(sensitivity_figures(*one), one[1]))),
-        Section("time", "Computation time", each(_step_time_blocks)),
-        Section("data", "Data diagnostics", each(lambda *one: _tables(diagnostics_table(*one)))),
-        Section("settings", "Settings", [*_tables(*settings_tables(results, first, prefix)), *parameters]),
-        Section("limitations", "Known limitations", [("notes", limitations(seen, _MOST_DRAWN))]),
-        Section("cases", "Every case", _tables(cases_table(results, seen, prefix))),
-        Section("provenance", "Provenance", _tables(provenance_table(results, prefix))),
+        Section(anchor, title, _in_their_place(title, partial(blocks_of, title)))
+        for (anchor, title), blocks_of in parts.items()
     ]
     title = results.study.title or results.study.name
-    shown = [section for section in sections if section.blocks]
+    shown = [section for section in sections if any(kind != "help" for kind, _ in section.blocks)]
     first_lines = following_lines(results.study, results.cases)
     return StudyPart(prefix, number, results, title, first_lines, _facts(results), shown)
 
@@ -186,8 +210,18 @@ def _statements(statements: list[Statement]) -> list[Block]:
     return [("statements", statements)] if statements else []
 
 
-def _figures(figures: Iterable[Figure | None], group: str) -> list[Block]:
-    return [("figure", (figure, group)) for figure in figures if figure]
+def _figures(figures: Iterable[Figure | str | None], group: str) -> list[Block]:
+    """Return figures, and the sentences in the place of others."""
+    return [
+        ("notes", [figure]) if isinstance(figure, str) else ("figure", (figure, group))
+        for figure in figures
+        if figure
+    ]
+
+
+def _in_their_place(what: str, blocks_of: Callable[[], list[Block]]) -> list[Block]:
+    blocks = in_its_place(what, blocks_of)
+    return [("notes", [blocks])] if isinstance(blocks, str) else blocks
 
 
 def _verdict_blocks(condition: Condition, prefix: str) -> list[Block]:
@@ -213,7 +247,7 @@ def _step_time_blocks(condition: Condition, prefix: str) -> list[Block]:
 
 
 def _reproduction_blocks(
-    first: Condition | None, reproduction: Reproduction | None, families: list[Table], prefix: str
+    first: Condition | None, reproduction: Reproduction | None, prefix: str
 ) -> list[Block]:
     if not reproduction or not first:
         return []
@@ -222,7 +256,7 @@ def _reproduction_blocks(
         *_statements(reproduction_statements(first, reproduction)),
         *([("notes", reproduction.notes)] if reproduction.notes else []),
         ("parameters", reproduction.parameters),
-        *_tables(*families),
+        *_tables(*family_tables(first, prefix)),
     ]
 
 
@@ -257,7 +291,7 @@ def _controllers_words(results: StudyResults) -> str:
     return f"{own}, and {settings}" if varied and names - varied else settings if varied else own
 
 
-def _data(studies: Sequence[StudyPart], data: dict[str, dict[str, Column]]) -> dict[str, Any]:
+def _data(studies: Sequence[StudyPart], data: dict[str, dict[str, Packed]]) -> dict[str, Any]:
     """Return what the script draws from: samples once, and a specification for each chart."""
     blocks = [block for study in studies for section in study.sections for block in section.blocks]
     views = {}
@@ -274,5 +308,4 @@ def _data(studies: Sequence[StudyPart], data: dict[str, dict[str, Column]]) -> d
                 "scaled": list(view.scaled_by),
                 "limits": list(view.limits),
             }
-    packed = {name: {key: pack(column) for key, column in columns.items()} for name, columns in data.items()}
-    return {"config": CONFIG, "colours": COLOURS, "data": packed, "views": views}
+    return {"config": CONFIG, "colours": COLOURS, "data": data, "views": views}

@@ -13,11 +13,12 @@ from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import vl_convert
 
-from ddpc_cosim import Outcome, StudyResults, Trace
-from ddpc_reports import write_report
+from ddpc_cosim import CosimWarning, Outcome, StudyResults, Trace
+from ddpc_reports import drawing, figures, page as page_module, write_report
 from ddpc_reports.embedding import chart_library
 
 from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
@@ -274,3 +275,85 @@ def test_finding_the_plug_in_imports_nothing_heavy() -> None:
     program = f"import sys, ddpc_reports; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("largest", [1.7e308, 1e-320])
+def test_values_of_any_size_can_be_shown(make_results: MakeResults, tmp_path: Path, largest: float) -> None:
+    def swinging(key: str, seed: int) -> Trace:
+        trace = make_trace(0.3, noise_seed=seed)
+        y = largest * (-1.0) ** np.arange(len(trace))[:, np.newaxis]
+        return replace(trace, y=y, measured=y) if key == "quick" else trace
+
+    page = written(tmp_path, make_results(swinging, seeds=[7, 8]))
+    assert "cannot be shown" not in page
+    assert "could not be drawn" not in page
+
+
+def fail(*_: object, **__: object) -> None:
+    raise KeyError("broken")
+
+
+def test_what_fails_costs_the_page_its_own_place(
+    make_results: MakeResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sound = Reader(written(tmp_path, make_results()))
+    monkeypatch.setattr(page_module, "cases_table", fail)
+    time_figure = figures._time_figure
+
+    def fail_for_inputs(*arguments: Any) -> figures.Figure:
+        return fail() if arguments[3] == "Control signals" else time_figure(*arguments)  # type: ignore[return-value]
+
+    monkeypatch.setattr(figures, "_time_figure", fail_for_inputs)
+    with pytest.warns(CosimWarning, match="cannot be shown: KeyError: 'broken'") as told:
+        page = Reader(written(tmp_path, make_results()))
+    assert len(told) == 2
+    assert page.headings == sound.headings
+    for what in ("Every case", "Control signals"):
+        assert f"{what}: cannot be shown: KeyError: 'broken'" in page.text
+    assert len(page.all("figure")) == len(sound.all("figure")) - 1
+
+
+def test_a_picture_that_cannot_be_drawn_is_a_sentence(
+    make_results: MakeResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where memory is limited: V8 ends its process then. The browser draws from the data all the same."""
+    sound = Reader(written(tmp_path, make_results()))
+    dies = "import os, signal; os.kill(os.getpid(), signal.SIGTRAP)"
+    for code, words in ((dies, "ended with SIGTRAP"), ("import sys; sys.exit(3)", "ended with exit code 3")):
+        monkeypatch.setattr(drawing, "_CODE", code)
+        monkeypatch.setattr(drawing, "_painter", drawing._Painter())
+        page = Reader(written(tmp_path, make_results()))
+        told = page.text.count(f"This picture could not be drawn: the process that draws {words}")
+        assert told == len(page.all("figure")) > 0
+        assert page.json == sound.json
+
+
+def test_a_process_that_dies_on_one_picture_draws_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    painter = drawing._Painter()
+    code = drawing._CODE.replace(
+        "vl_convert.vegalite_to_svg(json.loads(line))", "sys.exit(5) if b'bad' in line else line.decode()"
+    )
+    monkeypatch.setattr(drawing, "_CODE", code)
+    for _ in range(2):
+        assert painter.draw({"good": 1}) == '{"good": 1}\n'
+        with pytest.raises(drawing.DrawingError, match="ended with exit code 5"):
+            painter.draw({"bad": 1})
+    painter.end()
+
+
+def test_a_page_that_cannot_be_written_leaves_the_older_one(
+    make_results: MakeResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = make_results()
+    path = write_report([results], tmp_path / "report.html")
+    before = path.read_bytes()
+
+    def fill_the_disk(path: Path, content: bytes) -> int:
+        path.touch()
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", fill_the_disk)
+    with pytest.raises(OSError, match="No space left"):
+        write_report([results], path)
+    assert path.read_bytes() == before
+    assert [one.name for one in tmp_path.glob("*report*")] == ["report.html"]

@@ -1,0 +1,105 @@
+"""Pictures of charts, drawn in a process of its own.
+
+What draws them, V8, ends its process where it does not get the memory that it reserves (``ulimit -v``): that
+must not cost the report. The process is started for the first picture and serves all of them.
+"""
+
+import atexit
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+_CODE = """
+import json, os, sys
+answers = os.fdopen(os.dup(1), "wb")
+os.dup2(2, 1)
+import vl_convert
+for line in sys.stdin.buffer:
+    try:
+        answer = {"svg": vl_convert.vegalite_to_svg(json.loads(line))}
+    except Exception as error:
+        answer = {"error": str(error)}
+    answers.write(json.dumps(answer).encode() + b"\\n")
+    answers.flush()
+"""
+
+
+class DrawingError(Exception):
+    """A picture cannot be drawn, and why."""
+
+
+class _Painter:
+    """The process that draws; one that has not drawn anything when it ends is not started again."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._has_drawn, self._broken = False, ""
+
+    def draw(self, spec: Mapping[str, Any]) -> str:
+        question = json.dumps(spec, allow_nan=False).encode() + b"\n"
+        if self._broken:
+            raise DrawingError(self._broken)
+        try:
+            if self._process is None:
+                self._process = self._started()
+            assert self._process.stdin is not None
+            assert self._process.stdout is not None
+            self._process.stdin.write(question)
+            self._process.stdin.flush()
+            line = self._process.stdout.readline()
+        except OSError:
+            line = b""
+        if not line:
+            words = self._lost()
+            self._broken = "" if self._has_drawn else words
+            raise DrawingError(words)
+        answer = json.loads(line)
+        if "error" in answer:
+            raise DrawingError(answer["error"])
+        self._has_drawn = True
+        return str(answer["svg"])
+
+    def _started(self) -> "subprocess.Popen[bytes]":
+        atexit.register(self.end)
+        pipe = subprocess.PIPE
+        command = [sys.executable, "-P", "-c", _CODE]
+        return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
+
+    def _lost(self) -> str:
+        """End the process, if it was started, and say how it ended."""
+        code = self.end()
+        if code is None:
+            return "the process that draws cannot be started"
+        try:
+            how = signal.Signals(-code).name
+        except ValueError:
+            how = f"exit code {code}"
+        return f"the process that draws ended with {how}; it needs memory, which may be limited (ulimit -v)"
+
+    def end(self) -> int | None:
+        """End the process and return its exit code; None if there is none."""
+        process, self._process = self._process, None
+        if process is None:
+            return None
+        atexit.unregister(self.end)
+        process.communicate()
+        return process.returncode
+
+
+_painter = _Painter()
+
+
+def svg_of(spec: Mapping[str, Any]) -> str:
+    """Return the picture of a Vega-Lite specification as SVG.
+
+    Raises
+    ------
+    DrawingError
+        It cannot be drawn, and why.
+    ValueError
+        It holds numbers that are not finite.
+    """
+    return _painter.draw(spec)
