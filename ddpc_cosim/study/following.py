@@ -76,14 +76,16 @@ def _what_is_left(best: float) -> str:
 
 
 def _likely_reason(cases: Iterable[CaseResult], duration: float) -> str:
-    """Name the inputs that are at their limits most of the time with the best controller."""
+    """Return which inputs of the best run are mostly at their limits, else what it was warned of."""
     best = min((case for case in cases if not math.isnan(left_by(case))), key=left_by)
     times = {
         split_key(key)[1]: time for key, time in best.metrics.items() if key.startswith("time_at_bounds.")
     }
     stuck = [
-        f"{name} {time / duration:.0%} of the time"
+        f"{name} {100 * time / duration:.0f} % of the time"
         for name, time in times.items()
         if time > _STUCK * duration
     ]
-    return f"; at its limits: {', '.join(stuck)}".replace("%", " %") if stuck else ""
+    if stuck:
+        return f"; at its limits: {', '.join(stuck)}"
+    return f"; {best.warnings[0]}" if best.warnings else ""

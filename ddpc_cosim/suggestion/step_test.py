@@ -175,7 +175,7 @@ _SHARE, _LARGER_SHARE, _SMALLER_SHARE = 0.1, 0.5, 0.001
 _NONLINEAR = 0.3
 _BEYOND = 1e30
 _IMMEDIATE = 3  # samples
-_STEPS_TIMED, _SECONDS_TIMED = 20, 1.0
+_STEPS_TIMED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,6 +301,10 @@ class _Paced(Plant):
         """Whether there is time for as many and as long runs as the last ones."""
         return self.left > self._took
 
+    def extend(self, seconds: float) -> None:
+        """Give all runs more time."""
+        self._deadline += seconds
+
     def share(self, runs: int) -> None:
         """Give the next run its share of the time that is left for it and those after it."""
         self._until = monotonic() + self.left / runs
@@ -335,19 +339,22 @@ def _for_its_speed(plant: _Paced, resting: Resting, timing: Timing) -> Timing:
     end = timing.step * BLOCK * 2.0**timing.blocks
     plant.plan(timing.step, end)
     plant.reset(resting.parameters)
-    began, steps = monotonic(), 0
-    while steps < _STEPS_TIMED and monotonic() - began < _SECONDS_TIMED:
+    times = []
+    for _ in range(_STEPS_TIMED):  # the first one may take longer than the others
+        began = monotonic()
         plant.step(resting.u, timing.step)
-        steps += 1
-    block = BLOCK * (monotonic() - began) / steps * (1 + len(resting.u))
+        times.append(monotonic() - began)
+    runs = 1 + len(resting.u)
+    block = BLOCK * min(times) * runs
     count = 2.0**timing.blocks - 1 if timing.fixed else timing.blocks
     if block * count <= plant.left:
         return timing
+    if block > plant.left:  # better no time for a trial than no proposal
+        plant.extend(timing.budget)
     if block > plant.left:
         raise CosimError(
-            f"one step of the plant takes {block / BLOCK / (1 + len(resting.u)):.2g} s, so a step test of "
-            f"{len(resting.u)} inputs takes {block:.0f} s: choose fewer with --input, or raise --budget to "
-            f"{3 * block:.0f} s"
+            f"one step of the plant takes {min(times):.2g} s, so a step test of {runs - 1} inputs takes "
+            f"{block:.0f} s: choose fewer with --input, or raise --budget to {3 * block:.0f} s"
         )
     fitting = plant.left / block
     blocks = math.floor(math.log2(fitting + 1)) if timing.fixed else math.floor(fitting)

@@ -17,12 +17,13 @@ def case(
     holds: bool = True,
     scenario: str = "nominal",
     at_limits: float = 0.0,
+    warnings: tuple[str, ...] = (),
 ) -> CaseResult:
     """Return a case of one output per share, and how long [s] of 10 s its input was at its limits."""
     metrics = {f"settled_share.y{n} [%]": share for n, share in enumerate(shares)}
     metrics["time_at_bounds.u [s]"] = at_limits
     head = ("id", controller, controller, scenario, 0, outcome, "", holds)
-    return CaseResult(*head, metrics, {}, {}, (), Path())
+    return CaseResult(*head, metrics, {}, {}, warnings, Path())
 
 
 @pytest.mark.parametrize(
@@ -66,7 +67,7 @@ def test_a_run_that_fell_out_of_its_limits_leaves_more_than_any_number() -> None
     assert left_by(case("a", 70.0, holds=False)) == 70.0
 
 
-def test_scenarios_are_told_apart_and_inputs_at_their_limits_are_named() -> None:
+def test_scenarios_are_told_apart_and_a_likely_reason_is_named() -> None:
     study = Study.model_validate(
         {
             "name": "s",
@@ -75,11 +76,14 @@ def test_scenarios_are_told_apart_and_inputs_at_their_limits_are_named() -> None
             "loop": {"sampling_time": 0.1, "duration": 10.0},
             "reference": {"angle": {"kind": "constant", "value": 1.0}},
             "controllers": {"a": {"type": "pid"}},
-            "scenarios": {"calm": {}, "storm": {"label": "in a storm"}},
+            "scenarios": {"calm": {}, "storm": {"label": "in a storm"}, "blind": {}},
         }
     )
     cases = [case("a", 1.0, scenario="calm"), case("a", 30.0, scenario="storm", at_limits=8.0)]
+    cases.append(case("a", 30.0, scenario="blind", warnings=("the recording is poor", "the model too")))
     assert following_lines(study, cases) == [
         "in a storm: No controller follows the reference; the best leaves 30 % of its change; "
-        "at its limits: u 80 % of the time"
+        "at its limits: u 80 % of the time",
+        "blind: No controller follows the reference; the best leaves 30 % of its change; "
+        "the recording is poor",
     ]
