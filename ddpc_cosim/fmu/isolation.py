@@ -16,12 +16,12 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.fmu.linearisation import LinearModel
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU
+from ddpc_cosim.fork_server import Ending
 from ddpc_cosim.sandbox import Sandbox
 from ddpc_cosim.variables import FloatArray
 from ddpc_cosim.worker import (
     LONGEST_REPLY,
     Channel,
-    Ending,
     UnexpectedError,
     Worker,
     lost,
@@ -75,13 +75,24 @@ class IsolatedSession:
         Where its temporary files go.
     step_timeout : float
         Longest time for any call [s].
+    memory_limit : float or None
+        Memory that the process may have [GB]; None: half of the machine's.
     sandboxed : bool
         Whether the process is in a sandbox, in which it writes into that folder only.
     """
 
-    def __init__(self, fmu: UnpackedFMU, folder: Path, step_timeout: float, *, sandboxed: bool) -> None:
+    def __init__(
+        self,
+        fmu: UnpackedFMU,
+        folder: Path,
+        step_timeout: float,
+        memory_limit: float | None,
+        *,
+        sandboxed: bool,
+    ) -> None:
         self.fmu = fmu
         self._folder, self._timeout = folder, step_timeout
+        self._memory = None if memory_limit is None else int(1e9 * memory_limit)
         self._sandbox = Sandbox((folder,)) if sandboxed else None
         self._request, self._reply = Frame(len(fmu.inputs)), Frame(len(fmu.outputs))
         self._freed_states: list[int] = []
@@ -141,7 +152,14 @@ class IsolatedSession:
                 self._end()
 
     def _start(self) -> Worker:
-        worker = Worker(serve_session, self.fmu, folder=self._folder, preload=_PRELOAD, sandbox=self._sandbox)
+        worker = Worker(
+            serve_session,
+            self.fmu,
+            folder=self._folder,
+            preload=_PRELOAD,
+            sandbox=self._sandbox,
+            memory=self._memory,
+        )
         worker.channel.limit(self._timeout)
         weakref.finalize(self, worker.end)
         self._freed_states = []  # those of an earlier worker went with it

@@ -50,6 +50,8 @@ class FMUPlant(Plant):
         run and not the caller.
     step_timeout : float
         Longest time for any call of an isolated FMU [s].
+    memory_limit : float, optional
+        Memory that the process of an isolated FMU may have [GB], on Linux; default: half of the machine's.
     sandbox : bool
         Whether that process is in a sandbox, in which it writes into its temporary folder only, reads what is
         installed but not your files, and has no network: see ``docs/whom-you-trust.md``.
@@ -93,6 +95,7 @@ class FMUPlant(Plant):
         start: Mapping[str, float] | None = None,
         isolated: bool = False,
         step_timeout: float = 60.0,
+        memory_limit: float | None = None,
         sandbox: bool = False,
         tolerance: float | None = None,
         max_unpacked_size: int = _DEFAULTS.max_unpacked_size,
@@ -104,6 +107,8 @@ class FMUPlant(Plant):
             raise FMUImportError(f"{self.path}: no such file")
         if not 0 < step_timeout < math.inf:
             raise ConfigError(f"step_timeout = {step_timeout} is not possible; allowed: a finite number > 0")
+        if memory_limit is not None and not 0 < memory_limit < math.inf:
+            raise ConfigError(f"memory_limit = {memory_limit} is not possible; allowed: a finite number > 0")
         if sandbox and not isolated:
             raise ConfigError("sandbox = True needs isolated = True: a process of its own enters it")
         self._sandbox = require() if sandbox else entered()
@@ -130,7 +135,9 @@ class FMUPlant(Plant):
             raise
         self._session: FMUSession | IsolatedSession
         if isolated:
-            self._session = IsolatedSession(self._fmu, self._scratch.path, step_timeout, sandboxed=sandbox)
+            self._session = IsolatedSession(
+                self._fmu, self._scratch.path, step_timeout, memory_limit, sandboxed=sandbox
+            )
         else:
             self._session = FMUSession(self._fmu)
         self._stop_time: float | None = None

@@ -80,6 +80,8 @@ class Case:
         Parameter changes during the run.
     preview : int or None
         How many future references any controller may see; None: as many as it asks for.
+    memory_limit : float or None
+        Memory that its process may have [GB]; None: its share of the machine's.
     step_timeout : float
         Longest time for any call of the plant or of the controller [s]; it does not decide the result.
     conditions : Conditions
@@ -122,6 +124,7 @@ class Case:
     undriven: tuple[Variable, ...] = ()
     metrics: MetricSettings = field(default_factory=MetricSettings)
     step_timeout: float = DEFAULT_STEP_TIMEOUT
+    memory_limit: float | None = None
     late: str = ""
     id: str = ""
     sandbox: str = ""
@@ -216,7 +219,7 @@ def _identifier(case: Case, content: Mapping[str, Any]) -> str:
     decisive = {one.name: getattr(case, one.name) for one in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
     decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements", "undriven")}
-    for key in ("label", "id", "step_timeout", "late", "metrics", "sandbox"):
+    for key in ("label", "id", "step_timeout", "memory_limit", "late", "metrics", "sandbox"):
         del decisive[key]
     text = json.dumps(decisive, sort_keys=True, default=repr)
     return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
@@ -373,6 +376,7 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
                     events=events[name],
                     preview=study.loop.preview_of(scenario),
                     step_timeout=study.loop.step_timeout,
+                    memory_limit=study.loop.memory_limit,
                     conditions=resolved.conditions[name],
                     undriven=resolved.undriven[name],
                     metrics=resolved.metrics,

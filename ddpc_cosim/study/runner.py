@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from importlib import metadata
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -21,6 +22,7 @@ from time import monotonic
 from typing import NamedTuple, Protocol
 
 from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.limits import default_memory
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import find_modules_in, load_plugin, own_folder, package_version
 from ddpc_cosim.rows import Call, RowStore
@@ -245,7 +247,8 @@ def run_cases(
                         write_case(folder / case.id, trace, case.head(), staging, case.metrics)
                         yield case
                         continue
-                    running.append(_Run(case, idle, preload, folder / case.id, staging, temporary))
+                    make = partial(Worker, serve_calls, preload=preload, memory=_memory(case, jobs))
+                    running.append(_Run(case, idle, make, folder / case.id, staging, temporary))
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
                 for run in list(running):
                     ended = run.has_ended(run.worker.channel.socket in ready)
@@ -262,6 +265,11 @@ def run_cases(
                 run.close()
             for worker in idle:
                 worker.end()
+
+
+def _memory(case: Case, workers: int) -> int:
+    """Return how many bytes the worker of a case may have."""
+    return default_memory(workers) if case.memory_limit is None else int(1e9 * case.memory_limit)
 
 
 def _staging(folder: Path) -> ScratchFolder:
@@ -287,8 +295,8 @@ class _Run:
         The case.
     idle : list of Worker
         Those that may be used again.
-    preload : sequence of str
-        Modules that its worker needs.
+    make : callable
+        Makes another one.
     folder, staging : Path
         The case's folder, and where it is to stand until it is complete.
     temporary : Path
@@ -299,7 +307,7 @@ class _Run:
         self,
         case: Case,
         idle: list[Worker],
-        preload: Sequence[str],
+        make: Callable[..., Worker],
         folder: Path,
         staging: Path,
         temporary: Path,
@@ -313,7 +321,7 @@ class _Run:
         if case.sandbox:
             sandbox = Sandbox((self._place, self._staged), (*files_read(case), cache_dir()))
         reused = idle.pop() if idle and self.can_be_reused else None
-        self.worker = reused or Worker(serve_calls, folder=own, preload=preload, sandbox=sandbox)
+        self.worker = reused or make(folder=own, sandbox=sandbox)
         rows = self._place / "rows"
         self._store = row_store(case, rows, follow=True)
         self._call, self._since = 0, monotonic()

@@ -119,6 +119,9 @@ class LoopSection(Section):
     step_timeout: Positive = Field(
         DEFAULT_STEP_TIMEOUT, description="longest time for any call of the plant or of a controller [s]"
     )
+    memory_limit: Positive | None = Field(
+        None, description="memory that a case may have [GB]; none: its share of the machine's (Linux)"
+    )
     preview: Preview = Field(
         "horizon",
         description="future references that any controller may see; horizon: as many as it asks for",

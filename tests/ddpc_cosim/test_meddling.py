@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -75,6 +76,32 @@ class Prints(Meddles):
             print(999 * "x")
         print("the end")
 
+class Grows(Meddles):
+    def meddle(self):
+        grown = []
+        while True:
+            grown.append(bytearray(1 << 24))
+
+class Multiplies(Meddles):
+    def meddle(self):
+        for _ in range(1000):
+            if os.fork() == 0:
+                os.setsid()
+                while True:
+                    signal.pause()
+        while True:
+            signal.pause()
+
+class Detaches(Meddles):
+    def meddle(self):
+        if os.fork() == 0:
+            os.setsid()
+            if os.fork() == 0:
+                os.setsid()
+                while True:
+                    signal.pause()
+            os._exit(0)
+
 class Says(Meddles):
     def meddle(self):
         print("no", "way out")
@@ -117,6 +144,47 @@ def test_a_worker_that_meddles_costs_its_case_and_no_other(
     )
     assert printed["says"] == "no way out\n"
     assert printed["stopsserver"] == ""
+
+
+LIMITED = {
+    "Detaches": ("completed", ""),
+    "Grows": (
+        "crashed",
+        "controller meddling:Grows: crashed in step at t = 0.3 s: more than 1 GB of memory, so it was ended; "
+        "raise memory_limit if it needs more",
+    ),
+    "Multiplies": (
+        "crashed",
+        "controller meddling:Multiplies: crashed in step at t = 0.3 s: more than 500 processes and threads, "
+        "so it was ended",
+    ),
+}
+if sys.platform != "linux":  # what a process has is not told
+    del LIMITED["Grows"], LIMITED["Multiplies"]
+
+
+def test_a_worker_that_takes_too_much_is_ended_with_all_that_it_has_started(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    """Daemons included."""
+    (tmp_path / "meddling.py").write_text(MEDDLING, encoding="utf-8")
+    study = write_study(*(f"meddling:{name}" for name in LIMITED), "mfapc")
+    text = study.read_text(encoding="utf-8").replace("[loop]", "[loop]\nmemory_limit = 1.0")
+    study.write_text(text, encoding="utf-8")
+    mark = str(tmp_path / "marked")
+    done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out", MARK=mark)
+    cases = load_results(tmp_path / "out").cases
+    endings = [(case.outcome, case.reason) for case in cases]
+    assert endings == [*LIMITED.values(), ("completed", "")], done.stderr
+    assert not [path for path in Path("/proc").glob("[0-9]*/environ") if mark in environment(path)]
+
+
+def environment(path: Path) -> str:
+    """Return the environment that a process was started with, where it may be read."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,9 @@ from fmus.builder import library_name
 
 from ddpc_cosim import FMUPlant, FMUStepError
 from ddpc_cosim.fmu.archive import unpack
+from ddpc_cosim.fork_server import ForkServer
 from ddpc_cosim.scratch import ScratchFolder, remove_left_behind
-from ddpc_cosim.worker import Worker, _ForkServer, result_of
+from ddpc_cosim.worker import Worker, result_of
 
 from .loop import H
 from .processes import Watch, descendants
@@ -59,7 +60,7 @@ class TestTheServer:
         """Its workers end with it, and the next one gets another server."""
         session = FMUPlant(faulty_fmus[2], isolated=True)
         session.reset()
-        server = _ForkServer.running()
+        server = ForkServer.running()
         server._process.kill()
         server._process.wait()
         with pytest.raises(FMUStepError, match="crashed in step at t = 0 s: its process has gone"):
@@ -149,7 +150,7 @@ def test_nothing_beside_a_script_shadows_a_library(
         (tmp_path / f"{name}.py").write_text("raise SystemExit(9)", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend("")
-    _ForkServer.running()._stop()
+    ForkServer.running()._stop()
     worker = Worker(worker_side.tell_path, folder=tmp_path)
     library, path = result_of(worker.channel.receive(10_000))
     worker.end()
@@ -167,7 +168,7 @@ def test_a_working_directory_that_has_been_removed(
     monkeypatch.chdir(gone)
     monkeypatch.syspath_prepend("")
     gone.rmdir()
-    _ForkServer.running()._stop()
+    ForkServer.running()._stop()
     with FMUPlant(faulty_fmus[2], isolated=True) as plant:
         np.testing.assert_allclose(plant.reset(), [0.0])
 

@@ -1,0 +1,406 @@
+"""Where workers come from: a process without threads, in which what they need is imported already.
+
+It collects what workers print, ends what has too much memory or too many processes, and all that a worker
+leaves behind; and ends them all when the process that it serves is gone. Windows starts each process anew.
+"""
+
+import atexit
+import contextlib
+import ctypes
+import gc
+import importlib
+import io
+import itertools
+import json
+import os
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+from typing import Any, ClassVar, NamedTuple, NoReturn
+
+from ddpc_cosim.limits import children, excess_of, limit_tasks
+
+START_SECONDS = 120.0
+_LOOK_SECONDS, _LIMIT_SECONDS = 1.0, 0.1
+_OUTPUT_KEPT, _OUTPUT_SHOWN = 4000, 300
+_CHUNK, _CHUNKS = 1 << 16, 16
+LEFT_BEHIND = 70
+_FIRST_WINDOWS_FAULT = 0xC0000000
+_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
+# Small matrices gain nothing from threaded linear algebra, and threads do not survive a fork.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class Ending(NamedTuple):
+    """How a worker ended: exit code, negative for a signal, None if unknown; what it printed last.
+
+    And what it had too much of, if it was ended for that.
+    """
+
+    code: int | None
+    output: str = ""
+    excess: str = ""
+
+    def __str__(self) -> str:
+        code, printed = self.code, " ".join(self.output.split())[-_OUTPUT_SHOWN:]
+        words = f"; it printed: {printed}" if printed else ""
+        if self.excess:
+            remedy = "; raise memory_limit if it needs more" if "memory" in self.excess else ""
+            return f"{self.excess}, so it was ended{remedy}{words}"
+        if code is None:
+            return f"its process has gone{words}"
+        if code >= _FIRST_WINDOWS_FAULT:
+            return f"its process ended with exception {code:#x}{words}"
+        if code >= 0:
+            return f"its process ended with exit code {code}{words}"
+        try:
+            number = signal.Signals(-code)
+        except ValueError:
+            return f"signal {-code}{words}"
+        return f"{number.name} ({signal.strsignal(number) or 'unknown'}){words}"
+
+
+def start_python(code: str, stdin: int, pass_fds: Sequence[int] = ()) -> "subprocess.Popen[bytes]":
+    """Start this Python away from the terminal and its Ctrl-C.
+
+    Nothing beside a study or a script shadows a library: what this process finds beyond what is installed
+    comes last.
+    """
+    command = [sys.executable, "-P", "-c"]
+    flags = 0
+    if sys.platform == "win32":
+        # In a virtual environment, python.exe only launches this one, and would be ended in its place.
+        command[0] = sys._base_executable
+        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
+    find = "import sys; sys.path += [p for p in sys.argv[1:] if p not in sys.path]; import ddpc_cosim.worker"
+    command += [f"{find}; {code}", *(entry or here() for entry in sys.path)]
+    null = subprocess.DEVNULL
+    return subprocess.Popen(
+        command,
+        bufsize=0,
+        stdin=stdin,
+        stdout=null,
+        stderr=null,
+        env=ONE_THREAD | os.environ,
+        start_new_session=True,
+        creationflags=flags,
+        pass_fds=pass_fds,
+    )
+
+
+def here() -> str:
+    """Return the working directory; empty: it has been removed."""
+    try:
+        return str(Path.cwd())
+    except OSError:
+        return ""
+
+
+class ForkServer:
+    """The server's other end. Each request has a number that its answer repeats.
+
+    A finalizer may ask in the middle of another request, and an interrupt may leave an answer unread.
+    """
+
+    _current: ClassVar["ForkServer | None"] = None
+    _lock: ClassVar[threading.RLock] = threading.RLock()
+
+    def __init__(self) -> None:
+        self._owner = os.getpid()
+        self._numbers = itertools.count(1)
+        self._received = b""
+        self._answers: dict[int, dict[str, Any]] = {}
+        self._socket, other = socket.socketpair()
+        with other:
+            descriptor = other.fileno()
+            code = f"ddpc_cosim.fork_server.Server({descriptor}, ddpc_cosim.worker.run).serve()"
+            self._process = start_python(code, subprocess.DEVNULL, (descriptor,))
+        self._socket.settimeout(_LOOK_SECONDS)
+        atexit.register(self._stop)
+
+    @classmethod
+    def running(cls) -> "ForkServer":
+        """Return the server of this process, started if there is none; it is kept from then on."""
+        with cls._lock:
+            server = cls._current
+            if server is None or server._owner != os.getpid() or server._process.poll() is not None:
+                server = cls._current = ForkServer()
+            return server
+
+    def fork(self, connection: socket.socket, preload: Sequence[str], memory: int) -> "Forked":
+        """Fork a worker; raises OSError."""
+        request = {"preload": [*preload], "memory": memory}
+        return Forked(self, self.ask(request, connection.fileno())["pid"])
+
+    def ask(self, request: dict[str, Any], *descriptors: int) -> dict[str, Any]:
+        """Have the server answer a request; raises OSError."""
+        with self._lock:
+            number = next(self._numbers)
+            line = json.dumps({"number": number, **request}).encode() + b"\n"
+            socket.send_fds(self._socket, [line], descriptors)
+            deadline = monotonic() + START_SECONDS
+            while number not in self._answers:
+                self._process.send_signal(signal.SIGCONT)  # someone may have stopped it
+                try:
+                    chunk = self._socket.recv(_CHUNK)
+                except TimeoutError:
+                    if monotonic() > deadline:
+                        self._process.kill()  # and its workers with it
+                        raise
+                    continue
+                if not chunk:
+                    raise ConnectionError(f"the server ended with exit code {self._process.wait()}")
+                self._received += chunk
+                *lines, self._received = self._received.split(b"\n")
+                self._answers |= {(answer := json.loads(line))["number"]: answer for line in lines}
+            answer = self._answers.pop(number)
+        if "error" in answer:
+            raise OSError(answer["error"])
+        return answer
+
+    def _stop(self) -> None:
+        if os.getpid() == self._owner:
+            self._socket.close()  # which is what it waits for
+            self._process.send_signal(signal.SIGCONT)
+            try:
+                self._process.wait(START_SECONDS)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+
+
+class Forked(NamedTuple):
+    """A process that a server has forked."""
+
+    server: ForkServer
+    pid: int
+
+    def end(self) -> Ending:
+        """End it and all that it has started; return how it ended."""
+        try:
+            answer = self.server.ask({"end": self.pid})
+        except OSError:  # the server has gone, and its workers with it
+            return Ending(None)
+        return Ending(answer["code"], answer["output"], answer["excess"])
+
+    def printed(self) -> str:
+        """Return the end of what it has printed since it was asked last."""
+        try:
+            return str(self.server.ask({"printed": self.pid})["output"])
+        except OSError:
+            return ""
+
+
+@dataclass(slots=True)
+class _Child:
+    """A worker as its server sees it: where its output is read and its end told, and why it was ended."""
+
+    output: int
+    memory: int
+    death: int = -1
+    printed: bytes = b""
+    excess: str = ""
+
+
+class Server:
+    """The process from which workers are forked."""
+
+    def __init__(self, descriptor: int, run: Callable[[socket.socket], None]) -> None:
+        self._control, self._run = socket.socket(fileno=descriptor), run
+        self._workers: dict[int, _Child] = {}
+        self._looked = 0.0
+        _adopt_orphans()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._control, selectors.EVENT_READ)
+
+    def serve(self) -> NoReturn:
+        """Answer requests until whoever asks is gone; end what is left then."""
+        try:
+            while True:
+                limited = any(child.memory for child in self._workers.values())
+                ready = [key.data for key, _ in self._selector.select(_LIMIT_SECONDS if limited else None)]
+                if limited and monotonic() - self._looked > _LIMIT_SECONDS:
+                    self._enforce_limits()
+                for pid in ready:
+                    if pid is not None and pid > 0:
+                        self._collect(pid)
+                    elif pid is not None:
+                        self._bury(-pid)
+                if None in ready:
+                    lines, descriptors, _, _ = socket.recv_fds(self._control, _CHUNK, 8)
+                    if not lines:
+                        raise EOFError
+                    for line in lines.splitlines():  # a finalizer may have asked meanwhile
+                        self._answer(json.loads(line), descriptors)
+        except (EOFError, ConnectionError):
+            for pid in list(self._workers):
+                self._end(pid)
+        finally:
+            os._exit(0)
+
+    def _answer(self, request: dict[str, Any], descriptors: list[int]) -> None:
+        answer: dict[str, Any]
+        try:
+            if "end" in request:
+                answer = self._end(request["end"])
+            elif "printed" in request:
+                answer = {"output": self._output(request["printed"])}
+            else:
+                answer = {"pid": self._fork(request["preload"], request["memory"], descriptors.pop(0))}
+        except OSError as error:  # no more processes or descriptors
+            answer = {"error": str(error)}
+        self._control.sendall(json.dumps({"number": request["number"], **answer}).encode() + b"\n")
+
+    def _fork(self, preload: Sequence[str], memory: int, connection: int) -> int:
+        for module in preload:
+            with contextlib.suppress(Exception):  # the worker will say what is wrong with it
+                importlib.import_module(module)
+        gc.freeze()  # what is shared with the workers stays shared
+        output, printing = os.pipe()
+        server, pid = os.getpid(), os.fork()
+        if pid == 0:
+            self._become_worker(connection, printing, server)
+        for descriptor in (connection, printing):
+            os.close(descriptor)
+        os.set_blocking(output, False)
+        child = self._workers[pid] = _Child(output, memory)
+        self._selector.register(output, selectors.EVENT_READ, pid)
+        if sys.platform == "linux":
+            with contextlib.suppress(OSError):  # then the time limit tells
+                child.death = os.pidfd_open(pid)
+                self._selector.register(child.death, selectors.EVENT_READ, -pid)
+        return pid
+
+    def _become_worker(self, connection: int, printing: int, server: int) -> NoReturn:
+        try:
+            os.setsid()
+            _die_with(server)
+            _adopt_orphans()  # while it lives; then they are the server's
+            self._selector.close()
+            self._control.close()
+            for child in self._workers.values():
+                os.close(child.output)
+                if child.death >= 0:
+                    os.close(child.death)
+            nowhere = os.open(os.devnull, os.O_RDONLY)
+            for source, target in ((nowhere, 0), (printing, 1), (printing, 2)):
+                os.dup2(source, target)
+            os.close(nowhere)
+            os.close(printing)
+            if isinstance(sys.stdout, io.TextIOWrapper):
+                sys.stdout.reconfigure(line_buffering=True)  # what is not written out dies with the process
+            held = socket.socket(fileno=connection)  # not closed before the process ends
+            self._run(held)
+        except BaseException:
+            traceback.print_exc()
+            sys.stderr.flush()
+        finally:
+            os._exit(LEFT_BEHIND)
+
+    def _collect(self, pid: int) -> None:
+        """Read of what a worker has printed, some at a time; the end is kept."""
+        child = self._workers[pid]
+        with contextlib.suppress(BlockingIOError, KeyError):  # for now, or its output has ended before
+            for _ in range(_CHUNKS):
+                if not (chunk := os.read(child.output, _CHUNK)):
+                    self._selector.unregister(child.output)
+                    break
+                child.printed = (child.printed + chunk)[-_OUTPUT_KEPT:]
+
+    def _output(self, pid: int) -> str:
+        """Return what a worker has printed since this was asked last."""
+        self._collect(pid)
+        child = self._workers[pid]
+        printed, child.printed = child.printed, b""
+        return printed.decode("utf-8", "replace")
+
+    def _end(self, pid: int) -> dict[str, Any]:
+        _kill(pid)
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        self._bury(pid)
+        output = self._output(pid)
+        child = self._workers.pop(pid)
+        with contextlib.suppress(KeyError):
+            self._selector.unregister(child.output)
+        os.close(child.output)
+        return {"code": code, "output": output, "excess": child.excess}
+
+    def _bury(self, pid: int) -> None:
+        """End what a worker that died has left: its group, and what has left that, may hold its channel."""
+        _send(-pid, signal.SIGKILL)
+        child = self._workers[pid]
+        if child.death >= 0:
+            self._selector.unregister(child.death)
+            os.close(child.death)
+            child.death = -1
+        self._end_orphans()
+
+    def _end_orphans(self) -> None:
+        """End what is left of workers that died: a living one keeps its own. What forks is stopped first."""
+        others, stopped = set(self._workers), set[int]()
+        while orphans := children(os.getpid()) - others:
+            reached, known = [*orphans], len(stopped)
+            for pid in reached:  # which grows
+                if pid not in stopped:
+                    _send(pid, signal.SIGSTOP)
+                    stopped.add(pid)
+                reached += children(pid)
+            if len(stopped) > known:  # until nothing new has been found
+                continue
+            for pid in reached:
+                _send(pid, signal.SIGKILL)
+            for pid in orphans:
+                if _send(pid, signal.SIGKILL):
+                    os.waitpid(pid, 0)
+                else:  # another user's by now
+                    others.add(pid)
+
+    def _enforce_limits(self) -> None:
+        """End the workers that have more than they may."""
+        for pid, child in self._workers.items():
+            if child.memory and not child.excess and (excess := excess_of(pid, child.memory)):
+                child.excess = excess
+                _kill(pid)  # its death will be told
+        self._looked = monotonic()
+
+
+def _kill(pid: int) -> None:
+    """Kill a worker and its group, which it may not have made yet."""
+    _send(-pid, signal.SIGKILL)
+    _send(pid, signal.SIGKILL)
+
+
+def _send(pid: int, number: int) -> bool:
+    """Send a signal to a process, or to a group by its negative number; return whether that is possible."""
+    try:
+        os.kill(pid, number)
+    except OSError:
+        return False
+    return True
+
+
+def _adopt_orphans() -> None:
+    """Become the parent of what descendants leave behind, in whatever session (Linux)."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def _die_with(server: int) -> None:
+    """End with the server and be limited, as far as the kernel does it; no core dump, no Ctrl-C."""
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        limit_tasks()
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() != server:
+            os._exit(LEFT_BEHIND)
