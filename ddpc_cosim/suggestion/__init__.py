@@ -1,5 +1,6 @@
 """A study for a supplied FMU: signals chosen, limits, sampling time and setpoints from a step test."""
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -40,6 +41,7 @@ _BLOCKS_OF_FIXED_STEPS = 8
 _FIRST_STEP, _LONGEST = 1e-4, 1e5
 # Where steps must be equal and the FMU does not say of what size.
 _STEPS, _STEP = 500, 1e-2
+_MOST_SAMPLES_PER_SETTLING = 500
 _LONGEST_IN_STOP_TIMES, _LONGEST_IN_TIME_SCALES = 10.0, 100.0
 
 
@@ -230,6 +232,8 @@ def _propose(
     sample = request.sampling_time or design.sampling_time(
         tested, choice, timing.step if timing.fixed else None, request.duration
     )
+    if request.sampling_time is None and request.duration is None:
+        sample = _not_too_often(sample, choice, timing)
     unstable = any(response.is_unstable for row in tested.responses for response in row)
     references, duration = design.setpoints(tested, choice, candidates.outputs, working, sample, request)
     if unstable:  # there is nothing else to ask for before it is stabilised
@@ -263,6 +267,14 @@ def _propose(
         hints=tuple(hints(circumstances, design.rest_and_room(candidates.inputs, bounds)[1])),
         asked=request,
     )
+
+
+def _not_too_often(sample: float, choice: Choice, timing: Timing) -> float:
+    """Return a sampling time with which a study of something slow beside something fast ends some time."""
+    least = choice.time_scale / _MOST_SAMPLES_PER_SETTLING
+    if sample >= least:
+        return sample
+    return math.ceil(least / timing.step) * timing.step if timing.fixed else design.nearest_125(least)
 
 
 def _recording_length(controller: SuggestedController, *signals: int) -> int:
