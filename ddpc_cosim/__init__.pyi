@@ -56,6 +56,7 @@ from .signals import (
     Steps as Steps,
     WhiteNoise as WhiteNoise,
 )
+from .simulation import Simulation as Simulation, simulate as simulate
 from .study.results import (
     CaseResult as CaseResult,
     StudyResults as StudyResults,

@@ -62,6 +62,8 @@ class CSVFile:
     ----------
     path : Path
         The file.
+    text : str, optional
+        What it holds, where that is known; ``path`` is what it is called then.
 
     Attributes
     ----------
@@ -80,9 +82,9 @@ class CSVFile:
         The file cannot be read, is not UTF-8 text, or is empty.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, text: str | None = None) -> None:
         self.path, self.faults = path, list[str]()
-        text = _text(path)
+        text = _text(path) if text is None else text
         first = next(filter(str.strip, re.split(r"[\r\n]", text)), "")
         if not first:
             raise DataError(f"{path}: is empty; needed: a header and one row per sample")
@@ -147,7 +149,7 @@ def split_unit(header: str) -> tuple[str, str]:
 
 
 def read_table(
-    path: Path,
+    source: Path | CSVFile,
     columns: Sequence[Column],
     time_column: str,
     sampling_time: float | None = None,
@@ -157,7 +159,7 @@ def read_table(
 
     Parameters
     ----------
-    path : Path
+    source : Path or CSVFile
         The file.
     columns : sequence of Column
         The n columns to read.
@@ -181,8 +183,8 @@ def read_table(
     DataError
         All that is wrong with the file, with line and column.
     """
-    file = _parsed(path)
-    faults = list[str]()
+    file = source if isinstance(source, CSVFile) else _parsed(source)
+    path, faults = file.path, list[str]()
     if not file.rows and not file.faults:
         faults.append(f"{path}: a header and no rows; needed: one row per sample")
     time, values = np.full(len(file.rows), np.nan), np.full((len(file.rows), len(columns)), np.nan)
@@ -204,6 +206,33 @@ def read_table(
     return time, values
 
 
+def plain_cells(file: CSVFile, shapes: Mapping[str, tuple[int, ...]]) -> CSVFile:
+    """Return a file, changed in place, in which booleans are 0 and 1, and arrays are their elements.
+
+    Parameters
+    ----------
+    file : CSVFile
+        Its arrays have their values in one cell, separated by blanks.
+    shapes : mapping of str to tuple of int
+        The sizes of the arrays by name; the elements of ``x`` become ``x[1,1]``, ``x[1,2]``, ...
+    """
+    columns, header = list(zip(*file.rows, strict=True)) or [()] * len(file.header), list[str]()
+    cells = list[Sequence[str]]()
+    booleans = {"true": "1", "false": "0"}
+    for title, column in zip(file.header, columns, strict=True):
+        name, unit = split_unit(title)
+        if shape := shapes.get(name):
+            indices = [",".join(str(1 + i) for i in index) for index in np.ndindex(*shape)]
+            header += [f"{name}[{index}]" + (f" [{unit}]" if unit else "") for index in indices]
+            parts = [[*cell.split(), *[""] * len(indices)][: len(indices)] for cell in column]
+            cells += list(zip(*parts, strict=True)) or [()] * len(indices)
+        else:
+            header.append(title)
+            cells.append([booleans.get(cell.strip().lower(), cell) for cell in column])
+    file.header, file.rows = tuple(header), [list(row) for row in zip(*cells, strict=True)]
+    return file
+
+
 def write_table(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> None:
     """Write columns of numbers, in the shortest text that gives them again, and then columns of text."""
     with path.open("w", encoding="utf-8", newline="") as file:
@@ -217,6 +246,11 @@ def _text(path: Path) -> str:
     try:
         if not path.is_file():
             raise DataError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
+        if (size := path.stat().st_size) > _LARGEST:
+            raise DataError(
+                f"{path}: {size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
+                "columns and rows that are needed"
+            )
         content = path.read_bytes()
     except (OSError, ValueError) as error:
         raise DataError(f"{path}: cannot be read: {error}") from error
@@ -236,11 +270,6 @@ def _parsed(path: Path) -> CSVFile:
         status = path.stat()
     except (OSError, ValueError):
         return CSVFile(path)  # which reports it
-    if status.st_size > _LARGEST:
-        raise DataError(
-            f"{path}: {status.st_size / 1e6:.0f} MB are too many; allowed: {_LARGEST / 1e6:.0f} MB: keep the "
-            "columns and rows that are needed"
-        )
     return _last_parsed(path, status.st_size, status.st_mtime_ns)
 
 

@@ -12,11 +12,13 @@ from contextlib import contextmanager
 from io import TextIOWrapper
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import click
 
 FAILED, MISUSED, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 _LISTED = ("plants", "controllers", "studies", "metrics")
+_FMI_TYPES = ("auto", "co-simulation", "model-exchange")
 _LONGEST_ERROR = 20_000
 _GOES_ON = "finished cases are kept; the same command goes on from there"
 
@@ -254,6 +256,77 @@ def init(
         budget=budget,
         sandbox=sandbox,
     )
+
+
+@main.command()
+@click.argument("plant", metavar="FILE.fmu|PLANT")
+@click.option(
+    "--inputs",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.csv",
+    help="Signals of inputs: a column `time`, and one for each input; others keep their start values.",
+)
+@click.option(
+    "--set",
+    "values",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="A parameter or start value, with a unit if it is another one (`length=50 cm`); may be repeated.",
+)
+@click.option("--stop", type=float, metavar="T", help="End of the run in s [the FMU's default experiment].")
+@click.option("--step", type=float, metavar="H", help="Time between samples in s [the FMU's, or 500 steps].")
+@click.option(
+    "--outputs",
+    multiple=True,
+    metavar="NAME,...",
+    help="Record these; may be repeated [the outputs, else states].",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.csv|.html|.svg",
+    help="Write samples, a page or a plot; may be repeated.",
+    multiple=True,
+)
+@click.option(
+    "--compare",
+    "golden",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="GOLDEN.csv",
+    help="Compare with these samples; exit with 1 if one differs.",
+)
+@click.option(
+    "--rel",
+    type=click.FloatRange(min=0, max=1),
+    default=1e-4,
+    show_default=True,
+    help="Allowed difference, relative to a signal's range in the golden file.",
+)
+@click.option("--fmi-type", type=click.Choice(_FMI_TYPES), default="auto", show_default=True)
+@click.option(
+    "--step-timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    default=60.0,
+    show_default=True,
+    help="Seconds that one call of the plant may take.",
+)
+@click.option(
+    "--trace-calls",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Write every FMI call with its arguments, status and results.",
+)
+def simulate(**options: Any) -> None:
+    """Simulate an FMU or a PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
+    with orderly_end():
+        from ddpc_cosim.cli.simulate import simulate_command
+
+        try:
+            sys.exit(simulate_command(**options))
+        except Terminated:
+            sys.exit(TERMINATED)
+        except KeyboardInterrupt:
+            sys.exit(INTERRUPTED)
 
 
 @main.command()

@@ -249,6 +249,8 @@ def run_cases(
                         continue
                     make = partial(Worker, serve_calls, preload=preload, memory=_memory(case, jobs))
                     running.append(_Run(case, idle, make, folder / case.id, staging, temporary))
+                    if watch is not None:
+                        watch(running[-1].progress)
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
                 for run in list(running):
                     ended = run.has_ended(run.worker.channel.socket in ready)

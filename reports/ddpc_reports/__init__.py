@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ddpc_cosim import StudyResults
+    from ddpc_cosim import Simulation, StudyResults
 
-__all__ = ["write_report"]
+__all__ = ["write_report", "write_simulation"]
 
 
 def write_report(results: "Sequence[StudyResults]", path: Path) -> Path:
@@ -55,3 +55,23 @@ def write_report(results: "Sequence[StudyResults]", path: Path) -> Path:
     finally:
         staged.unlink(missing_ok=True)
     return path
+
+
+def write_simulation(simulation: "Simulation", path: Path) -> Path:
+    """Write one HTML page about a simulation in open loop, or a drawing if the file's name ends in ``.svg``.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        What came of it.
+    path : Path
+        The file to write; an existing one is replaced.
+
+    Returns
+    -------
+    path : Path
+        The file written.
+    """
+    from ddpc_reports.simulation import write
+
+    return write(simulation, path)

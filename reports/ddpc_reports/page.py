@@ -1,6 +1,6 @@
 """The page: studies gathered, tables and figures made, templates filled."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -72,11 +72,12 @@ class StudyPart:
 
     id: str
     number: int
-    results: StudyResults
     title: str
     warnings: list[str]
     facts: dict[str, str]
     sections: list[Section]
+    summary: str = ""
+    source: str = ""
 
 
 def render_page(results: Sequence[StudyResults]) -> str:
@@ -91,7 +92,11 @@ def render_page(results: Sequence[StudyResults]) -> str:
         raise ValueError("a report needs the results of at least one study")
     data: dict[str, dict[str, Packed]] = {}
     with np.errstate(over="ignore", invalid="ignore"):  # a run can have values of any size
-        studies = [_study_part(one, number, data) for number, one in enumerate(results, start=1)]
+        return set_page([_study_part(one, number, data) for number, one in enumerate(results, start=1)], data)
+
+
+def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -> str:
+    """Return the page of studies, or of what is set like one, with the samples that their figures draw."""
     scripts = [chart_library(), page_script()]
     environment = Environment(
         loader=PackageLoader("ddpc_reports"),
@@ -185,7 +190,8 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Pa
     title = results.study.title or results.study.name
     shown = [section for section in sections if any(kind != "help" for kind, _ in section.blocks)]
     first_lines = following_lines(results.study, results.cases)
-    return StudyPart(prefix, number, results, title, first_lines, _facts(results), shown)
+    summary, source = results.study.summary.strip(), results.study.source
+    return StudyPart(prefix, number, title, first_lines, _facts(results), shown, summary, source)
 
 
 def _damaged_blocks(results: StudyResults) -> list[Block]:
@@ -291,7 +297,7 @@ def _controllers_words(results: StudyResults) -> str:
     return f"{own}, and {settings}" if varied and names - varied else settings if varied else own
 
 
-def _data(studies: Sequence[StudyPart], data: dict[str, dict[str, Packed]]) -> dict[str, Any]:
+def _data(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -> dict[str, Any]:
     """Return what the script draws from: samples once, and a specification for each chart."""
     blocks = [block for study in studies for section in study.sections for block in section.blocks]
     views = {}

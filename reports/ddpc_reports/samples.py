@@ -135,9 +135,9 @@ def said(condition: Condition, prefix: str) -> Said:
     every = -(-len(longest) // _MOST_DRAWN)
     signals = []
     for i, name in enumerate(names[:_MOST_SAID]):
-        columns = {"t": _rounded(longest.time[::every])}
+        columns = {"t": rounded(longest.time[::every])}
         told = {key: trace.info[name] for key, trace in traces.items() if name in trace.info}
-        columns |= {key: _rounded(values[::every]) for key, values in told.items()}
+        columns |= {key: rounded(values[::every]) for key, values in told.items()}
         signals.append(Signal(f"{prefix}i{i}", name, "", columns, scaled_by, own_range=True))
     return Said(signals, every, len(names) - len(signals))
 
@@ -182,24 +182,24 @@ def _level(runs: _Runs, i: int, name: str, *, is_input: bool) -> Signal:
     longest, bounds = runs.longest, runs.longest.bounds
     variable = (longest.inputs if is_input else longest.outputs)[i]
     ends = (bounds.u_min, bounds.u_max) if is_input else (bounds.y_min, bounds.y_max)
-    columns = {"t": _rounded(longest.time)}
+    columns = {"t": rounded(longest.time)}
     if not is_input:
         columns["r"] = _shown(variable, longest.reference[:, i])
     for key, trace in runs.traces.items():
         columns[key] = _shown(variable, (trace.u if is_input else trace.y)[:, i])
     limits = _near(runs, columns, variable, [end[i] for end in ends])
     unit = unit_symbol(variable.shown_in.name)
-    title = _title(_words(variable), unit)
+    title = level_title(variable, unit)
     return Signal(name, title, unit, columns, runs.trusted, limits, held=is_input)
 
 
 def _change(runs: _Runs, i: int, name: str) -> Signal:
     variable = runs.longest.inputs[i]
-    columns = {"t": _rounded(runs.longest.time)}
+    columns = {"t": rounded(runs.longest.time)}
     for key, trace in runs.traces.items():
         # Before the first sample the input stood at its value at rest, as far as the limits allow.
         rest = np.clip(variable.start, trace.bounds.u_min[i], trace.bounds.u_max[i])
-        columns[key] = _rounded(np.diff(trace.u[:, i], prepend=rest) * variable.shown_in.factor)
+        columns[key] = rounded(np.diff(trace.u[:, i], prepend=rest) * variable.shown_in.factor)
     unit = difference_symbol(variable.shown_in.name)
     title = _title(f"change of {_words(variable)}", unit)
     # One jump at the start would flatten every other panel.
@@ -224,6 +224,11 @@ def known(column: Sequence[float | None]) -> list[float]:
     return [value for value in column if value is not None]
 
 
+def level_title(variable: Variable, unit: str) -> str:
+    """Return the title of the axis of a signal."""
+    return _title(_words(variable), unit)
+
+
 def _words(variable: Variable) -> str:
     return variable.name.replace("_", " ")
 
@@ -233,8 +238,9 @@ def _title(name: str, unit: str) -> str:
 
 
 def _shown(variable: Variable, values: FloatArray) -> Column:
-    return _rounded(variable.shown_in.from_unit(values))
+    return rounded(variable.shown_in.from_unit(values))
 
 
-def _rounded(values: FloatArray) -> Column:
+def rounded(values: FloatArray) -> Column:
+    """Return values as the page holds them: six digits, None for what is not finite."""
     return [float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None for value in values.tolist()]

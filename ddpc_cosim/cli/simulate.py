@@ -1,0 +1,142 @@
+"""``ddpc-cosim simulate``."""
+
+import re
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ddpc_cosim.cli.run import LineProgress, TerminalProgress
+from ddpc_cosim.csv_files import CSVFile
+from ddpc_cosim.errors import ConfigError, CosimWarning, DataError
+from ddpc_cosim.plant import FMIType
+from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.simulation import Simulation, run
+from ddpc_cosim.simulation.request import Request, prepare
+from ddpc_cosim.texts import printable
+
+# A comma between names: those of indices are part of a name.
+_COMMA = re.compile(r",(?![^\[(]*[\])])")
+_SUFFIXES = (".csv", ".html", ".svg")
+_WIDE = 1000
+
+
+def simulate_command(
+    plant: str,
+    inputs: Path | None,
+    values: Sequence[str],
+    stop: float | None,
+    step: float | None,
+    outputs: Sequence[str],
+    out: Sequence[Path],
+    golden: Path | None,
+    rel: float,
+    fmi_type: FMIType,
+    step_timeout: float,
+    trace_calls: Path | None,
+) -> int:
+    """Simulate, write what is asked for, print a summary, and return the exit code.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        It was interrupted; what was simulated until then is written, and told.
+    """
+    faults = [fault for path in out if (fault := _impossible(path))]
+    faults += [
+        f'--set {value}: needed: NAME=VALUE, for example "mass=2"' for value in values if "=" not in value
+    ]
+    given = dict(value.split("=", 1) for value in values if "=" in value)
+    files = {}
+    for option, path in (("inputs", inputs), ("compare", golden)):
+        try:
+            files[option] = None if path is None else CSVFile(path)
+        except DataError as error:
+            faults += error.faults
+    if faults:
+        raise ConfigError(faults)
+    request = Request(
+        plant=plant,
+        inputs=files["inputs"],
+        values={name.strip(): value for name, value in given.items()},
+        stop=stop,
+        step=step,
+        outputs=[name.strip() for text in outputs for name in _COMMA.split(text)] or None,
+        fmi_type=fmi_type,
+        step_timeout=step_timeout,
+        trace_calls=str(trace_calls or ""),
+        golden=files["compare"],
+    )
+    console, code = Console(stderr=True), 0
+    progress = TerminalProgress(console) if console.is_terminal else LineProgress(sys.stderr)
+    try:
+        with warnings.catch_warnings(), progress:
+            warnings.simplefilter("ignore", CosimWarning)  # they are among the notes
+            prepared = prepare(request)
+            simulation = run(prepared, progress.update)
+    except KeyboardInterrupt:
+        print("interrupted before the first sample: nothing is written", file=sys.stderr)
+        raise
+    for path in out:
+        _write(simulation, path)
+    difference = simulation.compare(prepared, rel)
+    _print(simulation)
+    for path in out:
+        print(path)
+    if difference is not None:
+        print(printable(difference.words))
+        code = 0 if difference.agrees else 1
+    if not simulation.completed:
+        print(printable(f"{simulation.plant}: {simulation.outcome}: {simulation.reason}"), file=sys.stderr)
+    if simulation.interrupted_by is not None:
+        raise simulation.interrupted_by
+    return 1 if simulation.failed else code
+
+
+def _impossible(path: Path) -> str:
+    """Return why a file cannot be written; empty if it can be tried."""
+    if path.suffix not in _SUFFIXES:
+        return f"--out {path}: the name must end in {', '.join(_SUFFIXES)}"
+    return "" if path.parent.is_dir() else f"--out {path}: no such folder: {path.parent}"
+
+
+def _write(simulation: Simulation, path: Path) -> None:
+    try:
+        if path.suffix == ".csv":
+            simulation.write_csv(path)
+        else:
+            load_plugin("reports", "simulation")(simulation, path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _print(simulation: Simulation) -> None:
+    """Print notes and, of each signal, its values at the start and at the end, and its range."""
+    for note in simulation.notes:
+        print(printable(f"note: {note}"), file=sys.stderr)
+    title = f"{simulation.plant}: {len(simulation.time)} of {simulation.planned_samples} samples"
+    if len(simulation.time):
+        title += (
+            f", {simulation.time[0]:g} s to {simulation.time[-1]:g} s, every {simulation.sampling_time:g} s"
+        )
+    if not simulation.completed:
+        title += f" ({simulation.outcome})"
+    print(printable(title))
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("signal", overflow="fold")
+    for heading in ("start", "min", "max", "end"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("unit")
+    rows = [(v, simulation.y[:, i], "") for i, v in enumerate(simulation.outputs)]
+    rows += [(v, simulation.u[:, i], " (input)") for i, v in enumerate(simulation.inputs)]
+    for variable, values, kind in rows:
+        found = (values[0], values.min(), values.max(), values[-1]) if len(values) else ()
+        cells = [f"{value:.6g}" for value in found] or ["-"] * 4
+        name = Text(printable(variable.name) + kind)
+        table.add_row(name, *cells, Text(printable(variable.unit or "1")))
+    Console(width=None if sys.stdout.isatty() else _WIDE).print(table)

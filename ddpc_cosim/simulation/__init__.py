@@ -1,0 +1,263 @@
+"""Open loop: a plant on given signals of its inputs, in a process of its own, and what came of it.
+
+It is the loop of a study without a controller: one case that runs in a worker. Inputs are held from sample
+to sample, outputs are those at the end of each interval.
+"""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ddpc_cosim.csv_files import CSVFile, split_unit, write_table
+from ddpc_cosim.errors import CosimError, CosimWarning
+from ddpc_cosim.plant import FMIType, ParameterValue
+from ddpc_cosim.scratch import ScratchFolder
+from ddpc_cosim.signals import values_at
+from ddpc_cosim.simulation.golden import OUTCOME, TIME, Difference
+from ddpc_cosim.simulation.request import Prepared, Request, prepare
+from ddpc_cosim.study.cases import partial_trace
+from ddpc_cosim.study.results import load_case
+from ddpc_cosim.study.runner import Update, run_cases
+from ddpc_cosim.study.sections import DEFAULT_STEP_TIMEOUT
+from ddpc_cosim.trace import Outcome, Trace
+from ddpc_cosim.variables import FloatArray, Variable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """What a simulation left behind.
+
+    Parameters
+    ----------
+    plant : str
+        The FMU's file name, or the plant's name.
+    time : array, shape (K,)
+        Sample times [s].
+    outputs, inputs : tuple of Variable
+        What was recorded, and what was driven.
+    y, u : array, shapes (K, p) and (K, m)
+        Outputs at ``time``, and inputs held from there on, in their units.
+    sampling_time : float
+        Time between samples [s].
+    planned_samples : int
+        Samples of a run that reaches its stop time.
+    outcome : str
+        A value of :class:`ddpc_cosim.Outcome`, or ``"interrupted"``.
+    reason : str
+        Why it ended early; empty if completed.
+    notes : tuple of str
+        What was chosen where nothing was said, and the FMU's warnings.
+    provenance : dict
+        What the plant is.
+    interrupted_by : KeyboardInterrupt or None
+        What interrupted it.
+    """
+
+    plant: str
+    time: FloatArray
+    outputs: tuple[Variable, ...]
+    inputs: tuple[Variable, ...]
+    y: FloatArray
+    u: FloatArray
+    sampling_time: float
+    planned_samples: int
+    outcome: str
+    reason: str
+    notes: tuple[str, ...]
+    provenance: dict[str, str]
+    interrupted_by: KeyboardInterrupt | None = None
+
+    @property
+    def completed(self) -> bool:
+        """Whether it reached its last sample."""
+        return self.outcome == Outcome.COMPLETED
+
+    @property
+    def failed(self) -> bool:
+        """Whether something ended it that neither the stop time nor the plant itself asked for."""
+        return self.outcome not in (Outcome.COMPLETED, Outcome.TERMINATED)
+
+    def columns(self) -> dict[str, FloatArray]:
+        """Return time, outputs and inputs under headers ``name [unit]``, each of shape (K,)."""
+        table = {f"{TIME} [s]": self.time}
+        for variables, values, what in ((self.outputs, self.y, "output"), (self.inputs, self.u, "input")):
+            for i, variable in enumerate(variables):
+                header = variable.header
+                table[f"{what} {header}" if header in table else header] = values[:, i]
+        return table
+
+    def compare(self, prepared: "Prepared", rel: float) -> Difference | None:
+        """Compare it with the golden file that it was prepared for; None if there is none."""
+        if prepared.golden is None:
+            return None
+        columns = np.column_stack((self.y, self.u))
+        named = {v.name: columns[:, i] for i, v in enumerate((*self.outputs, *self.inputs))}
+        return prepared.golden.compare(named, rel, f"{self.outcome}: {self.reason}")
+
+    def write_csv(self, path: Path) -> None:
+        """Write the columns; one more, of texts, says how a run ended that was not completed."""
+        ended = {} if self.completed else {OUTCOME: [self.outcome] * len(self.time)}
+        write_table(path, self.columns(), ended)
+
+    def frame(self) -> "pd.DataFrame":
+        """Return the columns as a DataFrame, as :func:`simulate` does."""
+        import pandas as pd
+
+        frame = pd.DataFrame(self.columns())
+        if not self.completed:
+            frame[OUTCOME] = self.outcome
+        frame.attrs |= {OUTCOME: self.outcome, "reason": self.reason, "notes": list(self.notes)}
+        return frame
+
+
+def simulate(
+    plant: str | Path,
+    *,
+    inputs: "pd.DataFrame | str | Path | None" = None,
+    parameters: Mapping[str, ParameterValue] | None = None,
+    stop: float | None = None,
+    step: float | None = None,
+    outputs: Sequence[str] | None = None,
+    fmi_type: FMIType = "auto",
+    step_timeout: float = DEFAULT_STEP_TIMEOUT,
+    trace_calls: str | Path | None = None,
+) -> "pd.DataFrame":
+    """Simulate a plant in open loop, in a process of its own.
+
+    Parameters
+    ----------
+    plant : str or Path
+        An FMU, the name of a plant, or ``module:attribute``.
+    inputs : DataFrame, str or Path, optional
+        Signals of inputs: a frame or a CSV file with a column ``time`` (or a frame's index), and one
+        for each input to drive, its unit in brackets if it is not the plant's own. Real inputs that are
+        continuous are interpolated, others hold; inputs without a column keep their start values.
+    parameters : mapping of str to float, int, bool or str, optional
+        Parameters, start values, and inputs that are not driven. A number may have its unit: ``"50 [cm]"``.
+    stop, step : float, optional
+        End of the run and time between samples [s]; default: the FMU's default experiment, else the end of
+        the inputs or 10 s, and 500 intervals.
+    outputs : sequence of str, optional
+        What is recorded; default: the outputs, of an FMU without any its states or local variables.
+    fmi_type : str
+        How an FMU is run, as in :class:`FMUPlant`.
+    step_timeout : float
+        Longest time for any call of the plant [s].
+    trace_calls : str or Path, optional
+        File that every FMI call is written to.
+
+    Returns
+    -------
+    frame : DataFrame
+        Columns ``time [s]``, outputs and driven inputs, in the plant's units. ``frame.attrs`` has outcome,
+        reason and notes. A run that ended early has a last column ``outcome``.
+
+    Raises
+    ------
+    ConfigError
+        What is asked for is not possible; all faults at once.
+    CosimError
+        The plant cannot be loaded, or fails before its first sample.
+
+    Warns
+    -----
+    CosimWarning
+        The run ended early.
+
+    Examples
+    --------
+    >>> frame = simulate(pendulum_fmu, parameters={"angle": 0.1}, stop=1.0, step=0.01)
+    >>> list(frame.columns)
+    ['time [s]', 'angle [rad]', 'rate [rad/s]']
+    """
+    request = Request(
+        plant=str(plant),
+        inputs=None if inputs is None else _input_file(inputs),
+        values=parameters or {},
+        stop=stop,
+        step=step,
+        outputs=outputs,
+        fmi_type=fmi_type,
+        step_timeout=step_timeout,
+        trace_calls=str(trace_calls or ""),
+    )
+    simulation = run(prepare(request))
+    if simulation.interrupted_by is not None:
+        raise simulation.interrupted_by
+    if not len(simulation.time):
+        raise CosimError(f"{simulation.plant}: {simulation.reason}")
+    if not simulation.completed:
+        text = f"{simulation.plant}: {simulation.outcome}: {simulation.reason}"
+        warnings.warn(text, CosimWarning, stacklevel=2)
+    return simulation.frame()
+
+
+def _input_file(inputs: "pd.DataFrame | str | Path") -> CSVFile:
+    if isinstance(inputs, str | Path):
+        return CSVFile(Path(inputs))
+    has_time = any(split_unit(str(column))[0] == TIME for column in inputs.columns)
+    text = inputs.to_csv(index=not has_time, index_label=TIME)
+    return CSVFile(Path("inputs"), text)
+
+
+def run(prepared: Prepared, watch: Callable[[Update], None] | None = None) -> Simulation:
+    """Run a simulation in a worker; what ends it early is in its outcome, an interrupt too.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        It was interrupted before its first sample.
+    """
+    case, latest = prepared.case, list[Update]()
+
+    def look(update: Update) -> None:
+        latest[:] = [update]
+        if watch is not None:
+            watch(update._replace(case=prepared.label))
+
+    with ScratchFolder() as folder:
+        try:
+            for _ in run_cases([case], folder, 1, look):
+                pass
+            trace = load_case(folder / case.id).trace()
+            outcome, reason = trace.outcome.value, trace.reason
+        except KeyboardInterrupt as interrupt:
+            for update in latest:
+                update.rows.look()
+            if not latest or not latest[0].rows.count:
+                raise
+            trace = partial_trace(case, latest[0].rows, Outcome.CRASHED, "")
+            return replace(_result(prepared, trace, INTERRUPTED, ""), interrupted_by=interrupt)
+    return _result(prepared, trace, outcome, reason)
+
+
+def _result(prepared: Prepared, trace: Trace, outcome: str, reason: str) -> Simulation:
+    case, warnings = prepared.case, trace.provenance.get("fmu_warnings", "")
+    if not trace.completed and len(trace):
+        reason = f"{len(trace)} of {trace.planned_samples} samples, to t = {trace.time[-1]:g} s" + (
+            f": {reason}" if reason else ""
+        )
+    u = [values_at(signal, name, trace.time) for name, signal in prepared.driven.items()]
+    return Simulation(
+        plant=prepared.label,
+        time=trace.time,
+        outputs=case.measurements,
+        inputs=case.undriven,
+        y=trace.measured,
+        u=np.column_stack(u) if u else np.empty((len(trace), 0)),
+        sampling_time=case.sampling_time,
+        planned_samples=trace.planned_samples,
+        outcome=outcome,
+        reason=reason,
+        notes=(*prepared.notes, *([f"the FMU: {warnings}"] if warnings else [])),
+        provenance=trace.provenance,
+    )

@@ -1,0 +1,386 @@
+"""What a simulation is asked for: checked, all faults at once, and what is chosen where nothing is said."""
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ddpc_cosim.conditions import Conditions
+from ddpc_cosim.csv_files import Column, CSVFile, plain_cells, read_table, split_unit
+from ddpc_cosim.errors import ConfigError, DataError
+from ddpc_cosim.loop_setup import end_time, whole_steps
+from ddpc_cosim.plant import FMIType, ParameterValue
+from ddpc_cosim.signals import Interpolated, Steps, values_at
+from ddpc_cosim.simulation.golden import TIME, Golden
+from ddpc_cosim.study.cases import Case
+from ddpc_cosim.study.plants import PlantSpec, PlantVariables, read_fmu
+from ddpc_cosim.study.sections import DEFAULT_STEP_TIMEOUT, PlantSection
+from ddpc_cosim.variables import FloatArray, Variable, converter
+from fmu_plants.spelling import did_you_mean
+
+if TYPE_CHECKING:
+    from ddpc_cosim.fmu.description import FMUDescription
+
+_INTERVALS, _DURATION, _MOST_SAMPLES = 500, 10.0, 1_000_000
+_MOST_LOCALS = 50
+_ROUNDING = 1e-9
+# A number, and a unit behind it, in brackets or not.
+_QUANTITY = re.compile(r"\s*(?P<number>[^\s\[]+)\s*(?P<bracket>\[)?(?P<unit>.*?)(?(bracket)\])\s*")
+
+
+class Request(NamedTuple):
+    """What is asked for; parameters as of :func:`simulate`, inputs and golden file read but not looked at."""
+
+    plant: str
+    inputs: CSVFile | None = None
+    values: Mapping[str, ParameterValue] = {}
+    stop: float | None = None
+    step: float | None = None
+    outputs: Sequence[str] | None = None
+    fmi_type: FMIType = "auto"
+    step_timeout: float = DEFAULT_STEP_TIMEOUT
+    trace_calls: str = ""
+    golden: CSVFile | None = None
+
+
+class Prepared(NamedTuple):
+    """What is going to run: checked, with everything chosen."""
+
+    label: str
+    case: Case
+    driven: Mapping[str, Steps]
+    notes: tuple[str, ...]
+    golden: Golden | None
+
+
+class _Faults(list[str]):
+    """Faults of a request, collected so that all are told at once."""
+
+    def collect(self, check: Callable[..., Any], *arguments: Any) -> Any:
+        """Return what a check returns; None where it finds faults, which are kept."""
+        try:
+            return check(*arguments)
+        except (ConfigError, DataError) as error:
+            self.extend(error.faults)
+
+
+class _Subject:
+    """A plant to simulate: what can be driven, set and recorded, and what its author had in mind."""
+
+    def __init__(self, request: Request) -> None:
+        path = Path(request.plant)
+        is_file = path.suffix.lower() == ".fmu" or path.is_file()
+        if is_file and not path.is_file():
+            raise ConfigError(f"{path}: no such file")
+        named: dict[str, Any] = {"fmu": request.plant} if is_file else {"name": request.plant}
+        section = PlantSection(**named, fmi_type=request.fmi_type)
+        self.label = path.name if is_file else request.plant
+        self.spec = PlantSpec.of(section, Path.cwd()).built()
+        self.variables: PlantVariables = self.spec.variables()
+        self.description: FMUDescription | None = read_fmu(Path(self.spec.fmu)) if self.spec.fmu else None
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """The sizes of arrays of numbers by name."""
+        known = self.description.variables.values() if self.description else ()
+        return {variable.name: variable.shape for variable in known if variable.shape and variable.is_numeric}
+
+    def holds(self, name: str) -> bool:
+        """Whether an input changes only at rows of a file: all but continuous real ones."""
+        signal = self.description.signal(name) if self.description else None
+        return signal is not None and not (
+            signal.source.values == "real" and signal.source.variability == "continuous"
+        )
+
+    def is_whole(self, name: str) -> bool:
+        """Whether the values of an input are integers."""
+        signal = self.description.signal(name) if self.description else None
+        return signal is not None and signal.source.values != "real"
+
+    def readable(
+        self, wanted: Sequence[str] | None, golden: CSVFile | None
+    ) -> tuple[list[Variable], list[str]]:
+        """Return what is recorded, and what there is to say of the choice.
+
+        Raises
+        ------
+        ConfigError
+            There are no such variables; all of them at once.
+        """
+        notes = list[str]()
+        if self.description is None:
+            known = self.variables.outputs
+            unknown = [name for name in wanted or () if name not in known]
+            if unknown:
+                raise ConfigError([f'no output "{name}"; {did_you_mean(name, known)}' for name in unknown])
+            return [known[name] for name in dict.fromkeys(wanted or known)], notes
+        from ddpc_cosim.fmu.description import choose_signals
+
+        if wanted is None:
+            chosen, notes = self._default_outputs()
+            compared = [split_unit(header)[0] for header in golden.header] if golden else []
+            wanted = [*chosen, *(n for n in compared if n not in chosen and self._is_readable(n))]
+        _, signals = choose_signals(self.description, self.label, [], wanted)
+        return [signal.variable for signal in signals], notes
+
+    def _is_readable(self, name: str) -> bool:
+        """Whether a name is that of a number which the FMU calculates or has."""
+        signal = self.description.signal(name) if self.description else None
+        return signal is not None and signal.source.is_numeric and signal.source.causality != "independent"
+
+    def _default_outputs(self) -> tuple[list[str], list[str]]:
+        description = self.description
+        assert description is not None
+        declared = [signal.variable.name for signal in description.signals("output")]
+        if declared:
+            every = [v for v in description.variables.values() if v.causality == "output"]
+            left = [v.name for v in every if not v.is_numeric]
+            notes = [f"not recorded, as they are not numbers: {', '.join(left)}"] if left else []
+            return declared, notes
+        states = [name for name in description.states if description.signal(name) is not None]
+        if states:
+            return states, ["the FMU has no outputs: its states are recorded"]
+        local = list(description.signals("local"))
+        moving = [s for s in local if s.source.values == "real" and s.source.variability == "continuous"]
+        found = [signal.variable.name for signal in moving or local]
+        if not found:
+            return [], ["the FMU has neither outputs nor local variables: nothing is recorded"]
+        some = f"the first {_MOST_LOCALS} of {len(found)}" if len(found) > _MOST_LOCALS else "all"
+        return found[:_MOST_LOCALS], [f"the FMU has no outputs: local variables are recorded, {some}"]
+
+    def parameters(
+        self, values: Mapping[str, ParameterValue], driven: Sequence[str]
+    ) -> dict[str, ParameterValue]:
+        """Return parameters and start values in their units.
+
+        Raises
+        ------
+        ConfigError
+            There are no such ones, their units or values are not possible; all faults at once.
+        """
+        faults, converted = _Faults(), dict[str, ParameterValue]()
+        for name, value in values.items():
+            if (plain := faults.collect(self._value, name, value)) is not None:
+                converted[name] = plain
+        if self.description is not None:
+            from ddpc_cosim.fmu.buffers import StartValues
+
+            signals = [s for s in map(self.description.signal, driven) if s is not None]
+            faults.collect(StartValues, self.description, self.label, converted, signals)
+        if faults:
+            raise ConfigError(faults)
+        return converted
+
+    def _value(self, name: str, value: ParameterValue) -> ParameterValue:
+        """Return a value in the variable's own unit: a text may be a number with a unit."""
+        signal = self.description.signal(name) if self.description else None
+        if not isinstance(value, str) or (signal is not None and signal.source.values == "text"):
+            return value
+        match = _QUANTITY.fullmatch(value)
+        try:
+            number = float(match["number"]) if match else math.nan
+        except ValueError:
+            return value  # the name of an enumeration's value, or a boolean: what it can be, is checked later
+        if match is None or math.isnan(number):
+            raise ConfigError(f"{self.label}: {name} = {value!r} is not a number")
+        variable = signal.variable if signal else self.variables.parameters.get(name, Variable(name))
+        try:
+            return float(converter(variable, match["unit"].strip())(number))
+        except ConfigError as error:
+            raise ConfigError(f"{self.label}: {name} = {value}: {error}") from error
+
+
+def prepare(request: Request) -> Prepared:
+    """Check what is asked for, and choose the rest.
+
+    Raises
+    ------
+    ConfigError
+        It is not possible; all faults at once.
+    CosimError
+        The plant cannot be loaded.
+    """
+    subject, faults = _Subject(request), _Faults()
+    if not 0 < request.step_timeout < math.inf:
+        faults.append(f"step_timeout = {request.step_timeout} is not possible; allowed: a finite number > 0")
+    outputs, notes = faults.collect(subject.readable, request.outputs, request.golden) or ([], [])
+    driven = faults.collect(_read_inputs, subject, request.inputs) or {} if request.inputs else {}
+    values = faults.collect(subject.parameters, request.values, list(driven))
+    known = {v.name: v for v in (*outputs, *(subject.variables.inputs[name] for name in driven))}
+    golden = None
+    if request.golden is not None:
+        golden = faults.collect(Golden, request.golden, known, subject.shapes, _texts_of(subject))
+    times = faults.collect(_times, subject, request, driven, golden)
+    if times is not None:
+        start, step, count, chosen = times
+        notes += chosen
+        end = start + count * step
+        if request.inputs is not None:
+            faults.collect(_check_covered, request.inputs, driven, start, end)
+        if golden is not None:
+            faults.collect(golden.check_times, start, step, count)
+    if golden is not None:
+        notes += golden.notes
+    if request.trace_calls:
+        faults.collect(_empty, Path(request.trace_calls))
+    if faults or times is None:
+        raise ConfigError(faults)
+    at_start = {name: float(values_at(s, name, np.array([start]))[0]) for name, s in driven.items()}
+    case = Case(
+        controller=subject.label,
+        scenario="nominal",
+        seed=0,
+        label=subject.label,
+        section={"type": "", "settings": {}},
+        plant=replace(subject.spec, start=at_start, trace_calls=request.trace_calls),
+        inputs=(),
+        outputs=(),
+        measurements=tuple(outputs),
+        sampling_time=step,
+        duration=count * step,
+        start_time=start,
+        continue_recording=False,
+        reference={},
+        bounds={},
+        excitation=None,
+        recording=None,
+        stabiliser=None,
+        parameters=values or {},
+        noise={},
+        conditions=Conditions(inputs=driven),
+        undriven=tuple(subject.variables.inputs[name] for name in driven),
+        step_timeout=request.step_timeout,
+        id="simulation",
+    )
+    return Prepared(subject.label, case, driven, tuple(notes), golden)
+
+
+def _read_inputs(subject: _Subject, file: CSVFile) -> dict[str, Steps]:
+    """Return the signals of a file's inputs, in their units.
+
+    Raises
+    ------
+    ConfigError, DataError
+        All that is wrong with its columns, or with its cells.
+    """
+    known = subject.variables.inputs
+    file = plain_cells(file, subject.shapes)
+    given = [name for header in file.header if (name := split_unit(header)[0]) != TIME]
+    faults = [
+        f'{file.path}: column "{name}" is not an input; {did_you_mean(name, known)}'
+        if known
+        else f'{file.path}: column "{name}" is not an input; {subject.label} has none'
+        for name in given
+        if name not in known
+    ]
+    if len(given) == len(file.header):
+        faults.append(f'{file.path}: no column "{TIME}"; {did_you_mean(TIME, file.header)}')
+    if faults:
+        raise ConfigError(faults)
+    time, values = read_table(file, [Column(known[name], name) for name in given], TIME)
+    signals = {}
+    for i, name in enumerate(given):
+        faults += _impossible(f"{file.path}: {name}", known[name], time, values[:, i], subject.is_whole(name))
+        kind = Steps if subject.holds(name) else Interpolated
+        signals[name] = kind(tuple(time.tolist()), tuple(values[:, i].tolist()))
+    if faults:
+        raise ConfigError(faults)
+    return signals
+
+
+def _impossible(
+    what: str, variable: Variable, time: FloatArray, values: FloatArray, is_whole: bool
+) -> list[str]:
+    """Return the first value of an input that its declaration does not allow."""
+    outside = (values < variable.min) | (values > variable.max)
+    wrong = np.flatnonzero(outside | (values != np.rint(values)) if is_whole else outside)
+    if not wrong.size:
+        return []
+    i = int(wrong[0])
+    needed = f"[{variable.min:g}, {variable.max:g}]" if outside[i] else "an integer"
+    return [f"{what} = {values[i]:g} at t = {time[i]:g} s is not possible; allowed: {needed}"]
+
+
+def _texts_of(subject: _Subject) -> dict[str, str]:
+    """Return the variables that cannot be recorded, with the reason, and those that could be."""
+    if subject.description is None:
+        return dict.fromkeys(subject.variables.outputs, "not recorded")
+    variables = subject.description.variables.values()
+    return {v.name: "not recorded" if v.is_numeric else f"{v.type} is not a number" for v in variables}
+
+
+def _times(
+    subject: _Subject, request: Request, driven: Mapping[str, Steps], golden: Golden | None
+) -> tuple[float, float, int, list[str]]:
+    """Return start time, time between samples [s], number of intervals, and what was chosen."""
+    from ddpc_cosim.fmu.description import DefaultExperiment
+
+    experiment = subject.description.default_experiment if subject.description else DefaultExperiment()
+    start, notes, faults = experiment.start_time or 0.0, list[str](), list[str]()
+    stop, step = request.stop, request.step
+    if stop is None and golden is not None and golden.time[-1] > start:
+        stop = float(golden.time[-1])
+        notes.append(f"stop = {stop:g} s, as in {golden.path.name}")
+    if stop is None and experiment.stop_time is not None and experiment.stop_time > start:
+        stop = experiment.stop_time
+    if stop is None:
+        ends = [signal.times[-1] for signal in driven.values()]
+        stop = ends[0] if ends and ends[0] > start else start + _DURATION
+        notes.append(
+            f"stop = {stop:g} s, as the plant does not say" + (": the end of the inputs" if ends else "")
+        )
+    if not start < stop < math.inf:
+        faults.append(f"stop = {stop:g} s is not possible; allowed: a number > {start:g}, the start time")
+    if step is not None and not 0 < step < math.inf:
+        faults.append(f"step = {step:g} s is not possible; allowed: a number > 0")
+    if faults:
+        raise ConfigError(faults)
+    if step is None and golden is not None and golden.step is not None:
+        step = golden.step
+        notes.append(f"step = {step:g} s, as in {golden.path.name}")
+    if step is None:
+        step, said = _default_step(subject, experiment.step_size, stop - start)
+        notes += said
+    count = math.floor((stop - start) / step * (1 + _ROUNDING) + _ROUNDING)
+    if count < 1:
+        raise ConfigError(f"step = {step:g} s is longer than the run, from {start:g} s to {stop:g} s")
+    end_time(start, whole_steps(count * step, step), step)
+    end = start + count * step
+    if abs(end - stop) > _ROUNDING * max(abs(stop), step):
+        notes.append(f"the last sample is at {end:.9g} s: whole steps of {step:g} s do not meet {stop:g} s")
+    return start, step, count, notes
+
+
+def _default_step(subject: _Subject, preferred: float | None, duration: float) -> tuple[float, list[str]]:
+    if preferred and 0 < preferred <= duration and duration / preferred <= _MOST_SAMPLES:
+        return preferred, []
+    step, interfaces = duration / _INTERVALS, subject.description.interfaces if subject.description else {}
+    fixed = next((interface.fixed_step for interface in interfaces.values() if interface.fixed_step), None)
+    if fixed:
+        step = fixed * max(1, round(step / fixed))
+    return step, [f"step = {step:g} s, as the plant does not say"]
+
+
+def _check_covered(file: CSVFile, driven: Mapping[str, Steps], start: float, end: float) -> None:
+    """Raise ConfigError if a file of inputs begins after the run does, or ends before it."""
+    for signal in driven.values():
+        first, last = signal.times[0], signal.times[-1]
+        slack = _ROUNDING * max(abs(start), abs(end))
+        if first > start + slack or last < end - slack:
+            raise ConfigError(
+                f"{file.path}: its times, {first:g} s to {last:g} s, do not cover the run, {start:g} s to "
+                f"{end:g} s; choose another stop, or add rows"
+            )
+        return
+
+
+def _empty(path: Path) -> None:
+    """Make a file that can be written to, and is empty."""
+    try:
+        path.write_bytes(b"")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from error

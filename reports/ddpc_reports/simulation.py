@@ -1,0 +1,162 @@
+"""One simulation as a page in the manner of the report, or as a drawing: its signals over time."""
+
+import html
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from ddpc_cosim import FloatArray, Simulation, Variable
+from ddpc_reports.charts import time_chart
+from ddpc_reports.embedding import pack, static_svg, stylesheet
+from ddpc_reports.figures import Entry, Figure, View
+from ddpc_reports.numbers import as_given, significant, unit_symbol, with_unit
+from ddpc_reports.page import Section, StudyPart, set_page
+from ddpc_reports.samples import Column, Signal, level_title, rounded
+from ddpc_reports.table import Cell, Heading, Row, Table
+
+_MOST_DRAWN, _MOST_POINTS = 24, 2000
+_LINE = "c0"
+_COLOUR = re.compile(r"var\((--[\w-]+)\)")
+_LIGHT = re.compile(r"(--[\w-]+): light-dark\((#\w+), ")
+_BOX = re.compile(r'viewBox="0 0 ([\d.]+) ([\d.]+)"')
+_TITLE_HEIGHT, _MARGIN = 34.0, 12.0
+
+
+def simulation_page(simulation: Simulation) -> str:
+    """Return the page: how the run ended, start, range and end of each signal, figures, provenance."""
+    signals = _signals(simulation)
+    figure = Figure(
+        "simulation",
+        "Signals",
+        _caption(simulation, signals),
+        tuple(_view(simulation, signal, last=signal is signals[-1]) for signal in signals),
+        (Entry(_LINE, simulation.plant, 0, "", "" if simulation.completed else simulation.outcome),),
+    )
+    sections = [
+        Section("signals", "Signals", [("table", _table(simulation))]),
+        Section("figures", "Figures", [("help", ""), ("figure", (figure, "simulation"))] if signals else []),
+        Section("notes", "Notes", [("notes", list(simulation.notes))] if simulation.notes else []),
+        Section("provenance", "Provenance", [("table", _provenance(simulation))]),
+    ]
+    ended = [] if simulation.completed else [f"{simulation.outcome}: {simulation.reason}"]
+    facts = {
+        "Samples": f"{len(simulation.time)} of {simulation.planned_samples}",
+        "Sampling time": with_unit(as_given(simulation.sampling_time), "s"),
+        "Outcome": simulation.outcome,
+    }
+    title = f"Simulation of {simulation.plant}"
+    part = StudyPart("s1-", 1, title, ended, facts, [section for section in sections if section.blocks])
+    data = {one.id: {name: pack(column) for name, column in one.columns.items()} for one in signals}
+    return set_page([part], data)
+
+
+def simulation_drawing(simulation: Simulation) -> str:
+    """Return the figures below each other as one drawing, in the colours of the light page.
+
+    Raises
+    ------
+    OSError
+        They cannot be drawn.
+    """
+    colours = dict(_LIGHT.findall(stylesheet()))
+    title = simulation.plant if simulation.completed else f"{simulation.plant} ({simulation.outcome})"
+    parts, width, height = list[str](), 0.0, _TITLE_HEIGHT
+    signals = _signals(simulation)
+    for signal in signals:
+        svg = str(_view(simulation, signal, last=signal is signals[-1]).svg)
+        box = _BOX.search(svg)
+        if box is None:  # the words that stand in the page for a drawing that failed
+            raise OSError(f"{signal.title} cannot be drawn")
+        wide, high = float(box[1]), float(box[2])
+        place = f'<svg x="{_MARGIN:g}" y="{height:g}" width="{wide:g}" height="{high:g}"'
+        parts.append(svg.replace("<svg", place, 1))
+        width, height = max(width, wide + 2 * _MARGIN), height + high + _MARGIN
+    drawn = _COLOUR.sub(lambda found: colours.get(found[1], "none"), "".join(parts))
+    ink = colours.get("--ink", "black")
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
+        f'width="{width:g}" height="{height:g}" viewBox="0 0 {width:g} {height:g}">'
+        f'<rect width="100%" height="100%" fill="{colours.get("--paper", "white")}"/>'
+        f'<text x="{_MARGIN:g}" y="22" font-family="sans-serif" font-size="15" fill="{ink}">'
+        f"{html.escape(title)}</text>{drawn}</svg>\n"
+    )
+
+
+def write(simulation: Simulation, path: Path) -> Path:
+    """Write a page, or a drawing where the name of the file ends in ``.svg``."""
+    text = simulation_drawing(simulation) if path.suffix == ".svg" else simulation_page(simulation)
+    path.write_text(text, encoding="utf-8", newline="\n")
+    return path
+
+
+def _every(simulation: Simulation) -> list[tuple[Variable, FloatArray, bool]]:
+    """Return all signals, their values, and whether they are inputs."""
+    outputs = [(v, simulation.y[:, i], False) for i, v in enumerate(simulation.outputs)]
+    return outputs + [(v, simulation.u[:, i], True) for i, v in enumerate(simulation.inputs)]
+
+
+def _signals(simulation: Simulation) -> list[Signal]:
+    """Return the first signals, of long runs their envelope."""
+    signals = []
+    for i, (variable, values, is_input) in enumerate(_every(simulation)[:_MOST_DRAWN]):
+        if not len(values):
+            break
+        kept = _envelope(values)
+        columns: dict[str, Column] = {"t": rounded(simulation.time[kept]), _LINE: rounded(values[kept])}
+        unit = unit_symbol(variable.unit)
+        name = f"{level_title(variable, unit)}{' (input)' if is_input else ''}"
+        signals.append(Signal(f"x{i}", name, unit, columns, (_LINE,), held=is_input, own_range=True))
+    return signals
+
+
+def _envelope(values: FloatArray) -> "np.ndarray[tuple[int], np.dtype[np.intp]]":
+    """Return which samples to draw: of a long run the smallest and largest of each stretch, and the ends."""
+    count = len(values)
+    if count <= _MOST_POINTS:
+        return np.arange(count)
+    edges = np.linspace(0, count, _MOST_POINTS // 2 + 1).astype(np.intp)
+    found = [
+        begin + at(values[begin:end])
+        for begin, end in pairwise(edges.tolist())
+        for at in (np.argmin, np.argmax)
+    ]
+    return np.unique(np.array([0, *found, count - 1], dtype=np.intp))
+
+
+def _view(simulation: Simulation, signal: Signal, *, last: bool) -> View:
+    spec = time_chart(signal, [_LINE], {_LINE: 0}, simulation.sampling_time, (), last)
+    description = f"{signal.title} over time"
+    svg = static_svg(spec, f"simulation-{signal.id}", description, {signal.id: signal.columns})
+    place = f"simulation-{signal.id}"
+    return View(place, "", description, spec, svg, signal.id, (_LINE,), signal.unit, (_LINE,))
+
+
+def _caption(simulation: Simulation, signals: list[Signal]) -> str:
+    words = "Outputs, and inputs as they are held from sample to sample, over time."
+    if len(simulation.time) > _MOST_POINTS:
+        words += " Of so many samples the smallest and the largest of every stretch are drawn."
+    left = len(simulation.outputs) + len(simulation.inputs) - len(signals)
+    return words + (f" {left} more signals are in the CSV file." if left else "")
+
+
+def _table(simulation: Simulation) -> Table:
+    headings = (Heading("signal", numeric=False), *map(Heading, ("start", "min", "max", "end")))
+    rows = []
+    for variable, values, is_input in _every(simulation):
+        found = [values[0], values.min(), values.max(), values[-1]] if len(values) else []
+        cells = tuple(Cell(significant(float(value), 6), float(value)) for value in found)
+        unit = unit_symbol(variable.unit) or "1"
+        name = f"{variable.name}{' (input)' if is_input else ''}"
+        rows.append(Row(name, (*(cells or (Cell("-"),) * 4), Cell(unit, unit))))
+    caption = f"All signals, {len(simulation.time)} samples"
+    return Table("s1-signals-table", caption, (*headings, Heading("unit", numeric=False)), tuple(rows))
+
+
+def _provenance(simulation: Simulation) -> Table:
+    rows = tuple(
+        Row(key.replace("_", " "), (Cell(value, value),)) for key, value in simulation.provenance.items()
+    )
+    headings = (Heading("what", numeric=False), Heading("value", numeric=False))
+    return Table("s1-provenance-table", "The plant", headings, rows)

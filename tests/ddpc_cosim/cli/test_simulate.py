@@ -1,0 +1,162 @@
+"""``ddpc-cosim simulate``: what is written, what is printed, and the exit codes."""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from fmus.builder import Fault, model_fmu
+
+from ddpc_cosim.cli.main import main
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def simulate(*arguments: str) -> Result:
+    return CliRunner().invoke(main, ["simulate", *arguments])
+
+
+def test_a_run_is_written_and_agrees_with_itself(folder: Path) -> None:
+    """The CSV file of one run is the golden file of the next; another parameter shows as the worst value."""
+    model_fmu(folder, "2.0", "lag")
+    (folder / "u.csv").write_text("time,u\n0,1\n1,1\n", encoding="utf-8")
+    given = ("lag2.fmu", "--inputs", "u.csv", "--step", "0.25")
+    first = simulate(*given, "--out", "a.csv", "--out", "a.html", "--out", "a.svg")
+    assert first.exit_code == 0, first.stderr
+    assert "lag2.fmu: 5 of 5 samples, 0 s to 1 s, every 0.25 s" in first.stdout
+    assert "note: stop = 1 s, as the plant does not say: the end of the inputs" in first.stderr
+    lines = (folder / "a.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[:2] == ["time [s],x [1],u [1]", "0.0,0.0,1.0"]
+    assert len(lines) == 6
+    page, drawing = ((folder / name).read_text(encoding="utf-8") for name in ("a.html", "a.svg"))
+    assert "Simulation of lag2.fmu" in page
+    assert "http" not in page.partition("<script")[0].replace("http-equiv", "").replace(
+        "http://www.w3.org/", ""
+    )
+    assert drawing.startswith("<svg xmlns=")
+    assert "var(" not in drawing
+
+    again = simulate("lag2.fmu", "--inputs", "u.csv", "--compare", "a.csv")
+    assert again.exit_code == 0, again.output
+    assert "a.csv: equal to the last bit at 5 of 5 samples: x, u" in again.stdout
+    other = simulate(
+        "lag2.fmu", "--inputs", "u.csv", "--compare", "a.csv", "--set", "rate=1.1", "--rel", "0.01"
+    )
+    assert other.exit_code == 1
+    assert "a.csv: differs: x at t = 1 s is 0.667128916, golden 0.632120559: difference 0.035" in other.stdout
+
+
+def test_a_fault_keeps_its_samples_and_exits_with_1(folder: Path) -> None:
+    model_fmu(folder, "2.0", "lag", Fault.SEGMENTATION_FAULT)
+    given = ("lag2.fmu", "--stop", "1", "--step", "0.1", "--out", "part.csv", "--trace-calls", "calls.txt")
+    result = simulate(*given, "--out", "part.html")
+    assert result.exit_code == 1
+    assert "(crashed)" in result.stdout
+    assert (
+        "lag2.fmu: crashed: 6 of 11 samples, to t = 0.5 s: lag2.fmu: crashed in step at t = 0.5 s"
+        in result.stderr
+    )
+    lines = (folder / "part.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "time [s],x [1],outcome"
+    assert len(lines) == 7
+    assert all(line.endswith(",crashed") for line in lines[1:])
+    assert "crashed: 6 of 11 samples" in (folder / "part.html").read_text(encoding="utf-8")
+    calls = (folder / "calls.txt").read_text(encoding="utf-8").splitlines()
+    assert calls[0].startswith("fmi2Instantiate(")
+    assert calls[-1].startswith("fmi2DoStep(")
+    assert calls[-1].endswith(")")
+
+
+def test_a_golden_file_that_goes_on_differs(folder: Path) -> None:
+    model_fmu(folder, "2.0", "lag", Fault.RETURN_ERROR)
+    (folder / "golden.csv").write_text(
+        "time,x\n" + "".join(f"{k / 10},0\n" for k in range(11)), encoding="utf-8"
+    )
+    result = simulate("lag2.fmu", "--compare", "golden.csv")
+    assert result.exit_code == 1
+    assert "golden.csv: differs: the run ended before its last time, 1 s (fmu-error: " in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("lag2.fmu", "--out", "a.txt"), "--out a.txt: the name must end in .csv, .html, .svg"),
+        (("lag2.fmu", "--out", "none/a.csv"), "no such folder: none"),
+        (("lag2.fmu", "--set", "rate"), "--set rate: needed: NAME=VALUE"),
+        (("lag2.fmu", "--inputs", "none.csv"), "none.csv: no such file"),
+        (("lag2.fmu", "--compare", "none.csv"), "none.csv: no such file"),
+        (("lag2.fmu", "--trace-calls", "none/calls.txt"), "none/calls.txt: cannot be written"),
+        (("lag2.fmu", "--outputs", "x,y"), 'no output "y"'),
+        (("none.fmu",), "none.fmu: no such file"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_before_anything_runs(
+    folder: Path, arguments: tuple[str, ...], words: str
+) -> None:
+    model_fmu(folder, "2.0", "lag")
+    result = simulate(*arguments)
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert "samples" not in result.stdout
+
+
+SLOW = """
+import os
+import signal
+
+import numpy as np
+from ddpc_cosim import Plant, Variable
+
+class Slow(Plant):
+    inputs, outputs = (), (Variable("y"),)
+    def reset(self, parameters=None, t0=0.0):
+        self.k = 0
+        return np.zeros(1)
+    def step(self, u, h):
+        self.k += 1
+        if self.k == 5:
+            os.write(os.open(os.environ["READY"], os.O_WRONLY), b"x")
+            signal.pause()
+        return np.full(1, float(self.k))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of a terminal")
+def test_ctrl_c_keeps_what_was_simulated(tmp_path: Path, program: str) -> None:
+    (tmp_path / "slow.py").write_text(SLOW, encoding="utf-8")
+    pipe = tmp_path / "ready"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    process = subprocess.Popen(
+        [program, "simulate", "slow:Slow", "--stop", "1", "--step", "0.1", "--out", "part.csv"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path), "READY": str(pipe)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    os.set_blocking(reader, True)
+    assert select.select([reader], [], [], 60.0)[0], "it has not begun"
+    os.close(reader)
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 130, told
+    assert "slow:Slow: interrupted: 5 of 11 samples, to t = 0.4 s" in told
+    assert "Traceback" not in told
+    lines = (tmp_path / "part.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "time [s],y [1],outcome"
+    assert lines[-1] == "0.4,4.0,interrupted"
