@@ -1,6 +1,5 @@
 """A study for a supplied FMU: signals chosen, limits, sampling time and setpoints from a step test."""
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -35,14 +34,13 @@ _MOST_LISTED = 12
 _STEP_TEST = 0.5  # of the time for all
 _SAMPLES = 200
 # Blocks of 24 samples, each twice as long as the one before: twelve of them have about 10^5 first steps.
-_FIRST_STEPS = 24 * (2**12 - 1)
-_BLOCKS_OF_FIXED_STEPS = 8
+_BLOCKS, _BLOCKS_OF_FIXED_STEPS = 12, 8
+_FIRST_STEPS = 24 * (2**_BLOCKS - 1)
 # Where the FMU gives no stop time: from a tenth of a millisecond to a day [s].
 _FIRST_STEP, _LONGEST = 1e-4, 1e5
 # Where steps must be equal and the FMU does not say of what size.
 _STEPS, _STEP = 500, 1e-2
-_MOST_SAMPLES_PER_SETTLING = 500
-_LONGEST_IN_STOP_TIMES, _LONGEST_IN_TIME_SCALES = 10.0, 100.0
+_LONGEST_IN_STOP_TIMES = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +108,7 @@ def suggest_study(
     request.check(description, path.name)
     driven, drives_too = _candidates(description, path.name, request, "input", _MOST_INPUT_CANDIDATES)
     read, reads_too = _candidates(description, path.name, request, "output", _MOST_OUTPUT_CANDIDATES)
-    timing = replace(_timing(description, path.name), budget=_STEP_TEST * budget)
+    timing = replace(_timing(description, path.name, request), budget=_STEP_TEST * budget)
     tell(f"step test of {path.name}")
     start = request.start(description)
     with FMUPlant(
@@ -126,7 +124,7 @@ def suggest_study(
         bounds = design.input_bounds(candidates.inputs, request.ranges)
         rest, room = design.rest_and_room(candidates.inputs, bounds)
         tested = step_test(plant, Resting(rest, room, request.parameters(description)), timing)
-    choice = choose(tested, room, timing.longest / _LONGEST_IN_TIME_SCALES, all_outputs=outputs is not None)
+    choice = choose(tested, room, timing.guess, all_outputs=outputs is not None)
     if not choice.inputs:
         tried = ", ".join(names(candidates.inputs))
         raise CosimError(
@@ -205,15 +203,20 @@ def _candidates(
     return known[:most], known[most:]
 
 
-def _timing(description: FMUDescription, label: str) -> Timing:
+def _timing(description: FMUDescription, label: str, request: Request) -> Timing:
     experiment = description.default_experiment
     interface = choose_interface(description, "auto", label)
     stop = (experiment.stop_time or 0.0) - (experiment.start_time or 0.0)
     longest = _LONGEST_IN_STOP_TIMES * stop if stop > 0.0 else _LONGEST
     if interface.fixed_step or not interface.variable_step:
         step = interface.fixed_step or experiment.step_size or (stop / _STEPS if stop > 0.0 else _STEP)
-        return Timing(step, fixed=True, blocks=_BLOCKS_OF_FIXED_STEPS, longest=longest)
-    return Timing(stop / _FIRST_STEPS if stop > 0.0 else _FIRST_STEP, longest=longest)
+        blocks, fixed = _BLOCKS_OF_FIXED_STEPS, True
+    else:
+        step, blocks, fixed = stop / _FIRST_STEPS if stop > 0.0 else _FIRST_STEP, _BLOCKS, False
+    timing = Timing(step, fixed=fixed, blocks=blocks, longest=longest)
+    return replace(
+        timing, guess=design.guessed_time_scale(request, stop, experiment.step_size) or timing.guess
+    )
 
 
 def _propose(
@@ -232,8 +235,6 @@ def _propose(
     sample = request.sampling_time or design.sampling_time(
         tested, choice, timing.step if timing.fixed else None, request.duration
     )
-    if request.sampling_time is None and request.duration is None:
-        sample = _not_too_often(sample, choice, timing)
     unstable = any(response.is_unstable for row in tested.responses for response in row)
     references, duration = design.setpoints(tested, choice, candidates.outputs, working, sample, request)
     if unstable:  # there is nothing else to ask for before it is stabilised
@@ -267,14 +268,6 @@ def _propose(
         hints=tuple(hints(circumstances, design.rest_and_room(candidates.inputs, bounds)[1])),
         asked=request,
     )
-
-
-def _not_too_often(sample: float, choice: Choice, timing: Timing) -> float:
-    """Return a sampling time with which a study of something slow beside something fast ends some time."""
-    least = choice.time_scale / _MOST_SAMPLES_PER_SETTLING
-    if sample >= least:
-        return sample
-    return math.ceil(least / timing.step) * timing.step if timing.fixed else design.nearest_125(least)
 
 
 def _recording_length(controller: SuggestedController, *signals: int) -> int:

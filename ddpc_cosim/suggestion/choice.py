@@ -12,7 +12,7 @@ MOST_INPUTS, MOST_OUTPUTS = 6, 4
 _INDEPENDENT = 0.05
 _NEARLY_BEST = 0.5
 # How many doublings, rises and lags make a time scale like that of a response that settles.
-_DOUBLINGS, _RISES, _LAGS = 10.0, 20.0, 10.0
+_DOUBLINGS, _RISES, _LAGS = 7.0, 20.0, 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ def choose(tested: StepTest, room: FloatArray, fallback: float, *, all_outputs: 
     all_outputs : bool
         Whether the user has chosen the outputs: then all of them are kept.
     """
-    shown = np.inf if tested.static else _time_scale(tested.responses)
+    shown = np.inf if tested.static else _time_scale(tested)
     guessed = not np.isfinite(shown)
     time_scale = fallback if guessed else shown
     gains = lasting_gains(tested, time_scale)
@@ -99,9 +99,9 @@ def _urgent(gains: FloatArray, responses: Sequence[Sequence[Response]]) -> Float
     return np.where(unstable[:, np.newaxis], gains, 0.0) if unstable.any() else gains
 
 
-def _time_scale(responses: Sequence[Sequence[Response]]) -> float:
+def _time_scale(tested: StepTest) -> float:
     """Return the longest settling time; where nothing settles, what else tells how fast the plant is."""
-    every = [response for row in responses for response in row]
+    every = [r for row in tested.responses for r in row if not tested.is_immediate(r)]
     doubling = [_DOUBLINGS * r.rise_time for r in every if r.is_unstable]
     if doubling:
         return min(doubling)

@@ -46,7 +46,14 @@ class SuggestedController:
 
 _EXCITED = 0.3  # share of an input's range that experiment and setpoints use, to either side of its rest
 _SAMPLES_PER_SETTLING = 30  # a first-order lag gets ten samples per time constant
+_SAMPLES_PER_TIME_CONSTANT, _TIME_CONSTANTS_PER_SETTLING = 10, 3
 _SAMPLES_PER_RISE = 2
+# Where something fast stands beside something slow: an end of the study must be in sight.
+_MOST_SAMPLES_PER_SETTLING, _MOST_SAMPLES_PER_RINGING = 150, 500
+_SAMPLES_PER_LAG = 5
+_SETTLING_IN_DURATION = 0.1  # of the time that somebody thought of as long enough
+_FEWEST_SAMPLES, _MOST_SAMPLES = 30, 2000  # of a default experiment whose steps are those of a loop
+_SWINGS, _LAGS = ResponseType.OSCILLATING, ResponseType.INTEGRATING
 _SETTLING_PER_SETPOINT = 1.5
 _HORIZON, _INITIAL_LENGTH = 15, 5
 _LEAST_SAMPLES_PER_SETPOINT = 4 * _HORIZON
@@ -123,6 +130,26 @@ def working_range(inputs: Sequence[Variable], bounds: Mapping[str, Bounds]) -> R
     return Range(rest, np.maximum(low, rest - width), np.minimum(high, rest + width))
 
 
+def guessed_time_scale(request: Request, stop_time: float, step_size: float | None) -> float | None:
+    """Return how long a plant may take to get where it goes [s], from what is asked for or declared.
+
+    Parameters
+    ----------
+    request : Request
+        Its sampling time counts first, then its duration.
+    stop_time, step_size : float
+        Of the FMU's default experiment [s]; a stop time of 0 and None stand for none.
+    """
+    if request.sampling_time is not None:
+        return request.sampling_time * _SAMPLES_PER_SETTLING
+    if request.duration is not None:
+        return request.duration * _SETTLING_IN_DURATION
+    samples = stop_time / step_size if step_size else 0.0
+    if step_size and (not stop_time > 0.0 or _FEWEST_SAMPLES <= samples <= _MOST_SAMPLES):
+        return step_size * _SAMPLES_PER_SETTLING
+    return stop_time * _SETTLING_IN_DURATION if stop_time > 0.0 else None
+
+
 def sampling_time(
     tested: StepTest, choice: Choice, fixed_step: float | None, duration: float | None
 ) -> float:
@@ -135,18 +162,22 @@ def sampling_time(
     ConfigError
         It is not a whole number of fixed steps.
     """
-    rises = [
-        response.rise_time
-        for j in choice.outputs
-        for response in (tested.responses[j][i] for i in choice.inputs)
-        if response.type in (ResponseType.SETTLED, ResponseType.OSCILLATING) and not response.is_transient
-    ]
+    responses = [tested.responses[j][i] for j in choice.outputs for i in choice.inputs]
+    slow = [r for r in responses if r.type is ResponseType.SETTLED and not (r.is_transient or r.rings)]
+    slow = [r for r in slow if not tested.is_immediate(r)]
+    constants = [max(r.dead_time, r.settling_time / _TIME_CONSTANTS_PER_SETTLING) for r in slow]
+    wanted = choice.time_scale / _SAMPLES_PER_SETTLING
+    if constants and not any(r.is_unstable for r in responses):  # horizons must reach beyond a dead time
+        wanted = max(wanted, max(r.dead_time for r in slow) / _SAMPLES_PER_TIME_CONSTANT)
+    rises = [r.rise_time for r in responses if (r.rings and not r.is_transient) or r.type is _SWINGS]
     moving = drifting(tested)
     rises += [_swing_time(tested.time, tested.rest[:, j]) for j in choice.outputs if moving[j]]
-    wanted = choice.time_scale / _SAMPLES_PER_SETTLING
-    if rises and not choice.guessed:
-        wanted = min(wanted, min(rises) / _SAMPLES_PER_RISE)
-    wanted = max(wanted, float(tested.time[0]))
+    limits = [rise / _SAMPLES_PER_RISE for rise in (*constants, *rises)]
+    limits += [r.rise_time / _SAMPLES_PER_LAG for r in responses if r.type is _LAGS and r.rise_time > 0.0]
+    if not choice.guessed:
+        most = _MOST_SAMPLES_PER_RINGING if rises else _MOST_SAMPLES_PER_SETTLING
+        wanted = max(min((wanted, *limits)), choice.time_scale / most)
+    wanted = max(wanted, float(tested.time[0]), *(r.held for r in responses))
     multiple = 1 if fixed_step is None else max(1, round(wanted / fixed_step))
     sample = nearest_125(wanted) if fixed_step is None else multiple * fixed_step
     if duration is None or _divides(sample, duration):

@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from itertools import pairwise
 from time import monotonic
 
 import numpy as np
@@ -29,6 +30,11 @@ _DOUBLINGS = 3.0  # after which an unstable plant is still where one would want 
 _ESCAPE = (0.003, 0.3)  # of the peak: between them an unstable mode grows undisturbed
 _FLOOR = 1e-5  # of the output's level: below it a response is an integrator's rounding
 _RISEN = 1.0 - np.exp(-1.0)  # where a first-order lag is after its time constant
+_CREEP = 1e-3  # of the peak: what a response that seems settled may still move without being asked further
+_GROWING = 1.5  # the ends of a slow mode, that it starts with a line: twice as much in twice the time
+_PARALLEL = 0.02  # of its slope: how far a line behind a lag may still be from it
+_LATE = 1.5  # of the time between two jumps
+_SAME, _JUMP = 1e-9, 1e-3  # of what there was before: an output that is held, and one that is set anew
 
 
 class ResponseType(StrEnum):
@@ -62,6 +68,14 @@ class Response:
         When it is within 5 % of its peak for good [s]; infinite if it never is.
     peak : float
         Its largest magnitude.
+    dead_time : float
+        When it first leaves 5 % of its peak [s].
+    rings : bool
+        Whether it goes through its final value more than once before it settles.
+    creeps : bool
+        Whether it has settled as far as one sees, but a slower mode seems to begin.
+    held : float
+        For how long the output keeps its value between one jump and the next [s]; 0 if it does not.
     """
 
     type: ResponseType
@@ -70,6 +84,10 @@ class Response:
     rise_time: float = np.inf
     settling_time: float = np.inf
     peak: float = 0.0
+    dead_time: float = 0.0
+    rings: bool = False
+    creeps: bool = False
+    held: float = 0.0
 
     @property
     def is_transient(self) -> bool:
@@ -104,16 +122,27 @@ def classify(time: FloatArray, deviation: FloatArray, level: float) -> Response:
     peak = float(np.max(np.abs(deviation), initial=0.0))
     if not peak > _FLOOR * level:
         return Response(ResponseType.INSENSITIVE)
+    response, held = _classify(time, deviation, peak), held_time(time, deviation)
+    if response.type is ResponseType.INTEGRATING and response.rise_time <= _LATE * held:
+        response = replace(response, rise_time=0.0)  # it is as late as its clock makes it
+    return replace(response, held=held)
+
+
+def _classify(time: FloatArray, deviation: FloatArray, peak: float) -> Response:
     last = deviation[-BLOCK:]
     final = float(np.mean(last))
     if np.all(np.abs(last - final) <= _BAND * peak):
         moving = np.flatnonzero(np.abs(deviation - final) > _BAND * peak)
         settled = float(time[moving[-1] + 1]) if moving.size else float(time[0])
         rise = _first_reached(time, deviation, final if abs(final) > _BAND * peak else peak)
-        return Response(ResponseType.SETTLED, final, 0.0, rise, settled, peak)
+        sides = np.sign(deviation[moving] - final)
+        rings = bool(np.count_nonzero(np.diff(sides)) > 1)
+        creeps = _creeps(deviation, peak)
+        dead = float(time[np.argmax(np.abs(deviation) > _BAND * peak)])
+        return Response(ResponseType.SETTLED, final, 0.0, rise, settled, peak, dead, rings, creeps)
     slope = _common_slope(time, deviation)
     if slope:
-        lag = max(float(time[-1] - deviation[-1] / slope), 0.0)
+        lag = _lag(time, deviation, slope)
         return Response(ResponseType.INTEGRATING, float(deviation[-1]), slope, lag, np.inf, peak)
     before = float(np.max(np.abs(deviation[-2 * BLOCK : -BLOCK]), initial=0.0))
     if len(deviation) > BLOCK and peak > _ACCELERATING * before and np.argmax(np.abs(last)) == BLOCK - 1:
@@ -156,6 +185,48 @@ def _common_slope(time: FloatArray, deviation: FloatArray) -> float:
     return float(slope) if straight and rise > 0.0 else 0.0
 
 
+def _lag(time: FloatArray, deviation: FloatArray, slope: float) -> float:
+    """Return by how much a line is late, from where it is first parallel to what it becomes [s]."""
+    t, d = time.reshape(-1, BLOCK), deviation.reshape(-1, BLOCK)
+    slopes = (d[:, -1] - d[:, 0]) / (t[:, -1] - t[:, 0])
+    bent = np.flatnonzero(np.abs(slopes - slope) > _PARALLEL * abs(slope))
+    first = min(bent[-1] + 1, len(t) - 1) if bent.size else 0
+    return max(float(np.mean(t[first] - d[first] / slope)), 0.0) if first else 0.0
+
+
+def _creeps(deviation: FloatArray, peak: float) -> bool:
+    """Return whether the means of the last blocks, each twice as long, drift apart like a line."""
+    if len(deviation) < 3 * BLOCK:
+        return False
+    before, now = np.diff(deviation[-3 * BLOCK :].reshape(3, BLOCK).mean(axis=1))
+    return bool(abs(now) > _CREEP * peak and now * np.sign(before) >= _GROWING * abs(before))
+
+
+def held_time(time: FloatArray, deviation: FloatArray) -> float:
+    """Return for how long an output keeps its value between two jumps, as under a clock of its own [s].
+
+    Parameters
+    ----------
+    time, deviation : array, shape (n,)
+        As for :func:`classify`.
+
+    Returns
+    -------
+    held : float
+        The median; 0 if the output moves between the samples.
+    """
+    change = np.abs(np.diff(deviation))
+    so_far = np.maximum.accumulate(np.abs(deviation))[:-1]
+    jumps = np.flatnonzero((change > _JUMP * so_far) & (change > 0.0))
+    pairs = list(pairwise(jumps))
+    long = [i for i, (before, after) in enumerate(pairs) if after - before > 2]
+    if len(long) < 2 or len(long) <= long[-1] // 2:  # later jumps are those of samples that lie farther apart
+        return 0.0
+    within = [change[a + 1 : b] <= _SAME * so_far[a + 1 : b] for a, b in (pairs[i] for i in long)]
+    held = [time[b] - time[a] for a, b in (pairs[i] for i in long)]
+    return float(np.median(held)) if all(np.all(still) for still in within) else 0.0
+
+
 def _doubling_time(time: FloatArray, deviation: FloatArray) -> float:
     """Return how long an exponential takes to double [s]; infinite for what is rather a power of time."""
     late, early = abs(deviation[-1]), abs(deviation[-BLOCK])
@@ -171,11 +242,12 @@ _BLOCKS_MORE, _BLOCKS_MOST = 4, 40
 _UNCLEAR = {ResponseType.OSCILLATING, ResponseType.INTEGRATING, ResponseType.ACCELERATING}
 _FASTER, _TIMES_FASTER = 2**10, 3
 _MOST_STEPS = 100_000
-_SHARE, _LARGER_SHARE, _SMALLER_SHARE = 0.1, 0.5, 0.001
+_SHARE, _LARGER_SHARES, _SMALLER_SHARE = 0.1, (0.5, 1.0), 0.001
 _NONLINEAR = 0.3
 _BEYOND = 1e30
 _IMMEDIATE = 3  # samples
 _STEPS_TIMED = 3
+_PART_FOR_LONGER = 0.5  # of the time that is left
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +285,8 @@ class Timing:
         How many blocks the first runs have.
     budget : float
         Seconds of computing time after which no longer runs are tried.
+    guess : float
+        How long the plant takes to get where it goes, as far as its responses do not tell [s].
     """
 
     step: float
@@ -220,6 +294,7 @@ class Timing:
     fixed: bool = False
     blocks: int = 12
     budget: float = 30.0
+    guess: float = 10.0
 
 
 @dataclass(frozen=True)
@@ -246,6 +321,8 @@ class StepTest:
         Whether the outputs follow the inputs at once, however closely one looks.
     unstable : frozenset of int
         Outputs whose response does not shrink with the step.
+    resolution : float
+        What happens within this time cannot be told from what happens at once [s].
     """
 
     time: FloatArray
@@ -256,10 +333,15 @@ class StepTest:
     stopped: bool = False
     static: bool = False
     unstable: frozenset[int] = field(default_factory=frozenset)
+    resolution: float = 0.0
+
+    def is_immediate(self, response: Response) -> bool:
+        """Whether a response is over within the first samples: direct feedthrough, as far as one sees."""
+        return response.settling_time <= self.resolution
 
 
 def step_test(plant: Plant, resting: Resting, timing: Timing) -> StepTest:
-    """Step each input by a tenth of its room, by half of it where that does nothing.
+    """Step each input by a tenth of its room, by more of it where that does nothing.
 
     Parameters
     ----------
@@ -278,10 +360,11 @@ def step_test(plant: Plant, resting: Resting, timing: Timing) -> StepTest:
     deadline = monotonic() + timing.budget
     paced = _Paced(plant, deadline)
     timing = _for_its_speed(paced, resting, timing)
-    tested = _at_time_scale(paced, resting, _SHARE, timing, deadline)
-    if paced.may_repeat and not any(_responds(tested, i) for i in range(len(resting.u))):
-        tested = _at_time_scale(paced, resting, _LARGER_SHARE, timing, deadline)
-    return _with_instabilities(paced, resting, tested, timing)
+    tested = _at_time_scale(paced, resting, _SHARE * resting.room, timing)
+    larger = _with_larger_steps(paced, resting, tested, timing)
+    if larger is not tested and not any(_responds(tested)) and paced.may_repeat:
+        larger = _at_time_scale(paced, resting, larger.steps, timing)
+    return _with_instabilities(paced, resting, larger, timing)
 
 
 class _Paced(Plant):
@@ -289,6 +372,7 @@ class _Paced(Plant):
 
     def __init__(self, plant: Plant, deadline: float) -> None:
         self._plant, self._deadline, self._until, self._took = plant, deadline, deadline, 0.0
+        self.ran_out = False
         self.inputs, self.outputs = plant.inputs, plant.outputs
 
     @property
@@ -305,9 +389,9 @@ class _Paced(Plant):
         """Give all runs more time."""
         self._deadline += seconds
 
-    def share(self, runs: int) -> None:
-        """Give the next run its share of the time that is left for it and those after it."""
-        self._until = monotonic() + self.left / runs
+    def share(self, runs: int, part: float) -> None:
+        """Give the next run its share of a part of the time that is left for it and those after it."""
+        self._until = monotonic() + part * self.left / runs
 
     def note(self, seconds: float) -> None:
         """Take note of how long a set of runs has taken."""
@@ -323,7 +407,8 @@ class _Paced(Plant):
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs over h."""
-        if monotonic() > self._until:
+        self.ran_out = monotonic() > self._until
+        if self.ran_out:
             raise FMUStepError("the time for it was over", StepStatus.TIMED_OUT, math.nan)
         return self._plant.step(u, h)
 
@@ -362,44 +447,75 @@ def _for_its_speed(plant: _Paced, resting: Resting, timing: Timing) -> Timing:
     return replace(timing, blocks=blocks, step=step)
 
 
-def _responds(tested: StepTest, i: int) -> bool:
-    return any(row[i].type is not ResponseType.INSENSITIVE for row in tested.responses)
+def _responds(tested: StepTest) -> list[bool]:
+    """Return for each input whether an output responds to it."""
+    columns = zip(*tested.responses, strict=True)
+    return [any(r.type is not ResponseType.INSENSITIVE for r in column) for column in columns]
 
 
-def _at_time_scale(
-    plant: _Paced, resting: Resting, share: float, timing: Timing, deadline: float
-) -> StepTest:
-    """Run with shorter first steps as long as everything happens in the first of them."""
+def _with_larger_steps(plant: _Paced, resting: Resting, tested: StepTest, timing: Timing) -> StepTest:
+    """Step the inputs further that do nothing: a relay, an integer or a boolean needs more than a tenth."""
+    for share in _LARGER_SHARES:
+        idle = ~np.array(_responds(tested))
+        if tested.fault or not idle.any() or not plant.may_repeat:
+            break
+        steps = np.where(idle, share * resting.room, 0.0)
+        grid = _Grid(float(tested.time[0]), len(tested.time) // BLOCK, timing.fixed)
+        larger, _ = _run_all(plant, resting, steps, grid)
+        rows = zip(tested.responses, larger.responses, strict=True)
+        merged = tuple(
+            tuple(new if still else old for old, new, still in zip(before, after, idle, strict=True))
+            for before, after in rows
+        )
+        tested = replace(tested, steps=np.where(idle, steps, tested.steps), responses=merged)
+    return tested
+
+
+def _at_time_scale(plant: _Paced, resting: Resting, steps: FloatArray, timing: Timing) -> StepTest:
+    """Run, with shorter first steps too where everything has happened in the first of them.
+
+    What is immediate however closely one looks is static.
+    """
     step = timing.step
+    coarse = closest = _until_clear(plant, resting, steps, timing)
     for _ in range(_TIMES_FASTER):
-        tested = _until_clear(plant, resting, share * resting.room, step, timing, deadline)
-        rises = [r.rise_time for row in tested.responses for r in row if r.type is ResponseType.SETTLED]
-        if timing.fixed or not rises or max(rises) > _IMMEDIATE * step or not plant.may_repeat:
-            return tested
+        shown = [r for row in closest.responses for r in row if r.type is not ResponseType.INSENSITIVE]
+        if not shown or not all(map(closest.is_immediate, shown)):
+            return closest
+        if timing.fixed or not plant.may_repeat:
+            break
         step /= _FASTER
-    return replace(tested, static=True)
+        closest, _ = _run_all(plant, resting, steps, _Grid(step, timing.blocks, fixed=False))
+    return replace(coarse, static=True)
 
 
-def _until_clear(
-    plant: _Paced, resting: Resting, steps: FloatArray, step: float, timing: Timing, deadline: float
-) -> StepTest:
+def _until_clear(plant: _Paced, resting: Resting, steps: FloatArray, timing: Timing) -> StepTest:
     """Make runs longer until every response has shown its type, or time is up."""
     blocks = timing.blocks
-    while True:
-        started = monotonic()
-        grid = _Grid(step, blocks, timing.fixed)
-        tested, _ = _run_all(plant, resting, steps, grid)
-        types = {r.type for row in tested.responses for r in row}
-        if tested.fault or not (types & _UNCLEAR or types == {ResponseType.INSENSITIVE}):
-            return tested
-        if grid.end >= timing.longest or blocks >= _BLOCKS_MOST:
+    tested, _ = _run_all(plant, resting, steps, _Grid(timing.step, blocks, timing.fixed))
+    while not (tested.fault or _is_clear(tested)):
+        if tested.time[-1] >= timing.longest or blocks >= _BLOCKS_MOST:
             return tested
         blocks += _BLOCKS_MORE
-        longer = _Grid(step, blocks, timing.fixed)
-        now = monotonic()
-        expected = (now - started) * 2.0**_BLOCKS_MORE
-        if longer.communication_steps > _MOST_STEPS or now + expected > deadline:
+        grid = _Grid(timing.step, blocks, timing.fixed)
+        if grid.communication_steps > _MOST_STEPS or not plant.may_repeat:
             return replace(tested, stopped=True)
+        try:
+            longer, _ = _run_all(plant, resting, steps, grid, _PART_FOR_LONGER)
+        except CosimError:  # not even one block in time
+            return replace(tested, stopped=True)
+        if plant.ran_out:
+            return replace(tested, stopped=True)
+        tested = longer
+    return tested
+
+
+def _is_clear(tested: StepTest) -> bool:
+    """Return whether every response has shown what it is, and one of them something that takes time."""
+    shown = [r for row in tested.responses for r in row if r.type is not ResponseType.INSENSITIVE]
+    if any(r.type in _UNCLEAR or r.creeps for r in shown):
+        return False
+    return not all(tested.is_immediate(r) for r in shown)
 
 
 class _Grid:
@@ -410,6 +526,7 @@ class _Grid:
         self._counts = sample_counts(blocks)
         self.time: FloatArray = np.cumsum(self._counts) * np.float64(step)
         self.end = float(self.time[-1])
+        self.resolution = step * (1.0 + _SAME if fixed else _IMMEDIATE)
         self.communication_steps = int(self._counts.sum()) if fixed else len(self._counts)
 
     def run(
@@ -436,18 +553,21 @@ def _stacked(rows: Sequence[FloatArray], plant: Plant) -> FloatArray:
 
 
 def _run_all(
-    plant: _Paced, resting: Resting, steps: FloatArray, grid: _Grid
+    plant: _Paced, resting: Resting, steps: FloatArray, grid: _Grid, part: float = 1.0
 ) -> tuple[StepTest, list[FloatArray]]:
     """Run at rest, then with a step of each input; return the responses and what they are taken from."""
     u, parameters = resting.u, resting.parameters
     began = monotonic()
-    plant.share(1 + len(u))
+    plant.share(1 + len(u), part)
     rest, fault = grid.run(plant, u, parameters)
     if len(rest) < BLOCK:
         raise CosimError(f"the plant does not run with its inputs at rest: {fault}")
     deviations = []
     for i, height in enumerate(steps):
-        plant.share(len(u) - i)
+        if not height:
+            deviations.append(np.zeros_like(rest))
+            continue
+        plant.share(len(u) - i, part)
         stepped, failed = grid.run(plant, u + height * np.eye(len(u))[i], parameters)
         n = _whole_blocks(min(len(rest), len(stepped)))
         fault = fault or failed
@@ -458,7 +578,8 @@ def _run_all(
         tuple(classify(grid.time[: len(d)], d[:, j], float(levels[j])) for d in deviations)
         for j in range(len(plant.outputs))
     )
-    return StepTest(grid.time[: len(rest)], rest, steps, responses, fault), deviations
+    tested = StepTest(grid.time[: len(rest)], rest, steps, responses, fault, resolution=grid.resolution)
+    return tested, deviations
 
 
 def _whole_blocks(samples: int) -> int:

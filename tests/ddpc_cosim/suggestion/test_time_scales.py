@@ -1,0 +1,192 @@
+"""Sampling time and duration fit plants of every kind; the formulas are those of elementary systems."""
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from ddpc_cosim import Plant, Variable
+from ddpc_cosim.suggestion import design
+from ddpc_cosim.suggestion.choice import Choice, choose
+from ddpc_cosim.suggestion.request import Request
+from ddpc_cosim.suggestion.step_test import ResponseType, Resting, StepTest, Timing, step_test
+from ddpc_cosim.variables import FloatArray
+
+
+class Linear(Plant):
+    """x' = a x + b u(t - dead_time), y = c x + d u, exactly; under a clock, x changes at its ticks only."""
+
+    def __init__(
+        self,
+        a: Any,
+        b: Any,
+        c: Any,
+        d: float = 0.0,
+        *,
+        dead_time: float = 0.0,
+        clock: float = 0.0,
+        threshold: float = 0.0,
+    ) -> None:
+        self.a = np.atleast_2d(np.array(a, dtype=float))
+        self.b = np.array(b, dtype=float).reshape(len(self.a), -1)
+        self.c, self.d = np.array(c, dtype=float).reshape(-1, len(self.a)), d
+        self.inputs = tuple(Variable(f"u{i}", min=-1.0, max=1.0) for i in range(self.b.shape[1]))
+        self.outputs = tuple(Variable(f"y{j}") for j in range(len(self.c)))
+        self.dead_time, self.clock, self.threshold = dead_time, clock, threshold
+        self.transition = cache(self._transition)
+
+    def _transition(self, h: float) -> FloatArray:
+        n, m = self.b.shape
+        return np.asarray(expm(h * np.block([[self.a, self.b], [np.zeros((m, n + m))]]))[:n])
+
+    def reset(self, parameters: Mapping[str, Any] | None = None, t0: float = 0.0) -> FloatArray:
+        self.t, self.x = 0.0, np.zeros(len(self.a))
+        return self.c @ self.x
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        u = np.where(np.abs(u) > self.threshold, u, 0.0)
+        begin, self.t = self.t, self.t + h
+        if self.clock:
+            ticks = int(self.t / self.clock + 1e-9) - int(begin / self.clock + 1e-9)
+            durations = [self.clock] * ticks
+        else:
+            durations = [self.t - max(begin, self.dead_time)] if self.t > self.dead_time else []
+        for duration in durations:
+            self.x = self.transition(duration) @ np.concatenate((self.x, u))
+        return self.c @ self.x + self.d * u[: len(self.c)]
+
+
+def oscillator(frequency: float, damping: float) -> Linear:
+    """w^2 / (s^2 + 2 damping w s + w^2)."""
+    return Linear([[0, 1], [-(frequency**2), -2 * damping * frequency]], [0, frequency**2], [1, 0])
+
+
+def proposed(plant: Linear, timing: Timing) -> tuple[StepTest, Choice, float, float]:
+    """Return the step test, the choice, the sampling time and the duration."""
+    rest, room = np.zeros(len(plant.inputs)), np.ones(len(plant.inputs))
+    tested = step_test(plant, Resting(rest, room), timing)
+    choice = choose(tested, room, timing.guess, all_outputs=False)
+    sample = design.sampling_time(tested, choice, timing.step if timing.fixed else None, None)
+    working = design.working_range(plant.inputs, design.input_bounds(plant.inputs)).of(choice.inputs)
+    _, duration = design.setpoints(tested, choice, plant.outputs, working, sample, Request())
+    return tested, choice, sample, duration
+
+
+OPEN = Timing(1e-4, longest=1e5)
+"""An FMU that says nothing about time."""
+
+
+def fixed(step: float) -> Timing:
+    return Timing(step, longest=1e5, fixed=True, blocks=8)
+
+
+# time constant that matters, and how long a response takes to settle
+SETTLING: dict[str, tuple[Linear, Timing, float, float]] = {
+    "lag": (Linear(-1, 1, 1), OPEN, 1.0, 3.0),
+    "fast lag": (Linear(-1e3, 1e3, 1), OPEN, 1e-3, 3e-3),
+    "thermal": (Linear(-1 / 600, 1 / 600, 1), OPEN, 600.0, 1800.0),
+    # y = u + 0.2 x: 5 % of 1.2 are left when exp(-t / T) = 0.3
+    "feedthrough": (Linear(-0.1, 0.1, 0.2, 1.0), OPEN, 10.0, 12.0),
+    "feedthrough, thermal": (Linear(-1 / 600, 1 / 600, 0.2, 1.0), OPEN, 600.0, 600 * np.log(0.2 / 0.06)),
+    "feedthrough, equal steps": (Linear(-0.1, 0.1, 0.2, 1.0), fixed(0.5), 10.0, 12.0),
+    "1 ms beside 10 s": (Linear(np.diag([-1e3, -0.1]), [1e3, 0.1], [1, 0.5]), OPEN, 10.0, 19.0),
+    "1 ms before 10 s": (Linear([[-1e3, 0], [0.1, -0.1]], [1e3, 0], [0, 1]), OPEN, 10.0, 30.0),
+    "dead time": (Linear(-0.2, 0.2, 1, dead_time=1.0), OPEN, 5.0, 16.0),
+    "mostly dead time": (Linear(-10, 10, 1, dead_time=1.0), OPEN, 1.0, 1.3),
+    "non-minimum phase": (Linear([[0, 1], [-1, -2]], [0, 1], [1, -2]), OPEN, 1.0, 6.0),
+    "a clock of its own": (Linear(-1, 1, 1, clock=0.1), OPEN, 1.0, 3.0),
+}
+
+
+@pytest.mark.parametrize("name", SETTLING)
+def test_a_time_constant_has_five_to_thirty_samples_and_a_setpoint_time_to_settle(name: str) -> None:
+    plant, timing, constant, settling = SETTLING[name]
+    tested, choice, sample, duration = proposed(plant, timing)
+    assert not choice.guessed
+    assert not tested.static
+    assert choice.time_scale == pytest.approx(settling, rel=0.15)
+    assert 4.99 <= constant / sample <= 30.01
+    assert duration >= 2 * settling
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(1.0, 0.1), (100.0, 0.05), (1.0, 0.01)])
+def test_an_oscillation_has_ten_samples_per_period_and_time_to_settle(
+    frequency: float, damping: float
+) -> None:
+    _, choice, sample, duration = proposed(oscillator(frequency, damping), OPEN)
+    assert 2 * np.pi / frequency / sample >= 10
+    assert duration >= 2 * choice.time_scale
+    assert choice.time_scale == pytest.approx(np.log(20) / (damping * frequency), rel=0.3)
+
+
+def test_a_slow_output_beside_a_fast_one_reaches_its_setpoints() -> None:
+    """1 s and 100 s: the fast one is sampled, the slow one has time to settle."""
+    _, _, sample, duration = proposed(Linear(np.diag([-1, -0.01]), np.diag([1, 0.01]), np.eye(2)), OPEN)
+    assert sample <= 2.0
+    assert duration >= 4 * 300
+
+
+@pytest.mark.parametrize(
+    ("plant", "timing", "doubling"),
+    [
+        (Linear(3, 1, 1), OPEN, np.log(2) / 3),
+        (Linear(3, 1, 1), fixed(0.01), np.log(2) / 3),
+        (Linear(0.01, 1, 1), OPEN, np.log(2) / 0.01),
+    ],
+)
+def test_an_unstable_plant_is_sampled_five_times_per_time_constant(
+    plant: Linear, timing: Timing, doubling: float
+) -> None:
+    tested, _, sample, _ = proposed(plant, timing)
+    assert tested.responses[0][0].rise_time == pytest.approx(doubling, rel=0.02)
+    assert 5 <= doubling / np.log(2) / sample <= 10
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        Linear(0, 1, 1),
+        Linear(0, 1, 1, clock=0.01),
+        Linear([[0, 0], [1, 0]], [1, 0], [0, 1]),
+        Linear(-1, 0, 1, 4.0),
+    ],
+    ids=["integrator", "clocked integrator", "two integrators", "static"],
+)
+def test_what_has_no_time_scale_gets_a_guess_that_no_small_error_decides(plant: Linear) -> None:
+    _, choice, sample, _ = proposed(plant, Timing(1e-4, longest=50.0, guess=6.0))
+    assert choice.guessed
+    assert sample == pytest.approx(6.0 / 30)
+
+
+def test_an_integrator_behind_a_lag_is_sampled_as_the_lag_needs_it() -> None:
+    _, choice, sample, _ = proposed(Linear([[-2, 0], [1, 0]], [2, 0], [0, 1]), OPEN)
+    assert choice.time_scale == pytest.approx(10 * 0.5, rel=0.02)
+    assert 0.5 / sample == pytest.approx(5)
+
+
+def test_a_relay_that_needs_more_than_a_tenth_is_found() -> None:
+    tested, _, _, _ = proposed(Linear(-1, 1, 1, threshold=0.7), OPEN)
+    assert tested.steps == [1.0]
+    assert tested.responses[0][0].type is ResponseType.SETTLED
+    assert tested.responses[0][0].effect == pytest.approx(1.0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("request_", "stop", "step", "scale"),
+    [
+        (Request(sampling_time=0.5), 100.0, 1.0, 15.0),
+        (Request(duration=50.0), 100.0, 1.0, 5.0),
+        (Request(), 100.0, 1.0, 30.0),  # 100 steps of a loop
+        (Request(), 100.0, 1e-4, 10.0),  # a million steps of an integrator
+        (Request(), 0.0, 0.01, 0.3),
+        (Request(), 100.0, None, 10.0),
+        (Request(), 0.0, None, None),
+    ],
+)
+def test_where_responses_tell_nothing_the_default_experiment_does(
+    request_: Request, stop: float, step: float | None, scale: float | None
+) -> None:
+    assert design.guessed_time_scale(request_, stop, step) == (scale and pytest.approx(scale))
