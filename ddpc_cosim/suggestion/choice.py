@@ -11,6 +11,7 @@ from ddpc_cosim.variables import FloatArray
 MOST_INPUTS, MOST_OUTPUTS = 6, 4
 _INDEPENDENT = 0.05
 _NEARLY_BEST = 0.5
+_LASTS = 0.2  # of its peak: what an oscillation about something else has on average
 # How many doublings, rises and lags make a time scale like that of a response that settles.
 _DOUBLINGS, _RISES, _LAGS = 7.0, 20.0, 10.0
 
@@ -85,12 +86,18 @@ def lasting_gains(tested: StepTest, time_scale: float) -> FloatArray:
                 gains[j, i] = response.effect * share**2 / tested.steps[i]
             elif response.type is ResponseType.INTEGRATING:
                 gains[j, i] = response.slope * time_scale / tested.steps[i]
-            elif response.type is not ResponseType.INSENSITIVE and not response.is_transient:
+            elif response.type is not ResponseType.INSENSITIVE and not returns(response):
                 gains[j, i] = response.effect / tested.steps[i]
     if not gains.any():
         peaks = np.array([[response.peak for response in row] for row in tested.responses])
         gains = peaks.reshape(gains.shape) / tested.steps
     return gains
+
+
+def returns(response: Response) -> bool:
+    """Whether an output goes back to where it was, if only on average: nothing that an input could hold."""
+    swings = response.type is ResponseType.OSCILLATING
+    return response.is_transient or (swings and abs(response.effect) <= _LASTS * response.peak)
 
 
 def _urgent(gains: FloatArray, responses: Sequence[Sequence[Response]]) -> FloatArray:

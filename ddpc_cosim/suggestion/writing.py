@@ -8,7 +8,7 @@ import numpy as np
 import tomli_w
 
 from ddpc_cosim.plant import ParameterValue
-from ddpc_cosim.suggestion.choice import Choice
+from ddpc_cosim.suggestion.choice import Choice, returns
 from ddpc_cosim.suggestion.design import Bounds, Setpoints, SuggestedController, drifting
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
@@ -400,6 +400,8 @@ def hints(about: Circumstances, room: FloatArray) -> Iterator[str]:
         if any(response.is_unstable for response in row):
             yield f"{name} leaves its equilibrium by itself"
             continue
+        if all(returns(row[i]) or row[i].type is ResponseType.INSENSITIVE for i in about.choice.inputs):
+            yield f"{name} goes back to where it was whatever the inputs are: none can hold it elsewhere"
         moved = sum(abs(row[i].peak / about.tested.steps[i] * room[i]) for i in about.choice.inputs)
         drift = float(np.ptp(about.tested.rest[:, j]))
         if moved < drift:
