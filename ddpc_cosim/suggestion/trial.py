@@ -1,6 +1,7 @@
 """A suggested study tried out: what cannot run is dropped, and setpoints go where the plant can go."""
 
 import math
+import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -36,6 +37,7 @@ _STUCK = 0.2  # of that end with an input at its limits, from which on there is 
 _ALIKE = 1e-6  # of the span: samples at a limit of the plant's own
 _MOVED = 0.01  # of the span: setpoints that differ
 _LISTED = 3
+_LIMIT = re.compile("max|min|lim|sat|upper|lower|bound|range", re.IGNORECASE)
 
 
 class _TimeUpError(Exception):
@@ -291,11 +293,13 @@ def _limits_shown(trace: Trace, parameters: Mapping[str, Variable]) -> Iterator[
             there = np.abs(y - level) <= tolerance
             wanted = (trace.reference[:, j] - level) * (1 if side == "above" else -1)
             if tolerance > 0.0 and np.mean(there & (wanted > _MOVED * np.ptp(y))) > _MOVED:
-                named = [
+                equal = [
                     f"{p.name} = {p.start:g}"
                     for p in parameters.values()
                     if p.start and math.isclose(abs(p.start), abs(level), rel_tol=1e-3)
                 ]
+                # Many parameters are 1: of several, those count that are called a limit.
+                named = equal if len(equal) == 1 else [text for text in equal if _LIMIT.search(text)]
                 why = f" (parameter {', '.join(named[:_LISTED])})" if named else ""
                 yield f"{output.name} does not go {side} {level:.4g}{why}"
 
