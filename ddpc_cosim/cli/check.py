@@ -178,6 +178,11 @@ def check_command(
         require()
     found = find_subject(subject, settings, timeout)
     step = sampling_time or _natural_step(found)
+    if isinstance(found, FMUSubject):
+        from ddpc_cosim.fmu.library import compile_ahead
+
+        # Part of no check's time.
+        compile_ahead(Path(found.path), lambda line: click.echo(printable(line), err=True))
     read = (Path(found.path), cache_dir()) if isinstance(found, FMUSubject) else (cache_dir(),)
     with ScratchFolder() as folder:
         worker = _CheckWorker(folder, Sandbox((folder,), read) if sandboxed else None)

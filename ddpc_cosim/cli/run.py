@@ -172,6 +172,10 @@ class TerminalProgress:
     ) -> None:
         self._progress.stop()
 
+    def prepare(self, what: str) -> None:
+        """Show what is done before the cases."""
+        self._progress.update(self._task, description=printable(what))
+
     def start(self, total: int, kept: int) -> None:
         """Show how many cases there are."""
         note = f"{kept} finished cases are kept" if kept else "starting"
@@ -209,6 +213,10 @@ class LineProgress:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stream.flush()
+
+    def prepare(self, what: str) -> None:
+        """Say what is done before the cases."""
+        self._say(what)
 
     def start(self, total: int, kept: int) -> None:
         """Say how many cases there are."""

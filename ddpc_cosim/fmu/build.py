@@ -6,7 +6,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -93,7 +93,12 @@ def described_sources(folder: Path, description: FMUDescription, label: str) -> 
 
 
 def compile_sources(
-    folder: Path, description: FMUDescription, model_identifier: str, target: Path, label: str
+    folder: Path,
+    description: FMUDescription,
+    model_identifier: str,
+    target: Path,
+    label: str,
+    tell: Callable[[str], object],
 ) -> None:
     """Build the library of an unpacked FMU from its sources.
 
@@ -111,6 +116,8 @@ def compile_sources(
         The library to write.
     label : str
         The FMU's file name, for errors.
+    tell : callable
+        Called with a line before it is compiled, which may take a while.
 
     Raises
     ------
@@ -131,9 +138,14 @@ def compile_sources(
     except ExportError as error:
         raise FMUImportError(f"{label}: the FMU comes as C sources, and {error}") from error
     target.parent.mkdir(parents=True, exist_ok=True)
+
+    def make() -> bytes:
+        tell(f"compiling the C sources of {label}")
+        return _built(compiler, sources, sets, target.name)
+
     place = f"libraries/{_digest(sources, sets, compiler.identity)}/{target.name}"
     try:
-        target.write_bytes(cached(place, lambda: _built(compiler, sources, sets, target.name)).read_bytes())
+        target.write_bytes(cached(place, make).read_bytes())
     except ExportError as error:
         what = f"no binary for this platform, and {compiler.command[0]} cannot compile its C sources"
         raise FMUImportError(f"{label}: {what}: {str(error)[:_OUTPUT_SHOWN]}") from error

@@ -12,8 +12,9 @@ import re
 import threading
 import types
 import typing
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from glob import escape
 from pathlib import Path
@@ -25,12 +26,14 @@ import fmpy.fmi1
 import fmpy.fmi2
 import fmpy.fmi3
 
-from ddpc_cosim.errors import FMUImportError
-from ddpc_cosim.fmu.archive import is_file_name
+from ddpc_cosim.errors import CosimError, FMUImportError
+from ddpc_cosim.fmu.archive import is_file_name, unpack
 from ddpc_cosim.fmu.build import compile_sources, has_sources
 from ddpc_cosim.fmu.call_trace import TracedFunction
 from ddpc_cosim.fmu.description import FMUDescription, Interface
+from ddpc_cosim.fmu.description.reader import read_description
 from ddpc_cosim.fmu.status import missing_function
+from ddpc_cosim.scratch import ScratchFolder
 
 CFunction = Callable[..., int]
 
@@ -272,10 +275,31 @@ def library_extension() -> str:
     return str(fmpy.sharedLibraryExtension)
 
 
+def _say_nothing(line: str) -> None:
+    """Let a line go by."""
+
+
 def find_library(
-    folder: Path, description: FMUDescription, interface: Interface, label: str
+    folder: Path,
+    description: FMUDescription,
+    interface: Interface,
+    label: str,
+    tell: Callable[[str], object] = _say_nothing,
 ) -> tuple[Path, tuple[str, ...]]:
     """Return the library to load, and warnings where it is not where the standard wants it.
+
+    Parameters
+    ----------
+    folder : Path
+        The unpacked FMU.
+    description : FMUDescription
+        What it says about itself.
+    interface : Interface
+        What the library is for.
+    label : str
+        The FMU's file name, for errors.
+    tell : callable, optional
+        Called with a line before C sources are compiled, which may take a while.
 
     Raises
     ------
@@ -294,12 +318,38 @@ def find_library(
             place = f"{_BINARIES}/{candidate}/{found.name}"
             return found, () if place == proper else (f"the library is {place} instead of {proper}",)
     if has_sources(folder):
-        compile_sources(folder, description, name, folder / proper, label)
+        compile_sources(folder, description, name, folder / proper, label, tell)
         return folder / proper, ("no binary for this platform: compiled from the FMU's C sources",)
     raise FMUImportError(
         f"{label}: no binary for this platform ({proper}); it has {listed(folder)}. "
         f"Export the FMU for {folders[0]}."
     )
+
+
+def compile_ahead(path: Path, tell: Callable[[str], object]) -> None:
+    """Compile the libraries that an FMU has as C sources only, before anything is timed, into the cache.
+
+    What is wrong with the FMU is told where it is opened.
+
+    Parameters
+    ----------
+    path : Path
+        The FMU.
+    tell : callable
+        Called with a line before each is compiled.
+    """
+    with suppress(CosimError, OSError, zipfile.BadZipFile):
+        with zipfile.ZipFile(path) as archive:
+            folders = {name.rpartition("/")[0] for name in archive.namelist()}
+        ready = any(f"{_BINARIES}/{platform}" in folders for platform in platform_folders(2))
+        if ready or not any(folder.split("/")[0] == "sources" for folder in folders):
+            return
+        with ScratchFolder() as folder:
+            unpack(path, folder)
+            description = read_description(folder, path.name)
+            for interface in description.interfaces.values():
+                with suppress(FMUImportError):  # another one may do
+                    find_library(folder, description, interface, path.name, tell)
 
 
 def platforms(folder: Path) -> list[str]:

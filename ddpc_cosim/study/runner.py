@@ -10,7 +10,7 @@ import shlex
 import sys
 import tempfile
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -77,6 +77,9 @@ Watcher = Callable[[Update], None]
 class Progress(Protocol):
     """What follows a run of cases."""
 
+    def prepare(self, what: str) -> None:
+        """Take note of what is done before the cases are known, and may take a while."""
+
     def start(self, total: int, kept: int) -> None:
         """``total`` cases are to be run; ``kept`` more are there from before."""
 
@@ -127,6 +130,8 @@ def run_study(
     """
     if selection.sandboxed:
         require_sandbox()  # before anything is built
+    if resolved.plant.fmu:
+        _compile_ahead([Path(resolved.plant.fmu)], progress)
     plant = resolved.plant.built()
     cases = cases_of(resolved, plant, selection.seeds, selection.only)
     cases_folder = folder / CASES_FOLDER
@@ -135,6 +140,7 @@ def run_study(
     except OSError as error:
         raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
     missing = [case for case in cases if selection.fresh or not _is_there(cases_folder / case.id)]
+    _compile_ahead({path: None for case in missing for path in files_read(case)}, progress)
     progress.start(len(missing), len(cases) - len(missing))
     if missing:
         done = run_cases(
@@ -150,6 +156,15 @@ def run_study(
     results, damaged = load_cases(folder, study, [case.id for case in cases])
     provenance = _provenance(results, plant, selection, resolved.metrics.preview)
     return write_results(StudyResults(folder, study, results, provenance, damaged))
+
+
+def _compile_ahead(paths: Iterable[Path], progress: Progress) -> None:
+    """Compile FMUs of C sources, which is part of no call's time, and keep the libraries for the workers."""
+    for path in paths:
+        if path.suffix.lower() == ".fmu":
+            from ddpc_cosim.fmu.library import compile_ahead  # with all that runs FMUs
+
+            compile_ahead(path, progress.prepare)
 
 
 def _is_there(folder: Path) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError
 from ddpc_cosim.fmu.description import FMUDescription, choose_interface, default_signals
 from ddpc_cosim.fmu.description.defects import Severity
+from ddpc_cosim.fmu.library import compile_ahead
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
 from ddpc_cosim.plant import ParameterValue
@@ -101,7 +102,9 @@ def suggest_study(
     CosimError
         It cannot be loaded, or does not run.
     """
-    path, deadline = Path(path), monotonic() + budget
+    path = Path(path)
+    compile_ahead(path, tell)
+    deadline = monotonic() + budget
     tell(f"reading {path.name}")
     description = _runnable(path)
     request = Request(at or {}, ranges or {}, sampling_time, duration, inputs, outputs)

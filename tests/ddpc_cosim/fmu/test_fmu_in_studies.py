@@ -1,8 +1,11 @@
 """FMUs of every version in whole studies: parameters of every type, units, warnings."""
 
+import os
+import sys
 from pathlib import Path
 from typing import Any
 
+import fmus.builder
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -11,6 +14,8 @@ from fmus.builder import LAG, describe, model_fmu, model_library, write_fmu
 from ddpc_cosim import Constant, Controller, CosimWarning, FMUPlant, Loop, Sample, cosimulate
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study.results import load_results
+from ddpc_cosim.suggestion import suggest_study
+from fmu_plants.export.compiler import find_compiler
 
 STUDY = """
 [plant]
@@ -127,3 +132,50 @@ def test_a_run_tells_the_fmu_its_stop_time(tmp_path: Path) -> None:
         trace = cosimulate(plant, Hold(), sampling_time=0.1, duration=0.7, reference=Constant(0.0))
         assert trace.y[:, 0] == pytest.approx(1 - np.exp(-trace.time))
         assert len(trace.time) == 8
+
+
+def test_c_sources_are_compiled_once_before_anything_is_timed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The compiler is called by the command's own process, where no call has a time limit, and not again."""
+    sources = Path(fmus.builder.__file__).parent
+    names = ("models.c", "front2.c", "models.h")
+    files = {f"sources/{name}": (sources / name).read_text(encoding="utf-8") for name in names}
+    interface = (
+        '<CoSimulation modelIdentifier="models" canHandleVariableCommunicationStepSize="true"><SourceFiles>'
+        '<File name="models.c"/><File name="front2.c"/></SourceFiles></CoSimulation>'
+    )
+    fmu = write_fmu(tmp_path / "lag.fmu", describe("2.0", "lag", LAG, interfaces=interface), None, **files)
+    callers, real = tmp_path / "callers", find_compiler().command
+    asked = tmp_path / "compiler.py"
+    asked.write_text(
+        f"import os, sys\nopen({str(callers)!r}, 'a').write(f'{{os.getppid()}}\\n')\n"
+        f"command = [*{list(real)!r}, *sys.argv[1:]]\nos.execv(command[0], command)\n",
+        encoding="utf-8",
+    )
+    monkeypatch.setenv("CC", f'"{sys.executable}" "{asked}"')
+    study = write_study(tmp_path, fmu)
+    commands = {
+        "run": ("run", str(study), "--out", str(tmp_path / "out"), "--no-report", "--jobs", "1"),
+        "check": ("check", str(fmu)),
+    }
+    for name, command in commands.items():
+        monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / f"cache-{name}"))
+        callers.unlink(missing_ok=True)
+        result = invoke(*command)
+        assert result.exit_code == 0, result.output
+        assert result.output.count("compiling the C sources of lag.fmu") == 1
+        assert set(callers.read_text().split()) == {str(os.getpid())}
+    monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "cache-init"))
+    callers.unlink()
+    lines: list[str] = []
+    with pytest.warns(CosimWarning, match="compiled from the FMU's C sources"):
+        suggest_study(fmu, trial=False, tell=lines.append)
+    assert "compiling the C sources of lag.fmu" in lines
+    assert set(callers.read_text().split()) == {str(os.getpid())}
+    callers.unlink()
+    monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "cache-run"))
+    result = invoke(*commands["run"], "--fresh")
+    assert result.exit_code == 0, result.output
+    assert "compiling" not in result.output
+    assert not callers.exists()
