@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.text import Text
 
 from ddpc_cosim.errors import ConfigError, CosimWarning
-from ddpc_cosim.suggestion import suggest_study, write_study
 from ddpc_cosim.texts import printable
 
 T = TypeVar("T")
@@ -39,7 +38,9 @@ def init_command(
     limits = assignments("--range", ranges, _limits)
     if out.exists() and not force:  # before the step test, which may take a while
         raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
-    with warnings.catch_warnings(), Status(Console(stderr=True)) as status:
+    with warnings.catch_warnings(), Status(Console(stderr=True), f"init {fmu.name}") as status:
+        from ddpc_cosim.suggestion import suggest_study, write_study  # takes a while itself
+
         warnings.simplefilter("ignore", CosimWarning)  # they stand in the study
         proposal = suggest_study(fmu, at=levels, ranges=limits, tell=status, **wanted)
         path = write_study(proposal, fmu, out, replace=force)
@@ -94,16 +95,19 @@ class Status:
     ----------
     console : Console
         Where it is shown.
+    text : str
+        What is being done at first.
     """
 
-    def __init__(self, console: Console) -> None:
-        self._console, self._began, self._text = console, monotonic(), ""
+    def __init__(self, console: Console, text: str) -> None:
+        self._console, self._began, self._text = console, monotonic(), text
         self._done, self._thread = Event(), Thread(target=self._go_on, daemon=True)
         self._shown = console.status("") if console.is_terminal else None
 
     def __enter__(self) -> Self:
         if self._shown is not None:
             self._shown.start()
+        self._tell()
         self._thread.start()
         return self
 
@@ -119,8 +123,11 @@ class Status:
 
     def _go_on(self) -> None:
         while not self._done.wait(_SECONDS_BETWEEN_LINES):
-            line = Text(f"{monotonic() - self._began:.0f} s: {printable(self._text)}")
-            if self._shown is not None:
-                self._shown.update(line)
-            else:
-                self._console.print(line, soft_wrap=True)
+            self._tell()
+
+    def _tell(self) -> None:
+        line = Text(f"{monotonic() - self._began:.0f} s: {printable(self._text)}")
+        if self._shown is not None:
+            self._shown.update(line)
+        else:
+            self._console.print(line, soft_wrap=True)

@@ -27,7 +27,7 @@ def test_what_is_being_done_is_shown_again_and_again(terminal: bool, monkeypatch
     ticks = Ticks()
     monkeypatch.setattr("ddpc_cosim.cli.init.Event", lambda: ticks)
     shown = io.StringIO()
-    status = Status(Console(file=shown, force_terminal=terminal, width=80, color_system=None))
+    status = Status(Console(file=shown, force_terminal=terminal, width=80, color_system=None), "init")
     status("step test of a\x1b[31mred.fmu")
     with status:
         pass
@@ -36,4 +36,4 @@ def test_what_is_being_done_is_shown_again_and_again(terminal: bool, monkeypatch
         assert "step test of a" in shown.getvalue()
     else:
         lines = shown.getvalue().splitlines()
-        assert lines == ["0 s: step test of a\\x1b[31mred.fmu"] * 3
+        assert lines == ["0 s: step test of a\\x1b[31mred.fmu"] * 4  # at once, and at each wait
