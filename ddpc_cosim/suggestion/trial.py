@@ -37,6 +37,9 @@ _STUCK = 0.2  # of that end with an input at its limits, from which on there is 
 _ALIKE = 1e-6  # of the span: samples at a limit of the plant's own
 _MOVED = 0.01  # of the span: setpoints that differ
 _LISTED = 3
+_NOT_FOUND = (
+    "not found; the inputs are within their limits, the plant may answer otherwise than in the step test"
+)
 _LIMIT = re.compile("max|min|lim|sat|upper|lower|bound|range", re.IGNORECASE)
 
 
@@ -311,7 +314,7 @@ def _told(attempts: Sequence[_Attempt]) -> Proposal:
     limits = dict.fromkeys(limit for one in attempts for limit in one.limits)
     likely = [*limits, *proposal.hints] if best.line else []
     if best.line and not likely and best.line == nobody_follows(best.cases):
-        likely = ["not found; the inputs are within their limits, and nothing speaks against data and models"]
+        likely = [_NOT_FOUND]
     head = [f"{best.line}." if best.line else _best_words(best)]
     head += [f"Likely why: {'; '.join(likely)}."] if likely else []
     if best.untried:
