@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import monotonic
 
@@ -16,19 +17,19 @@ from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.suggestion import design
-from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice, choose
+from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice
 from ddpc_cosim.suggestion.design import (
-    Bounds,
     ScaledGains,
     SuggestedController,
     recording_length,
     suggested_controllers,
 )
+from ddpc_cosim.suggestion.operating_point import Found, find, sampling_time_of
 from ddpc_cosim.suggestion.request import Request
-from ddpc_cosim.suggestion.step_test import ResponseType, Resting, StepTest, Timing, step_test
+from ddpc_cosim.suggestion.step_test import ResponseType, StepTest, Timing
 from ddpc_cosim.suggestion.trial import Tell, tried_out
 from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, hints, study_text
-from ddpc_cosim.variables import FloatArray, Variable, names
+from ddpc_cosim.variables import FloatArray, Variable
 
 _MOST_INPUT_CANDIDATES, _MOST_OUTPUT_CANDIDATES = 12, 50
 _MOST_LISTED = 12
@@ -113,32 +114,33 @@ def suggest_study(
     read, reads_too = _candidates(description, path.name, request, "output", _MOST_OUTPUT_CANDIDATES)
     timing = replace(_timing(description, path.name, request), budget=_STEP_TEST * budget)
     tell(f"step test of {path.name}")
-    start = request.start(description)
-    with FMUPlant(
+    open_plant = partial(
+        FMUPlant,
         path,
         inputs=driven,
         outputs=read,
-        start=start,
         isolated=True,
         step_timeout=min(step_timeout, timing.budget),
         sandbox=sandbox,
-    ) as plant:
-        candidates = Candidates(plant.inputs, plant.outputs, (*drives_too, *reads_too), plant.warnings)
-        bounds = design.input_bounds(candidates.inputs, request.ranges)
-        rest, room = design.rest_and_room(candidates.inputs, bounds)
-        tested = step_test(plant, Resting(rest, room, request.parameters(description)), timing)
-    choice = choose(tested, room, timing.guess, all_outputs=outputs is not None)
-    if not choice.inputs:
-        tried = ", ".join(names(candidates.inputs))
+    )
+    found = find(open_plant, description, request, timing)
+    candidates = Candidates(found.inputs, found.outputs, (*drives_too, *reads_too), found.warnings)
+    if not found.choice.inputs:
+        ends = zip(found.inputs, found.rest, found.rest + found.tested.steps, strict=True)
+        tried = ", ".join(f"{v.name} from {low:g} to {high:g}" for v, low, high in ends)
+        early = f"; a run ended early: {found.tested.fault}" if found.tested.fault else ""
         raise CosimError(
-            f"{path.name}: no output responds to a step of an input ({tried}); write the study by hand, "
-            f"or choose other outputs with --output{tested.fault and f'; a run ended early: {tested.fault}'}"
+            f"{path.name}: no output responds to a step of an input (tried: {tried}); --range tries more, "
+            f"--at another operating point, --output other outputs{early}"
         )
-    proposal = _propose(path.stem, candidates, tested, choice, bounds, timing, request)
-    levels = zip(candidates.inputs, rest.tolist(), strict=True)
+    proposal = _propose(path.stem, candidates, found)
+    levels = zip(found.inputs, found.rest.tolist(), strict=True)
     moved = {variable.name: level for variable, level in levels if level != variable.start}
-    proposal = replace(proposal, parameters=request.parameters(description), start=start | moved)
-    return tried_out(proposal, path, deadline, tell, sandboxed=sandbox) if trial else proposal
+    proposal = replace(proposal, parameters=request.parameters(description), start={**found.start, **moved})
+    if trial:
+        proposal = tried_out(proposal, path, deadline, tell, sandboxed=sandbox)
+    head = (*proposal.comments.get("head", ()), *found.remarks)
+    return replace(proposal, comments={**proposal.comments, "head": head})
 
 
 def write_study(proposal: Proposal, fmu: str | Path, out: str | Path, *, replace: bool = False) -> Path:
@@ -222,22 +224,13 @@ def _timing(description: FMUDescription, label: str, request: Request) -> Timing
     )
 
 
-def _propose(
-    name: str,
-    candidates: Candidates,
-    tested: StepTest,
-    choice: Choice,
-    bounds: dict[str, Bounds],
-    timing: Timing,
-    request: Request,
-) -> Proposal:
+def _propose(name: str, candidates: Candidates, found: Found) -> Proposal:
+    tested, choice, bounds, request = found.tested, found.choice, found.bounds, found.request
     inputs = tuple(candidates.inputs[i] for i in choice.inputs)
     outputs = tuple(candidates.outputs[j] for j in choice.outputs)
     measurements = outputs + _also_measured(candidates.outputs, outputs, tested)
     working = design.working_range(candidates.inputs, bounds).of(choice.inputs)
-    sample = request.sampling_time or design.sampling_time(
-        tested, choice, timing.step if timing.fixed else None, request.duration
-    )
+    sample = sampling_time_of(tested, choice, found.timing, request)
     unstable = any(response.is_unstable for row in tested.responses for response in row)
     references, duration = design.setpoints(tested, choice, candidates.outputs, working, sample, request)
     if unstable:  # there is nothing else to ask for before it is stabilised

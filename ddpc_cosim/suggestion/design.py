@@ -1,7 +1,7 @@
 """The numbers of a suggested study, from what the FMU declares and what the step test has shown."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -44,6 +44,8 @@ class SuggestedController:
     comment: str
 
 
+# Temperatures and absolute pressures do not go to zero.
+_SWINGS_OF: dict[str, Callable[[float], float]] = {"K": lambda _: 20.0, "Pa": lambda start: 0.2 * start}
 _EXCITED = 0.3  # share of an input's range that experiment and setpoints use, to either side of its rest
 _SAMPLES_PER_SETTLING = 30  # a first-order lag gets ten samples per time constant
 _SAMPLES_PER_TIME_CONSTANT, _TIME_CONSTANTS_PER_SETTLING = 10, 3
@@ -78,6 +80,9 @@ def _input_bounds(variable: Variable) -> Bounds:
         return Bounds(low, high, "declared by the FMU")
     if variable.nominal not in (0.0, 1.0) and math.isfinite(variable.nominal):
         size, origin = abs(variable.nominal), "guessed: start value +- nominal value"
+    elif variable.start != 0.0 and variable.unit in _SWINGS_OF:
+        size = _SWINGS_OF[variable.unit](abs(variable.start))
+        origin = f"guessed: start value +- {size:g} {variable.unit}"
     elif variable.start != 0.0:
         size, origin = abs(variable.start), "guessed: start value +- its size"
     else:

@@ -14,7 +14,7 @@ from time import monotonic
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_cosim.errors import CosimError, FMUStepError, StepStatus
+from ddpc_cosim.errors import ConfigError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.variables import FloatArray
 
@@ -247,6 +247,7 @@ _NONLINEAR = 0.3
 _BEYOND = 1e30
 _IMMEDIATE = 3  # samples
 _STEPS_TIMED = 3
+_STEPS_COMPARED = 40
 _PART_FOR_LONGER = 0.5  # of the time that is left
 
 
@@ -365,6 +366,44 @@ def step_test(plant: Plant, resting: Resting, timing: Timing) -> StepTest:
     if larger is not tested and not any(_responds(tested)) and paced.may_repeat:
         larger = _at_time_scale(paced, resting, larger.steps, timing)
     return _with_instabilities(paced, resting, larger, timing)
+
+
+def dependence_on_step_size(plant: Plant, resting: Resting, tested: StepTest, step: float) -> float:
+    """Return by what part of their movement outputs differ when communication steps are halved.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant; it is reset for every run.
+    resting, tested
+        Its operating point, and the steps that it responds to.
+    step : float
+        The longer one [s].
+
+    Returns
+    -------
+    share : float
+        Of the output that differs most; 0 where half the step size is not possible, or for an unstable plant.
+    """
+    unstable = any(response.is_unstable for row in tested.responses for response in row)
+    if tested.fault or unstable or tested.unstable:
+        return 0.0
+    u = resting.u + tested.steps
+    results = []
+    for substeps in (1, 2):
+        try:
+            plant.plan(step / substeps, _STEPS_COMPARED * step)
+            rows = [plant.reset(resting.parameters)]
+            rows += [plant.step(u, step / substeps) for _ in range(_STEPS_COMPARED * substeps)]
+        except (ConfigError, FMUStepError):
+            return 0.0
+        results.append(np.array(rows)[::substeps])
+    whole, halves = results
+    difference = np.max(np.abs(whole - halves), axis=0)
+    movement = np.maximum(np.ptp(whole, axis=0), np.ptp(halves, axis=0))
+    level = np.max(np.abs(halves), axis=0)
+    counts = movement > _FLOOR * level
+    return float(np.max(difference[counts] / movement[counts], initial=0.0))
 
 
 class _Paced(Plant):

@@ -39,13 +39,13 @@ static void say(const Model *m, int status, const char *message)
 
 Model *create(const char *token, Logging logging)
 {
-    static const char *const names[] = {"lag", "ball", "stair", "relay", "integrator", "feed"};
+    static const char *const names[] = {"lag", "ball", "stair", "relay", "integrator", "feed", "counter"};
     const char *fault = strchr(token, ':');
     size_t length = fault ? (size_t)(fault - token) : strlen(token);
     int kind = 0;
-    while (kind < 6 && (strlen(names[kind]) != length || strncmp(token, names[kind], length)))
+    while (kind < 7 && (strlen(names[kind]) != length || strncmp(token, names[kind], length)))
         kind++;
-    Model *m = kind < 6 ? calloc(1, sizeof *m) : NULL;
+    Model *m = kind < 7 ? calloc(1, sizeof *m) : NULL;
     if (!m)
         return NULL;
     note("instantiate");
@@ -268,6 +268,7 @@ int step(Model *m, double time, double h)
     switch (m->kind) {
     case LAG: v[X] = v[U] + (v[X] - v[U]) * exp(-v[RATE] * h); break;
     case INTEGRATOR: v[X] += v[RATE] * v[U] * h; break;
+    case COUNTER: v[X] += 0.1 * (v[U] - v[X]); break; /* a lag of ten calls, however long they are */
     case FEED: return feed_through(m);
     default: break;
     }

@@ -18,7 +18,7 @@
 enum { U = 0, X = 1, V = 2, GRAVITY = 3, RESTITUTION = 4, COUNT = 5, RATE = 6, DX = 7, DV = 8, NAME_LENGTH = 9,
        FAULT = 10, FAULT_TIME = 11, SPEED = 12, ON = 13, VALUES = 16 };
 
-typedef enum { LAG, BALL, STAIR, RELAY, INTEGRATOR, FEED } Kind;
+typedef enum { LAG, BALL, STAIR, RELAY, INTEGRATOR, FEED, COUNTER } Kind;
 
 enum { OK, WARNING, DISCARD, ERROR, FATAL, ILLEGAL = 17 };
 

@@ -1,0 +1,216 @@
+"""Where a plant is tried: at its start values, or elsewhere if it starts at 0 K or where products vanish."""
+
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import chain
+from time import monotonic
+
+import numpy as np
+
+from ddpc_cosim.errors import CosimError
+from ddpc_cosim.fmu.description import FMUDescription
+from ddpc_cosim.fmu.plant import FMUPlant
+from ddpc_cosim.plant import ParameterValue
+from ddpc_cosim.suggestion import design
+from ddpc_cosim.suggestion.choice import Choice, choose
+from ddpc_cosim.suggestion.design import Bounds
+from ddpc_cosim.suggestion.request import Request
+from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, dependence_on_step_size, step_test
+from ddpc_cosim.variables import FloatArray, Variable
+
+_USUAL = {"K": 293.15, "Pa": 101325.0}
+_OF_DIFFERENCES = re.compile(r"d[A-Z]\w*|d[pPtT]|.*(?i:delta|diff|relative|gauge|error).*")
+_MATTERS = 1e-3  # of an output's level: what inputs that matter move it by
+_BETTER = 10.0
+_HALF = 0.5
+_DEPENDS = 0.05  # of what outputs move by: how far two step sizes may be apart
+_BLOCKS = 8
+_LEAST_TIME = 5.0  # s
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What has been found of a plant at an operating point."""
+
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    warnings: tuple[str, ...]
+    start: Mapping[str, float]
+    bounds: dict[str, Bounds]
+    rest: FloatArray
+    room: FloatArray
+    timing: Timing
+    request: Request
+    tested: StepTest
+    choice: Choice
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def influence(self) -> float:
+        """How much the inputs matter."""
+        return _influence(self.tested, self.choice, self.room)
+
+
+def find(
+    open_plant: Callable[..., FMUPlant], description: FMUDescription, request: Request, timing: Timing
+) -> Found:
+    """Try the plant where it starts, and elsewhere if nothing happens there.
+
+    Parameters
+    ----------
+    open_plant : callable
+        Opens it; takes ``start``.
+    description : FMUDescription
+        What it says about itself.
+    request, timing
+        What is asked for, and what is known about time.
+
+    Raises
+    ------
+    CosimError
+        It does not run where it starts.
+    """
+    ends = monotonic() + timing.budget
+    every = [signal.variable for signal in description.signals("input")]
+    given = request.start(description)
+    usual = _usual_levels(every, given, request.ranges)
+    remarks = _told(usual, every)
+    parameters = request.parameters(description)
+    at_start = _at(open_plant, {**usual, **given}, {}, parameters, request, timing)
+    at_start = replace(at_start, remarks=(*remarks, *at_start.remarks))
+    left = ends - monotonic()
+    if at_start.influence >= _MATTERS or left < _LEAST_TIME:
+        return at_start
+    known = {*usual, *given}
+    half = _half_way(at_start.inputs, at_start.rest, at_start.room)
+    levels = {name: level for name, level in half.items() if name not in known}
+    try:
+        elsewhere = _at(
+            open_plant,
+            {**usual, **given, **levels},
+            at_start.bounds,
+            parameters,
+            request,
+            replace(timing, budget=left),
+        )
+    except CosimError:  # it does not run there
+        return at_start
+    if elsewhere.influence <= _BETTER * at_start.influence:
+        return at_start
+    listed = ", ".join(f"{name} = {level:g}" for name, level in levels.items())
+    moved = (
+        f"Where the plant starts its inputs do next to nothing: tried at {listed}; --at moves it elsewhere"
+    )
+    return replace(elsewhere, remarks=(*remarks, moved, *elsewhere.remarks))
+
+
+def _at(
+    open_plant: Callable[..., FMUPlant],
+    start: Mapping[str, float],
+    bounds: dict[str, Bounds],
+    parameters: Mapping[str, ParameterValue],
+    request: Request,
+    timing: Timing,
+) -> Found:
+    """Run a step test with inputs that start at these levels."""
+    with open_plant(start=start) as plant:
+        bounds = bounds or design.input_bounds(plant.inputs, request.ranges)
+        rest, room = design.rest_and_room(plant.inputs, bounds)
+        resting = Resting(rest, room, parameters)
+        tested = step_test(plant, resting, timing)
+        choice = choose(tested, room, timing.guess, all_outputs=request.outputs is not None)
+        remarks: tuple[str, ...] = ()
+        if choice.inputs:
+            sample = sampling_time_of(tested, choice, timing, request)
+            share = dependence_on_step_size(plant, resting, tested, sample)
+            if share > _DEPENDS:
+                remarks = (
+                    f"The FMU's result depends on the communication step size: with {sample:g} s and with "
+                    f"{sample / 2:g} s its outputs differ by {share:.0%} of what they move by. What is said "
+                    f"here holds for steps of {sample:g} s; --sampling-time H for others",
+                )
+                request = replace(request, sampling_time=sample)
+                timing = replace(timing, step=sample, fixed=True, blocks=_BLOCKS)
+                tested = step_test(plant, resting, timing)
+                choice = choose(tested, room, timing.guess, all_outputs=request.outputs is not None)
+        return Found(
+            plant.inputs,
+            plant.outputs,
+            plant.warnings,
+            start,
+            bounds,
+            rest,
+            room,
+            timing,
+            request,
+            tested,
+            choice,
+            remarks,
+        )
+
+
+def sampling_time_of(tested: StepTest, choice: Choice, timing: Timing, request: Request) -> float:
+    """Return the sampling time that is asked for, else the one that fits the plant [s]."""
+    fixed_step = timing.step if timing.fixed else None
+    return request.sampling_time or design.sampling_time(tested, choice, fixed_step, request.duration)
+
+
+def _usual_levels(
+    inputs: Iterable[Variable], given: Collection[str], ranges: Mapping[str, tuple[float, float]]
+) -> dict[str, float]:
+    """Return levels of temperatures and absolute pressures that would start at 0.
+
+    Parameters
+    ----------
+    inputs : iterable of Variable
+        All inputs.
+    given : collection of str
+        Those whose level is known.
+    ranges : mapping of str to (float, float)
+        Those that are asked for.
+
+    Returns
+    -------
+    levels : dict of str to float
+        The nominal value if there is one, else a usual one, by name.
+    """
+    levels = {}
+    for variable in inputs:
+        is_difference = -np.inf < variable.min < 0.0 or any(
+            _OF_DIFFERENCES.fullmatch(part) for part in re.split("[._]", variable.name)
+        )
+        if (
+            variable.unit in _USUAL
+            and variable.start == 0.0
+            and variable.name not in given
+            and not is_difference
+        ):
+            usual = variable.nominal if variable.nominal not in (0.0, 1.0) else _USUAL[variable.unit]
+            low, high = ranges.get(variable.name, (variable.min, variable.max))
+            levels[variable.name] = float(np.clip(usual, low, high))
+    return levels
+
+
+def _told(levels: Mapping[str, float], inputs: Iterable[Variable]) -> list[str]:
+    """Return what is said of the inputs that start at such levels."""
+    units = {variable.name: variable.unit for variable in inputs}
+    return [
+        f"{name} starts at 0 {units[name]}, which can hardly be meant: tried at {level:g} {units[name]}; "
+        f"give --at {name}={level:g}, or what is right"
+        for name, level in levels.items()
+    ]
+
+
+def _half_way(inputs: Iterable[Variable], rest: FloatArray, room: FloatArray) -> dict[str, float]:
+    """Return levels of inputs half way to the ends of their ranges, by name."""
+    levels = (rest + _HALF * room).tolist()
+    return {variable.name: level for variable, level in zip(inputs, levels, strict=True)}
+
+
+def _influence(tested: StepTest, choice: Choice, room: FloatArray) -> float:
+    """Return what the inputs move the output by that they move most, in parts of its level."""
+    reach = np.abs(choice.gains) @ np.abs(room[list(choice.inputs)])
+    levels = np.max(np.abs(tested.rest[:, list(choice.outputs)]), axis=0, initial=0.0)
+    shares = [r / max(level, r) for r, level in zip(reach, levels, strict=True) if r > 0.0]
+    return float(max(chain(shares, [0.0])))

@@ -1,0 +1,93 @@
+"""A plant is tried where it can run: not at 0 K, nor where products vanish."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fmus.builder import CO_SIMULATION, V, describe, model_library, write_fmu
+
+from ddpc_cosim.suggestion import suggest_study, write_study
+from fmu_plants import Equations, PlantModel, Variable, build_fmu
+
+ROOM = Variable("room", "K", start=293.15)
+HEAT, AMBIENT = Variable("heat", "kW", min=0.0, max=2.0, start=1.0), Variable("ambient", "K")
+VALVE, FAN = Variable("valve", "1", min=0.0, max=1.0), Variable("fan", "1", min=0.0, max=1.0)
+FLOW = Variable("flow", "m3/s")
+U = V("u", 0, causality="input", start="0", more={"min": "-1", "max": "1"})
+X = V("x", 1, causality="output", initial="exact", start="0")
+
+
+def model(name: str, state: Variable, inputs: tuple[Variable, ...], rate: Any) -> PlantModel:
+    return PlantModel(
+        name=name,
+        equations=lambda v: Equations({state.name: rate(v)}),
+        states=(state,),
+        inputs=inputs,
+        outputs=(state,),
+        stop_time=3600.0,
+    )
+
+
+def study_of(fmu: Path, folder: Path, **wanted: Any) -> tuple[dict[str, Any], str]:
+    """Return the study as plain TOML, and its text."""
+    path = write_study(suggest_study(fmu, trial=False, **wanted), fmu, folder / "study.toml")
+    text = path.read_text(encoding="utf-8")
+    return tomllib.loads(text), text.replace("\n# ", " ")
+
+
+def test_an_ambient_that_would_start_at_0_kelvin_is_asked_about(
+    own_cache_folder: None, tmp_path: Path
+) -> None:
+    house = model("house", ROOM, (HEAT, AMBIENT), lambda v: (v.ambient + 10 * v.heat - v.room) / 600)
+    study, text = study_of(build_fmu(house), tmp_path)
+    assert study["plant"]["start"] == {"ambient": 293.15}
+    assert study["bounds"]["ambient"] == {"min": 273.15, "max": 313.15}
+    assert "ambient starts at 0 K, which can hardly be meant: tried at 293.15 K" in text
+    assert "--at ambient=293.15" in text
+    given, text = study_of(build_fmu(house), tmp_path / "given", at={"ambient": 280.0})
+    assert given["plant"]["start"] == {"ambient": 280.0}
+    assert "hardly be meant" not in text
+
+
+@pytest.mark.parametrize(
+    "variable",
+    [Variable("dT", "K"), Variable("offset", "K", min=-5.0, max=5.0), Variable("pump_dp", "Pa")],
+    ids=lambda variable: variable.name,
+)
+def test_differences_may_start_at_0(variable: Variable, own_cache_folder: None, tmp_path: Path) -> None:
+    plant = model("difference", ROOM, (variable,), lambda v: getattr(v, variable.name) - v.room)
+    study, _ = study_of(build_fmu(plant), tmp_path)
+    assert "start" not in study["plant"]
+
+
+def test_where_a_product_vanishes_the_plant_is_tried_elsewhere(
+    own_cache_folder: None, tmp_path: Path
+) -> None:
+    """flow' = (valve fan - flow) / 5: at rest neither does anything without the other."""
+    duct = model("duct", FLOW, (VALVE, FAN), lambda v: (v.valve * v.fan - v.flow) / 5)
+    study, text = study_of(build_fmu(duct), tmp_path)
+    assert study["plant"]["start"] == {"valve": 0.5, "fan": 0.5}
+    assert study["plant"]["inputs"] == ["valve", "fan"]
+    assert "Where the plant starts its inputs do next to nothing: tried at valve = 0.5, fan = 0.5" in text
+    assert max(study["reference"]["flow"]["values"]) > 0.25  # where it rests: 0.5 * 0.5
+    given, _ = study_of(build_fmu(duct), tmp_path / "given", at={"fan": 0.8})
+    assert given["plant"]["start"] == {"fan": 0.8}
+
+
+def test_a_result_that_depends_on_the_step_size_is_told(tmp_path: Path) -> None:
+    """A lag of ten calls: twice as many steps in the same time, and it is twice as fast."""
+    text = describe("2.0", "counter", (U, X), interfaces=CO_SIMULATION)
+    fmu = write_fmu(tmp_path / "counter.fmu", text, model_library("2.0"))
+    study, text = study_of(fmu, tmp_path, sampling_time=0.1)
+    assert text.startswith(
+        "# The FMU's result depends on the communication step size: with 0.1 s and with 0.05 s"
+    )
+    assert study["loop"]["sampling_time"] == 0.1
+    settling = re.search(r"The plant takes about ([\d.]+) s to settle", text)
+    assert settling is not None
+    assert float(settling[1]) == pytest.approx(2.9, rel=0.1)  # 0.9^n = 5 % after 29 calls
+    steady = describe("2.0", "lag", (U, X), interfaces=CO_SIMULATION)
+    fmu = write_fmu(tmp_path / "lag.fmu", steady, model_library("2.0"))
+    assert "depends on" not in study_of(fmu, tmp_path / "lag")[1]
