@@ -6,6 +6,8 @@ locked as long as its process lives; whoever makes such a folder first removes t
 
 import os
 import shutil
+import stat
+import subprocess
 import sys
 import tempfile
 import weakref
@@ -43,6 +45,17 @@ class ScratchFolder:
             os.close(lock)
         self._finalizer = weakref.finalize(self, _remove, self.path, lock, os.getpid())
 
+    def remove_after_death(self) -> None:
+        """Have the folder removed as soon as this process has gone, however it went (POSIX)."""
+        if sys.platform != "win32":
+            with suppress(OSError):  # without a shell, the next process removes it
+                guard = subprocess.Popen(
+                    ["/bin/sh", "-c", 'read -r _; exec rm -rf -- "$1"', "sh", str(self.path)],
+                    stdin=subprocess.PIPE,
+                    start_new_session=True,
+                )
+                weakref.finalize(self, _release, guard)
+
     def __enter__(self) -> Path:
         return self.path
 
@@ -57,7 +70,9 @@ class ScratchFolder:
 def remove_left_behind(parent: Path, prefix: str = "ddpc-cosim-") -> None:
     """Remove the folders of processes that have gone."""
     for lock_file in parent.glob(f"{prefix}*/{_LOCK}"):
-        with suppress(OSError):  # another user's, or just removed
+        if not _is_own_folder(lock_file.parent):
+            continue
+        with suppress(OSError):  # just removed
             lock = os.open(lock_file, os.O_RDWR)
             try:
                 if sys.platform != "win32" and _holds(lock):
@@ -67,6 +82,15 @@ def remove_left_behind(parent: Path, prefix: str = "ddpc-cosim-") -> None:
             if sys.platform == "win32":
                 lock_file.unlink()  # which cannot be done while a process has it open
                 _remove_folder(lock_file.parent)
+
+
+def _is_own_folder(path: Path) -> bool:
+    """Whether a folder is this user's and not a link, which anyone may put among temporary files."""
+    try:
+        status = path.lstat()
+    except OSError:
+        return False
+    return stat.S_ISDIR(status.st_mode) and (sys.platform == "win32" or status.st_uid == os.geteuid())
 
 
 _remove_left_behind_once = cache(remove_left_behind)
@@ -83,6 +107,11 @@ def _holds(lock: int) -> bool:
     except OSError:
         return False
     return True
+
+
+def _release(guard: "subprocess.Popen[bytes]") -> None:
+    """Let a guard remove what is left, and end."""
+    guard.communicate()
 
 
 def _remove(path: Path, lock: int, owner: int) -> None:

@@ -20,6 +20,7 @@ from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import Variable
 
 _MOST_ROWS = 20
+_LONGEST_CELL = 10_000
 _STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: ""}
 _HEADINGS = ("name", "unit", "start", "min", "max", "nominal", "more", "description")
 _BYTES_PER_KILOBYTE = 1000
@@ -55,14 +56,14 @@ def _print_tables(console: Console, inspection: Inspection, *, every: bool) -> N
     facts.add_column(style="bold", no_wrap=True)
     facts.add_column(overflow="fold")
     for name, value in _facts(inspection):
-        facts.add_row(name, Text(printable(value)))
+        facts.add_row(name, Text(printable(value, _LONGEST_CELL)))
     console.print(facts, "")
     for section in _sections(inspection):
         if section.rows:
             console.print(_table(section, every=every))
     for defect in inspection.defects:
         severity = (f"{defect.severity}: ", _STYLE[defect.severity])
-        console.print(Text.assemble(severity, printable(str(defect))))
+        console.print(Text.assemble(severity, printable(str(defect), _LONGEST_CELL)))
     if inspection.can_run:
         console.print("", Text(_next_step(inspection)), sep="\n")
 
@@ -81,7 +82,7 @@ def _table(section: _Section, *, every: bool) -> Table:
         table.add_column(section.headings[i], overflow="fold", justify="left")
     shown = section.rows if every else section.rows[:_MOST_ROWS]
     for row in shown:
-        table.add_row(*(Text(printable(row[i])) for i in used))
+        table.add_row(*(Text(printable(row[i], _LONGEST_CELL)) for i in used))
     hidden = len(section.rows) - len(shown)
     if hidden:
         table.caption, table.caption_justify = f"and {hidden} more; --all shows them", "left"
@@ -113,7 +114,7 @@ def _defect_lines(defect: Defect) -> Iterator[str]:
 
 
 def _line(*cells: str) -> str:
-    return "\t".join(printable(cell) for cell in cells)
+    return "\t".join(printable(cell, _LONGEST_CELL) for cell in cells)
 
 
 def _next_step(inspection: Inspection) -> str:

@@ -34,6 +34,13 @@ _DAMAGED = (
     MemoryError,
 )
 _CHUNK = 1 << 20
+# The end of an archive: a mark, numbers of disks and files, size and place of the list of files, a comment.
+_END, _END_MARK, _LONGEST_END = struct.Struct("<4s4H2LH"), b"PK\5\6", 22 + 0xFFFF
+_LONGEST_ENTRY = 1000  # bytes of a file in that list, on average
+# So that reading takes less than 1 GB: a variable has about ten tags and attributes.
+_LARGEST_XML = 100_000_000  # bytes
+_MOST_MARKUP = 2_100_000  # tags and attributes
+_BEYOND_LIMITS = re.compile("PARSE_HUGE|too big|too long")  # what libxml2 says of its own limits
 _ENCRYPTED = 0x1
 _UNIX, _DARWIN = 3, 19
 _EXECUTABLE = 0o111
@@ -83,6 +90,7 @@ def unpack(path: Path, folder: Path, limits: UnpackLimits | None = None) -> None
     if not path.is_file():
         raise FMUImportError(f"{path}: no such file")
     try:
+        _check_directory(path, limits)
         archive = zipfile.ZipFile(path)
     except (*_DAMAGED, OSError) as error:
         raise FMUImportError(f"{path.name}: not an FMU: {_reason(error)}") from error
@@ -120,7 +128,13 @@ def read_xml(path: Path, label: str) -> tuple[Any, tuple[str, ...]]:
     FMUImportError
         It is not XML, or declares entities or a document type that is elsewhere.
     """
+    size = path.stat().st_size
+    if size > _LARGEST_XML:
+        raise FMUImportError(f"{label} has {size} bytes; allowed: {_LARGEST_XML}")
     content = path.read_bytes()
+    markup = content.count(b"<") + content.count(b"=")
+    if markup > _MOST_MARKUP:
+        raise FMUImportError(f"{label} has {markup} tags and attributes; allowed: {_MOST_MARKUP}")
     overlooked = ["blanks before the XML declaration"] if content[:1].isspace() else []
     content = content.lstrip()
     # In two-byte encodings too; in others the parser itself declines to expand.
@@ -130,6 +144,9 @@ def read_xml(path: Path, label: str) -> tuple[Any, tuple[str, ...]]:
     try:
         root = _parse(content)
     except etree.XMLSyntaxError as error:
+        if _BEYOND_LIMITS.search(error.msg):
+            limits = "allowed: 10 MB for one text or attribute, 256 elements within each other"
+            raise FMUImportError(f"{label} cannot be read: {error.msg.strip()}; {limits}") from error
         # Some tools write the letters of their locale into a file that claims to be UTF-8.
         try:
             root = _parse(content, encoding="cp1252")
@@ -172,13 +189,30 @@ def is_file_name(name: str) -> bool:
     return fits and name not in (".", "..") and not _FORBIDDEN_IN_NAMES.search(name)
 
 
+def _check_directory(path: Path, limits: UnpackLimits) -> None:
+    """Check how long the archive's list of files is before it is read, which takes memory for each."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - _LONGEST_END, 0))
+        end = file.read()
+    start = end.rfind(_END_MARK)
+    if start >= 0 and len(end) >= start + _END.size:
+        *_, count, size, _, _ = _END.unpack_from(end, start)
+        _check_count(count, limits, path.name)
+        longest = limits.max_files * _LONGEST_ENTRY
+        if size > longest:
+            raise FMUImportError(f"{path.name}: its list of files has {size} bytes; allowed: {longest}")
+
+
+def _check_count(count: int, limits: UnpackLimits, label: str) -> None:
+    if count > limits.max_files:
+        raise FMUImportError(
+            f"{label}: {count} files; allowed: {limits.max_files} (max_files); raise it if you trust the FMU"
+        )
+
+
 def _unpack_entries(archive: zipfile.ZipFile, folder: Path, limits: UnpackLimits, label: str) -> None:
     entries = archive.infolist()
-    if len(entries) > limits.max_files:
-        raise FMUImportError(
-            f"{label}: {len(entries)} files; allowed: {limits.max_files} (max_files); "
-            "raise it if you trust the FMU"
-        )
+    _check_count(len(entries), limits, label)
     files = _checked(entries, label)
     if MODEL_DESCRIPTION not in files:
         raise FMUImportError(f"{label}: not an FMU: the archive has no {MODEL_DESCRIPTION}{_hint(files)}")

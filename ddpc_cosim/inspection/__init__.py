@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from ddpc_cosim.fmu.description.defects import Defect, Findings, Kind, Severity
 from ddpc_cosim.fmu.description.reader import read_tolerantly
 from ddpc_cosim.inspection.binaries import Binaries, check_binaries
 from ddpc_cosim.inspection.checks import check_description
+from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.variables import Variable
 
 REFUSED = Kind("refused", Severity.ERROR, "the file cannot be opened as an FMU")
@@ -132,8 +132,10 @@ def inspect_fmu(
     if not path.is_file():
         raise FMUImportError(f"{path}: no such file")
     findings = Findings()
-    with tempfile.TemporaryDirectory(prefix="ddpc-cosim-", ignore_cleanup_errors=True) as name:
-        description, binaries = _look_inside(path, Path(name), unpack_limits, findings)
+    scratch = ScratchFolder()
+    scratch.remove_after_death()
+    with scratch as folder:
+        description, binaries = _look_inside(path, folder / "fmu", unpack_limits, findings)
     if strict and binaries is not _NO_BINARIES:
         _validate(path, findings)
     with path.open("rb") as file:
@@ -144,6 +146,7 @@ def inspect_fmu(
 def _look_inside(
     path: Path, folder: Path, limits: UnpackLimits | None, findings: Findings
 ) -> tuple[FMUDescription | None, Binaries]:
+    folder.mkdir()
     try:
         unpack(path, folder, limits)
     except FMUImportError as error:

@@ -217,8 +217,9 @@ class FMUDescription:
         """Yield the numbers among the variables of some causalities; arrays element by element."""
         for variable in self.variables.values():
             if variable.causality in causalities and variable.is_numeric:
+                starts = (variable.start_text or "").split() if variable.shape else ()
                 for indices in product(*(range(1, size + 1) for size in variable.shape)):
-                    yield element(variable, indices)
+                    yield element(variable, indices, starts)
 
     def signal(self, name: str) -> Signal | None:
         """Return the number of a name, ``x`` or ``x[2]`` or ``x[2,1]``; None if there is none.
@@ -252,13 +253,17 @@ class FMUDescription:
         return tuple(dict.fromkeys(v.derivative_of for v in self.variables.values() if v.derivative_of))
 
 
-def element(variable: FMUVariable, indices: tuple[int, ...]) -> Signal:
-    """Return an element of an array variable, or the scalar itself for no indices."""
+def element(variable: FMUVariable, indices: tuple[int, ...], starts: Sequence[str] | None = None) -> Signal:
+    """Return an element of an array variable, or the scalar itself for no indices.
+
+    Whoever takes many has the array's start values split once.
+    """
     if not indices:
         return Signal(variable.variable, variable)
     name = f"{variable.name}[{','.join(map(str, indices))}]"
     start = variable.variable.start
-    starts = (variable.start_text or "").split()
+    if starts is None:
+        starts = (variable.start_text or "").split()
     position = flat_index(indices, variable.shape)
     if len(starts) > 1 and position < len(starts):
         start = number(starts[position], start)

@@ -4,8 +4,10 @@ What contradicts the standard but can be understood is read as it must be meant.
 or assumed on the way is noted as a defect; FMPy's validator is an extra check of ``inspect --strict``.
 """
 
+import gc
 import math
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -57,6 +59,19 @@ def read_description(folder: Path, label: str) -> FMUDescription:
     return replace(description, warnings=tuple(f"{MODEL_DESCRIPTION}: {warning}" for warning in warnings))
 
 
+@contextmanager
+def _collecting_later() -> Iterator[None]:
+    """Keep the collector from looking at a description again and again while it grows: nothing of it goes."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+@_collecting_later()
 def read_tolerantly(folder: Path, label: str, findings: Findings) -> FMUDescription | None:
     """Read the model description of an unpacked FMU as far as it can be understood.
 

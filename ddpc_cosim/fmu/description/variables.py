@@ -92,6 +92,8 @@ class VariableReader:
         self, root: Element, major: int, units: Mapping[str, tuple[DisplayUnit, ...]], note: Note
     ) -> None:
         self.root, self.major, self.units, self.note = root, major, units, note
+        self.display_units = {unit: {one.name: one for one in known} for unit, known in units.items()}
+        self.elements = 0  # of all arrays
         self.types = dict(self._types())
         self.entries = self._entries()
         # What can be referred to: places in the list of variables (FMI 2.0), value references (FMI 3.0).
@@ -248,6 +250,11 @@ class VariableReader:
                 what = f"the array {entry.name} has {count} elements; allowed: {_MOST_ELEMENTS}"
                 self.note(defects.HUGE_ARRAY, what)
                 return (), None
+        self.elements += math.prod(shape) if shape else 0
+        if self.elements > _MOST_ELEMENTS:
+            what = f"{self.elements} elements up to the array {entry.name}; allowed: {_MOST_ELEMENTS}"
+            self.note(defects.HUGE_ARRAY, what)
+            return (), None
         return tuple(dimensions), tuple(shape)
 
     def _start(self, entry: _Entry, causality: str) -> float:
@@ -271,8 +278,7 @@ class VariableReader:
         return none if abs(bound) >= _AS_GOOD_AS_INFINITE else bound
 
     def _display_unit(self, name: str, unit: str, wanted: str | None) -> DisplayUnit | None:
-        known = self.units.get(unit, ())
-        found = next((display_unit for display_unit in known if display_unit.name == wanted), None)
+        found = self.display_units.get(unit, {}).get(wanted or "")
         if wanted and found is None and wanted != unit and unit in self.units:
             self.note(defects.UNKNOWN_DISPLAY_UNIT, f"{name}: {wanted} for {unit}")
         return found

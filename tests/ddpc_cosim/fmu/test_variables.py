@@ -297,6 +297,16 @@ def test_arrays_that_would_not_fit_into_memory_are_refused(tmp_path: Path) -> No
         FMUPlant(write_fmu(tmp_path / "lag.fmu", text, model_library("3.0")))
 
 
+def test_arrays_that_together_would_not_fit_into_memory_are_refused(tmp_path: Path) -> None:
+    large = '<Dimension start="600000"/>'
+    arrays = [V(f"field{i}", 30 + i, more={"nested": large}) for i in range(2)]
+    words = "1200000 elements up to the array field1; allowed: 1000000"
+    with pytest.raises(FMUImportError, match=words):
+        FMUPlant(
+            write_fmu(tmp_path / "lag.fmu", describe("3.0", "lag", [*LAG, *arrays]), model_library("3.0"))
+        )
+
+
 @pytest.mark.parametrize(("major", "name"), [(major, name) for major in TYPES for name in TYPES[major]])
 def test_the_table_of_types_agrees_with_fmpy_and_numpy(major: int, name: str) -> None:
     row = TYPES[major][name]

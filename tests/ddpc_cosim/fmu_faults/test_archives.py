@@ -11,7 +11,7 @@ import pytest
 from fmus.builder import IDENTIFIER, integrator_description, write_archive
 
 from ddpc_cosim import FMUImportError, FMUPlant
-from ddpc_cosim.fmu.archive import UnpackLimits, is_file_name, unpack
+from ddpc_cosim.fmu.archive import UnpackLimits, is_file_name, read_xml, unpack
 from ddpc_cosim.inspection import inspect_fmu
 
 Files = Mapping[str, bytes]
@@ -169,6 +169,30 @@ class TestLimits:
         path = write_archive(tmp_path / "many.fmu", {**DESCRIPTION, **{f"f{i}": b"" for i in range(100)}})
         with pytest.raises(FMUImportError, match=r"many\.fmu: 101 files; allowed: 100 \(max_files\)"):
             unpack(path, tmp_path, UnpackLimits(max_files=100))
+
+    def test_a_list_of_files_that_is_too_long_is_not_read(self, tmp_path: Path) -> None:
+        path = write_archive(tmp_path / "long.fmu", {**DESCRIPTION, **{f"{i:04000}": b"" for i in range(2)}})
+        with pytest.raises(
+            FMUImportError, match=r"long\.fmu: its list of files has 8\d+ bytes; allowed: 3000"
+        ):
+            unpack(path, tmp_path, UnpackLimits(max_files=3))
+
+    @pytest.mark.parametrize(
+        ("limit", "words"),
+        [("_MOST_MARKUP", r"has \d+ tags and attributes"), ("_LARGEST_XML", r"has \d+ bytes")],
+    )
+    def test_a_description_beyond_measure(
+        self, limit: str, words: str, pendulum_fmu: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(f"ddpc_cosim.fmu.archive.{limit}", 50)
+        with pytest.raises(FMUImportError, match=rf"modelDescription\.xml {words}; allowed: 50"):
+            FMUPlant(pendulum_fmu)
+
+    def test_a_text_beyond_measure(self, tmp_path: Path) -> None:
+        path = tmp_path / "modelDescription.xml"
+        path.write_text(f'<fmiModelDescription modelName="{"x" * 10_100_000}"/>', encoding="utf-8")
+        with pytest.raises(FMUImportError, match="; allowed: 10 MB for one text or attribute, 256 elements"):
+            read_xml(path, "x")
 
     @pytest.mark.usefixtures("nothing_left")
     def test_limits_of_a_plant(self, faulty_fmus: dict[int, Path]) -> None:

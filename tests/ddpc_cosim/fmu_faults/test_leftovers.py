@@ -174,3 +174,31 @@ class TestAStudy:
         run.send_signal(how)
         errors = check_nothing_is_left(run, family, scratch)
         assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize("request_to_end", [signal.SIGKILL, signal.SIGTERM])
+def test_a_folder_that_is_not_to_outlive_its_process(
+    start: Start, request_to_end: int, scratch: Path
+) -> None:
+    process = start(
+        sys.executable,
+        "-c",
+        "from ddpc_cosim.scratch import ScratchFolder; folder = ScratchFolder(); folder.remove_after_death();"
+        "(folder.path / 'file').touch(); print(folder.path, flush=True); input()",
+    )
+    assert process.stdout is not None
+    folder = Path(process.stdout.readline().strip())
+    assert (folder / "file").exists()
+    process.send_signal(request_to_end)
+    process.communicate()  # to the end of whatever holds its output
+    assert not folder.exists()
+
+
+def test_what_a_link_leads_to_is_not_left_behind(tmp_path: Path) -> None:
+    """Anyone may put one among temporary files."""
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / ".lock").touch()
+    (tmp_path / "ddpc-cosim-x").symlink_to(precious)
+    remove_left_behind(tmp_path)
+    assert (precious / ".lock").exists()
