@@ -57,6 +57,19 @@ class FMUImportError(CosimError):
     """An FMU cannot be loaded, and why."""
 
 
+def is_of_the_machine(error: BaseException) -> bool:
+    """Return whether an error may not come again on another day, or on another machine.
+
+    At its root is an FMU that cannot be loaded, what the system refuses, memory, or a module that is missing.
+    """
+    causes: list[BaseException] = []
+    cause: BaseException | None = error
+    while cause is not None and cause not in causes:
+        causes.append(cause)
+        cause = cause.__cause__ or cause.__context__
+    return any(isinstance(one, FMUImportError | OSError | MemoryError | ImportError) for one in causes)
+
+
 class StepStatus(StrEnum):
     """What a plant's call that did not succeed returned, why it did not return, or that it ended the run."""
 

@@ -22,6 +22,7 @@ from ddpc_cosim.errors import (
     DivergenceError,
     FMUStepError,
     StepStatus,
+    is_of_the_machine,
 )
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import (
@@ -192,7 +193,7 @@ def cosimulate(
     rows = _Rows(setup, loop, time, table, steps + 1, horizon, store)
     accepts_missing = conditions is None or not conditions.loss or does_accept_missing(controller)
     setup.start(rows.time, continues=continue_recording, accepts_missing=accepts_missing)
-    outcome, reason = _closed_loop(setup, controller, rows, y_plant, events)
+    outcome, reason, transient = _closed_loop(setup, controller, rows, y_plant, events)
     try:
         diagnostics = controller_diagnostics(controller) | diagnostics
     except ControllerError as error:
@@ -210,6 +211,7 @@ def cosimulate(
         preview=loop.preview,
         outcome=outcome,
         reason=reason,
+        transient=transient,
         settings=settings,
         diagnostics=diagnostics,
         recorded_samples=len(recording) if recording is not None and learns else 0,
@@ -396,21 +398,24 @@ def _closed_loop(
     rows: _Rows,
     y_plant: FloatArray,
     events: Sequence[ParameterChange],
-) -> tuple[Outcome, str]:
-    """Run to the end and return how it ended; faults during the run are outcomes, not exceptions."""
+) -> tuple[Outcome, str, bool]:
+    """Run to the end and return how it ended, why, and whether that is the machine's fault.
+
+    Faults during the run are outcomes, not exceptions.
+    """
     try:
         _run(setup, controller, rows, y_plant, events=events)
     except ConfigError as error:  # the plant refuses an event
         if rows.count == 0:
             raise
-        return Outcome.FMU_ERROR, f"{error} at t = {rows.next_time:g} s"
+        return Outcome.FMU_ERROR, f"{error} at t = {rows.next_time:g} s", is_of_the_machine(error)
     except FMUStepError as error:
-        return OUTCOME_OF[error.status], str(error)
+        return OUTCOME_OF[error.status], str(error), is_of_the_machine(error)
     except NotFiniteError as error:
-        return Outcome.DIVERGED, f"{error} at t = {rows.next_time:g} s"
+        return Outcome.DIVERGED, f"{error} at t = {rows.next_time:g} s", False
     except ControllerError as error:
-        return Outcome.CONTROLLER_ERROR, f"{error} at t = {rows.last_time:g} s"
-    return Outcome.COMPLETED, ""
+        return Outcome.CONTROLLER_ERROR, f"{error} at t = {rows.last_time:g} s", is_of_the_machine(error)
+    return Outcome.COMPLETED, "", False
 
 
 def _run(

@@ -69,6 +69,8 @@ class Trace:
         How the run ended.
     reason : str
         Why it ended early, with the time; empty if completed.
+    transient : bool
+        Whether it may end otherwise next time: the machine may be at fault.
     settings : dict
         Settings of the controller.
     diagnostics : dict
@@ -106,6 +108,7 @@ class Trace:
     preview: int = 0
     outcome: Outcome = Outcome.COMPLETED
     reason: str = ""
+    transient: bool = False
     settings: dict[str, Any] = field(default_factory=dict)
     diagnostics: dict[str, float] = field(default_factory=dict)
     recorded_samples: int = 0

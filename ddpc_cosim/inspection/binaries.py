@@ -1,8 +1,11 @@
 """Checks of the libraries and sources of an unpacked FMU: whether it can run on this machine."""
 
+import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -34,6 +37,13 @@ UNNAMED_LIBRARY = Kind(
     "the only one in the folder, or the only one with functions of FMI, is used",
 )
 FOREIGN_LIBRARY = Kind("foreign-library", _ERROR, "the library for this platform is one for another")
+CUT_OFF_LIBRARY = Kind("cut-off-library", _ERROR, "the library is cut off", "copy or export the FMU again")
+NO_EXECUTION = Kind(
+    "no-execution",
+    _ERROR,
+    "no library can be loaded from the folder of temporary files, which is mounted with noexec",
+    "set TMPDIR to another folder",
+)
 MISPLACED_LIBRARY = Kind(
     "misplaced-library", _NOTE, "the library's folder is named as in another FMI version", "it is used"
 )
@@ -67,6 +77,7 @@ _NEEDED: Mapping[tuple[int, InterfaceKind], tuple[str, ...]] = {
 }
 
 _LONGEST_LOADING = 30.0
+_LONGEST_HEADER = 4096
 # Python itself would not run without them; what is looked for takes a process.
 _EVERYWHERE = {
     "libc.so.6",
@@ -114,6 +125,9 @@ def check_binaries(
     route: Route = ""
     if description is not None and description.preferred is not None:
         route = _check_library(folder, description, description.preferred, sources, findings)
+    if route and _forbids_execution(folder):
+        findings.add(NO_EXECUTION, tempfile.gettempdir())
+        route = ""
     return Binaries(tuple(platforms(folder)), has_sources(folder), route)
 
 
@@ -144,9 +158,18 @@ def _check_library(
 def _check_content(
     library: Path, major: int, interface: Interface, resources: Path, findings: Findings
 ) -> Route:
+    from fmu_plants.export.binaries import is_cut_off, processor
+
     content = library.read_bytes()
     if not content.startswith((_MAGIC.get(sys.platform, b""), _UNIVERSAL_MAGIC)):
         findings.add(FOREIGN_LIBRARY, f"{library.parent.name}/{library.name}")
+        return ""
+    its, own = processor(content), _own_processor()
+    if its and own and its != own:
+        findings.add(FOREIGN_LIBRARY, f"{library.parent.name}/{library.name} is for {its}, not {own}")
+        return ""
+    if is_cut_off(content):
+        findings.add(CUT_OFF_LIBRARY, f"{library.parent.name}/{library.name}, {len(content)} bytes")
         return ""
     prefixes = [f"{name}_" for name in (interface.model_identifier, library.stem)]
     missing = _missing_functions(content, major, interface.kind, prefixes)
@@ -158,6 +181,21 @@ def _check_content(
         findings.add(NO_LIBRARY, ", ".join(absent))
         return ""
     return "binary"
+
+
+def _own_processor() -> str:
+    """Return the processor that this Python is for, in the words of the libraries."""
+    from fmu_plants.export.binaries import processor
+
+    with suppress(OSError), Path(sys.executable).open("rb") as program:
+        return processor(program.read(_LONGEST_HEADER))
+    return ""
+
+
+def _forbids_execution(folder: Path) -> bool:
+    if sys.platform == "win32":
+        return False
+    return bool(os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0))
 
 
 def _missing_libraries(library: Path, resources: Path) -> list[str]:

@@ -15,7 +15,14 @@ import numpy as np
 from ddpc_cosim import safe_calls
 from ddpc_cosim.conditions import Conditions, changed_inputs
 from ddpc_cosim.controller import Bounds, Controller, Recording
-from ddpc_cosim.errors import ConfigError, CosimError, DivergenceError, FMUImportError, FMUStepError
+from ddpc_cosim.errors import (
+    ConfigError,
+    CosimError,
+    DivergenceError,
+    FMUImportError,
+    FMUStepError,
+    is_of_the_machine,
+)
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.master import EARLY, OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
@@ -38,6 +45,7 @@ from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable, names
 
 _MOST_LISTED = 8
+_TRIED_AGAIN = "; the machine may be at fault: the next run tries this case again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,13 +238,18 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
 
     Its rows, and what it is in, are written to a store, by default in memory.
     """
+    trace = _trace(case, store)
+    return replace(trace, reason=f"{trace.reason}{_TRIED_AGAIN}") if trace.transient else trace
+
+
+def _trace(case: Case, store: RowStore | None) -> Trace:
     store = store or row_store(case)
     safe_calls.announce_calls(store.announce)
     read = (*names(case.outputs), *names(case.measurements))
     try:
         plant = case.plant.open(names((*case.inputs, *case.undriven)), tuple(dict.fromkeys(read)))
     except CosimError as error:
-        return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
+        return _not_begun(case, error)
     try:
         trace = _run(case, plant, store)
     except BaseException:
@@ -277,7 +290,12 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
             store=store,
         )
     except CosimError as error:
-        return no_samples(case, _outcome_of(error), f"before the first sample: {error}")
+        return _not_begun(case, error)
+
+
+def _not_begun(case: Case, error: CosimError) -> Trace:
+    trace = no_samples(case, _outcome_of(error), f"before the first sample: {error}")
+    return replace(trace, transient=is_of_the_machine(error))
 
 
 def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller | None:

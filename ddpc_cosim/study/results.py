@@ -39,6 +39,8 @@ _STUDY_CHECKSUM = "study sha256"
 _SEAL = b',\n "sha256": "%s"\n}\n'
 
 _LONGEST_RUN = 1 << 26
+# These may end otherwise next time: only a result that would come out the same is kept.
+_TRANSIENT = (Outcome.CRASHED, Outcome.TIMED_OUT)
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 # What reading a file raises that has been cut off or changed, or that another version wrote.
 _DAMAGED = (
@@ -83,6 +85,9 @@ class CaseResult:
         Where its files are.
     sandbox : str
         The sandbox that it ran in, in words; empty: none.
+    transient : bool
+        Whether it is run again next time, as it may end otherwise: it crashed, was late, or the machine may
+        be at fault.
     """
 
     id: str
@@ -99,6 +104,7 @@ class CaseResult:
     warnings: tuple[str, ...]
     folder: Path
     sandbox: str = ""
+    transient: bool = False
 
     def trace(self) -> Trace:
         """Read the samples of the run.
@@ -208,8 +214,11 @@ def load_case(folder: Path) -> CaseResult:
         keys = ("id", "controller", "label", "scenario", "seed", "reason", "sandbox")
         head = {key: run[key] for key in keys}
         values = {key: run[key] for key in ("holds", "metrics", "diagnostics", "settings")}
-        told = (*run["warnings"], *run["metric_warnings"])
-        return CaseResult(**head, **values, outcome=Outcome(run["outcome"]), warnings=told, folder=folder)
+        told, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
+        transient = run["transient"] or outcome in _TRANSIENT
+        return CaseResult(
+            **head, **values, outcome=outcome, warnings=told, folder=folder, transient=transient
+        )
     except _DAMAGED as error:
         raise _damaged(folder, error) from error
 
@@ -329,6 +338,7 @@ def stage_case(
         | {
             "outcome": trace.outcome.value,
             "reason": recorded(trace.reason),
+            "transient": trace.transient,
             **_judged(trace, settings),
             "diagnostics": trace.diagnostics,
             "info": list(trace.info),
@@ -522,6 +532,7 @@ def read_trace(folder: Path) -> Trace:
         preview=run["preview"],
         outcome=Outcome(run["outcome"]),
         reason=run["reason"],
+        transient=run["transient"],
         settings=run["settings"],
         diagnostics=run["diagnostics"],
         recorded_samples=run["recorded_samples"],

@@ -11,7 +11,7 @@ import sys
 import tempfile
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -58,8 +58,6 @@ _STAGING = ".staging-"
 _AT_THE_END = ("diagnostics", "close")
 _PRELOAD = (__name__, "ddpc_cosim.fmu.plant")
 _VERSIONS_OF = ("numpy", "scipy", "FMPy", "piqp", "sympy")
-# These may end differently next time: only a result that would come out the same is kept.
-_TRANSIENT = (Outcome.CRASHED, Outcome.TIMED_OUT)
 
 
 class Update(NamedTuple):
@@ -168,9 +166,9 @@ def _compile_ahead(paths: Iterable[Path], progress: Progress) -> None:
 
 
 def _is_there(folder: Path) -> bool:
-    """Whether a case need not be run: one whose files are damaged is run again."""
+    """Whether a case need not be run: one that is damaged or may end otherwise is run again."""
     try:
-        return load_case(folder).outcome not in _TRANSIENT
+        return not load_case(folder).transient
     except ConfigError:
         return False
 
@@ -250,7 +248,7 @@ def run_cases(
     if sandboxed:
         words = require_sandbox()
         cases = [replace(case, sandbox=words) for case in cases]
-    with ScratchFolder() as temporary, _staging(folder) as staging:
+    with _scratch() as temporary, _scratch(folder, _STAGING) as staging:
         preload = [*_PRELOAD, *_plugin_modules(cases)]
         waiting, idle, running = deque(cases), list[Worker](), list[_Run]()
         try:
@@ -263,7 +261,8 @@ def run_cases(
                         yield case
                         continue
                     make = partial(Worker, serve_calls, preload=preload, memory=_memory(case, jobs))
-                    running.append(_Run(case, idle, make, folder / case.id, staging, temporary))
+                    with _writable():
+                        running.append(_Run(case, idle, make, folder / case.id, staging, temporary))
                     if watch is not None:
                         watch(running[-1].progress)
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
@@ -289,12 +288,21 @@ def _memory(case: Case, workers: int) -> int:
     return default_memory(workers) if case.memory_limit is None else int(1e9 * case.memory_limit)
 
 
-def _staging(folder: Path) -> ScratchFolder:
-    """Make the staging folder of this run's cases, on the same disk."""
+def _scratch(within: Path | None = None, prefix: str = "ddpc-cosim-") -> ScratchFolder:
+    """Make a folder of this run, for temporary files or for the cases that are not complete."""
+    with _writable():
+        return ScratchFolder(within, prefix)
+
+
+@contextmanager
+def _writable() -> Iterator[None]:
+    """Say what is wrong where files cannot be made or written."""
     try:
-        return ScratchFolder(folder, _STAGING)
+        yield
     except OSError as error:
-        raise CosimError(f"{folder}: cannot be written to: {error.strerror}") from error
+        reason = error.strerror or str(error)
+        place = f"{error.filename}: " if error.filename else ""
+        raise CosimError(f"{place}cannot be written: {reason}; finished cases are kept") from error
 
 
 def _plugin_modules(cases: Sequence[Case]) -> list[str]:

@@ -6,7 +6,7 @@ its code: which functions it exports and which libraries it needs is read from i
 
 import struct
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 _ELF_MAGIC, _PE_MAGIC, _MACHO_MAGIC = b"\x7fELF\x02\x01", b"MZ", b"\xcf\xfa\xed\xfe"
@@ -34,6 +34,38 @@ def exported_symbols(library: bytes) -> frozenset[str]:
             with _damage_as_value_error():
                 return frozenset(reader(library))
     raise ValueError("the library is neither ELF nor PE nor Mach-O of 64 bit")
+
+
+def processor(library: bytes) -> str:
+    """Return the processor that a library, or a program, is for; empty if its file does not say, or several.
+
+    Sources: System V ABI, ELF header; Microsoft, PE format, COFF header; Apple, Mach-O header.
+    """
+    number, known = 0, dict[int, str]()
+    with suppress(struct.error):
+        if library.startswith(_ELF_MAGIC[:4]):
+            (number,) = struct.unpack_from("<H", library, 18)
+            known = {3: "x86", 40: "ARM", 62: "x86-64", 183: "AArch64", 243: "RISC-V"}
+        elif library.startswith(_PE_MAGIC):
+            (header,) = struct.unpack_from("<I", library, 0x3C)
+            (number,) = struct.unpack_from("<H", library, header + 4)
+            known = {0x14C: "x86", 0x8664: "x86-64", 0xAA64: "AArch64"}
+        elif library.startswith(_MACHO_MAGIC):
+            (number,) = struct.unpack_from("<I", library, 4)
+            known = {0x1000007: "x86-64", 0x100000C: "AArch64"}
+    return known.get(number, f"processor {number}" if number else "")
+
+
+def is_cut_off(library: bytes) -> bool:
+    """Whether an ELF library lacks a part of what the loader maps; of other formats it is not known."""
+    loaded_segment = 1
+    if not library.startswith(_ELF_MAGIC):
+        return False
+    try:
+        segments = _elf_table(library, 0x20, 0x36, "<2I5Q")
+    except struct.error:
+        return True
+    return any(s[0] == loaded_segment and s[2] + s[5] > len(library) for s in segments)
 
 
 @contextmanager

@@ -109,6 +109,78 @@ def test_changed_settings_are_another_case(write_study: WriteStudy) -> None:
     assert diary.started == (1, 0)
 
 
+def test_a_changed_fmu_is_another_case(write_study: WriteStudy, make_fmu: Callable[..., Path]) -> None:
+    study = write_study("mfapc", "pid")
+    first, _ = run(study)
+    assert {case.outcome for case in first.cases} == {"completed"}
+    make_fmu(Fault.RETURN_ERROR).replace(study.parent / "no_fault.fmu")
+    again, diary = run(study)
+    assert diary.started == (2, 0)
+    assert {case.outcome for case in again.cases} == {"fmu-error"}
+    assert not {case.id for case in first.cases} & {case.id for case in again.cases}
+
+
+MACHINE = """
+import numpy as np
+from ddpc_cosim import Controller
+
+class Fine(Controller):
+    def start(self, loop):
+        pass
+    def step(self, sample):
+        return np.ones(1)
+
+class Imports(Fine):
+    def start(self, loop):
+        import installed_later
+
+class Fills(Fine):
+    def start(self, loop):
+        raise OSError(28, "No space left on device")
+
+class Grows(Fine):
+    def step(self, sample):
+        if sample.k == 3:
+            raise MemoryError
+        return np.ones(1)
+
+class Wrong(Fine):
+    def start(self, loop):
+        raise ValueError("wrong")
+"""
+
+
+def test_what_may_be_the_machine_s_fault_is_tried_again(
+    write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "machine.py").write_text(MACHINE, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    study = write_study(*(f"machine:{kind}" for kind in ("Fine", "Imports", "Fills", "Grows", "Wrong")))
+    for _ in range(2):
+        results, diary = run(study)
+        cases = {case.controller: case for case in results.cases}
+        assert {name for name, case in cases.items() if case.transient} == {"imports", "fills", "grows"}
+    assert diary.started == (3, 2)
+    assert cases["imports"].reason == (
+        "before the first sample: Imports.start raised ModuleNotFoundError: No module named "
+        "'installed_later'; the machine may be at fault: the next run tries this case again"
+    )
+    assert len(cases["grows"].trace()) == 4
+    (tmp_path / "installed_later.py").touch()
+    results, diary = run(study)
+    assert next(case.outcome for case in results.cases if case.controller == "imports") == "completed"
+    _, diary = run(study)
+    assert diary.started == (2, 3)
+
+
+def test_an_fmu_that_cannot_be_loaded_is_tried_again(write_study: WriteStudy) -> None:
+    study = write_study("mfapc", fault=Fault.NO_INSTANCE)
+    for _ in range(2):
+        results, diary = run(study)
+        assert diary.started == (1, 0)
+        assert results.cases[0].reason.endswith("the next run tries this case again")
+
+
 def test_results_of_any_number_of_workers_are_the_same(write_study: WriteStudy) -> None:
     study = write_study("mfapc", seeds="[0, 1, 2]")
     alone, _ = run(study, jobs=1)
