@@ -11,6 +11,8 @@ from ddpc_cosim.trace import Outcome
 
 FOLLOWS = 5.0
 """A run follows its reference where it leaves less of every step, in %."""
+WHY = "Likely why no controller follows: "
+"""How a limitation of a study begins that is such a reason."""
 _STUCK = 0.5  # share of the time from which on inputs at their limits are a likely reason
 
 
@@ -53,7 +55,7 @@ def following_lines(study: Study, cases: Iterable[CaseResult]) -> list[str]:
     return [
         (f"{study.scenarios[name].label or name}: " if len(by_scenario) > 1 else "")
         + text
-        + _likely_reason(own, study.loop.duration)
+        + _likely_reason(own, study)
         for name, own in by_scenario.items()
         if (text := nobody_follows(own))
     ]
@@ -75,17 +77,18 @@ def _what_is_left(best: float) -> str:
     return f"the best leaves {best:.{0 if best >= 10.0 else 1}f} % of its change"
 
 
-def _likely_reason(cases: Iterable[CaseResult], duration: float) -> str:
-    """Return which inputs of the best run are mostly at their limits, else what it was warned of."""
+def _likely_reason(cases: Iterable[CaseResult], study: Study) -> str:
+    """Return which inputs of the best run are mostly at their limits, and why the study says it may be.
+
+    Where there is neither, it is what spoke against the best run's data or model.
+    """
     best = min((case for case in cases if not math.isnan(left_by(case))), key=left_by)
     times = {
-        split_key(key)[1]: time for key, time in best.metrics.items() if key.startswith("time_at_bounds.")
+        split_key(key)[1]: time / study.loop.duration
+        for key, time in best.metrics.items()
+        if key.startswith("time_at_bounds.")
     }
-    stuck = [
-        f"{name} {100 * time / duration:.0f} % of the time"
-        for name, time in times.items()
-        if time > _STUCK * duration
-    ]
-    if stuck:
-        return f"; at its limits: {', '.join(stuck)}"
-    return f"; {best.warnings[0]}" if best.warnings else ""
+    stuck = [f"{name} {100 * time:.0f} % of the time" for name, time in times.items() if time > _STUCK]
+    told = [text.removeprefix(WHY) for text in study.report.limitations if text.startswith(WHY)]
+    reasons = [*([f"at its limits: {', '.join(stuck)}"] if stuck else []), *told]
+    return "".join(f"; {reason}" for reason in reasons or best.warnings[:1])

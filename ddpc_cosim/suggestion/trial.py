@@ -15,7 +15,7 @@ from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.responses import Actuation, Response, Stretch
 from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.study.cases import cases_of
-from ddpc_cosim.study.following import FOLLOWS, following_lines, left_by, nobody_follows
+from ddpc_cosim.study.following import FOLLOWS, WHY, following_lines, left_by, nobody_follows
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, CaseResult, judge_again, load_cases
@@ -339,7 +339,7 @@ def _told(attempts: Sequence[_Attempt]) -> Proposal:
     return replace(
         proposal,
         comments={name: tuple(texts) for name, texts in comments.items()},
-        limitations=tuple(f"{text[0].upper()}{text[1:]}." for text in likely),
+        limitations=(f"{WHY}{'; '.join(likely)}",) if likely else (),
     )
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ddpc_cosim import CaseResult, Outcome
-from ddpc_cosim.study.following import following_lines, left_by, nobody_follows
+from ddpc_cosim.study.following import WHY, following_lines, left_by, nobody_follows
 from ddpc_cosim.study.sections import Study
 
 
@@ -67,8 +67,8 @@ def test_a_run_that_fell_out_of_its_limits_leaves_more_than_any_number() -> None
     assert left_by(case("a", 70.0, holds=False)) == 70.0
 
 
-def test_scenarios_are_told_apart_and_a_likely_reason_is_named() -> None:
-    study = Study.model_validate(
+def study_of_three(limitations: list[str]) -> Study:
+    return Study.model_validate(
         {
             "name": "s",
             "seeds": [0],
@@ -76,9 +76,14 @@ def test_scenarios_are_told_apart_and_a_likely_reason_is_named() -> None:
             "loop": {"sampling_time": 0.1, "duration": 10.0},
             "reference": {"angle": {"kind": "constant", "value": 1.0}},
             "controllers": {"a": {"type": "pid"}},
+            "report": {"limitations": limitations},
             "scenarios": {"calm": {}, "storm": {"label": "in a storm"}, "blind": {}},
         }
     )
+
+
+def test_scenarios_are_told_apart_and_a_likely_reason_is_named() -> None:
+    study = study_of_three(["One seed only."])
     cases = [case("a", 1.0, scenario="calm"), case("a", 30.0, scenario="storm", at_limits=8.0)]
     cases.append(case("a", 30.0, scenario="blind", warnings=("the recording is poor", "the model too")))
     assert following_lines(study, cases) == [
@@ -87,3 +92,13 @@ def test_scenarios_are_told_apart_and_a_likely_reason_is_named() -> None:
         "blind: No controller follows the reference; the best leaves 30 % of its change; "
         "the recording is poor",
     ]
+
+
+def test_the_reason_that_the_study_gives_comes_before_what_was_warned_of() -> None:
+    study = study_of_three([f"{WHY}y does not go above 12"])
+    cases = [case("a", 30.0, scenario="blind", warnings=("the recording is poor",))]
+    sentence = (
+        "No controller follows the reference; the best leaves 30 % of its change; y does not go above 12"
+    )
+    assert following_lines(study, cases) == [sentence]
+    assert following_lines(study, [case("a", 3.0, scenario="blind")]) == []
