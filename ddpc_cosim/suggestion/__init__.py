@@ -26,7 +26,8 @@ from ddpc_cosim.suggestion.design import (
 )
 from ddpc_cosim.suggestion.operating_point import Found, find, sampling_time_of
 from ddpc_cosim.suggestion.request import Request
-from ddpc_cosim.suggestion.step_test import ResponseType, StepTest, Timing
+from ddpc_cosim.suggestion.response_types import ResponseType
+from ddpc_cosim.suggestion.step_test import StepTest, Timing
 from ddpc_cosim.suggestion.trial import Tell, tried_out
 from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, hints, study_text
 from ddpc_cosim.variables import FloatArray, Variable

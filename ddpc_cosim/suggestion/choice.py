@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
+from ddpc_cosim.suggestion.response_types import Response, ResponseType
+from ddpc_cosim.suggestion.step_test import StepTest
 from ddpc_cosim.variables import FloatArray
 
 MOST_INPUTS, MOST_OUTPUTS = 6, 4

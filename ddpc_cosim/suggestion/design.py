@@ -13,7 +13,8 @@ from ddpc_cosim.loop_setup import whole_steps
 from ddpc_cosim.plugins import plugin_names
 from ddpc_cosim.suggestion.choice import Choice
 from ddpc_cosim.suggestion.request import Request
-from ddpc_cosim.suggestion.step_test import BLOCK, ResponseType, StepTest
+from ddpc_cosim.suggestion.response_types import BLOCK, ResponseType
+from ddpc_cosim.suggestion.step_test import StepTest
 from ddpc_cosim.variables import FloatArray, Variable
 
 

@@ -11,7 +11,8 @@ from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.suggestion.choice import Choice, returns
 from ddpc_cosim.suggestion.design import Bounds, Setpoints, SuggestedController, drifting
 from ddpc_cosim.suggestion.request import Request
-from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
+from ddpc_cosim.suggestion.response_types import Response, ResponseType
+from ddpc_cosim.suggestion.step_test import StepTest
 from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import FloatArray, Variable
 

@@ -15,7 +15,8 @@ from ddpc_cosim.suggestion import suggest_study, write_study
 from ddpc_cosim.suggestion.choice import Choice
 from ddpc_cosim.suggestion.design import Range, setpoints
 from ddpc_cosim.suggestion.request import Request
-from ddpc_cosim.suggestion.step_test import Response, ResponseType, StepTest
+from ddpc_cosim.suggestion.response_types import Response, ResponseType
+from ddpc_cosim.suggestion.step_test import StepTest
 from ddpc_cosim.variables import Variable, names
 
 

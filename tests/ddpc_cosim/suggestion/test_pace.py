@@ -8,7 +8,8 @@ import pytest
 
 from ddpc_cosim import CosimError, Plant
 from ddpc_cosim.plant import ParameterValue
-from ddpc_cosim.suggestion.step_test import ResponseType, Resting, StepTest, Timing, step_test
+from ddpc_cosim.suggestion.response_types import ResponseType
+from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, step_test
 from ddpc_cosim.variables import FloatArray, Variable
 
 

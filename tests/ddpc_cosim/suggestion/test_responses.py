@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from ddpc_cosim.suggestion.step_test import ResponseType, classify, sample_counts
+from ddpc_cosim.suggestion.response_types import ResponseType, classify, sample_counts
 
 FIRST, BLOCKS = 1e-3, 14
 TIME = np.cumsum(sample_counts(BLOCKS)) * FIRST

@@ -12,7 +12,8 @@ from ddpc_cosim import Plant, Variable
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.request import Request
-from ddpc_cosim.suggestion.step_test import ResponseType, Resting, StepTest, Timing, step_test
+from ddpc_cosim.suggestion.response_types import ResponseType
+from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, step_test
 from ddpc_cosim.variables import FloatArray
 
 
