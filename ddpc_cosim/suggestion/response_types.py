@@ -30,6 +30,7 @@ _CREEP = 1e-3  # of the peak: what a response that seems settled may still move 
 _GROWING = 1.5  # the ends of a slow mode, that it starts with a line: twice as much in twice the time
 _PARALLEL = 0.02  # of its slope: how far a line behind a lag may still be from it
 _LATE = 1.5  # of the time between two jumps
+_LAGS_UNTIL_PARALLEL = 8.0  # at most, as blocks are twice as long as those before them
 _SAME, _JUMP = 1e-9, 1e-3  # of what there was before: an output that is held, and one that is set anew
 
 
@@ -70,6 +71,8 @@ class Response:
         Whether it goes through its final value more than once before it settles.
     creeps : bool
         Whether it has settled as far as one sees, but a slower mode seems to begin.
+    half_time : float
+        When it has first covered half of its largest magnitude [s].
     held : float
         For how long the output keeps its value between one jump and the next [s]; 0 if it does not.
     """
@@ -83,6 +86,7 @@ class Response:
     dead_time: float = 0.0
     rings: bool = False
     creeps: bool = False
+    half_time: float = np.inf
     held: float = 0.0
 
     @property
@@ -118,13 +122,12 @@ def classify(time: FloatArray, deviation: FloatArray, level: float) -> Response:
     peak = float(np.max(np.abs(deviation), initial=0.0))
     if not peak > FLOOR * level:
         return Response(ResponseType.INSENSITIVE)
-    response, held = _classify(time, deviation, peak), held_time(time, deviation)
-    if response.type is ResponseType.INTEGRATING and response.rise_time <= _LATE * held:
-        response = replace(response, rise_time=0.0)  # it is as late as its clock makes it
-    return replace(response, held=held)
+    held = held_time(time, deviation)
+    half_time = float(time[np.argmax(np.abs(deviation) >= peak / 2)])
+    return replace(_classify(time, deviation, peak, held), held=held, half_time=half_time)
 
 
-def _classify(time: FloatArray, deviation: FloatArray, peak: float) -> Response:
+def _classify(time: FloatArray, deviation: FloatArray, peak: float, held: float) -> Response:
     last = deviation[-BLOCK:]
     final = float(np.mean(last))
     if np.all(np.abs(last - final) <= _BAND * peak):
@@ -138,7 +141,7 @@ def _classify(time: FloatArray, deviation: FloatArray, peak: float) -> Response:
         return Response(ResponseType.SETTLED, final, 0.0, rise, settled, peak, dead, rings, creeps)
     slope = _common_slope(time, deviation)
     if slope:
-        lag = _lag(time, deviation, slope)
+        lag = _lag(time, deviation, slope, held)
         return Response(ResponseType.INTEGRATING, float(deviation[-1]), slope, lag, np.inf, peak)
     before = float(np.max(np.abs(deviation[-2 * BLOCK : -BLOCK]), initial=0.0))
     if len(deviation) > BLOCK and peak > _ACCELERATING * before and np.argmax(np.abs(last)) == BLOCK - 1:
@@ -181,13 +184,21 @@ def _common_slope(time: FloatArray, deviation: FloatArray) -> float:
     return float(slope) if straight and rise > 0.0 else 0.0
 
 
-def _lag(time: FloatArray, deviation: FloatArray, slope: float) -> float:
-    """Return by how much a line is late, from where it is first parallel to what it becomes [s]."""
+def _lag(time: FloatArray, deviation: FloatArray, slope: float, held: float) -> float:
+    """Return by how much a line is late, or how long it swings before it is one [s].
+
+    It is late from where it is first parallel to what it becomes; what it is late by a clock is no lag.
+    """
     t, d = time.reshape(-1, BLOCK), deviation.reshape(-1, BLOCK)
     slopes = (d[:, -1] - d[:, 0]) / (t[:, -1] - t[:, 0])
     bent = np.flatnonzero(np.abs(slopes - slope) > _PARALLEL * abs(slope))
-    first = min(bent[-1] + 1, len(t) - 1) if bent.size else 0
-    return max(float(np.mean(t[first] - d[first] / slope)), 0.0) if first else 0.0
+    if not bent.size:
+        return 0.0
+    first = min(bent[-1] + 1, len(t) - 1)
+    late = float(np.mean(t[first] - d[first] / slope))
+    if held:
+        return late if late > _LATE * held else 0.0
+    return max(late, float(t[first, 0]) / _LAGS_UNTIL_PARALLEL)
 
 
 def _creeps(deviation: FloatArray, peak: float) -> bool:

@@ -27,6 +27,7 @@ _FASTER, _TIMES_FASTER = 2**10, 3
 _MOST_STEPS = 100_000
 _SHARE, _LARGER_SHARES, _SMALLER_SHARE = 0.1, (0.5, 1.0), 0.001
 _NONLINEAR = 0.3
+_LATER = 1.5
 _BEYOND = 1e30
 _IMMEDIATE = 3  # samples
 _ROUNDING = 1e-9
@@ -419,7 +420,9 @@ def _with_instabilities(plant: _Paced, resting: Resting, tested: StepTest, timin
     unstable = set()
     for j, row in enumerate(smaller.responses):
         for i, small in enumerate(row):
-            if small.peak > _NONLINEAR * responses[j][i].peak:
+            large = responses[j][i]
+            is_late = small.half_time > _LATER * large.half_time  # a switch acts as soon whatever the step is
+            if small.peak > _NONLINEAR * large.peak and is_late:
                 unstable.add(j)
                 responses[j][i] = escaping(grid.time, deviations[i][:, j] / _SMALLER_SHARE, small.peak)
     return replace(tested, responses=tuple(map(tuple, responses)), unstable=frozenset(unstable))

@@ -168,6 +168,22 @@ def test_an_integrator_behind_a_lag_is_sampled_as_the_lag_needs_it() -> None:
     assert 0.5 / sample == pytest.approx(5)
 
 
+class Switched(Linear):
+    """The same of a switch that any input closes."""
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        return super().step(np.sign(u), h)
+
+
+@pytest.mark.parametrize("plant", [Switched(-1, 1, 1), Switched(-1, 0, 1, 1.0)], ids=["lag", "static"])
+def test_a_switch_is_not_taken_for_an_instability(plant: Linear) -> None:
+    """Neither shrinks with the step, but what leaves an equilibrium takes longer from nearer to it."""
+    tested, _, _, _ = proposed(plant, OPEN)
+    assert not tested.unstable
+    assert tested.responses[0][0].type is ResponseType.SETTLED
+    assert tested.responses[0][0].effect == pytest.approx(1.0, rel=0.01)
+
+
 def test_a_relay_that_needs_more_than_a_tenth_is_found() -> None:
     tested, _, _, _ = proposed(Linear(-1, 1, 1, threshold=0.7), OPEN)
     assert tested.steps == [1.0]
