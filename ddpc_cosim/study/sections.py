@@ -1,6 +1,8 @@
 """The study file: its sections, keys and ranges. Read by :mod:`ddpc_cosim.study.reading`."""
 
+import itertools
 import math
+import reprlib
 from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
@@ -33,7 +35,8 @@ Value = bool | int | Finite | str
 DEFAULT_STEP_TIMEOUT = 60.0
 _MOST_VARIANTS = 1000
 _SEEDS = 2**32
-_LONGEST_RANGE = 1_000_000
+_MOST_SEEDS = 1_000_000
+_LONGEST_SEED = 40
 
 
 def expand_seeds(seeds: Any) -> list[int]:
@@ -42,30 +45,27 @@ def expand_seeds(seeds: Any) -> list[int]:
     Raises
     ------
     ValueError
-        Something is neither a seed nor a range.
+        Something is neither a seed nor a range, or there are too many.
     """
-    expanded: list[int] = []
-    wrong = []
+    ranges, wrong = list[range](), []
     for seed in seeds if isinstance(seeds, list) else [seeds]:
-        first, _, last = seed.partition(":") if isinstance(seed, str) else ("", "", "")
-        if type(seed) is int and 0 <= seed < _SEEDS:
-            expanded.append(seed)
-        elif first.isdecimal() and not last and seed == first and int(first) < _SEEDS:
-            expanded.append(int(first))
-        elif (
-            first.isdecimal()
-            and last.isdecimal()
-            and int(first) < int(last) <= min(int(first) + _LONGEST_RANGE, _SEEDS)
-        ):
-            expanded.extend(range(int(first), int(last)))
+        first, colon, last = seed.partition(":") if isinstance(seed, str) else ("", "", "")
+        if type(seed) is int:
+            ranges.append(range(seed, seed + 1))
+        elif first.isdecimal() and (last.isdecimal() or not colon) and len(seed) <= _LONGEST_SEED:
+            ranges.append(range(int(first), int(last) if colon else int(first) + 1))
         else:
-            wrong.append(repr(seed))
+            ranges.append(range(0))
+        if not (0 <= ranges[-1].start < ranges[-1].stop <= _SEEDS):
+            wrong.append(reprlib.repr(seed))
     if wrong:
         raise ValueError(
             f"{', '.join(wrong)} {'is not a seed' if len(wrong) == 1 else 'are not seeds'}; "
             f"allowed: integers from 0 to {_SEEDS - 1}, or ranges as first:last with first < last, e.g. 0:30"
         )
-    return list(dict.fromkeys(expanded))
+    if (total := sum(map(len, ranges))) > _MOST_SEEDS:
+        raise ValueError(f"{total} seeds are too many; allowed: up to {_MOST_SEEDS}")
+    return list(dict.fromkeys(itertools.chain(*ranges)))
 
 
 Seeds = Annotated[list[int], BeforeValidator(expand_seeds)]

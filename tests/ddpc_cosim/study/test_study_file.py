@@ -155,7 +155,7 @@ def test_seeds_may_be_ranges(given: object, seeds: list[int]) -> None:
 
 
 @pytest.mark.parametrize(
-    "given", ["3:1", "1:1", "a:3", "1:b", "-1:3", "0:99999999", "x", "", -1, 2**32, True, 1.0]
+    "given", ["3:1", "1:1", "a:3", "1:b", "-1:3", "0:9999999999", "x", "", -1, 2**32, True, 1.0]
 )
 def test_what_is_neither_a_seed_nor_a_range_is_refused(given: object) -> None:
     with pytest.raises(ValueError, match=r"is not a seed; allowed: integers from 0 .* e\.g\. 0:30"):
