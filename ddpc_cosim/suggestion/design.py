@@ -256,10 +256,10 @@ def setpoints(
         steps = dict(zip((0, position, n + position), values, strict=True))  # the first output starts at once
         resolution = max(rise, fall) / 100
         references[outputs[j].name] = Setpoints(
-            tuple(_clean(k * samples // (2 * n) * sample) for k in steps),
+            tuple(clean(k * samples // (2 * n) * sample) for k in steps),
             tuple(rounded(value, resolution) for value in steps.values()),
         )
-    return references, _clean(samples * sample)
+    return references, clean(samples * sample)
 
 
 def near_rest(
@@ -270,8 +270,8 @@ def near_rest(
     for j in choice.outputs:
         first = float(tested.rest[0, j])
         step = _SMALL_STEP * max(abs(response.effect) or response.peak for response in tested.responses[j])
-        values = (_clean(first), rounded(first + step, step / 10))
-        references[outputs[j].name] = Setpoints((0.0, _clean(duration / 2)), values)
+        values = (clean(first), rounded(first + step, step / 10))
+        references[outputs[j].name] = Setpoints((0.0, clean(duration / 2)), values)
     return references
 
 
@@ -313,10 +313,11 @@ def rounded(value: float, resolution: float) -> float:
     """Return a value rounded to a power of ten that does not exceed the resolution."""
     if resolution <= 0.0 or not math.isfinite(resolution):
         return float(value)
-    return _clean(round(value, -math.floor(math.log10(resolution))))
+    return clean(round(value, -math.floor(math.log10(resolution))))
 
 
-def _clean(value: float) -> float:
+def clean(value: float) -> float:
+    """Return a value without the rounding error of its last digits."""
     return float(f"{value:.12g}")
 
 

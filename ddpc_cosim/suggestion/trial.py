@@ -20,7 +20,7 @@ from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, CaseResult, judge_again, load_cases
 from ddpc_cosim.study.runner import Update, run_cases
-from ddpc_cosim.suggestion.design import Bounds, Setpoints, rounded
+from ddpc_cosim.suggestion.design import Bounds, Setpoints, clean, rounded
 from ddpc_cosim.suggestion.writing import Proposal, study_text
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable
@@ -30,6 +30,7 @@ Tell = Callable[[str], None]
 _ATTEMPTS, _ATTEMPTS_WITHOUT_AUTHORITY = 4, 2
 _LONGER = 3
 _SHRUNK = 0.3
+_SHORTER = (0.1, 0.01)
 _GENTLER = ((0.1, 0.1), (0.0, 1.0), (1.0, 0.0))  # shares of the way from rest to the limits, down and up
 _KEPT_FREE = 0.1  # of the span that was reached, at either end of it
 _SETTLED = 0.2  # of a stretch: its end, as in the figures of the response
@@ -107,13 +108,15 @@ def tried_out(
         No controller runs to the end, and why.
     """
     attempts: list[_Attempt] = []
-    gentler, number = iter([_gentler(proposal, sides) for sides in _GENTLER]), 0
+    gentler, number = _gentler_ones(proposal), 0
+    faults: dict[str, str] = {}
     wanted: Proposal | None = proposal
     with ScratchFolder() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", CosimWarning)  # `run` tells them
         while wanted is not None:
             number += 1
             attempt = _attempt(wanted, fmu, folder / str(number), deadline, tell, sandboxed=sandboxed)
+            faults = faults or attempt.dropped
             if attempt.proposal.controllers:
                 attempts.append(attempt)
             if attempt.untried or (attempt.cases and (not attempt.left or attempt.best < FOLLOWS)):
@@ -124,7 +127,7 @@ def tried_out(
                 most = _ATTEMPTS_WITHOUT_AUTHORITY if proposal.hints else _ATTEMPTS
                 wanted = _within_reach(attempts) if len(attempts) < most else None
         if not attempts:
-            why = "; ".join(dict.fromkeys(attempt.dropped.values()))
+            why = "; ".join(dict.fromkeys(faults.values()))
             raise CosimError(f"{fmu.name}: no controller that was tried runs to the end: {why}")
         return _told(attempts)
 
@@ -200,6 +203,13 @@ def _resolved(attempt: _Attempt, fmu: Path, folder: Path) -> ResolvedStudy | Non
             raise error from None
 
 
+def _gentler_ones(proposal: Proposal) -> Iterator[Proposal]:
+    """Yield what may be survived where every run has failed: less of the inputs, less of the time."""
+    yield from (_gentler(proposal, sides) for sides in _GENTLER)
+    if proposal.asked.sampling_time is None and proposal.asked.duration is None:
+        yield from (_shorter(proposal, share) for share in _SHORTER)
+
+
 def _gentler(proposal: Proposal, sides: tuple[float, float]) -> Proposal:
     """Return the proposal with inputs that go less far down and up, in shares: so far, every run failed."""
     rest = {v.name: v.start for v in proposal.inputs} | dict(proposal.start)
@@ -263,11 +273,24 @@ def _stuck(trace: Trace, ends: Iterable[slice]) -> bool:
 
 
 def _longer(proposal: Proposal) -> Proposal:
+    """Return the proposal with longer stretches."""
+    return _stretched(proposal, _LONGER)
+
+
+def _shorter(proposal: Proposal, share: float) -> Proposal:
+    """Return the proposal with everything in a share of the time, from the recording on."""
+    note = f"All in {100 * share:g} % of the time that the step test suggests: later on every run failed."
+    comments = {**proposal.comments, "loop": (*proposal.comments.get("loop", ()), note)}
+    faster = replace(proposal, sampling_time=clean(share * proposal.sampling_time), comments=comments)
+    return _stretched(faster, share)
+
+
+def _stretched(proposal: Proposal, by: float) -> Proposal:
     setpoints = {
-        name: Setpoints(tuple(_LONGER * time for time in one.times), one.values)
+        name: Setpoints(tuple(clean(by * time) for time in one.times), one.values)
         for name, one in proposal.setpoints.items()
     }
-    return replace(proposal, setpoints=setpoints, duration=_LONGER * proposal.duration)
+    return replace(proposal, setpoints=setpoints, duration=clean(by * proposal.duration))
 
 
 def _shrunk(values: Sequence[float]) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from ddpc_cosim.cli.main import main
 from ddpc_cosim.study.following import left_by
 from ddpc_cosim.study.results import load_results
 from ddpc_cosim.suggestion import suggest_study, write_study
-from ddpc_cosim.suggestion.design import SuggestedController
+from ddpc_cosim.suggestion.design import Setpoints, SuggestedController
 from ddpc_cosim.suggestion.trial import tried_out
 from ddpc_cosim.suggestion.writing import Proposal
 
@@ -117,4 +117,19 @@ def test_where_every_run_fails_the_inputs_keep_to_the_side_that_works(model_fmu,
     proved = tried_out(proposal, fmu, monotonic() + 1000.0, lambda _: None)
     assert (proved.bounds["inflow"].low, proved.bounds["inflow"].high) == (0.0, 1.0)
     assert "less, as every run failed" in written(proved, fmu, tmp_path)
+    run(tmp_path)
+
+
+def test_an_fmu_that_fails_after_a_while_is_run_for_as_long_as_it_works(tmp_path) -> None:
+    """y' = u, which returns an error from 0.5 s on: recording and loop together have to be shorter."""
+    fmu = write_fmu(
+        tmp_path / "fails.fmu",
+        describe("2.0", f"integrator:{Fault.RETURN_ERROR:d}", INTEGRATOR[:2], interfaces=CO_SIMULATION),
+        model_library("2.0"),
+    )
+    proposal = replace(suggest_study(fmu, trial=False), sampling_time=0.01, duration=1.2)
+    proposal = replace(proposal, setpoints={"y": Setpoints((0.0, 0.6), (0.01, -0.01))})
+    proved = tried_out(only(proposal, "pid"), fmu, monotonic() + 1000.0, lambda _: None)
+    assert proved.samples * proved.sampling_time + proved.duration < 0.5
+    assert "All in 10 % of the time" in written(proved, fmu, tmp_path)
     run(tmp_path)
