@@ -194,7 +194,7 @@ def simulate(
     if simulation.interrupted_by is not None:
         raise simulation.interrupted_by
     if not len(simulation.time):
-        raise CosimError(f"{simulation.plant}: {simulation.reason}")
+        raise CosimError(f"{simulation.plant}: {simulation.outcome}: {simulation.reason}")
     if not simulation.completed:
         text = f"{simulation.plant}: {simulation.outcome}: {simulation.reason}"
         warnings.warn(text, CosimWarning, stacklevel=2)

@@ -73,7 +73,7 @@ class _Subject:
 
     def __init__(self, request: Request) -> None:
         path = Path(request.plant)
-        is_file = path.suffix.lower() == ".fmu" or path.is_file()
+        is_file = path.suffix.lower() == ".fmu" or (bool(path.suffix) and path.is_file())
         if is_file and not path.is_file():
             raise ConfigError(f"{path}: no such file")
         named: dict[str, Any] = {"fmu": request.plant} if is_file else {"name": request.plant}

@@ -260,7 +260,7 @@ def _trace(case: Case, store: RowStore | None) -> Trace:
         safe_calls.close_plant(plant)
     except FMUStepError as error:
         if trace.outcome is Outcome.COMPLETED:
-            return replace(trace, outcome=_outcome_of(error), reason=f"after the last sample: {error}")
+            return replace(trace, outcome=_outcome_of(case, error), reason=f"after the last sample: {error}")
     return trace
 
 
@@ -294,7 +294,7 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
 
 
 def _not_begun(case: Case, error: CosimError) -> Trace:
-    trace = no_samples(case, _outcome_of(error), f"before the first sample: {error}")
+    trace = no_samples(case, _outcome_of(case, error), f"before the first sample: {error}")
     return replace(trace, transient=is_of_the_machine(error))
 
 
@@ -354,12 +354,14 @@ def no_samples(case: Case, outcome: Outcome, reason: str) -> Trace:
     )
 
 
-def _outcome_of(error: CosimError) -> Outcome:
+def _outcome_of(case: Case, error: CosimError) -> Outcome:
     if isinstance(error, FMUStepError):
         return OUTCOME_OF[error.status]
     if isinstance(error, DivergenceError):
         return Outcome.DIVERGED
-    return Outcome.FMU_ERROR if isinstance(error, FMUImportError) else Outcome.CONTROLLER_ERROR
+    # In open loop there is no controller whose settings could be wrong.
+    is_plants = isinstance(error, FMUImportError) or not case.section["type"]
+    return Outcome.FMU_ERROR if is_plants else Outcome.CONTROLLER_ERROR
 
 
 def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) -> Iterator[Case]:

@@ -20,6 +20,7 @@ _MOST_DRAWN, _MOST_POINTS = 24, 2000
 _LINE = "c0"
 _COLOUR = re.compile(r"var\((--[\w-]+)\)")
 _LIGHT = re.compile(r"(--[\w-]+): light-dark\((#\w+), ")
+_LEAST_WIDTH = 300.0
 _BOX = re.compile(r'viewBox="0 0 ([\d.]+) ([\d.]+)"')
 _TITLE_HEIGHT, _MARGIN = 34.0, 12.0
 
@@ -62,7 +63,7 @@ def simulation_drawing(simulation: Simulation) -> str:
     """
     colours = dict(_LIGHT.findall(stylesheet()))
     title = simulation.plant if simulation.completed else f"{simulation.plant} ({simulation.outcome})"
-    parts, width, height = list[str](), 0.0, _TITLE_HEIGHT
+    parts, width, height = list[str](), _LEAST_WIDTH, _TITLE_HEIGHT
     signals = _signals(simulation)
     for signal in signals:
         svg = str(_view(simulation, signal, last=signal is signals[-1]).svg)

@@ -101,6 +101,15 @@ def test_a_study_of_an_fmu_is_read_without_the_fmu_runtime(tmp_path: Path, pendu
     assert not loaded & FMU_RUNTIME
 
 
+def test_a_simulation(tmp_path: Path, pendulum_fmu: Path) -> None:
+    code = "import contextlib\nfrom ddpc_cosim.cli.main import main\n"
+    command = ["simulate", pendulum_fmu.as_posix(), "--stop", "1", "--out", "y.csv"]
+    code += f"with contextlib.suppress(SystemExit): main({command})"
+    loaded = modules_after(code, tmp_path)
+    assert (tmp_path / "y.csv").is_file()
+    assert not loaded & (HEAVY | {"scipy", "jinja2"})
+
+
 def test_a_worker_that_runs_cases_of_the_paper(tmp_path: Path, run_program: Run, paper_text: str) -> None:
     (tmp_path / "snoopers.py").write_text(SNOOPERS, encoding="utf-8")
     for name in ("MFAPC", "DeePC", "WKPC"):

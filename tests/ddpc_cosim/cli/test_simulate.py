@@ -160,3 +160,14 @@ def test_ctrl_c_keeps_what_was_simulated(tmp_path: Path, program: str) -> None:
     lines = (tmp_path / "part.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == "time [s],y [1],outcome"
     assert lines[-1] == "0.4,4.0,interrupted"
+
+
+def test_a_run_without_samples_is_told_everywhere(folder: Path) -> None:
+    model_fmu(folder, "2.0", "lag", Fault.ERROR_IN_INITIALIZATION)
+    outs = [word for kind in ("csv", "html", "svg") for word in ("--out", f"none.{kind}")]
+    result = simulate("lag2.fmu", "--stop", "1", *outs)
+    assert result.exit_code == 1
+    assert "lag2.fmu: fmu-error: before the first sample: " in result.stderr
+    assert (folder / "none.csv").read_text(encoding="utf-8") == "time [s],x [1],outcome\n"
+    assert "fmu-error: before the first sample: " in (folder / "none.html").read_text(encoding="utf-8")
+    assert "lag2.fmu (fmu-error)" in (folder / "none.svg").read_text(encoding="utf-8")

@@ -149,6 +149,8 @@ class Tank(Plant):
     outputs = (Variable("level", unit="m"),)
 
     def reset(self, parameters: object = None, t0: float = 0.0) -> np.ndarray:
+        if parameters:
+            raise ConfigError("no parameter")
         self.level = np.zeros(1)
         return self.level.copy()
 
@@ -237,10 +239,13 @@ def test_samples_up_to_a_fault_are_kept_and_say_so(tmp_path: Path, fault: Fault,
     assert frame.attrs["outcome"] == outcome
 
 
-def test_a_fault_before_the_first_sample_is_an_error(tmp_path: Path) -> None:
+def test_a_fault_before_the_first_sample_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = model_fmu(tmp_path, "2.0", "lag", Fault.ERROR_IN_INITIALIZATION)
-    with pytest.raises(CosimError, match="before the first sample"):
+    with pytest.raises(CosimError, match=r"lag2\.fmu: fmu-error: before the first sample: .*fmi2EnterInit"):
         simulate(path, stop=1.0)
+    monkeypatch.syspath_prepend(Path(__file__).parent)
+    with pytest.raises(CosimError, match="Tank: fmu-error: before the first sample: no parameter"):
+        simulate("test_simulation:Tank", parameters={"area": 2.0})
 
 
 def test_what_cannot_be_opened_is_told(tmp_path: Path) -> None:
