@@ -34,6 +34,9 @@ _LONGEST_INFO_NAME = 100
 # An input may exceed its bounds by a rounding error, relative to the largest finite bound.
 _ROUNDING = 1e-9
 
+DEFAULT_STEP_TIMEOUT = 60.0
+"""Longest time for any call of a plant or a controller [s], where nothing else is said."""
+
 
 class Decision(NamedTuple):
     """What a controller decided: inputs, shape (m,); ``"ok"`` or why not; wall time [s]; values by name."""

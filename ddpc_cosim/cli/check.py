@@ -95,7 +95,7 @@ class ControllerSubject:
 
     def make(self) -> Controller:
         """Return a new controller."""
-        from ddpc_cosim.study.controllers import make_controller
+        from ddpc_cosim.study.controller_plugins import make_controller
 
         return make_controller(self.plugin, self.settings)
 

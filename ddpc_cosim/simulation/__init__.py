@@ -15,6 +15,7 @@ import numpy as np
 from ddpc_cosim.csv_files import CSVFile, split_unit, write_table
 from ddpc_cosim.errors import CosimError, CosimWarning
 from ddpc_cosim.plant import FMIType, ParameterValue
+from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.signals import values_at
 from ddpc_cosim.simulation.golden import OUTCOME, TIME, Difference
@@ -22,7 +23,6 @@ from ddpc_cosim.simulation.request import Prepared, Request, prepare
 from ddpc_cosim.study.cases import partial_trace
 from ddpc_cosim.study.results import load_case
 from ddpc_cosim.study.runner import Update, run_cases
-from ddpc_cosim.study.sections import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import FloatArray, Variable
 

@@ -14,11 +14,12 @@ from ddpc_cosim.csv_files import Column, CSVFile, plain_cells, read_table, split
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.loop_setup import end_time, whole_steps
 from ddpc_cosim.plant import FMIType, ParameterValue
+from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.signals import Interpolated, Steps, values_at
 from ddpc_cosim.simulation.golden import TIME, Golden
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables, read_fmu
-from ddpc_cosim.study.sections import DEFAULT_STEP_TIMEOUT, PlantSection
+from ddpc_cosim.study.sections import PlantSection
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.spelling import did_you_mean
 

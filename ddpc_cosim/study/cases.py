@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,18 +31,14 @@ from ddpc_cosim.plugins import code_version, own_folder, types_in
 from ddpc_cosim.rows import RowStore
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference
-from ddpc_cosim.study.controllers import controller_class, make_controller
+from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.plants import PlantSpec
-from ddpc_cosim.study.resolve import ResolvedStudy
-from ddpc_cosim.study.sections import (
-    DEFAULT_STEP_TIMEOUT,
-    ControllerSection,
-    LoopSection,
-    ScenarioSection,
-    StabiliserSection,
-)
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable, names
+
+if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
+    from ddpc_cosim.study.resolve import ResolvedStudy
+    from ddpc_cosim.study.sections import ControllerSection, LoopSection, ScenarioSection, StabiliserSection
 
 _MOST_LISTED = 8
 _TRIED_AGAIN = "; the machine may be at fault: the next run tries this case again"
@@ -131,7 +127,7 @@ class Case:
     conditions: Conditions = field(default_factory=Conditions)
     undriven: tuple[Variable, ...] = ()
     metrics: MetricSettings = field(default_factory=MetricSettings)
-    step_timeout: float = DEFAULT_STEP_TIMEOUT
+    step_timeout: float = safe_calls.DEFAULT_STEP_TIMEOUT
     memory_limit: float | None = None
     late: str = ""
     id: str = ""
@@ -155,7 +151,7 @@ class Case:
 
 
 def cases_of(
-    resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int] = (), only: str = "*"
+    resolved: "ResolvedStudy", plant: PlantSpec, seeds: Sequence[int] = (), only: str = "*"
 ) -> list[Case]:
     """Return the cases of a study: controllers x scenarios x seeds.
 
@@ -364,7 +360,7 @@ def _outcome_of(case: Case, error: CosimError) -> Outcome:
     return Outcome.FMU_ERROR if is_plants else Outcome.CONTROLLER_ERROR
 
 
-def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) -> Iterator[Case]:
+def _all_cases(resolved: "ResolvedStudy", plant: PlantSpec, seeds: Sequence[int]) -> Iterator[Case]:
     study = resolved.study
     stabiliser = study.recording.controller if study.recording is not None else None
     events = {name: _events(scenario, study.loop) for name, scenario in study.scenarios.items()}
@@ -404,11 +400,11 @@ def _all_cases(resolved: ResolvedStudy, plant: PlantSpec, seeds: Sequence[int]) 
                 )
 
 
-def _type_and_settings(section: ControllerSection | StabiliserSection) -> dict[str, Any]:
+def _type_and_settings(section: "ControllerSection | StabiliserSection") -> dict[str, Any]:
     return {"type": section.type, "settings": section.settings}
 
 
-def _events(scenario: ScenarioSection, loop: LoopSection) -> tuple[ParameterChange, ...]:
+def _events(scenario: "ScenarioSection", loop: "LoopSection") -> tuple[ParameterChange, ...]:
     """Return the parameter changes of a scenario; a drift is a change at every sample."""
     changes = [ParameterChange(event.time, dict(event.parameters)) for event in scenario.events]
     time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ddpc_cosim.controller import Controller
-from ddpc_cosim.errors import ConfigError, ControllerError, Place, PluginError
-from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.errors import ControllerError, Place, PluginError
 from ddpc_cosim.safe_calls import (
+    DEFAULT_STEP_TIMEOUT,
     CallsInTime,
     controller_settings,
     horizon_of,
@@ -18,20 +18,16 @@ from ddpc_cosim.safe_calls import (
 from ddpc_cosim.settings import (
     PLANT,
     SettingsError,
-    declared_settings,
-    from_plain,
-    instead_of,
     is_plain,
     map_files,
 )
+from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.sections import (
-    DEFAULT_STEP_TIMEOUT,
     ControllerSection,
     StabiliserSection,
     Study,
 )
 from ddpc_cosim.study.validation_errors import InvalidFieldError, ValidationErrors, in_folder, independent
-from fmu_plants.spelling import did_you_mean
 
 _LONGEST_NAME = 60
 
@@ -208,60 +204,6 @@ def _build(
     except ControllerError as error:
         errors.add(place, str(error))
     return None
-
-
-def controller_class(kind: str) -> type[Controller]:
-    """Return the class that a study file names.
-
-    Raises
-    ------
-    PluginError
-        There is no such controller, or it cannot be loaded.
-    """
-    plugin = load_plugin("controllers", kind)
-    if not (isinstance(plugin, type) and issubclass(plugin, Controller)):
-        raise PluginError(f'controller "{kind}" is not a class derived from ddpc_cosim.Controller')
-    return plugin
-
-
-def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
-    """Construct a controller from what a study file says.
-
-    Raises
-    ------
-    SettingsError
-        Unknown or impossible settings, all of them.
-    PluginError
-        There is no such controller, or it cannot be loaded.
-    """
-    plugin = controller_class(kind)
-    found: list[tuple[Place, str]] = []
-    known = declared_settings(plugin)
-    arguments = {}
-    for key, value in settings.items():
-        if known and key not in known:
-            found.append(
-                ((key,), f"unknown setting of {kind}; {instead_of(plugin, key) or did_you_mean(key, known)}")
-            )
-            continue
-        try:
-            arguments[key] = from_plain(plugin, key, value)
-        except SettingsError as error:
-            found += error.found
-    try:
-        controller = plugin(**arguments)
-    except SettingsError as error:
-        found += error.found
-    except ConfigError as error:
-        found += [((), fault) for fault in error.faults]
-    except Exception as error:  # a third party's constructor can fail in any way
-        if not found:  # what was left out above may be all that it misses
-            found.append(((), str(error)))
-    except SystemExit as error:
-        found.append(((), f"SystemExit: {error}"))
-    if found:
-        raise SettingsError(found)
-    return controller
 
 
 def _name(name: str, varied: Mapping[str, Any], number: int) -> str:

@@ -21,12 +21,11 @@ from ddpc_cosim.safe_calls import (
     set_plant_parameters,
     step_plant,
 )
-from ddpc_cosim.study.sections import PlantSection
-from ddpc_cosim.study.validation_errors import in_folder
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, names, with_display_units
 
 if TYPE_CHECKING:
     from ddpc_cosim.fmu.description import FMUDescription
+    from ddpc_cosim.study.sections import PlantSection
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +111,7 @@ class PlantSpec:
     trace_calls: str = ""
 
     @classmethod
-    def of(cls, section: PlantSection, folder: Path) -> Self:
+    def of(cls, section: "PlantSection", folder: Path) -> Self:
         """Return the plant that a section names.
 
         Parameters
@@ -127,6 +126,8 @@ class PlantSpec:
         CosimError
             There is no such plant, or it cannot be loaded.
         """
+        from ddpc_cosim.study.validation_errors import in_folder  # a worker, which opens plants, does without
+
         spec = cls(
             name=section.name,
             fmu=str(in_folder(folder, section.fmu)) if section.fmu else "",

@@ -14,18 +14,20 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ddpc_cosim.controller import Bounds
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
-from ddpc_cosim.study.sections import Study
 from ddpc_cosim.texts import encodable, recorded
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
 from fmu_plants.files import write_atomically
+
+if TYPE_CHECKING:
+    from ddpc_cosim.study.sections import Study
 
 STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "study.toml",
@@ -139,7 +141,7 @@ class StudyResults:
     """
 
     folder: Path
-    study: Study
+    study: "Study"
     cases: tuple[CaseResult, ...]
     provenance: dict[str, str]
     damaged: dict[str, str] = field(default_factory=dict)
@@ -183,7 +185,7 @@ def load_results(folder: str | Path) -> StudyResults:
 
 
 def load_cases(
-    folder: Path, study: Study, case_ids: Iterable[str]
+    folder: Path, study: "Study", case_ids: Iterable[str]
 ) -> tuple[tuple[CaseResult, ...], dict[str, str]]:
     """Return the cases of a study that are sound, and by id what is wrong with the others.
 
@@ -228,14 +230,16 @@ def _damaged(folder: Path, error: Exception) -> ConfigError:
     return ConfigError(f"{folder}: damaged: {why}; run the study again, which runs only what is damaged")
 
 
-def _toml(study: Study) -> bytes:
+def _toml(study: "Study") -> bytes:
     import tomli_w
 
     return encodable(tomli_w.dumps(study.model_dump(mode="python", exclude_none=True))).encode()
 
 
-def _study(content: bytes) -> Study:
+def _study(content: bytes) -> "Study":
     import tomllib
+
+    from ddpc_cosim.study.sections import Study  # a worker, which writes cases, does without
 
     return Study.model_validate(tomllib.loads(content.decode()))
 
@@ -268,7 +272,7 @@ def write_results(results: StudyResults) -> StudyResults:
     return results
 
 
-def _metrics_table(study: Study, cases: Sequence[CaseResult]) -> str:
+def _metrics_table(study: "Study", cases: Sequence[CaseResult]) -> str:
     """Return ``metrics.csv``."""
     keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
     plant = study.plant.name or Path(study.plant.fmu).name

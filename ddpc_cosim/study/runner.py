@@ -19,7 +19,7 @@ from importlib import metadata
 from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.limits import default_memory
@@ -30,7 +30,6 @@ from ddpc_cosim.sandbox import Sandbox, require as require_sandbox
 from ddpc_cosim.scratch import ScratchFolder, remove
 from ddpc_cosim.study.cases import Case, cases_of, files_read, no_samples, partial_trace, row_store, run_case
 from ddpc_cosim.study.plants import PlantSpec
-from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import (
     CASES_FOLDER,
     CaseResult,
@@ -48,6 +47,9 @@ from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome
 from ddpc_cosim.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, lost, result_of, serve_calls
 from fmu_plants.files import cache_dir
+
+if TYPE_CHECKING:
+    from ddpc_cosim.study.resolve import ResolvedStudy
 
 _POLL_SECONDS = 0.1
 _REPLY_SECONDS = 5.0
@@ -114,7 +116,7 @@ class Selection:
 
 
 def run_study(
-    resolved: ResolvedStudy, folder: Path, selection: Selection, progress: Progress
+    resolved: "ResolvedStudy", folder: Path, selection: Selection, progress: Progress
 ) -> StudyResults:
     """Run a study's cases into a folder and return the results.
 

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from ddpc_cosim.csv_files import TIME_TOLERANCE
 from ddpc_cosim.loop_setup import end_time, limits_error, whole_steps
+from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.study.signal_sections import (
     DisturbanceSection,
     ExcitationSection,
@@ -32,7 +33,6 @@ Preview = Annotated[int, Field(ge=0)] | Literal["horizon"]
 Value = bool | int | Finite | str
 
 
-DEFAULT_STEP_TIMEOUT = 60.0
 _MOST_VARIANTS = 1000
 _SEEDS = 2**32
 _MOST_SEEDS = 1_000_000

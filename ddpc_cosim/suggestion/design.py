@@ -465,7 +465,7 @@ def _significant(value: float) -> float:
 
 def recording_length(controller: SuggestedController, inputs: int, outputs: int, measurements: int) -> int:
     """Return the fewest samples of a recording that a controller can learn from."""
-    from ddpc_cosim.study.controllers import make_controller
+    from ddpc_cosim.study.controller_plugins import make_controller
 
     needed = make_controller(controller.type, controller.settings).recording_length
     return needed(inputs, outputs, measurements)

@@ -9,7 +9,7 @@ from scipy.optimize import linprog
 
 from ddpc_controllers import DeePC
 from ddpc_cosim import Action, Bounds, ConfigError, Controller, FloatArray, Loop, Recording, Sample
-from ddpc_cosim.study.controllers import make_controller
+from ddpc_cosim.study.controller_plugins import make_controller
 
 from .full_problem import FullDeePC
 from .loops import (

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from ddpc_cosim import CaseResult, StudyResults
-from ddpc_cosim.study.controllers import make_controller
+from ddpc_cosim.study.controller_plugins import make_controller
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_reports.page import render_page

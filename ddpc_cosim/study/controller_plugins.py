@@ -1,0 +1,67 @@
+"""Controllers as a study file names them: their class, and one of it made from plain settings.
+
+A worker makes its controller with this, and imports nothing of what reads study files.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from ddpc_cosim.controller import Controller
+from ddpc_cosim.errors import ConfigError, Place, PluginError
+from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.settings import SettingsError, declared_settings, from_plain, instead_of
+from fmu_plants.spelling import did_you_mean
+
+
+def controller_class(kind: str) -> type[Controller]:
+    """Return the class that a study file names.
+
+    Raises
+    ------
+    PluginError
+        There is no such controller, or it cannot be loaded.
+    """
+    plugin = load_plugin("controllers", kind)
+    if not (isinstance(plugin, type) and issubclass(plugin, Controller)):
+        raise PluginError(f'controller "{kind}" is not a class derived from ddpc_cosim.Controller')
+    return plugin
+
+
+def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
+    """Construct a controller from what a study file says.
+
+    Raises
+    ------
+    SettingsError
+        Unknown or impossible settings, all of them.
+    PluginError
+        There is no such controller, or it cannot be loaded.
+    """
+    plugin = controller_class(kind)
+    found: list[tuple[Place, str]] = []
+    known = declared_settings(plugin)
+    arguments = {}
+    for key, value in settings.items():
+        if known and key not in known:
+            found.append(
+                ((key,), f"unknown setting of {kind}; {instead_of(plugin, key) or did_you_mean(key, known)}")
+            )
+            continue
+        try:
+            arguments[key] = from_plain(plugin, key, value)
+        except SettingsError as error:
+            found += error.found
+    try:
+        controller = plugin(**arguments)
+    except SettingsError as error:
+        found += error.found
+    except ConfigError as error:
+        found += [((), fault) for fault in error.faults]
+    except Exception as error:  # a third party's constructor can fail in any way
+        if not found:  # what was left out above may be all that it misses
+            found.append(((), str(error)))
+    except SystemExit as error:
+        found.append(((), f"SystemExit: {error}"))
+    if found:
+        raise SettingsError(found)
+    return controller
