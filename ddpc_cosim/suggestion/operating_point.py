@@ -24,6 +24,7 @@ _OF_DIFFERENCES = re.compile(r"d[A-Z]\w*|d[pPtT]|.*(?i:delta|diff|relative|gauge
 _MATTERS = 1e-3  # of an output's level: what inputs that matter move it by
 _BETTER = 10.0
 _HALF = 0.5
+_WIDER = (10.0, 100.0, 1000.0)  # than a range that is a guess
 _DEPENDS = 0.05  # of what outputs move by: how far two step sizes may be apart
 _BLOCKS = 8
 _LEAST_TIME = 5.0  # s
@@ -78,31 +79,24 @@ def find(
     remarks = _told(usual, every)
     parameters = request.parameters(description)
     at_start = _at(open_plant, {**usual, **given}, {}, parameters, request, timing)
-    at_start = replace(at_start, remarks=(*remarks, *at_start.remarks))
-    left = ends - monotonic()
-    if at_start.influence >= _MATTERS or left < _LEAST_TIME:
-        return at_start
-    known = {*usual, *given}
+    best = replace(at_start, remarks=(*remarks, *at_start.remarks))
     half = _half_way(at_start.inputs, at_start.rest, at_start.room)
-    levels = {name: level for name, level in half.items() if name not in known}
-    try:
-        elsewhere = _at(
-            open_plant,
-            {**usual, **given, **levels},
-            at_start.bounds,
-            parameters,
-            request,
-            replace(timing, budget=left),
-        )
-    except CosimError:  # it does not run there
-        return at_start
-    if elsewhere.influence <= _BETTER * at_start.influence:
-        return at_start
-    listed = ", ".join(f"{name} = {level:g}" for name, level in levels.items())
-    moved = (
-        f"Where the plant starts its inputs do next to nothing: tried at {listed}; --at moves it elsewhere"
-    )
-    return replace(elsewhere, remarks=(*remarks, moved, *elsewhere.remarks))
+    levels = {name: level for name, level in half.items() if name not in {*usual, *given}}
+    attempts = [({**at_start.start, **levels}, at_start.bounds, _told_of_levels(levels))]
+    for factor in _WIDER:
+        wider = _wider(at_start.inputs, at_start.bounds, factor)
+        attempts.append((dict(at_start.start), wider, _told_of_ranges(at_start.bounds, wider)))
+    for start, bounds, remark in attempts:
+        left = ends - monotonic()
+        if best.influence >= _MATTERS or left < _LEAST_TIME or not remark:
+            break
+        try:
+            found = _at(open_plant, start, bounds, parameters, request, replace(timing, budget=left))
+        except CosimError:  # it does not run there
+            continue
+        if found.influence > _BETTER * best.influence:
+            best = replace(found, remarks=(*remarks, remark, *found.remarks))
+    return best
 
 
 def _at(
@@ -200,6 +194,30 @@ def _told(levels: Mapping[str, float], inputs: Iterable[Variable]) -> list[str]:
         f"give --at {name}={level:g}, or what is right"
         for name, level in levels.items()
     ]
+
+
+def _told_of_levels(levels: Mapping[str, float]) -> str:
+    listed = ", ".join(f"{name} = {level:g}" for name, level in levels.items())
+    what = "Where the plant starts its inputs do next to nothing: tried at"
+    return f"{what} {listed}; --at moves it elsewhere" if listed else ""
+
+
+def _wider(inputs: Iterable[Variable], bounds: Mapping[str, Bounds], factor: float) -> dict[str, Bounds]:
+    """Return the bounds, those that are guesses so many times wider, within declared limits."""
+    wider = dict(bounds)
+    for variable in inputs:
+        guess = bounds[variable.name]
+        if guess.origin.startswith("guessed"):
+            size = factor * (guess.high - guess.low) / 2
+            low, high = max(variable.min, guess.low - size), min(variable.max, guess.high + size)
+            wider[variable.name] = Bounds(low, high, "guessed: nothing responds within less")
+    return wider
+
+
+def _told_of_ranges(bounds: Mapping[str, Bounds], wider: Mapping[str, Bounds]) -> str:
+    changed = [f"{name} {w.low:g}:{w.high:g}" for name, w in wider.items() if w != bounds[name]]
+    what = "Within the ranges that were guessed first nothing responds: tried"
+    return f"{what} {', '.join(changed)}; --range NAME=LO:HI if that is too far" if changed else ""
 
 
 def _half_way(inputs: Iterable[Variable], rest: FloatArray, room: FloatArray) -> dict[str, float]:

@@ -76,6 +76,16 @@ def test_where_a_product_vanishes_the_plant_is_tried_elsewhere(
     assert given["plant"]["start"] == {"fan": 0.8}
 
 
+def test_a_range_that_was_guessed_too_small_is_widened(own_cache_folder: None, tmp_path: Path) -> None:
+    """flow' = max(signal - 40, 0) - flow, of an input that declares nothing: +-1 is the first guess."""
+    from sympy import Max
+
+    valve = model("threshold", FLOW, (Variable("signal"),), lambda v: Max(v.signal - 40, 0) - v.flow)
+    study, text = study_of(build_fmu(valve), tmp_path)
+    assert study["bounds"]["signal"]["max"] == pytest.approx(101.0)
+    assert "nothing responds: tried signal -101:101; --range NAME=LO:HI if that is too far" in text
+
+
 def test_a_result_that_depends_on_the_step_size_is_told(tmp_path: Path) -> None:
     """A lag of ten calls: twice as many steps in the same time, and it is twice as fast."""
     text = describe("2.0", "counter", (U, X), interfaces=CO_SIMULATION)
