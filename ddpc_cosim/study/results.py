@@ -265,7 +265,8 @@ def write_results(results: StudyResults) -> StudyResults:
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(folder / STUDY_FILE, content)
         write_atomically(folder / PROVENANCE_FILE, _json(facts))
-        write_atomically(folder / METRICS_FILE, _metrics_table(results.study, results.cases).encode())
+        table = encodable(_metrics_table(results.study, results.cases))
+        write_atomically(folder / METRICS_FILE, table.encode())
     except OSError as error:
         reason = error.strerror or str(error)
         raise CosimError(f"{folder}: results cannot be written: {reason}; finished cases are kept") from error

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from ddpc_cosim.texts import printable
+from ddpc_cosim.texts import encodable, printable
 from ddpc_reports.comparison import ControllerResults, Spread
 from ddpc_reports.numbers import MISSING, column
 
@@ -119,7 +119,8 @@ class Table:
         for row in self.rows:
             texts = [row.group] * grouped + [row.header]
             writer.writerow([*map(_csv_text, texts), *(_csv_value(cell) for cell in row.cells)])
-        return "data:text/csv;charset=utf-8;base64," + b64encode(buffer.getvalue().encode()).decode("ascii")
+        content = encodable(buffer.getvalue()).encode()
+        return "data:text/csv;charset=utf-8;base64," + b64encode(content).decode("ascii")
 
 
 def _csv_value(cell: Cell) -> str:
