@@ -30,6 +30,9 @@ PREDICTIVE = ("deepc", "spc", "gamma-ddpc", "koopman-mpc", "mpc")
 class Silent:
     """A run that nobody watches."""
 
+    def prepare(self, what: str) -> None:
+        """Say nothing."""
+
     def start(self, total: int, kept: int) -> None:
         """Say nothing."""
 
