@@ -61,7 +61,7 @@ def run_command(
     # Where no window limits it, the table takes the width it needs.
     screen = Console(width=None if sys.stdout.isatty() else _WIDE)
     for line in following_lines(results.study, results.cases):
-        screen.print(f"{line}.", markup=False, highlight=False, style="bold")
+        screen.print(printable(f"{line}."), markup=False, highlight=False, style="bold")
     screen.print(summary_table(results, screen))
     if report:
         print(write_report([results], folder / REPORT_FILE))
