@@ -316,6 +316,7 @@ def init(
     metavar="FILE",
     help="Write every FMI call with its arguments, status and results.",
 )
+@_SANDBOX
 def simulate(**options: Any) -> None:
     """Simulate an FMU or a PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
     with orderly_end():

@@ -39,6 +39,7 @@ def simulate_command(
     fmi_type: FMIType,
     step_timeout: float,
     trace_calls: Path | None,
+    sandbox: bool,
 ) -> int:
     """Simulate, write what is asked for, print a summary, and return the exit code.
 
@@ -78,7 +79,7 @@ def simulate_command(
         with warnings.catch_warnings(), progress:
             warnings.simplefilter("ignore", CosimWarning)  # they are among the notes
             prepared = prepare(request)
-            simulation = run(prepared, progress.update)
+            simulation = run(prepared, progress.update, sandboxed=sandbox)
     except KeyboardInterrupt:
         print("interrupted before the first sample: nothing is written", file=sys.stderr)
         raise

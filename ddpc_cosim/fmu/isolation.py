@@ -93,7 +93,10 @@ class IsolatedSession:
         self.fmu = fmu
         self._folder, self._timeout = folder, step_timeout
         self._memory = None if memory_limit is None else int(1e9 * memory_limit)
-        self._sandbox = Sandbox((folder,)) if sandboxed else None
+        traced = fmu.origin.trace_calls
+        if sandboxed and traced:
+            traced.touch()  # it can be written there, and not be made
+        self._sandbox = Sandbox((folder, *([traced] if traced else []))) if sandboxed else None
         self._request, self._reply = Frame(len(fmu.inputs)), Frame(len(fmu.outputs))
         self._freed_states: list[int] = []
         self.time = 0.0

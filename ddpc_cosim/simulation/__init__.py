@@ -130,6 +130,7 @@ def simulate(
     fmi_type: FMIType = "auto",
     step_timeout: float = DEFAULT_STEP_TIMEOUT,
     trace_calls: str | Path | None = None,
+    sandbox: bool = False,
 ) -> "pd.DataFrame":
     """Simulate a plant in open loop, in a process of its own.
 
@@ -154,6 +155,8 @@ def simulate(
         Longest time for any call of the plant [s].
     trace_calls : str or Path, optional
         File that every FMI call is written to.
+    sandbox : bool
+        Whether it runs in a sandbox, as of :class:`FMUPlant`.
 
     Returns
     -------
@@ -190,7 +193,7 @@ def simulate(
         step_timeout=step_timeout,
         trace_calls=str(trace_calls or ""),
     )
-    simulation = run(prepare(request))
+    simulation = run(prepare(request), sandboxed=sandbox)
     if simulation.interrupted_by is not None:
         raise simulation.interrupted_by
     if not len(simulation.time):
@@ -209,8 +212,10 @@ def _input_file(inputs: "pd.DataFrame | str | Path") -> CSVFile:
     return CSVFile(Path("inputs"), text)
 
 
-def run(prepared: Prepared, watch: Callable[[Update], None] | None = None) -> Simulation:
-    """Run a simulation in a worker; what ends it early is in its outcome, an interrupt too.
+def run(
+    prepared: Prepared, watch: Callable[[Update], None] | None = None, *, sandboxed: bool = False
+) -> Simulation:
+    """Run a simulation in a worker, or a sandbox; what ends it early is in its outcome, an interrupt too.
 
     Raises
     ------
@@ -226,7 +231,7 @@ def run(prepared: Prepared, watch: Callable[[Update], None] | None = None) -> Si
 
     with ScratchFolder() as folder:
         try:
-            for _ in run_cases([case], folder, 1, look):
+            for _ in run_cases([case], folder, 1, look, sandboxed=sandboxed):
                 pass
             trace = load_case(folder / case.id).trace()
             outcome, reason = trace.outcome.value, trace.reason

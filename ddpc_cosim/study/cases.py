@@ -200,7 +200,9 @@ def _sections(case: Case) -> list[dict[str, Any]]:
 
 def _files(case: Case) -> list[list[str]]:
     """Return the files that the settings of a case's controllers name, without the plant's own."""
-    named = [files_of(controller_class(one["type"]), one["settings"]) for one in _sections(case)]
+    named = [
+        files_of(controller_class(one["type"]), one["settings"]) for one in _sections(case) if one["type"]
+    ]
     return [[path for path in paths if path != PLANT] for paths in named]
 
 

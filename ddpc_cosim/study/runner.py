@@ -346,7 +346,9 @@ class _Run:
         if not self.can_be_reused:
             own = self._place
         if case.sandbox:
-            sandbox = Sandbox((self._place, self._staged), (*files_read(case), cache_dir()))
+            traced = [Path(case.plant.trace_calls)] if case.plant.trace_calls else []
+            written, read = (self._place, self._staged, *traced), (*files_read(case), cache_dir())
+            sandbox = Sandbox(written, read)
         reused = idle.pop() if idle and self.can_be_reused else None
         self.worker = reused or make(folder=own, sandbox=sandbox)
         rows = self._place / "rows"

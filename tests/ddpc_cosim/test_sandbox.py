@@ -84,7 +84,7 @@ def test_a_study_in_the_sandbox(
     assert "0 cases to run, 4 kept" in again.stderr
 
 
-@pytest.mark.parametrize("command", ["check", "init"])
+@pytest.mark.parametrize("command", ["check", "init", "simulate"])
 def test_commands_that_run_an_fmu(command: str, secret: Path, make_fmu: MakeFMU, run_program: Run) -> None:
     path = make_fmu(Fault.WRITE_A_FILE)
     done = run_program(command, path.name, "--sandbox")
