@@ -88,8 +88,11 @@ def find(
         attempts.append((dict(at_start.start), wider, _told_of_ranges(at_start.bounds, wider)))
     for start, bounds, remark in attempts:
         left = ends - monotonic()
-        if best.influence >= _MATTERS or left < _LEAST_TIME or not remark:
+        is_wider = bounds is not at_start.bounds
+        if best.influence >= _MATTERS or left < _LEAST_TIME or (is_wider and best.choice.inputs):
             break
+        if not remark:
+            continue
         try:
             found = _at(open_plant, start, bounds, parameters, request, replace(timing, budget=left))
         except CosimError:  # it does not run there
@@ -229,6 +232,6 @@ def _half_way(inputs: Iterable[Variable], rest: FloatArray, room: FloatArray) ->
 def _influence(tested: StepTest, choice: Choice, room: FloatArray) -> float:
     """Return what the inputs move the output by that they move most, in parts of its level."""
     reach = np.abs(choice.gains) @ np.abs(room[list(choice.inputs)])
-    levels = np.max(np.abs(tested.rest[:, list(choice.outputs)]), axis=0, initial=0.0)
+    levels = np.abs(design.where_it_rests(tested))[list(choice.outputs)]  # not where it drifts to
     shares = [r / max(level, r) for r, level in zip(reach, levels, strict=True) if r > 0.0]
     return float(max(chain(shares, [0.0])))
