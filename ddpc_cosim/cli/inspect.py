@@ -199,6 +199,9 @@ def _sections(inspection: Inspection) -> Iterator[_Section]:
     parameters = [_row(p.variable, _on_parameter(p), p.start_text) for p in inspection.parameters]
     yield _Section("Parameters", "parameter", _HEADINGS, parameters)
     yield _Section("States", "state", _HEADINGS, [_row(v) for v in inspection.states])
+    clocks = inspection.description.clocks if inspection.description else ()
+    rows = [(c.name, f"{c.causality}, {c.clock}", "not ticked by studies") for c in clocks]
+    yield _Section("Clocks", "clock", ("name", "kind", "more"), rows)
 
 
 def _on_feedthrough(feedthrough: dict[str, tuple[str, ...] | None], output: str) -> str:

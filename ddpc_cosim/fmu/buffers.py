@@ -21,9 +21,10 @@ from ddpc_cosim.fmu.description import (
     FMUDescription,
     FMUVariable,
     Signal,
+    elements_of,
     flat_index,
 )
-from ddpc_cosim.fmu.description.variable_types import Values
+from ddpc_cosim.fmu.description.variable_types import Values, integer_range
 from ddpc_cosim.fmu.instance import Instance, ValueType, reference_array
 from ddpc_cosim.fmu.status import WARNING, CallError, failed_call
 from ddpc_cosim.plant import ParameterValue as Value
@@ -89,7 +90,13 @@ class Block:
         elif self.kind == "real":
             self.values[self.elements] = chosen
         else:
-            self.values[self.elements] = np.rint(chosen)
+            rounded, limits = np.rint(chosen), np.iinfo(self.values.dtype)
+            if not (
+                (rounded >= limits.min) & (rounded <= limits.max)
+            ).all():  # it would become another number
+                wrong = rounded[~((rounded >= limits.min) & (rounded <= limits.max))][0]
+                raise CallError(f"{self.names.set}: {wrong:g} is outside [{limits.min}, {limits.max}]")
+            self.values[self.elements] = rounded
 
     def numbers(self) -> NDArray[Any]:
         """Return the port's entries in the memory."""
@@ -304,7 +311,7 @@ class StartValues:
     def _checked(self, name: str, value: Value) -> tuple[Signal, Value]:
         signal, variable = self._description.signal(name), self._description.variables.get(name)
         if signal is None and variable is not None and variable.shape:
-            raise ValueError(f'"{name}" is an array; set its elements, for example "{name}[1]"')
+            raise ValueError(f'"{name}" is an array; set its elements: {elements_of(variable)}')
         if signal is None:
             known = [v.name for v in self._description.variables.values() if not self._fault(v)]
             raise ValueError(f'no parameter "{name}"; {did_you_mean(name, known)}')
@@ -407,6 +414,11 @@ def _check_range(signal: Signal, number: float) -> None:
         raise ValueError(
             f"parameter {variable.name} = {number:g} is outside [{variable.min:g}, {variable.max:g}]"
         )
+    if values == "integer":
+        low, high = integer_range(signal.source.type)
+        if not low <= number <= high:
+            kind = f"what an integer of type {signal.source.type} can be: [{low}, {high}]"
+            raise ValueError(f"parameter {variable.name} = {number:g} is outside {kind}")
     if values != "real" and number != round(number):
         kind = "a boolean (0 or 1)" if values == "boolean" else f"an integer ({signal.source.type})"
         raise ValueError(f"parameter {variable.name} = {number:g} must be {kind}")

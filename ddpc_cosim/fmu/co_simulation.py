@@ -9,6 +9,7 @@ from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.description import FMUDescription, Interface
 from ddpc_cosim.fmu.instance import Slave
 from ddpc_cosim.fmu.run import Run
+from ddpc_cosim.fmu.status import CallError
 from ddpc_cosim.variables import FloatArray
 
 
@@ -39,13 +40,23 @@ class CoSimulationRun(Run):
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
+        self.require_going()
         if h != self._sample:
             self._change_step_size(h)
         self._write(u)
-        self._do_step(self._base_time + self._steps * self._step_size, self._step_size)
-        self._steps += 1
-        if self._substeps > 1:
-            self._do_other_substeps()
+        try:
+            self._do_step(self._base_time + self._steps * self._step_size, self._step_size)
+            self._steps += 1
+            if self._substeps > 1:
+                self._do_other_substeps()
+        except CallError as error:
+            last = self._base_time + (self._steps + 1) * self._step_size
+            if (self._steps + 1) % self._substeps or error.reached is None:
+                raise
+            if error.reached < last - _WHOLE * h:
+                raise
+            self._ending = error
+            self._steps += 1
         return self._read()
 
     def _bookkeeping(self) -> tuple[Any, ...]:
@@ -94,25 +105,30 @@ class StepSizes:
         self._current: float | None = None
 
     def substeps(self, h: float) -> int:
-        """Return how many communication steps make a sample of length h [s].
-
-        Raises
-        ------
-        ConfigError
-            The FMU does not allow that sampling time.
-        """
+        """Return how many communication steps make a sample of length h [s]."""
         if self._interface.kind == "model-exchange":
             return 1
-        fixed = self._interface.fixed_step
-        if fixed is not None and _whole(h, fixed) is None:
-            raise ConfigError(
-                f"{self._label}: a sampling time of {h:g} s is not possible: the FMU's internal step size is "
-                f"fixed at {fixed:g} s; choose a whole multiple of it"
-            )
         if self._interface.variable_step:
             return 1
-        steps = _whole(h, self._preferred) if self._preferred and fixed is None else 1
+        is_free = self._preferred and self._interface.fixed_step is None
+        steps = _whole(h, self._preferred) if self._preferred and is_free else 1
         return steps if steps is not None and steps <= _MOST_SUBSTEPS else 1
+
+    def remark(self, h: float) -> str:
+        """Return what is to be said of a sampling time [s]; empty for nothing.
+
+        Steps *should* be multiples of a fixed internal step (FMI 3.0 section 4.4.1): whether others are
+        possible, the FMU decides.
+        """
+        fixed, substeps = self._interface.fixed_step, self.substeps(h)
+        if fixed is not None and _whole(h, fixed) is None:
+            return (
+                f"a sampling time of {h:g} s is no whole multiple of the FMU's internal step, which is "
+                f"fixed at {fixed:g} s: outputs may lag behind by up to one such step, or the FMU may refuse"
+            )
+        if substeps > 1:
+            return f"the FMU's step size is fixed: {substeps} steps of {h / substeps:g} s per sample"
+        return ""
 
     def change(self, h: float) -> int:
         """Return the same during a run, in which a fixed step size cannot change.

@@ -15,9 +15,9 @@ from ddpc_cosim.fmu.instance import (
     Slave,
     value_types,
 )
-from ddpc_cosim.fmu.status import DISCARD, WARNING, CallError, failed_call, fmi2_callbacks
+from ddpc_cosim.fmu.status import DISCARD, WARNING, CallError, failed_call, fmi2_callbacks, termination
 
-_TERMINATED = 3
+_LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
 _MOST_ITERATIONS = 1000
 
 
@@ -71,16 +71,19 @@ class Fmi2Slave(_Fmi2, Slave):
         """Advance from ``time`` by ``h`` [s]."""
         status = self._do_step(time, h, 1)
         if status > WARNING:
-            asks = status == DISCARD and self._asks_to_terminate()
-            raise failed_call("fmi2DoStep", status, asks_to_terminate=asks)
+            if status == DISCARD and self._status("Boolean", _TERMINATED, ctypes.c_int()):
+                raise termination(
+                    "fmi2DoStep", self._status("Real", _LAST_SUCCESSFUL_TIME, ctypes.c_double())
+                )
+            raise failed_call("fmi2DoStep", status)
 
-    def _asks_to_terminate(self) -> bool:
-        answer = ctypes.c_int(0)
+    def _status(self, kind: str, what: int, answer: Any) -> Any:
+        """Return what the FMU says of a step that was discarded; None where it says nothing."""
         try:
-            self.call("fmi2GetBooleanStatus", _TERMINATED, ctypes.byref(answer))
+            self.call(f"fmi2Get{kind}Status", what, ctypes.byref(answer))
         except CallError:
-            return False
-        return bool(answer.value)
+            return None
+        return answer.value
 
 
 class Fmi2Model(_Fmi2, Model):

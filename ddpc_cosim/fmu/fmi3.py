@@ -108,8 +108,9 @@ class Fmi3Slave(_Fmi3, Slave):
         """Advance from ``time`` by ``h`` [s]; a step that returns early is continued."""
         status = self._do_step(self.component, time, h, True, *self._results)
         if status > WARNING:
-            asks = status == DISCARD and self._terminate.value
-            raise failed_call("fmi3DoStep", status, asks_to_terminate=asks)
+            if status == DISCARD and self._terminate.value:
+                raise termination("fmi3DoStep")
+            raise failed_call("fmi3DoStep", status)
         if self._event.value or self._terminate.value or self._early.value:
             remaining = self._follow_up(time, h)
             if remaining > 0.0:
@@ -117,9 +118,9 @@ class Fmi3Slave(_Fmi3, Slave):
 
     def _follow_up(self, time: float, h: float) -> float:
         """Do what the FMU wants after a step; return how much of the step is left [s]."""
-        if self._terminate.value:
-            raise termination("fmi3DoStep")
         early, reached = self._early.value, self._reached.value
+        if self._terminate.value:
+            raise termination("fmi3DoStep", reached if early else time + h)
         if self._event.value and self.uses_event_mode:
             self.enter_event_mode()
             self._handle_event()

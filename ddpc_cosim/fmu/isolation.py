@@ -219,7 +219,8 @@ def _nothing(told: Any) -> None:
 
 
 def _linear_model(told: Any) -> LinearModel:
-    return LinearModel(**{**told, "states": tuple(map(str, told["states"]))})
+    texts = {name: tuple(map(str, told[name])) for name in ("states", "warnings")}
+    return LinearModel(**{**told, **texts})
 
 
 class _SavedState:

@@ -41,6 +41,8 @@ class LinearModel:
         Names of the states; empty where the FMU does not tell.
     derivatives : str
         Where A and B come from: ``"directional"`` derivatives of the FMU, or ``"differences"``.
+    warnings : tuple of str
+        What the FMU says and does not hold.
     """
 
     a: FloatArray
@@ -53,6 +55,7 @@ class LinearModel:
     rate: FloatArray
     states: tuple[str, ...]
     derivatives: str
+    warnings: tuple[str, ...] = ()
 
 
 def scalars(description: FMUDescription, names: Iterable[str], shapes: Shapes) -> list[Signal]:
@@ -228,12 +231,22 @@ def linearise(
     declared = [directional and signal.source.causality == "output" for signal in outputs]
     rows = [directional] * n + declared
     matrix = np.empty((len(rows), n + len(inputs)))
+    warnings: tuple[str, ...] = ()
     if not all(rows):
         matrix[:] = central_differences(around)
     if directional:
         unknowns = scalars(description, description.derivatives, shapes)
         unknowns += [signal for signal, is_declared in zip(outputs, declared, strict=True) if is_declared]
         matrix[rows] = directional_derivatives(model, unknowns, [*states, *inputs], shapes)
+        _place_states(matrix[n:], states, outputs)
+        labels = [*(f"der({name})" for name in names), *(signal.variable.name for signal in outputs)]
+        wrong = [labels[row] for row in _contradicted(around, matrix)]
+        if wrong:
+            matrix[:], directional = central_differences(around), False
+            warnings = (
+                f"the FMU's directional derivatives of {', '.join(wrong)} are not those of its values: "
+                "differences were taken instead",
+            )
     _require_finite(matrix, names or [f"state {i + 1}" for i in range(n)], inputs, outputs)
     return LinearModel(
         a=matrix[:n, :n],
@@ -246,7 +259,46 @@ def linearise(
         rate=around.rate,
         states=names,
         derivatives="directional" if directional else "differences",
+        warnings=warnings,
     )
+
+
+def _place_states(rows: FloatArray, states: Sequence[Signal], outputs: Sequence[Signal]) -> None:
+    """Write the rows of outputs that are states, by value reference: some FMUs say 0 of them."""
+    place = {(state.source.reference, state.indices): i for i, state in enumerate(states)}
+    for row, signal in zip(rows, outputs, strict=True):
+        column = place.get((signal.source.reference, signal.indices))
+        if column is not None and signal.source.values == "real":
+            row[:] = 0.0
+            row[column] = 1.0
+
+
+# What a spot check finds wrong: off by so much, where differences of two sizes agree much better.
+_WRONG, _SURE = 0.05, 0.01
+
+
+def _contradicted(around: OperatingPoint, matrix: FloatArray) -> list[int]:
+    """Return the rows of a matrix of derivatives that differences along all columns contradict.
+
+    Only differences of two sizes that agree are trusted against what an FMU says.
+    """
+    here = np.concatenate([around.x_0, around.u_0])
+    # Signs and sizes that do not let two columns cancel each other.
+    weights = (1.0 + np.arange(len(here)) / len(here)) * np.where(here < 0.0, -1.0, 1.0)
+    direction = weights * around.scale
+    found = []
+    for step in (_STEP, 30.0 * _STEP):
+        low, high = np.clip(here - step * direction, around.low, around.high), here + step * direction
+        high = np.clip(high, around.low, around.high)
+        with np.errstate(over="ignore", invalid="ignore"):
+            found.append(((around.at(high) - around.at(low)) / step, matrix @ ((high - low) / step)))
+    around.at(here)
+    (fine, told), (coarse, _) = found
+    size = np.maximum(np.abs(told), np.abs(fine))
+    with np.errstate(invalid="ignore"):
+        sure = np.abs(fine - coarse) <= _SURE * size
+        wrong = np.abs(fine - told) > _WRONG * size
+    return [int(row) for row in np.flatnonzero(sure & wrong)]
 
 
 def _require_finite(

@@ -61,7 +61,9 @@ class ModelExchangeRun(Run):
         """Hold u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
         if h != self._step_size:
             self._base_time, self._steps, self._step_size = self.time, 0, h
+        self.require_going()
         self.hold(u)
+        self.require_going()
         self._integrate(self.time, self._base_time + (self._steps + 1) * h)
         self._steps += 1
         return self._read()
@@ -92,6 +94,10 @@ class ModelExchangeRun(Run):
     def _integrate(self, t: float, t_end: float) -> None:
         at_once = 0
         while t < t_end or self._next_event <= t:
+            if self._ending is not None:
+                if t < t_end:
+                    raise self._ending
+                return
             before = t
             event = self._next_event <= t
             if not event:
@@ -108,7 +114,8 @@ class ModelExchangeRun(Run):
         if self._needs_completed_step:
             wanted, end = self.model.completed_integrator_step()
             if end:
-                raise termination("a completed integrator step")
+                self._ending = termination("a completed integrator step")
+                return t, False
             event = event or wanted
         return t, event or self._next_event <= t
 
@@ -124,8 +131,9 @@ class ModelExchangeRun(Run):
     def _settle(self) -> EventInfo:
         """Let the discrete states settle and go on to continuous time."""
         info = self.model.update_discrete_states()
-        if info.terminate:
-            raise termination("an event")
+        if info.terminate:  # nothing but reading and terminating is allowed now
+            self._ending, self._next_event = termination("an event"), inf
+            return info
         self._next_event = inf if info.next_event is None else info.next_event
         self.model.enter_continuous_time_mode()
         return info

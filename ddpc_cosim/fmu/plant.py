@@ -154,13 +154,10 @@ class FMUPlant(Plant):
         return with_display_units(inputs, units, defined), with_display_units(outputs, units, defined)
 
     def plan(self, sampling_time: float, stop_time: float) -> None:
-        """Tell the FMU's stop time, and refuse a sampling time that its step size does not allow."""
-        substeps = self._fmu.substeps(sampling_time)
-        warning = (
-            f"the FMU's step size is fixed: {substeps} steps of {sampling_time / substeps:g} s per sample"
-        )
-        if substeps > 1 and warning not in self.warnings:
-            self.warnings += (warning,)
+        """Tell the FMU's stop time, and warn of a sampling time that does not suit its step size."""
+        remark = self._fmu.remark_on_steps(sampling_time)
+        if remark and remark not in self.warnings:
+            self.warnings += (remark,)
         # A little later than the last sample: rounding must not make the last step an illegal one.
         self._stop_time = stop_time + _STOP_MARGIN * sampling_time
 
@@ -221,7 +218,12 @@ class FMUPlant(Plant):
         >>> plant.close()
         """
         held = None if u is None else np.array(u, dtype=np.float64)
-        return self._session.linearise(held, derivatives)
+        model = self._session.linearise(held, derivatives)
+        for warning in model.warnings:
+            if warning not in self.warnings:
+                self.warnings += (warning,)
+                warnings.warn(f"{self.path.name}: {warning}", CosimWarning, stacklevel=2)
+        return model
 
     @property
     def can_save_state(self) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.instance import Instance
+from ddpc_cosim.fmu.status import CallError
 from ddpc_cosim.variables import FloatArray
 
 
@@ -51,6 +52,7 @@ class Run(ABC):
         self._write, self._read = inputs.write, outputs.read
         self._base_time, self._steps, self._step_size = t0, 0, 0.0
         self._states: weakref.WeakSet[SavedState] = weakref.WeakSet()
+        self._ending: CallError | None = None
 
     @property
     def time(self) -> float:
@@ -68,6 +70,15 @@ class Run(ABC):
         ConfigError
             The FMU does not allow this step size.
         """
+
+    def require_going(self) -> None:
+        """Raise what has ended the simulation at the last sample, if something has.
+
+        A plant that asks to terminate where a step ends has reached that sample: it is kept, and the run ends
+        with the next step.
+        """
+        if self._ending is not None:
+            raise self._ending
 
     def outputs(self) -> FloatArray:
         """Return the outputs now, shape (p,)."""
@@ -98,11 +109,11 @@ class Run(ABC):
 
     def _bookkeeping(self) -> tuple[Any, ...]:
         """Return what the run must remember besides the FMU's state."""
-        return self._base_time, self._steps, self._step_size
+        return self._base_time, self._steps, self._step_size, self._ending
 
     def _go_back(self, *bookkeeping: Any) -> None:
         """Restore what :meth:`_bookkeeping` returned."""
-        self._base_time, self._steps, self._step_size = bookkeeping
+        self._base_time, self._steps, self._step_size, self._ending = bookkeeping
 
     def end(self, *, abandoned: bool = False) -> None:
         """Free all saved states; of an abandoned instance, forget them without touching it."""

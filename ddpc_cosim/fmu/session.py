@@ -81,15 +81,9 @@ class UnpackedFMU:
     tolerance: float | None
     start: Mapping[str, float] = field(default_factory=dict)
 
-    def substeps(self, sampling_time: float) -> int:
-        """Return how many communication steps make a sample [s].
-
-        Raises
-        ------
-        ConfigError
-            The FMU's step size does not allow it.
-        """
-        return StepSizes(self.description, self.interface, self.label).substeps(sampling_time)
+    def remark_on_steps(self, sampling_time: float) -> str:
+        """Return what is to be said of a sampling time [s]; empty for nothing."""
+        return StepSizes(self.description, self.interface, self.label).remark(sampling_time)
 
 
 def unpack_fmu(
@@ -131,8 +125,14 @@ def unpack_fmu(
         model_name=description.model_name or label,
         trace_calls=trace_calls,
     )
+    clocks = [variable.name for variable in description.clocks if variable.causality == "input"]
     warnings = dict.fromkeys(
-        (*description.warnings, *library_warnings, *([tool] if interface.needs_execution_tool else []))
+        (
+            *description.warnings,
+            *library_warnings,
+            *([tool] if interface.needs_execution_tool else []),
+            *([f"clocks that are not ticked here: {', '.join(clocks)}"] if clocks else []),
+        )
     )
     return UnpackedFMU(
         label,

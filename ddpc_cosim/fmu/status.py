@@ -39,12 +39,22 @@ class CallError(Exception):
         FMI status that stands for it.
     asks_to_terminate : bool
         Whether the FMU wants the simulation to end.
+    reached : float or None
+        The time that a step has reached all the same [s], where the FMU tells.
     """
 
-    def __init__(self, reason: str, code: int = ERROR, *, asks_to_terminate: bool = False) -> None:
+    def __init__(
+        self,
+        reason: str,
+        code: int = ERROR,
+        *,
+        asks_to_terminate: bool = False,
+        reached: float | None = None,
+    ) -> None:
         super().__init__(reason)
         self.code = code
         self.asks_to_terminate = asks_to_terminate
+        self.reached = reached
 
     @property
     def status(self) -> StepStatus:
@@ -52,15 +62,14 @@ class CallError(Exception):
         return StepStatus.TERMINATED if self.asks_to_terminate else _STATUS.get(self.code, StepStatus.ERROR)
 
 
-def failed_call(function: str, status: int, *, asks_to_terminate: bool = False) -> CallError:
+def failed_call(function: str, status: int) -> CallError:
     """Return the error for a status that is neither ok nor warning."""
-    reason = f"{function} returned {status_word(status)}"
-    return CallError(reason, status, asks_to_terminate=asks_to_terminate)
+    return CallError(f"{function} returned {status_word(status)}", status)
 
 
-def termination(function: str) -> CallError:
-    """Return the error for a call that succeeded, but in which the FMU asks to terminate."""
-    return CallError(f"{function} ended the simulation", DISCARD, asks_to_terminate=True)
+def termination(what: str, reached: float | None = None) -> CallError:
+    """Return the error for a call or an event in which the FMU asks to terminate, at the time it reached."""
+    return CallError(f"{what} ended the simulation", DISCARD, asks_to_terminate=True, reached=reached)
 
 
 def missing_function(name: str) -> CallError:

@@ -194,6 +194,10 @@ def as_data(inspection: Inspection) -> dict[str, Any]:
         "outputs": _variables(inspection.outputs),
         "parameters": [_parameter(variable) for variable in inspection.parameters],
         "states": _variables(inspection.states),
+        "clocks": [
+            {"name": clock.name, "causality": clock.causality, "ticks": clock.clock, "ticked": False}
+            for clock in (description.clocks if description else ())
+        ],
         "direct_feedthrough": {
             output: None if inputs is None else list(inputs)
             for output, inputs in inspection.feedthrough.items()

@@ -145,7 +145,8 @@ def test_an_fmu_that_cannot_be_loaded(
         (
             Fault.DISCARD_AND_TERMINATE,
             Outcome.TERMINATED,
-            "discard_and_terminate.fmu: fmi2DoStep returned discard at t = 0.5 s; the FMU asks to terminate",
+            "discard_and_terminate.fmu: fmi2DoStep ended the simulation at t = 0.5 s; "
+            "the FMU asks to terminate",
         ),
         (Fault.RETURN_FATAL, Outcome.FMU_FATAL, "return_fatal.fmu: fmi2DoStep returned fatal at t = 0.5 s"),
         (Fault.RETURN_NAN, Outcome.DIVERGED, "output y is nan at t = 0.6 s"),

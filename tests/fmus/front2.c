@@ -83,6 +83,12 @@ EXPORT int fmi2GetBooleanStatus(void *c, int kind, int *value)
     return 0;
 }
 
+EXPORT int fmi2GetRealStatus(void *c, int kind, double *value)
+{
+    *value = ((Model *)c)->time;
+    return kind == 2 ? 0 : 3;
+}
+
 EXPORT int fmi2EnterEventMode(void *c) { return 0; }
 EXPORT int fmi2EnterContinuousTimeMode(void *c) { return 0; }
 EXPORT int fmi2NewDiscreteStates(void *c, EventInfo *info)
@@ -156,7 +162,6 @@ REFUSED(fmi2GetDirectionalDerivative, const unsigned z[], size_t nz, const unsig
 REFUSED(fmi2SetRealInputDerivatives, const unsigned vr[], size_t n, const int order[], const double value[])
 REFUSED(fmi2GetRealOutputDerivatives, const unsigned vr[], size_t n, const int order[], double value[])
 REFUSED(fmi2GetStatus, int kind, int *value)
-REFUSED(fmi2GetRealStatus, int kind, double *value)
 REFUSED(fmi2GetIntegerStatus, int kind, int *value)
 REFUSED(fmi2GetStringStatus, int kind, const char **value)
 #endif

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
+from itertools import islice, product
 from typing import Literal
 
 from ddpc_cosim.errors import ConfigError, FMUImportError
@@ -49,6 +49,8 @@ class FMUVariable:
         The variable that this is another name of (FMI 3.0); empty for none.
     negated : bool
         Whether its value is the opposite of what the FMU has under the value reference (FMI 1.0).
+    clock : str
+        Of a clock, when it ticks, in words: ``constant, every 0.1 s``.
     """
 
     variable: Variable
@@ -64,6 +66,7 @@ class FMUVariable:
     derivative_of: str = ""
     alias_of: str = ""
     negated: bool = False
+    clock: str = ""
 
     @property
     def name(self) -> str:
@@ -247,6 +250,11 @@ class FMUDescription:
         known = [self.variables[name].derivative_of for name in self.derivatives if name in self.variables]
         return tuple(known) if all(name in self.variables for name in known) else ()
 
+    @property
+    def clocks(self) -> tuple[FMUVariable, ...]:
+        """The clocks (FMI 3.0), other names of them left out."""
+        return tuple(v for v in self.variables.values() if v.type == "Clock" and not v.alias_of)
+
     @cached_property
     def states(self) -> tuple[str, ...]:
         """Names of the continuous states, where the description gives them."""
@@ -287,6 +295,17 @@ def number(text: str | None, default: float) -> float:
     except ValueError:
         return {"true": 1.0, "false": 0.0}.get(text.strip().lower(), default)
     return default if math.isnan(value) else value
+
+
+_MOST_ELEMENTS_NAMED = 12
+
+
+def elements_of(variable: FMUVariable) -> str:
+    """Return the names of an array's elements, those of a large one up to some."""
+    indices = product(*(range(1, size + 1) for size in variable.shape))
+    named = [element(variable, place).variable.name for place in islice(indices, _MOST_ELEMENTS_NAMED)]
+    hidden = math.prod(variable.shape) - len(named)
+    return ", ".join(named) + (f" and {hidden} more" if hidden > 0 else "")
 
 
 _READABLE = ("output", "local", "parameter", "calculatedParameter", "input")
@@ -368,8 +387,7 @@ def _fault(description: FMUDescription, name: str, what: str, allowed: Sequence[
         if not variable.is_numeric:
             return f'"{name}" is a {variable.type} and cannot be an {what}; only numbers can'
         sizes = ",".join(map(str, variable.shape))
-        first = ",".join("1" for _ in variable.shape)
-        return f'"{name}" is an array of size [{sizes}]; name an element, for example "{name}[{first}]"'
+        return f'"{name}" is an array of size [{sizes}]; name its elements: {elements_of(variable)}'
     known = [s.variable.name for s in description.signals(*allowed)]
     return f'no {what} "{name}"; {did_you_mean(name, known)}'
 

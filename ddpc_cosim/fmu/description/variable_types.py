@@ -67,6 +67,13 @@ TYPES: Mapping[int, Mapping[str, VariableType]] = {1: _FMI_1, 2: _FMI_2, 3: _FMI
 _VALUES: Mapping[str, VariableType] = {name: row for table in TYPES.values() for name, row in table.items()}
 
 
+def integer_range(name: str) -> tuple[int, int]:
+    """Return the smallest and largest number that an integer type can hold."""
+    c_type = _VALUES[name].c_type
+    signed, bits = c_type(-1).value < 0, 8 * ctypes.sizeof(c_type)
+    return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
+
+
 def values_of(name: str) -> Values:
     """Return what the values of a type are; the same in all FMI versions."""
     return _VALUES[name].values

@@ -46,12 +46,22 @@ def test_a_fixed_step_size_is_the_preferred_one_where_that_divides_the_sampling_
     session.close()
 
 
-def test_a_sampling_time_that_the_internal_step_does_not_divide_is_refused(tmp_path: Path) -> None:
+def test_a_sampling_time_that_the_internal_step_does_not_divide_is_warned_of(tmp_path: Path) -> None:
     attributes = ' canHandleVariableCommunicationStepSize="true" fixedInternalStepSize="0.03"'
     session = lag(tmp_path, attributes, version="3.0")
     session.plan(0.09, 1.0)
-    with pytest.raises(ConfigError, match=r"sampling time of 0.1 s is not possible: .* fixed at 0.03 s"):
-        session.plan(0.1, 1.0)
+    assert not [text for text in session.warnings if "fixed at" in text]
+    session.plan(0.1, 1.0)
+    assert [text for text in session.warnings if "fixed at 0.03 s" in text]
+    session.reset()
+    assert session.step(ONE, 0.1) == pytest.approx([1 - np.exp(-0.1)])
+    session.close()
+
+
+def test_an_integer_that_its_type_cannot_hold_is_an_error(tmp_path: Path) -> None:
+    session = FMUPlant(model_fmu(tmp_path, "2.0", "integrator"), inputs=["u"])
+    with pytest.raises(ConfigError, match=r"fault = 3e\+09 is outside what an integer of type Integer"):
+        session.reset({"fault": 3e9})
     session.close()
 
 

@@ -92,12 +92,12 @@ def test_time_events_happen_on_time(tmp_path: Path, version: str) -> None:
     """Without any state; an event at a sample is handled before the outputs are read."""
     stair = session(tmp_path, version, "stair", ["count"])
     assert stair.reset() == [0.0]
-    counts = [float(stair.step(np.array([0.0]), 0.25)[0]) for _ in range(39)]
-    assert counts == [(k + 1) // 4 for k in range(39)]
+    counts = [float(stair.step(np.array([0.0]), 0.25)[0]) for _ in range(40)]
+    assert counts == [(k + 1) // 4 for k in range(40)]  # the last one, at which it ends, included
     with pytest.raises(FMUStepError, match="asks to terminate") as caught:
         stair.step(np.array([0.0]), 0.25)
     assert caught.value.status is StepStatus.TERMINATED
-    assert caught.value.time == 9.75
+    assert caught.value.time == 10.0
     stair.close()
 
 

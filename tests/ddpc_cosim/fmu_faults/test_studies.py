@@ -107,8 +107,8 @@ def test_a_fault_while_the_plant_is_recorded(fault: Fault, outcome: Outcome, run
 def test_a_run_that_the_fmu_ends(run: Run) -> None:
     trace = run(Fault.ASK_TO_TERMINATE)
     assert trace.outcome is Outcome.TERMINATED
-    assert trace.reason.endswith("at t = 0.5 s; the FMU asks to terminate")
-    assert len(trace) == FAULT_SAMPLE + 1 < trace.planned_samples
+    assert trace.reason.endswith("at t = 0.6 s; the FMU asks to terminate")
+    assert len(trace) == FAULT_SAMPLE + 2 < trace.planned_samples
 
 
 class TestWhatIsIsolated:
