@@ -163,7 +163,11 @@ def _attempt(
         if case.outcome is not Outcome.COMPLETED:
             attempt.drop(case.controller, f"{case.outcome}: {case.reason}")
     attempt.cases = tuple(case for case in results if case.outcome is Outcome.COMPLETED)
-    if len(attempt.cases) < len(results) and attempt.proposal.controllers:
+    if attempt.cases:  # what has not been tried is not proposed, as long as there is anything else
+        for one in cases:
+            if one.label in attempt.untried:
+                attempt.drop(one.controller, f"not tried in time: {attempt.untried[one.label]}")
+    if attempt.dropped and attempt.proposal.controllers:
         # How far those that are left look ahead decides what all are judged by.
         resolved = _resolved(attempt, fmu, folder)
         if resolved is not None:
