@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ddpc_cosim.fmu.description import FMUDescription, FMUVariable, Interface
+from ddpc_cosim.fmu.description import Clock, FMUDescription, FMUVariable, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Severity
 from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu
 from ddpc_cosim.texts import printable
@@ -199,9 +199,18 @@ def _sections(inspection: Inspection) -> Iterator[_Section]:
     parameters = [_row(p.variable, _on_parameter(p), p.start_text) for p in inspection.parameters]
     yield _Section("Parameters", "parameter", _HEADINGS, parameters)
     yield _Section("States", "state", _HEADINGS, [_row(v) for v in inspection.states])
-    clocks = inspection.description.clocks if inspection.description else ()
-    rows = [(c.name, f"{c.causality}, {c.clock}", "not ticked by studies") for c in clocks]
+    description = inspection.description
+    rows = [_clock_row(description, clock) for clock in description.clocks] if description else []
     yield _Section("Clocks", "clock", ("name", "kind", "more"), rows)
+
+
+def _clock_row(description: FMUDescription, clock: Clock) -> Row:
+    preferred, ticks = description.preferred, ""
+    if preferred and clock in description.ticking_clocks(preferred):
+        ticks = f"ticks every {clock.interval:g} s from {clock.shift:g} s on"
+    elif clock.causality == "input":
+        ticks = "does not tick here"
+    return clock.name, f"{clock.causality}, {clock.variability}", ticks
 
 
 def _on_feedthrough(feedthrough: dict[str, tuple[str, ...] | None], output: str) -> str:

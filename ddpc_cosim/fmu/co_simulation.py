@@ -1,15 +1,13 @@
 """One run of an FMU for Co-Simulation: hold the inputs, do the step, read the outputs."""
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import Port
-from ddpc_cosim.fmu.description import FMUDescription, Interface
-from ddpc_cosim.fmu.instance import Slave
+from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
+from ddpc_cosim.fmu.instance import Instance, Slave
 from ddpc_cosim.fmu.run import Run
-from ddpc_cosim.fmu.status import CallError
 from ddpc_cosim.variables import FloatArray
 
 
@@ -26,38 +24,73 @@ class CoSimulationRun(Run):
         Start time [s].
     substeps_of : callable
         Returns how many communication steps make a sample of a length; may raise ConfigError.
+    clocks : sequence of Clock
+        The input clocks that tick periodically, which the slave's event mode is for.
     """
 
     def __init__(
-        self, slave: Slave, inputs: Port, outputs: Port, t0: float, substeps_of: Callable[[float], int]
+        self,
+        slave: Slave,
+        inputs: Port,
+        outputs: Port,
+        t0: float,
+        substeps_of: Callable[[float], int],
+        clocks: Sequence[Clock] = (),
     ) -> None:
-        super().__init__(slave, inputs, outputs, t0)
-        self._do_step = slave.do_step
+        super().__init__(slave, inputs, outputs, t0, clocks)
+        self._slave, self._do_step = slave, slave.do_step
+        self._write_inputs = self._write
         if slave.uses_event_mode:
-            self._write = partial(slave.in_event_mode, self._write)
+            self._write = lambda u: self._event(self.time, u)
+        if clocks:
+            self._do_step = self._step_between_ticks
         self._substeps_of = substeps_of
         self._sample, self._substeps = 0.0, 1
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
-        self.require_going()
         if h != self._sample:
             self._change_step_size(h)
         self._write(u)
-        try:
-            self._do_step(self._base_time + self._steps * self._step_size, self._step_size)
-            self._steps += 1
-            if self._substeps > 1:
-                self._do_other_substeps()
-        except CallError as error:
-            last = self._base_time + (self._steps + 1) * self._step_size
-            if (self._steps + 1) % self._substeps or error.reached is None:
-                raise
-            if error.reached < last - _WHOLE * h:
-                raise
-            self._ending = error
-            self._steps += 1
+        self._do_step(self._base_time + self._steps * self._step_size, self._step_size)
+        self._steps += 1
+        if self._substeps > 1:
+            self._do_other_substeps()
         return self._read()
+
+    @property
+    def end_of_sample(self) -> float:
+        """When the sample ends that is being done [s]."""
+        samples = self._steps // self._substeps + 1
+        return self._base_time + samples * self._substeps * self._step_size
+
+    def change(self, set_values: Callable[[Instance], None]) -> None:
+        """Set parameters or inputs between two samples, in event mode where it is used."""
+        if self._slave.uses_event_mode:
+            self._slave.in_event_mode(lambda: set_values(self._slave))
+        else:
+            super().change(set_values)
+
+    def _event(self, time: float, u: FloatArray | None = None) -> None:
+        """Handle an event, at which inputs may change and the clocks tick that are due."""
+
+        def change() -> None:
+            if u is not None:
+                self._write_inputs(u)
+            if due := self._ticks.take(time):
+                self._slave.activate_clocks(due)
+
+        self._slave.in_event_mode(change)
+
+    def _step_between_ticks(self, time: float, h: float) -> None:
+        """Advance from ``time`` by ``h`` [s], with an event wherever a clock ticks on the way."""
+        end = time + h
+        while (tick := self._ticks.before(end)) < end:
+            if tick > time:
+                self._slave.do_step(time, tick - time)
+                time = tick
+            self._event(time)
+        self._slave.do_step(time, end - time)
 
     def _bookkeeping(self) -> tuple[Any, ...]:
         return *super()._bookkeeping(), self._sample, self._substeps
@@ -101,18 +134,33 @@ class StepSizes:
     def __init__(self, description: FMUDescription, interface: Interface, label: str) -> None:
         self._interface = interface
         self._preferred = description.default_experiment.step_size
+        self._clocks = description.ticking_clocks(interface)
         self._label = label
         self._current: float | None = None
 
     def substeps(self, h: float) -> int:
-        """Return how many communication steps make a sample of length h [s]."""
+        """Return how many communication steps make a sample of length h [s].
+
+        Raises
+        ------
+        ConfigError
+            They would miss the ticks of a clock.
+        """
         if self._interface.kind == "model-exchange":
             return 1
         if self._interface.variable_step:
             return 1
         is_free = self._preferred and self._interface.fixed_step is None
-        steps = _whole(h, self._preferred) if self._preferred and is_free else 1
-        return steps if steps is not None and steps <= _MOST_SUBSTEPS else 1
+        whole = _whole(h, self._preferred) if self._preferred and is_free else 1
+        steps = whole if whole is not None and whole <= _MOST_SUBSTEPS else 1
+        for clock in self._clocks:
+            if any(time and _whole(time, h / steps) is None for time in (clock.interval, clock.shift)):
+                raise ConfigError(
+                    f"{self._label}: a sampling time of {h:g} s is not possible: the FMU's steps of "
+                    f'{h / steps:g} s miss the ticks of its clock "{clock.name}", every {clock.interval:g} s '
+                    f"from {clock.shift:g} s on; choose a sampling time of which these are multiples"
+                )
+        return steps
 
     def remark(self, h: float) -> str:
         """Return what is to be said of a sampling time [s]; empty for nothing.
@@ -123,7 +171,7 @@ class StepSizes:
         fixed, substeps = self._interface.fixed_step, self.substeps(h)
         if fixed is not None and _whole(h, fixed) is None:
             return (
-                f"a sampling time of {h:g} s is no whole multiple of the FMU's internal step, which is "
+                f"a sampling time of {h:g} s is not a whole multiple of the FMU's internal step, which is "
                 f"fixed at {fixed:g} s: outputs may lag behind by up to one such step, or the FMU may refuse"
             )
         if substeps > 1:

@@ -1,12 +1,20 @@
 """FMI 3.0, Co-Simulation and Model Exchange. Intermediate updates are not used."""
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from ddpc_cosim.fmu.instance import EventInfo, Instance, Model, ModelFunctions, Origin, Slave, value_types
+from ddpc_cosim.fmu.instance import (
+    EventInfo,
+    Instance,
+    Model,
+    ModelFunctions,
+    Origin,
+    Slave,
+    reference_array,
+    value_types,
+)
 from ddpc_cosim.fmu.status import DISCARD, WARNING, CallError, failed_call, fmi3_logger, termination
-from ddpc_cosim.variables import FloatArray
 
 _MOST_ITERATIONS = 1000
 
@@ -62,6 +70,13 @@ class _Fmi3(Instance):
                 return EventInfo(terminate.value, nominals_changed, states_changed, time)
         raise CallError(f"the event iteration did not end after {_MOST_ITERATIONS} fmi3UpdateDiscreteStates")
 
+    def activate_clocks(self, references: Sequence[int]) -> None:
+        """Let input clocks tick, in event mode."""
+        count = len(references)
+        self.call(
+            "fmi3SetClock", reference_array(references), count, (ctypes.c_bool * count)(*[True] * count)
+        )
+
     def save_state(self) -> Any:
         state = ctypes.c_void_p()
         self.call("fmi3GetFMUState", ctypes.byref(state))
@@ -80,11 +95,11 @@ class Fmi3Slave(_Fmi3, Slave):
     Parameters
     ----------
     event_mode : bool
-        Whether inputs are set in event mode, which discrete ones need where the FMU has it.
+        Whether inputs are set in event mode, which discrete ones and clocks need where the FMU has it.
     """
 
     def __init__(self, origin: Origin, *, event_mode: bool) -> None:
-        super().__init__(origin, eventModeUsed=event_mode)
+        super().__init__(origin, eventModeUsed=event_mode, earlyReturnAllowed=event_mode)
         self.uses_event_mode = event_mode
         self._do_step = self.function("fmi3DoStep")
         self._event, self._terminate, self._early = (ctypes.c_bool() for _ in range(3))
@@ -98,10 +113,10 @@ class Fmi3Slave(_Fmi3, Slave):
         if self.uses_event_mode:
             self._handle_event()
 
-    def in_event_mode(self, write: Callable[[FloatArray], None], u: FloatArray) -> None:
-        """Write inputs in event mode and go back to step mode."""
+    def in_event_mode(self, change: Callable[[], None]) -> None:
+        """Set inputs, parameters or clocks in event mode and go back to step mode."""
         self.enter_event_mode()
-        write(u)
+        change()
         self._handle_event()
 
     def do_step(self, time: float, h: float) -> None:
@@ -109,7 +124,7 @@ class Fmi3Slave(_Fmi3, Slave):
         status = self._do_step(self.component, time, h, True, *self._results)
         if status > WARNING:
             if status == DISCARD and self._terminate.value:
-                raise termination("fmi3DoStep")
+                raise termination("fmi3DoStep", self._reached.value)
             raise failed_call("fmi3DoStep", status)
         if self._event.value or self._terminate.value or self._early.value:
             remaining = self._follow_up(time, h)
@@ -122,8 +137,7 @@ class Fmi3Slave(_Fmi3, Slave):
         if self._terminate.value:
             raise termination("fmi3DoStep", reached if early else time + h)
         if self._event.value and self.uses_event_mode:
-            self.enter_event_mode()
-            self._handle_event()
+            self.in_event_mode(_nothing)
         if not early or reached >= time + h:
             return 0.0
         if not reached > time:
@@ -134,6 +148,10 @@ class Fmi3Slave(_Fmi3, Slave):
         if self.update_discrete_states().terminate:
             raise termination("fmi3UpdateDiscreteStates")
         self.call("fmi3EnterStepMode")
+
+
+def _nothing() -> None:
+    """Change nothing: the FMU itself asks for the event."""
 
 
 class Fmi3Model(_Fmi3, Model):

@@ -6,7 +6,7 @@ the status that it returns.
 
 import ctypes
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 from ddpc_cosim.fmu.description.variable_types import TYPES
 from ddpc_cosim.fmu.library import CFunction, is_missing, load_library
 from ddpc_cosim.fmu.status import FATAL, WARNING, CallError, Log, failed_call
-from ddpc_cosim.variables import FloatArray
 
 DoubleArray = Any
 """A ctypes array of doubles."""
@@ -193,6 +192,10 @@ class Instance(ABC):
         """Leave the mode in which structural parameters are set."""
         raise CallError("FMI 1.0 and 2.0 have no structural parameters")
 
+    def activate_clocks(self, references: Sequence[int]) -> None:
+        """Let input clocks tick, in event mode."""
+        raise CallError("FMI 1.0 and 2.0 have no clocks")
+
     def save_state(self) -> Any:
         """Return a copy of the FMU's state."""
         raise CallError("FMI 1.0 cannot save the state of an FMU")
@@ -210,10 +213,10 @@ class Slave(Instance):
     """An instance for Co-Simulation."""
 
     uses_event_mode = False
-    """Whether inputs are written through ``in_event_mode``."""
+    """Whether inputs are written within ``in_event_mode``."""
 
-    def in_event_mode(self, write: Callable[[FloatArray], None], u: FloatArray) -> None:
-        """Write inputs in event mode; only FMI 3.0 has one for Co-Simulation."""
+    def in_event_mode(self, change: Callable[[], None]) -> None:
+        """Set inputs, parameters or clocks in event mode; only FMI 3.0 has one for Co-Simulation."""
         raise CallError("FMI 1.0 and 2.0 have no event mode for Co-Simulation")
 
     @abstractmethod
@@ -314,6 +317,6 @@ class Model(Instance):
         raise CallError("FMI 1.0 has no directional derivatives")
 
 
-def reference_array(references: list[int]) -> Any:
+def reference_array(references: Sequence[int]) -> Any:
     """Return value references as C wants them."""
     return (ctypes.c_uint * len(references))(*references)

@@ -5,13 +5,14 @@ the integrator goes from event to event: state events (a sign change of an event
 (known in advance), and step events (asked for by the FMU after an integrator step).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import inf
 from typing import Any
 
 import numpy as np
 
 from ddpc_cosim.fmu.buffers import Port
+from ddpc_cosim.fmu.description import Clock
 from ddpc_cosim.fmu.instance import EventInfo, Instance, Model
 from ddpc_cosim.fmu.integrators import make_integrator
 from ddpc_cosim.fmu.run import Run
@@ -36,6 +37,8 @@ class ModelExchangeRun(Run):
         Relative tolerance of the integration; the absolute one is this times the states' nominal values.
     needs_completed_step : bool
         Whether the model wants to know of every integrator step.
+    clocks : sequence of Clock
+        The input clocks that tick periodically.
     """
 
     def __init__(
@@ -47,13 +50,14 @@ class ModelExchangeRun(Run):
         *,
         tolerance: float,
         needs_completed_step: bool,
+        clocks: Sequence[Clock] = (),
     ) -> None:
-        super().__init__(model, inputs, outputs, t0)
+        super().__init__(model, inputs, outputs, t0, clocks)
         self.model = model
         self._needs_completed_step = needs_completed_step
         self._held: FloatArray | None = None
         self._next_event = inf
-        self._settle()
+        self._settle(t0)
         self._integrator = make_integrator(model, *model.sizes(), tolerance)
         self._integrator.restart(t0)
 
@@ -61,18 +65,17 @@ class ModelExchangeRun(Run):
         """Hold u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
         if h != self._step_size:
             self._base_time, self._steps, self._step_size = self.time, 0, h
-        self.require_going()
         self.hold(u)
-        self.require_going()
         self._integrate(self.time, self._base_time + (self._steps + 1) * h)
         self._steps += 1
         return self._read()
 
     def hold(self, u: FloatArray) -> None:
-        """Hold u, shape (m,), from now on: an event, if it is another than before."""
-        if self._held is None or not np.array_equal(u, self._held):
+        """Hold u, shape (m,), from now on: an event, if it is another than before or a clock ticks."""
+        due = self._ticks.take(self.time)
+        if due or self._held is None or not np.array_equal(u, self._held):
             self._held = np.array(u, dtype=np.float64)
-            self._event(self.time, lambda: self._write(u))
+            self._event(self.time, lambda: self._write(u), due)
 
     def change(self, set_values: Callable[[Instance], None]) -> None:
         """Set parameters or inputs between two samples: an event."""
@@ -94,16 +97,15 @@ class ModelExchangeRun(Run):
     def _integrate(self, t: float, t_end: float) -> None:
         at_once = 0
         while t < t_end or self._next_event <= t:
-            if self._ending is not None:
-                if t < t_end:
-                    raise self._ending
-                return
             before = t
-            event = self._next_event <= t
+            tick = self._ticks.before(t_end)
+            due = min(self._next_event, tick)
+            event = due <= t
             if not event:
-                t, event = self._advance(min(t_end, self._next_event))
+                t, wanted = self._advance(min(t_end, due))
+                event = wanted or due <= t
             if event:
-                self._event(t)
+                self._event(t, clocks=self._ticks.take(t) if tick <= t else ())
             at_once = at_once + 1 if t == before else 0
             if at_once > _MOST_EVENTS_AT_ONCE:
                 raise CallError(f"more than {_MOST_EVENTS_AT_ONCE} events at one instant")
@@ -114,26 +116,26 @@ class ModelExchangeRun(Run):
         if self._needs_completed_step:
             wanted, end = self.model.completed_integrator_step()
             if end:
-                self._ending = termination("a completed integrator step")
-                return t, False
+                raise termination("a completed integrator step", t)
             event = event or wanted
-        return t, event or self._next_event <= t
+        return t, event
 
-    def _event(self, t: float, change: Callable[[], None] | None = None) -> None:
-        """Handle an event at a time, at which inputs or parameters may change."""
+    def _event(self, t: float, change: Callable[[], None] | None = None, clocks: Sequence[int] = ()) -> None:
+        """Handle an event at a time, at which inputs or parameters may change and clocks tick."""
         self.model.set_time(t)
         self.model.enter_event_mode()
         if change is not None:
             change()
-        info = self._settle()
+        if clocks:
+            self.model.activate_clocks(clocks)
+        info = self._settle(t)
         self._integrator.restart(t, nominals_changed=info.nominals_changed)
 
-    def _settle(self) -> EventInfo:
+    def _settle(self, t: float) -> EventInfo:
         """Let the discrete states settle and go on to continuous time."""
         info = self.model.update_discrete_states()
-        if info.terminate:  # nothing but reading and terminating is allowed now
-            self._ending, self._next_event = termination("an event"), inf
-            return info
+        if info.terminate:
+            raise termination("an event", t)
         self._next_event = inf if info.next_event is None else info.next_event
         self.model.enter_continuous_time_mode()
         return info

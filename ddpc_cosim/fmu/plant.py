@@ -3,7 +3,8 @@
 import hashlib
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -15,7 +16,7 @@ from ddpc_cosim.fmu.archive import UnpackLimits
 from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
-from ddpc_cosim.fmu.session import FMUSession, unpack_fmu
+from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU, for_model_exchange, unpack_fmu
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.sandbox import entered, require
 from ddpc_cosim.scratch import ScratchFolder
@@ -133,13 +134,17 @@ class FMUPlant(Plant):
         except BaseException:
             self._scratch.remove()
             raise
-        self._session: FMUSession | IsolatedSession
+        self._may_fall_back = fmi_type == "auto"
+        self._open: Callable[[UnpackedFMU], FMUSession | IsolatedSession] = FMUSession
         if isolated:
-            self._session = IsolatedSession(
-                self._fmu, self._scratch.path, step_timeout, memory_limit, sandboxed=sandbox
+            self._open = partial(
+                IsolatedSession,
+                folder=self._scratch.path,
+                step_timeout=step_timeout,
+                memory_limit=memory_limit,
+                sandboxed=sandbox,
             )
-        else:
-            self._session = FMUSession(self._fmu)
+        self._session = self._open(self._fmu)
         self._stop_time: float | None = None
         self._step = self._session.step
 
@@ -164,9 +169,23 @@ class FMUPlant(Plant):
     def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
         """Instantiate the FMU anew, initialise it at ``t0`` and return the outputs, shape (p,).
 
-        Besides parameters, start values (initial states) and inputs that are not driven can be given.
+        Besides parameters, start values (initial states) and inputs that are not driven can be given. An FMU
+        that refuses to be instantiated for Co-Simulation runs for Model Exchange where it is for both and
+        ``fmi_type`` is ``"auto"``; a warning tells.
         """
-        return self._session.reset(parameters or {}, t0, self._stop_time)
+        arguments = parameters or {}, t0, self._stop_time
+        try:
+            return self._session.reset(*arguments)
+        except FMUImportError as error:
+            fmu = self._fmu
+            if not self._may_fall_back or fmu.interface.kind == "model-exchange" or not fmu.is_for_both:
+                raise
+            self._session.close()
+            self._fmu = for_model_exchange(fmu)
+            self.warnings += (f"runs for Model Exchange: {str(error).removeprefix(f'{fmu.label}: ')}",)
+            self._session = self._open(self._fmu)
+            self._step = self._session.step
+            return self._session.reset(*arguments)
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""

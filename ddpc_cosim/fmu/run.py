@@ -2,13 +2,14 @@
 
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from math import inf
 from typing import Any
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import Port
+from ddpc_cosim.fmu.description import Clock
 from ddpc_cosim.fmu.instance import Instance
-from ddpc_cosim.fmu.status import CallError
 from ddpc_cosim.variables import FloatArray
 
 
@@ -32,6 +33,45 @@ class SavedState:
         self.free = weakref.finalize(self, run.instance.free_state, handle)
 
 
+# Of an interval: two times that are as near are one, however they were computed.
+_ONE_INSTANT = 1e-9
+
+
+class Ticks:
+    """The ticks of periodic clocks: at whole numbers of intervals, computed and never accumulated.
+
+    A tick at the instant of a sample comes after the outputs of that sample have been read, together with its
+    inputs: the FMU then takes these up at once.
+
+    Parameters
+    ----------
+    clocks : sequence of Clock
+        The clocks that tick.
+    t0 : float
+        Start time of the run [s].
+    """
+
+    def __init__(self, clocks: Sequence[Clock], t0: float) -> None:
+        self._clocks, self._start = clocks, t0
+        self._near = _ONE_INSTANT * min((clock.interval for clock in clocks), default=0.0)
+        self.counts = [0] * len(clocks)
+
+    def before(self, end: float) -> float:
+        """Return when the next clock ticks before a time [s]; infinity for none."""
+        next_tick = min(map(self._time, range(len(self._clocks))), default=inf)
+        return next_tick if next_tick < end - self._near else inf
+
+    def take(self, time: float) -> list[int]:
+        """Return the value references of the clocks that tick at a time [s], each tick once."""
+        due = [i for i in range(len(self._clocks)) if self._time(i) <= time + self._near]
+        for i in due:
+            self.counts[i] += 1
+        return [self._clocks[i].reference for i in due]
+
+    def _time(self, i: int) -> float:
+        return self._start + self._clocks[i].shift + self.counts[i] * self._clocks[i].interval
+
+
 class Run(ABC):
     """An initialised FMU between two samples.
 
@@ -45,19 +85,28 @@ class Run(ABC):
         What is written before and read after every step.
     t0 : float
         Start time [s].
+    clocks : sequence of Clock
+        The input clocks that tick periodically.
     """
 
-    def __init__(self, instance: Instance, inputs: Port, outputs: Port, t0: float) -> None:
+    def __init__(
+        self, instance: Instance, inputs: Port, outputs: Port, t0: float, clocks: Sequence[Clock] = ()
+    ) -> None:
         self.instance = instance
+        self._ticks = Ticks(clocks, t0)
         self._write, self._read = inputs.write, outputs.read
         self._base_time, self._steps, self._step_size = t0, 0, 0.0
         self._states: weakref.WeakSet[SavedState] = weakref.WeakSet()
-        self._ending: CallError | None = None
 
     @property
     def time(self) -> float:
         """Simulation time [s]."""
         return self._base_time + self._steps * self._step_size
+
+    @property
+    def end_of_sample(self) -> float:
+        """When the sample ends that is being done [s]."""
+        return self._base_time + (self._steps + 1) * self._step_size
 
     @abstractmethod
     def step(self, u: FloatArray, h: float) -> FloatArray:
@@ -70,15 +119,6 @@ class Run(ABC):
         ConfigError
             The FMU does not allow this step size.
         """
-
-    def require_going(self) -> None:
-        """Raise what has ended the simulation at the last sample, if something has.
-
-        A plant that asks to terminate where a step ends has reached that sample: it is kept, and the run ends
-        with the next step.
-        """
-        if self._ending is not None:
-            raise self._ending
 
     def outputs(self) -> FloatArray:
         """Return the outputs now, shape (p,)."""
@@ -109,11 +149,12 @@ class Run(ABC):
 
     def _bookkeeping(self) -> tuple[Any, ...]:
         """Return what the run must remember besides the FMU's state."""
-        return self._base_time, self._steps, self._step_size, self._ending
+        return self._base_time, self._steps, self._step_size, tuple(self._ticks.counts)
 
     def _go_back(self, *bookkeeping: Any) -> None:
         """Restore what :meth:`_bookkeeping` returned."""
-        self._base_time, self._steps, self._step_size, self._ending = bookkeeping
+        self._base_time, self._steps, self._step_size, counts = bookkeeping
+        self._ticks.counts[:] = counts
 
     def end(self, *, abandoned: bool = False) -> None:
         """Free all saved states; of an abandoned instance, forget them without touching it."""

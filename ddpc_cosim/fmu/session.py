@@ -42,6 +42,7 @@ _SLAVES: dict[int, type[Slave]] = {1: Fmi1Slave, 2: Fmi2Slave, 3: Fmi3Slave}
 _MODELS: dict[int, type[Model]] = {1: Fmi1Model, 2: Fmi2Model, 3: Fmi3Model}
 _DEFAULT_TOLERANCE = 1e-6
 _TOLERANCES = (1e-12, 1e-2)
+_ONE_INSTANT = 1e-6  # of a step: where an FMU says that it ended, rounded in its own way
 
 _only_ones: WeakValueDictionary[tuple[str, str], Instance] = WeakValueDictionary()
 """The instances of FMUs that allow only one in a process."""
@@ -81,8 +82,19 @@ class UnpackedFMU:
     tolerance: float | None
     start: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def is_for_both(self) -> bool:
+        """Whether it can be run for Co-Simulation and for Model Exchange."""
+        return len(self.description.interfaces) > 1
+
     def remark_on_steps(self, sampling_time: float) -> str:
-        """Return what is to be said of a sampling time [s]; empty for nothing."""
+        """Return what is to be said of a sampling time [s]; empty for nothing.
+
+        Raises
+        ------
+        ConfigError
+            The FMU's clocks do not allow it.
+        """
         return StepSizes(self.description, self.interface, self.label).remark(sampling_time)
 
 
@@ -125,13 +137,11 @@ def unpack_fmu(
         model_name=description.model_name or label,
         trace_calls=trace_calls,
     )
-    clocks = [variable.name for variable in description.clocks if variable.causality == "input"]
     warnings = dict.fromkeys(
         (
             *description.warnings,
             *library_warnings,
             *([tool] if interface.needs_execution_tool else []),
-            *([f"clocks that are not ticked here: {', '.join(clocks)}"] if clocks else []),
         )
     )
     return UnpackedFMU(
@@ -145,6 +155,21 @@ def unpack_fmu(
         tolerance,
         start,
     )
+
+
+def for_model_exchange(fmu: UnpackedFMU) -> UnpackedFMU:
+    """Return an FMU that is for both, run for Model Exchange.
+
+    Raises
+    ------
+    FMUImportError
+        It has no library for it.
+    """
+    interface = fmu.description.interfaces["model-exchange"]
+    library, _ = find_library(fmu.origin.folder, fmu.description, interface, fmu.label)
+    identifier = interface.model_identifier
+    origin = replace(fmu.origin, library=library, kind=interface.kind, model_identifier=identifier)
+    return replace(fmu, interface=interface, origin=origin)
 
 
 def _starting_at(start: Mapping[str, float], signal: Signal) -> Signal:
@@ -168,6 +193,7 @@ class FMUSession:
         self._shapes: Shapes = {}
         self._may_terminate = False
         self._time = 0.0
+        self._ending: CallError | None = None
 
     def reset(
         self, parameters: Mapping[str, ParameterValue], t0: float, stop_time: float | None
@@ -181,7 +207,7 @@ class FMUSession:
         driven = [signal for signal in fmu.inputs if signal.variable.name not in fmu.start]
         values = StartValues(fmu.description, fmu.label, {**fmu.start, **parameters}, driven)
         self.close()
-        self._time = t0
+        self._time, self._ending = t0, None
         instance = self._instantiate()
         with self._told():
             values.set_structural(instance)
@@ -198,13 +224,22 @@ class FMUSession:
             return self._run.outputs()
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
-        """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
+        """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,).
+
+        Where the FMU ends the simulation at the end of a step, the outputs there are returned, and the next
+        call tells.
+        """
         run = self._run
-        if run is None:
-            raise ConfigError(f"{self.fmu.label}: step before reset")
+        if run is None or self._ending is not None:
+            run = self._started("step")
         try:
             return run.step(u, h)
         except CallError as error:
+            if error.reached is not None and error.reached >= run.end_of_sample - _ONE_INSTANT * h:
+                with self._told():
+                    last = run.outputs()
+                    self._time, self._ending = run.end_of_sample, error
+                    return last
             raise self._failure(error) from error
 
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
@@ -259,7 +294,7 @@ class FMUSession:
     @property
     def time(self) -> float:
         """Simulation time [s]."""
-        return self._run.time if self._run is not None else self._time
+        return self._run.time if self._run is not None and self._ending is None else self._time
 
     @property
     def log(self) -> tuple[str, ...]:
@@ -280,6 +315,8 @@ class FMUSession:
         self._may_terminate = False
 
     def _started(self, what: str) -> Run:
+        if self._ending is not None:
+            raise self._failure(self._ending) from self._ending
         if self._run is None:
             raise ConfigError(f"{self.fmu.label}: {what} before reset")
         return self._run
@@ -308,7 +345,7 @@ class FMUSession:
     def _failure(self, error: CallError) -> FMUStepError:
         details = "; the FMU asks to terminate" if error.asks_to_terminate else ""
         details += "".join(f"; {line}" for line in self.log[-3:])
-        time = self.time
+        time = self.time if error.reached is None else max(error.reached, self.time)
         if error.code == FATAL:
             self._abandon()
         elif error.code != DISCARD:
@@ -341,20 +378,34 @@ def _make_instance(fmu: UnpackedFMU) -> Instance:
         sizes = {"states": description.continuous_states, "event_indicators": description.event_indicators}
         instance = _MODELS[description.major](fmu.origin, **sizes)
     else:
-        # Only inputs that are discrete need event mode; without it the FMU handles its events itself.
-        discrete = any(signal.source.variability == "discrete" for signal in fmu.inputs)
-        event_mode = {"event_mode": interface.has_event_mode and discrete} if description.major == 3 else {}
-        instance = _SLAVES[description.major](fmu.origin, **event_mode)
+        instance = _make_slave(fmu)
     if interface.only_one_instance:
         _only_ones[key] = instance
     return instance
 
 
+def _make_slave(fmu: UnpackedFMU) -> Slave:
+    """Instantiate an FMU for Co-Simulation, with the event mode of FMI 3.0 where that is needed."""
+    description = fmu.description
+    make = _SLAVES[description.major]
+    if not fmu.interface.has_event_mode:
+        return make(fmu.origin, **({"event_mode": False} if description.major == 3 else {}))
+    # Without clocks and discrete inputs the FMU handles its events itself, unless it refuses to.
+    is_discrete = any(signal.source.variability == "discrete" for signal in fmu.inputs)
+    if is_discrete or description.clocks:
+        return make(fmu.origin, event_mode=True)
+    try:
+        return make(fmu.origin, event_mode=False)
+    except Exception:  # FMPy's own, for an FMU that returns no instance
+        return make(fmu.origin, event_mode=True)
+
+
 def _start_run(fmu: UnpackedFMU, instance: Instance, inputs: Port, outputs: Port, t0: float) -> Run:
     """Return the run of an instance that has been initialised."""
+    clocks = fmu.description.ticking_clocks(fmu.interface)
     if isinstance(instance, Slave):
         steps = StepSizes(fmu.description, fmu.interface, fmu.label)
-        return CoSimulationRun(instance, inputs, outputs, t0, steps.change)
+        return CoSimulationRun(instance, inputs, outputs, t0, steps.change, clocks)
     if not isinstance(instance, Model):
         raise TypeError(f"{type(instance).__name__} is neither a slave nor a model")
     low, high = _TOLERANCES
@@ -362,7 +413,13 @@ def _start_run(fmu: UnpackedFMU, instance: Instance, inputs: Port, outputs: Port
     tolerance = fmu.tolerance if fmu.tolerance is not None else min(max(own, low), high)
     needs_completed_step = fmu.interface.needs_completed_step or fmu.description.major == 1
     return ModelExchangeRun(
-        instance, inputs, outputs, t0, tolerance=tolerance, needs_completed_step=needs_completed_step
+        instance,
+        inputs,
+        outputs,
+        t0,
+        tolerance=tolerance,
+        needs_completed_step=needs_completed_step,
+        clocks=clocks,
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
-from ddpc_cosim.fmu.description import INTERFACES, FMUDescription, FMUVariable, Interface
+from ddpc_cosim.fmu.description import INTERFACES, Clock, FMUDescription, FMUVariable, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Findings, Kind, Severity
 from ddpc_cosim.fmu.description.reader import read_tolerantly
 from ddpc_cosim.inspection.binaries import Binaries, check_binaries
@@ -194,10 +194,7 @@ def as_data(inspection: Inspection) -> dict[str, Any]:
         "outputs": _variables(inspection.outputs),
         "parameters": [_parameter(variable) for variable in inspection.parameters],
         "states": _variables(inspection.states),
-        "clocks": [
-            {"name": clock.name, "causality": clock.causality, "ticks": clock.clock, "ticked": False}
-            for clock in (description.clocks if description else ())
-        ],
+        "clocks": [_clock(clock) for clock in description.clocks] if description else [],
         "direct_feedthrough": {
             output: None if inputs is None else list(inputs)
             for output, inputs in inspection.feedthrough.items()
@@ -258,6 +255,16 @@ def _variable(variable: Variable) -> dict[str, Any]:
         "nominal": _finite(variable.nominal),
         "start": _finite(variable.start),
         "description": variable.description,
+    }
+
+
+def _clock(clock: Clock) -> dict[str, Any]:
+    return {
+        "name": clock.name,
+        "causality": clock.causality,
+        "interval_variability": clock.variability,
+        "interval": _finite(clock.interval),
+        "shift": clock.shift,
     }
 
 

@@ -56,6 +56,8 @@ class Fault(IntEnum):
     WRITE_A_FILE = auto()
     READ_A_FILE = auto()
     OPEN_A_SOCKET = auto()
+    NEEDS_EVENT_MODE = auto()
+    NO_CO_SIMULATION = auto()
 
 
 @dataclass(frozen=True)

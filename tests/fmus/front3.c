@@ -2,6 +2,7 @@
 #include "models.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 typedef void (*Log)(void *environment, int status, const char *category, const char *message);
@@ -24,9 +25,13 @@ EXPORT void *fmi3InstantiateCoSimulation(const char *name, const char *token, co
                                          size_t n, void *environment, Log log, void *update)
 {
     Model *m = instantiate(token, environment, log);
-    if (m)
-        m->has_event_mode = event_mode && m->kind == FEED;
-    return m;
+    if (!m)
+        return NULL;
+    m->has_event_mode = event_mode && (m->kind == FEED || m->kind == CLOCKED);
+    if (m->values[FAULT] != NO_CO_SIMULATION && (m->values[FAULT] != NEEDS_EVENT_MODE || event_mode))
+        return m;
+    destroy(m);
+    return NULL;
 }
 EXPORT void fmi3FreeInstance(void *c) { destroy(c); }
 EXPORT int fmi3EnterConfigurationMode(void *c)
@@ -125,7 +130,21 @@ EXPORT int fmi3EnterStepMode(void *c)
     ((Model *)c)->in_event_mode = false;
     return 0;
 }
-EXPORT int fmi3EnterContinuousTimeMode(void *c) { return 0; }
+EXPORT int fmi3EnterContinuousTimeMode(void *c)
+{
+    ((Model *)c)->in_event_mode = false;
+    return 0;
+}
+EXPORT int fmi3SetClock(void *c, const unsigned vr[], size_t n, const bool value[])
+{
+    Model *m = c;
+    for (size_t i = 0; i < n; i++) {
+        if (!m->in_event_mode || vr[i] != CLOCK || !value[i])
+            return ERROR;
+        m->ticks++;
+    }
+    return 0;
+}
 EXPORT int fmi3UpdateDiscreteStates(void *c, bool *again, bool *terminate, bool *nominals, bool *values,
                                     bool *next_defined, double *next)
 {
@@ -136,6 +155,23 @@ EXPORT int fmi3UpdateDiscreteStates(void *c, bool *again, bool *terminate, bool 
     *terminate = m->terminate;
     *next_defined = m->next_event >= 0.0;
     *next = m->next_event;
+    return 0;
+}
+EXPORT int fmi3GetFMUState(void *c, void **state)
+{
+    *state = malloc(sizeof(Model));
+    memcpy(*state, c, sizeof(Model));
+    return 0;
+}
+EXPORT int fmi3SetFMUState(void *c, void *state)
+{
+    memcpy(c, state, sizeof(Model));
+    return 0;
+}
+EXPORT int fmi3FreeFMUState(void *c, void **state)
+{
+    free(*state);
+    *state = NULL;
     return 0;
 }
 EXPORT int fmi3CompletedIntegratorStep(void *c, bool no_set_state, bool *event, bool *terminate)

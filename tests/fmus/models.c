@@ -39,13 +39,14 @@ static void say(const Model *m, int status, const char *message)
 
 Model *create(const char *token, Logging logging)
 {
-    static const char *const names[] = {"lag", "ball", "stair", "relay", "integrator", "feed", "counter"};
+    static const char *const names[] = {"lag", "ball", "stair", "relay", "integrator", "feed", "counter",
+                                        "clocked"};
     const char *fault = strchr(token, ':');
     size_t length = fault ? (size_t)(fault - token) : strlen(token);
     int kind = 0;
-    while (kind < 7 && (strlen(names[kind]) != length || strncmp(token, names[kind], length)))
+    while (kind < 8 && (strlen(names[kind]) != length || strncmp(token, names[kind], length)))
         kind++;
-    Model *m = kind < 7 ? calloc(1, sizeof *m) : NULL;
+    Model *m = kind < 8 ? calloc(1, sizeof *m) : NULL;
     if (!m)
         return NULL;
     note("instantiate");
@@ -277,7 +278,7 @@ int step(Model *m, double time, double h)
     return m->terminate ? DISCARD : v[FAULT] == RETURN_WARNING ? WARNING : OK;
 }
 
-size_t states(const Model *m) { return m->kind == STAIR ? 0 : m->kind == BALL ? 2 : 1; }
+size_t states(const Model *m) { return m->kind == STAIR || m->kind == CLOCKED ? 0 : m->kind == BALL ? 2 : 1; }
 
 void derivatives(Model *m, double dx[])
 {
@@ -310,6 +311,12 @@ int handle_event(Model *m)
         v[COUNT] += 1.0;
         m->next_event += 1.0;
         m->terminate |= v[COUNT] >= 10.0;
+    }
+    if (m->kind == CLOCKED && m->ticks) { /* a sample-and-hold */
+        v[COUNT] += m->ticks;
+        v[X] = v[U];
+        v[V] = m->time;
+        m->ticks = 0;
     }
     if (m->kind == RELAY && v[X] > 1.0) {
         v[X] -= 1.0;

@@ -16,9 +16,9 @@
 
 /* Value references of all models but FEED. */
 enum { U = 0, X = 1, V = 2, GRAVITY = 3, RESTITUTION = 4, COUNT = 5, RATE = 6, DX = 7, DV = 8, NAME_LENGTH = 9,
-       FAULT = 10, FAULT_TIME = 11, SPEED = 12, ON = 13, VALUES = 16 };
+       FAULT = 10, FAULT_TIME = 11, SPEED = 12, ON = 13, CLOCK = 14, VALUES = 16 };
 
-typedef enum { LAG, BALL, STAIR, RELAY, INTEGRATOR, FEED, COUNTER } Kind;
+typedef enum { LAG, BALL, STAIR, RELAY, INTEGRATOR, FEED, COUNTER, CLOCKED } Kind;
 
 enum { OK, WARNING, DISCARD, ERROR, FATAL, ILLEGAL = 17 };
 
@@ -57,6 +57,8 @@ typedef enum {
     WRITE_A_FILE,
     READ_A_FILE,
     OPEN_A_SOCKET,
+    NEEDS_EVENT_MODE,
+    NO_CO_SIMULATION,
 } Fault;
 
 /* What FEED passes through: reference r + 100 becomes what reference r is. References 20 to 29 are arrays whose
@@ -80,7 +82,7 @@ typedef struct {
     Logging logging;
     Value feed[FEED_REFERENCES][LONGEST];
     bool configuring, has_event_mode, in_event_mode;
-    int updates;
+    int updates, ticks;
 } Model;
 
 /* Each returns an FMI status, if nothing else is said. */

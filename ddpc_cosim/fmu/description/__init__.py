@@ -49,8 +49,6 @@ class FMUVariable:
         The variable that this is another name of (FMI 3.0); empty for none.
     negated : bool
         Whether its value is the opposite of what the FMU has under the value reference (FMI 1.0).
-    clock : str
-        Of a clock, when it ticks, in words: ``constant, every 0.1 s``.
     """
 
     variable: Variable
@@ -66,7 +64,6 @@ class FMUVariable:
     derivative_of: str = ""
     alias_of: str = ""
     negated: bool = False
-    clock: str = ""
 
     @property
     def name(self) -> str:
@@ -152,6 +149,40 @@ class Interface:
 
 
 @dataclass(frozen=True, slots=True)
+class Clock:
+    """A clock (FMI 3.0, section 2.2.8).
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    reference : int
+        Value reference.
+    causality : str
+        ``input``, ``output`` or ``local``: who lets it tick.
+    variability : str
+        What its interval is: ``constant``, ``fixed``, ``calculated``, ``tunable``, ``changing``,
+        ``countdown`` or ``triggered``.
+    interval, shift : float
+        Time between two ticks, and from the start to the first one [s]; NaN and 0 where nothing is written.
+    """
+
+    name: str
+    reference: int
+    causality: str
+    variability: str
+    interval: float = math.nan
+    shift: float = 0.0
+
+    @property
+    def is_periodic_input(self) -> bool:
+        """Whether it ticks by what the description says, and from outside."""
+        is_known = 0.0 < self.interval < math.inf and 0.0 <= self.shift < math.inf
+        is_constant = self.variability in ("constant", "fixed", "tunable")  # nobody changes the latter here
+        return self.causality == "input" and is_constant and is_known
+
+
+@dataclass(frozen=True, slots=True)
 class DefaultExperiment:
     """The experiment that the FMU's author had in mind; None where nothing is said."""
 
@@ -181,6 +212,8 @@ class FMUDescription:
         The variables that each output depends on directly; None where the FMU does not say.
     source_files : mapping of str to tuple of str
         The C files to compile, by model identifier (FMI 2.0).
+    clocks : tuple of Clock
+        Its clocks (FMI 3.0).
     warnings : tuple of str
         What is wrong with the description but was understood.
     """
@@ -204,7 +237,13 @@ class FMUDescription:
     display_units: Mapping[str, tuple[DisplayUnit, ...]] = field(default_factory=dict)
     dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
     source_files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    clocks: tuple[Clock, ...] = ()
     warnings: tuple[str, ...] = ()
+
+    def ticking_clocks(self, interface: Interface) -> tuple[Clock, ...]:
+        """Return the clocks that tick where the FMU is run: periodic inputs, if there are events."""
+        has_events = interface.kind == "model-exchange" or interface.has_event_mode
+        return tuple(clock for clock in self.clocks if clock.is_periodic_input and has_events)
 
     @property
     def major(self) -> int:
@@ -249,11 +288,6 @@ class FMUDescription:
         """Names of the continuous states in the order of their vector; empty where one has no name."""
         known = [self.variables[name].derivative_of for name in self.derivatives if name in self.variables]
         return tuple(known) if all(name in self.variables for name in known) else ()
-
-    @property
-    def clocks(self) -> tuple[FMUVariable, ...]:
-        """The clocks (FMI 3.0), other names of them left out."""
-        return tuple(v for v in self.variables.values() if v.type == "Clock" and not v.alias_of)
 
     @cached_property
     def states(self) -> tuple[str, ...]:

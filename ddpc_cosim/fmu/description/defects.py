@@ -155,6 +155,12 @@ BAD_DEPENDENCY = Kind(
     "dependencies in the model structure on variables that do not exist",
     "the dependent variable may follow any input",
 )
+UNTICKED_CLOCK = Kind(
+    "unticked-clock",
+    _WARNING,
+    "input clocks that do not tick here",
+    "only clocks with a constant interval do, and in Co-Simulation only those of FMUs with an event mode",
+)
 BAD_DERIVATIVE = Kind(
     "bad-derivative", _WARNING, "derivatives of variables that do not exist", "the states are not known"
 )

@@ -16,6 +16,7 @@ from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.archive import MODEL_DESCRIPTION, read_xml
 from ddpc_cosim.fmu.description import (
     INTERFACES,
+    Clock,
     DefaultExperiment,
     FMUDescription,
     Interface,
@@ -147,7 +148,7 @@ class _Reading:
         root, structure = self.root, self._structure()
         states = self._size(structure.derivatives) if self.major > 1 else self._fmi1_states()
         indicators = self._integer("numberOfEventIndicators") + self._size(structure.event_indicators)
-        return FMUDescription(
+        description = FMUDescription(
             fmi_version=self.version,
             guid=root.get("instantiationToken" if self.major == 3 else "guid", ""),
             model_name=root.get("modelName", ""),
@@ -167,7 +168,41 @@ class _Reading:
             display_units=self.units,
             dependencies=structure.dependencies,
             source_files=self._source_files(),
+            clocks=tuple(self._clocks()) if self.major == 3 else (),
         )
+        ticking = description.ticking_clocks(description.preferred) if description.preferred else ()
+        for clock in description.clocks:
+            if clock.causality == "input" and clock not in ticking:
+                self.note(defects.UNTICKED_CLOCK, f"{clock.name} ({clock.variability})")
+        return description
+
+    def _clocks(self) -> Iterator[Clock]:
+        for element in self.root.iterfind("ModelVariables/Clock"):
+            name = element.get("name", "")
+            if name not in self.variables:  # it has no value reference, which has been noted
+                continue
+            variable = self.variables[name]
+            yield Clock(
+                name,
+                variable.reference,
+                variable.causality,
+                element.get("intervalVariability", ""),
+                self._interval(element, "interval", math.nan),
+                self._interval(element, "shift", 0.0),
+            )
+
+    def _interval(self, element: Element, what: str, default: float) -> float:
+        """Return a time of a clock [s]: written as a decimal, or as a fraction of two integers."""
+
+        def value(attribute: str, default: float) -> float:
+            return noted_number(
+                self.note, element.get("name", ""), attribute, element.get(attribute), default
+            )
+
+        if f"{what}Counter" in element.attrib:
+            resolution = value("resolution", math.nan)
+            return value(f"{what}Counter", default) / resolution if resolution else math.nan
+        return value(f"{what}Decimal", default)
 
     def _interfaces(self) -> dict[str, Interface]:
         if self.major == 1:  # which has one of them, and other words for what it can do

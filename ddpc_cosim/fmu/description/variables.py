@@ -197,7 +197,6 @@ class VariableReader:
             start_text=entry.start,
             items=entry.inherited.items,
             derivative_of=self._state(entry),
-            clock=_ticks(entry) if entry.type == "Clock" else "",
             negated=self.major == 1 and entry.own.get("alias") == "negatedAlias",
         )
 
@@ -305,12 +304,6 @@ class VariableReader:
             text = alias.get("description") or own.description
             named = replace(own, name=name, description=text, display_unit=shown)
             yield name, replace(variable, variable=named, alias_of=variable.name)
-
-
-def _ticks(entry: _Entry) -> str:
-    """Return in words when a clock ticks."""
-    interval = entry.get("intervalDecimal")
-    return (entry.get("intervalVariability") or "") + (f", every {interval} s" if interval else "")
 
 
 def noted_number(note: Note, where: str, attribute: str, written: str | None, default: float) -> float:

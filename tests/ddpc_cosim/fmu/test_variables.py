@@ -135,7 +135,7 @@ def test_structural_parameters_size_arrays_before_anything_else(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("inputs", "words"),
     [
-        (["v"], '"v" is an array of size [2]; name an element, for example "v[1]"'),
+        (["v"], '"v" is an array of size [2]; name its elements: v[1], v[2]'),
         (["M[3,1]"], 'no input "M[3,1]"; did you mean "M[2,1]"?'),
         (["M[1]"], 'no input "M[1]"'),
         (["real in", "real in"], 'input "real in" is chosen twice'),
