@@ -181,12 +181,16 @@ def _describe_3(token: str, variables: list[V], interfaces: str, indicators: int
 
 
 @cache
-def model_library(version: str, *, complete: bool = False) -> bytes:
-    """Return the library for an FMI version: with no more functions than runs need, or complete."""
+def model_library(version: str, *, complete: bool = False, telling: bool = False) -> bytes:
+    """Return the library for an FMI version.
+
+    It has no more functions than runs need, or is complete, or tells directional derivatives (FMI 2.0).
+    """
     names = ("models.h", "models.c", f"front{version[0]}.c")
     sources = {name: (HERE / name).read_text(encoding="utf-8") for name in names}
     required = {"1": "models_fmiDoStep", "2": "fmi2DoStep", "3": "fmi3DoStep"}[version[0]]
-    return compile_library(find_compiler(), sources, [required], ["-DCOMPLETE"] if complete else [])
+    switches = [*(["-DCOMPLETE"] if complete else []), *(["-DTELLING"] if telling else [])]
+    return compile_library(find_compiler(), sources, [required], switches)
 
 
 def platform_folder(version: str) -> str:

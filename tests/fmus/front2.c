@@ -142,6 +142,22 @@ EXPORT int fmi2GetEventIndicators(void *c, double z[], size_t n)
     return 0;
 }
 
+#ifdef TELLING
+/* Of a lag: of the state's derivative ON times what it is, of anything else 0. */
+EXPORT int fmi2GetDirectionalDerivative(void *c, const unsigned z[], size_t nz, const unsigned v[], size_t nv,
+                                        const double dv[], double dz[])
+{
+    const double *values = ((Model *)c)->values;
+    double slope = values[RATE] * values[ON];
+    for (size_t i = 0; i < nz; i++) {
+        dz[i] = 0.0;
+        for (size_t j = 0; j < nv && z[i] == DX; j++)
+            dz[i] += (v[j] == U ? slope : -slope) * dv[j];
+    }
+    return 0;
+}
+#endif
+
 #ifdef COMPLETE
 #define REFUSED(name, ...) \
     EXPORT int name(void *c, __VA_ARGS__) { return 3; }

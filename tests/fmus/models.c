@@ -237,7 +237,9 @@ int get_reals(const Model *m, const unsigned references[], size_t n, double valu
     for (size_t i = 0; i < n; i++) {
         if (references[i] >= VALUES)
             return ERROR;
-        values[i] = references[i] == SPEED ? v[RATE] * v[U] * v[COUNT] * v[ON] : v[references[i]];
+        values[i] = references[i] == SPEED  ? v[RATE] * v[U] * v[COUNT] * v[ON]
+                    : references[i] == COPY ? v[X]
+                                            : v[references[i]];
     }
     return v[FAULT] == ERROR_WHEN_READ && m->time > v[FAULT_TIME] - 1e-9 ? ERROR : OK;
 }

@@ -16,7 +16,7 @@
 
 /* Value references of all models but FEED. */
 enum { U = 0, X = 1, V = 2, GRAVITY = 3, RESTITUTION = 4, COUNT = 5, RATE = 6, DX = 7, DV = 8, NAME_LENGTH = 9,
-       FAULT = 10, FAULT_TIME = 11, SPEED = 12, ON = 13, CLOCK = 14, VALUES = 16 };
+       FAULT = 10, FAULT_TIME = 11, SPEED = 12, ON = 13, CLOCK = 14, COPY = 16, VALUES = 17 };
 
 typedef enum { LAG, BALL, STAIR, RELAY, INTEGRATOR, FEED, COUNTER, CLOCKED } Kind;
 

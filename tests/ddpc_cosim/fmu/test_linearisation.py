@@ -1,5 +1,6 @@
 """Linear models of FMUs: against the symbolic derivatives of their equations, formulas, and each other."""
 
+import warnings
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -9,10 +10,15 @@ import numpy as np
 import pytest
 from fmus.builder import LAG, V, describe, model_fmu, model_library, write_fmu
 
-from ddpc_cosim import ConfigError, FMUPlant, FMUStepError, LinearModel
+from ddpc_cosim import ConfigError, CosimWarning, FMUPlant, FMUStepError, LinearModel
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.fmu.description import FMUDescription, FMUVariable
-from ddpc_cosim.fmu.linearisation import directional_derivatives, linearisation_faults, scalars
+from ddpc_cosim.fmu.linearisation import (
+    contradicted,
+    directional_derivatives,
+    linearisation_faults,
+    scalars,
+)
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants import (
     Equations,
@@ -140,6 +146,91 @@ def test_a_library_without_the_function_that_the_description_claims_is_different
     with open_model(model_fmu(tmp_path, "2.0", "lag", interfaces=claim), ["x"]) as plant:
         plant.reset()
         assert plant.linearise().derivatives == "differences"
+
+
+CLAIM = ONLY_ME.format(' providesDirectionalDerivative="true"')
+TELLS = (
+    V("u", 0, causality="input", start="0", more={"min": "0", "max": "1"}),
+    V("x", 1, causality="output", initial="exact", start="0"),
+    V("copy", 16, causality="output"),
+    V("der(x)", 7, derivative=1),
+    V("rate", 6, causality="parameter", variability="fixed", start="1"),
+    V("told", 13, causality="parameter", variability="fixed", start="1"),
+)
+"""x' = rate (u - x), copy = x; of the derivatives by x and u the FMU tells ``told`` times what they are, and
+nothing but 0 of outputs."""
+
+
+def telling(folder: Path, *left_out: str) -> Path:
+    variables = [v for v in TELLS if v.name not in left_out]
+    path = folder / "tells.fmu"
+    return write_fmu(
+        path, describe("2.0", "lag", variables, interfaces=CLAIM), model_library("2.0", telling=True)
+    )
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+def test_an_output_that_is_a_state_has_a_row_of_the_identity_whatever_the_fmu_tells(
+    tmp_path: Path, isolated: bool
+) -> None:
+    with open_model(telling(tmp_path, "copy"), isolated=isolated) as plant:
+        plant.reset({"rate": 3.0})
+        model = plant.linearise([0.5])
+        assert (model.derivatives, model.warnings, plant.warnings) == ("directional", (), ())
+    assert_same(matrices(model), [np.array([[v]]) for v in (-3.0, 3.0, 1.0, 0.0)], 0.0)
+
+
+@pytest.mark.parametrize("u", [0.5, 1.0, 0.0, 7.0])  # within the limits, at them, and beyond
+@pytest.mark.parametrize("isolated", [False, True])
+def test_derivatives_that_contradict_small_changes_are_not_used(
+    tmp_path: Path, u: float, isolated: bool
+) -> None:
+    """An output with a reference of its own that repeats a state: 0 is told, 1 is true."""
+    expected = [np.array(rows) for rows in ([[-1.0]], [[1.0]], [[1.0], [1.0]], [[0.0], [0.0]])]
+    said = r"tells\.fmu: the FMU's directional derivatives of copy are not those of its values"
+    with open_model(telling(tmp_path), isolated=isolated) as plant:
+        plant.reset()
+        with pytest.warns(CosimWarning, match=said):
+            model = plant.linearise([u])
+        assert plant.warnings == model.warnings
+        assert "differences were taken" in plant.provenance()["fmu_warnings"]
+    assert model.derivatives == "differences"
+    assert_same(matrices(model), expected, 1e-9)
+
+
+@pytest.mark.parametrize(("told", "derivatives"), [(1.0, "directional"), (1.01, "differences")])
+def test_a_hundredth_is_a_contradiction(tmp_path: Path, told: float, derivatives: str) -> None:
+    with open_model(telling(tmp_path, "copy")) as plant, warnings.catch_warnings():
+        warnings.simplefilter("ignore", CosimWarning)
+        plant.reset({"told": told, "rate": 3.0, "x": 0.3})
+        model = plant.linearise([0.9])
+    assert model.derivatives == derivatives
+    assert model.a == pytest.approx(np.array([[-3.0]]), abs=1e-8)
+
+
+def test_where_no_change_is_possible_the_fmu_is_believed(fmu_of: Any) -> None:
+    """A root so near to zero that the FMU fails to its left."""
+    with open_model(fmu_of(KINK)) as plant:
+        plant.reset({"x": 1e-5})
+        with pytest.warns(CosimWarning, match="could not be checked near the point: fmi2GetReal returned"):
+            model = plant.linearise()
+    assert model.derivatives == "directional"
+    assert model.c == pytest.approx(np.array([[0.5 / np.sqrt(1e-5)]]), rel=1e-12)
+
+
+def test_a_kink_is_no_contradiction() -> None:
+    """At 0, the derivative of |x| is what it is to either side, or between; it is not 2."""
+
+    class Around:
+        x_0, u_0, rate, y_0 = np.zeros(1), np.zeros(0), np.zeros(1), np.zeros(0)
+        scale, low, high = np.ones(1), np.array([-np.inf]), np.array([np.inf])
+
+        def at(self, point: FloatArray) -> FloatArray:
+            return np.abs(point)
+
+    around: Any = Around()
+    found = [contradicted(around, np.array([[slope]])) for slope in (-2.0, -1.0, 0.0, 1.0, 2.0)]
+    assert found == [[0], [], [], [], [0]]
 
 
 def test_any_variable_that_can_be_read_may_be_an_output(fmu_of: Any) -> None:
