@@ -45,6 +45,8 @@ class Block:
         The calls, with all arguments bound; they return an FMI status.
     names : ValueType
         The names of the calls.
+    variables : tuple of str
+        The names of the variables, by entry.
     values : array
         The memory that C sees.
     positions, elements : array of int
@@ -58,6 +60,7 @@ class Block:
     get: Callable[[], int]
     set: Callable[[], int]
     names: ValueType
+    variables: tuple[str, ...]
     values: NDArray[Any]
     positions: NDArray[np.intp]
     elements: NDArray[np.intp]
@@ -91,11 +94,12 @@ class Block:
             self.values[self.elements] = chosen
         else:
             rounded, limits = np.rint(chosen), np.iinfo(self.values.dtype)
-            if not (
-                (rounded >= limits.min) & (rounded <= limits.max)
-            ).all():  # it would become another number
-                wrong = rounded[~((rounded >= limits.min) & (rounded <= limits.max))][0]
-                raise CallError(f"{self.names.set}: {wrong:g} is outside [{limits.min}, {limits.max}]")
+            # A float can be the number above the largest one: a power of two.
+            fits = (rounded >= limits.min) & (rounded < float(limits.max + 1))
+            if not fits.all():  # it would become another number
+                wrong = int(np.argmin(fits))
+                what = f"{self.variables[wrong]} = {chosen[wrong]:g} is outside what its type can be"
+                raise CallError(f"{what}: [{limits.min}, {limits.max}]")
             self.values[self.elements] = rounded
 
     def numbers(self) -> NDArray[Any]:
@@ -212,6 +216,7 @@ def _block(instance: Instance, signals: Sequence[Signal], positions: list[int], 
         get=partial(instance.function(value_type.get), *arguments),
         set=partial(instance.function(value_type.set), *arguments),
         names=value_type,
+        variables=tuple(signal.variable.name for signal in signals),
         values=np.ctypeslib.as_array(memory),
         positions=np.array(positions, dtype=np.intp),
         elements=np.array(elements, dtype=np.intp),

@@ -346,8 +346,11 @@ _READABLE = ("output", "local", "parameter", "calculatedParameter", "input")
 
 
 def default_signals(description: FMUDescription, causality: str) -> list[Signal]:
-    """Return the inputs or outputs that take part if none are named: the real numbers, or all if none are."""
-    numbers = list(description.signals(causality))
+    """Return the inputs or outputs that take part if none are named: the real numbers, or all if none are.
+
+    Other names of the same variable are left out.
+    """
+    numbers = [signal for signal in description.signals(causality) if not signal.source.alias_of]
     return [signal for signal in numbers if signal.source.values == "real"] or numbers
 
 
@@ -407,6 +410,8 @@ def choose_signals(
         faults += [f'{label}: {what} "{name}" is chosen twice' for name in _repeated(found)]
         signals = (description.signal(name) for name in found)
         chosen.append(tuple(signal for signal in signals if signal is not None))
+        if what == "input":
+            faults += [f"{label}: {fault}" for fault in _driven_twice(chosen[-1])]
     if faults:
         raise ConfigError(faults)
     return chosen[0], chosen[1]
@@ -424,6 +429,16 @@ def _fault(description: FMUDescription, name: str, what: str, allowed: Sequence[
         return f'"{name}" is an array of size [{sizes}]; name its elements: {elements_of(variable)}'
     known = [s.variable.name for s in description.signals(*allowed)]
     return f'no {what} "{name}"; {did_you_mean(name, known)}'
+
+
+def _driven_twice(inputs: Iterable[Signal]) -> Iterator[str]:
+    """Yield the inputs that are another name of one before them."""
+    known: dict[tuple[str, tuple[int, ...]], str] = {}
+    for signal in inputs:
+        base = signal.source.alias_of or signal.source.name
+        first = known.setdefault((base, signal.indices), signal.variable.name)
+        if first != signal.variable.name:
+            yield f'the input "{signal.variable.name}" is another name of "{first}"; drive one of them'
 
 
 def _repeated(names: Sequence[str]) -> Iterable[str]:

@@ -100,6 +100,58 @@ def test_whole_numbers_are_rounded_and_truth_values_cut_at_a_half(tmp_path: Path
     assert pass_through(path, ["whole in", "switch in", "byte in"], [2.6, 0.7, -1.4]) == [3, 1, -1]
 
 
+LARGEST = {
+    "byte in": (-(2.0**7), 2.0**7 - 1),
+    "short in": (-(2.0**15), 2.0**15 - 1),
+    "whole in": (-(2.0**31), 2.0**31 - 1),
+}
+
+
+@pytest.mark.parametrize("name", LARGEST)
+def test_an_integer_that_its_type_cannot_hold_is_an_error_and_not_another_number(
+    tmp_path: Path, name: str
+) -> None:
+    """As an input, and given before the run."""
+    path = feedthrough(tmp_path)
+    low, high = LARGEST[name]
+    for number in (low, high):
+        assert pass_through(path, [name], [number]) == [number]
+        with FMUPlant(path, inputs=["real in"], outputs=[_output(name)]) as plant:
+            plant.reset({name: number})
+            assert plant.step(np.zeros(1), 0.1) == [number]
+    for number in (low - 1, high + 1, np.nan):
+        with pytest.raises(
+            FMUStepError, match=rf"{name} = .* is outside what its type can be: \[-\d+, \d+\]"
+        ):
+            pass_through(path, [name], [number])
+        with pytest.raises(ConfigError, match=f"{name} = .* is outside"):
+            pass_through(path, ["real in"], [0.0], **{name: number})
+
+
+def test_the_number_above_the_largest_of_64_bits_is_seen(tmp_path: Path) -> None:
+    """2^63 - 1 is not a float; 2^63 is."""
+    path = feedthrough(tmp_path)
+    assert pass_through(path, ["long in"], [-(2.0**63)]) == [-(2.0**63)]
+    with pytest.raises(FMUStepError, match=r"long in = .* is outside"):
+        pass_through(path, ["long in"], [2.0**63])
+
+
+def test_an_input_is_driven_once_whatever_it_is_called(tmp_path: Path) -> None:
+    more = {"nested": '<Alias name="v"/>'}
+    variables = [
+        V("u", 0, causality="input", start="0", more=more),
+        V("x", 1, causality="output", more={"nested": '<Alias name="y"/>'}),
+    ]
+    path = write_fmu(tmp_path / "alias.fmu", describe("3.0", "lag", variables), model_library("3.0"))
+    with FMUPlant(path) as plant:
+        assert [[v.name for v in signals] for signals in (plant.inputs, plant.outputs)] == [["u"], ["x"]]
+    with FMUPlant(path, inputs=["v"], outputs=["y", "x"]) as plant:
+        plant.reset()
+        assert plant.step([1.0], 0.1) == pytest.approx([1 - np.exp(-0.1)] * 2)
+    with pytest.raises(ConfigError, match=r'the input "u" is another name of "v"; drive one of them'):
+        FMUPlant(path, inputs=["v", "u"])
+
+
 def test_elements_of_arrays_are_addressed_from_1_in_rows(tmp_path: Path) -> None:
     path = feedthrough(tmp_path)
     session = FMUPlant(

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from fmus.builder import CO_SIMULATION, Fault, integrator_description, model_fmu, write_fmu
 
 from ddpc_cosim import ConfigError, FMUPlant, Plant, Variable
 from ddpc_cosim.cli.main import main
@@ -237,6 +238,18 @@ def test_the_command_checks_fmus_and_names(pendulum_fmu: Path) -> None:
         lines = [line.split("\t") for line in result.stdout.splitlines()]
         assert [line[1] for line in lines] == list(PLANT_CHECKS)
         assert {line[0] for line in lines} == {"passed"}
+
+
+@pytest.mark.parametrize("fault", [Fault.NO_INSTANCE, Fault.CRASH_IN_INITIALIZATION, None])
+def test_an_fmu_that_cannot_be_opened_is_told_once(tmp_path: Path, fault: Fault | None) -> None:
+    """It refuses, it crashes, or it has no library."""
+    if fault is None:
+        path = write_fmu(tmp_path / "none.fmu", integrator_description("2.0"), None)
+    else:
+        path = model_fmu(tmp_path, "2.0", "integrator", fault, interfaces=CO_SIMULATION)
+    result = ddpc_check(path)
+    assert result.exit_code == 1
+    assert [line.split("\t")[:2] for line in result.stdout.splitlines()] == [["failed", "can be opened"]]
 
 
 PLANTS = """
