@@ -22,12 +22,12 @@ def left_by(case: CaseResult) -> float:
     It is infinite of a run that did not complete or that left its limits, and NaN where the reference has no
     steps, or none whose window is long enough.
     """
+    if case.outcome is not Outcome.COMPLETED:
+        return math.inf
     values = (value for key, value in case.metrics.items() if split_key(key)[0] == "settled_share")
     shares = [value for value in values if not math.isnan(value)]
-    if not shares:
-        return math.nan
-    fell_out = case.outcome is not Outcome.COMPLETED or (not case.holds and max(shares) < FOLLOWS)
-    return math.inf if fell_out else max(shares)
+    most = max(shares, default=math.nan)
+    return math.inf if most < FOLLOWS and not case.holds else most
 
 
 def nobody_follows(cases: Iterable[CaseResult]) -> str:
@@ -41,10 +41,18 @@ def nobody_follows(cases: Iterable[CaseResult]) -> str:
     Returns
     -------
     str
-        Empty where one does, or where the references have no steps to judge that by.
+        Empty where one does, or where a run completes whose reference has no steps to judge that by.
     """
-    best = min(_left_by_controller(cases).values(), default=0.0)
-    return f"No controller follows the reference; {_what_is_left(best)}" if best >= FOLLOWS else ""
+    shares: dict[str, list[float]] = {}
+    for case in cases:
+        shares.setdefault(case.controller, []).append(left_by(case))
+    everything = [share for own in shares.values() for share in own]
+    if not everything or any(map(math.isnan, everything)):
+        return ""
+    best = min(map(median, shares.values()))
+    if best < FOLLOWS:
+        return ""
+    return f"No controller follows the reference; {_what_is_left(best, min(everything))}"
 
 
 def following_lines(study: Study, cases: Iterable[CaseResult]) -> list[str]:
@@ -52,26 +60,20 @@ def following_lines(study: Study, cases: Iterable[CaseResult]) -> list[str]:
     by_scenario: dict[str, list[CaseResult]] = {}
     for case in cases:
         by_scenario.setdefault(case.scenario, []).append(case)
+    labels = {name: scenario.label or name for name, scenario in study.scenarios.items()}
     return [
-        (f"{study.scenarios[name].label or name}: " if len(by_scenario) > 1 else "")
-        + text
-        + _likely_reason(own, study)
+        (f"{labels.get(name, name)}: " if len(by_scenario) > 1 else "") + text + _likely_reason(own, study)
         for name, own in by_scenario.items()
         if (text := nobody_follows(own))
     ]
 
 
-def _left_by_controller(cases: Iterable[CaseResult]) -> dict[str, float]:
-    by_controller: dict[str, list[float]] = {}
-    for case in cases:
-        if not math.isnan(share := left_by(case)):
-            by_controller.setdefault(case.controller, []).append(share)
-    return {name: median(shares) for name, shares in by_controller.items()}
-
-
-def _what_is_left(best: float) -> str:
-    if math.isinf(best):
+def _what_is_left(best: float, least: float) -> str:
+    """Say what the best controller leaves; ``least`` is what the best run of all does."""
+    if math.isinf(least):
         return "no run completes within its limits"
+    if math.isinf(best):
+        return "none completes most of its runs within its limits"
     if best > 100.0:
         return "the best ends further from it than it began"
     return f"the best leaves {best:.{0 if best >= 10.0 else 1}f} % of its change"
@@ -82,7 +84,7 @@ def _likely_reason(cases: Iterable[CaseResult], study: Study) -> str:
 
     Where there is neither, it is what spoke against the best run's data or model.
     """
-    best = min((case for case in cases if not math.isnan(left_by(case))), key=left_by)
+    best = min(cases, key=left_by)
     times = {
         split_key(key)[1]: time / study.loop.duration
         for key, time in best.metrics.items()

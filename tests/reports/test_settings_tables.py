@@ -35,6 +35,7 @@ CONTENT: dict[str, Any] = {
         "outputs": ["angle"],
         "measurements": ["angle", "speed"],
         "parameters": {"mass": 2.0, "mode": "soft", "stiff": True},
+        "start": {"torque": 0.25},
         "display_units": {"angle": "deg"},
         "nominal": {"angle": 0.5},
         "fmi_type": "co-simulation",
@@ -46,6 +47,7 @@ CONTENT: dict[str, Any] = {
         "start_time": 2.0,
         "start": "recording-end",
         "step_timeout": 5.0,
+        "memory_limit": 1.5,
         "preview": 3,
     },
     "reference": {

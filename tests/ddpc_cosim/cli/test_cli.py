@@ -178,8 +178,9 @@ def test_damaged_samples_do_not_give_a_traceback(folder: Path, write_study: Writ
     (samples,) = folder.glob("out/cases/*/signals.csv")
     samples.write_text("time [s]", encoding="utf-8")
     result = invoke("report", "out")
-    assert result.exit_code == 2
-    assert "the samples cannot be read" in result.stderr
+    assert result.exit_code == 1
+    assert f"{samples.parent.name}: damaged: signals.csv is not what was written" in result.stderr
+    assert "1 of 1 cases are damaged" in Path("out/report.html").read_text(encoding="utf-8")
 
 
 def test_fresh_runs_everything_again(folder: Path, write_study: WriteStudy) -> None:

@@ -51,6 +51,21 @@ def case(
             [case("a", 1.0, outcome=Outcome.DIVERGED, holds=False), case("b", 2.0, holds=False)],
             "No controller follows the reference; no run completes within its limits",
         ),
+        # A run that ends before its first window leaves no figure, and yet does not follow.
+        (
+            [case("a", 3.0), *2 * [case("a", outcome=Outcome.CRASHED, holds=False)], case("b", 30.0)],
+            "No controller follows the reference; the best leaves 30 % of its change",
+        ),
+        (
+            [case("a", 3.0), *2 * [case("a", outcome=Outcome.CRASHED, holds=False)]],
+            "No controller follows the reference; none completes most of its runs within its limits",
+        ),
+        (
+            [case("a", outcome=Outcome.CRASHED, holds=False)],
+            "No controller follows the reference; no run completes within its limits",
+        ),
+        # Regulation, which some fail and some do not: what is left cannot be sized.
+        ([*2 * [case("a", outcome=Outcome.DIVERGED, holds=False)], case("a", math.nan)], ""),
         (
             [case("a", 480.0, holds=False)],
             "No controller follows the reference; the best ends further from it than it began",
