@@ -1,7 +1,7 @@
 """The numbers of a suggested study, from what the FMU declares and what the step test has shown."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -68,11 +68,42 @@ _ROOM = 0.5  # share of the way from rest to a limit that a setpoint takes: the 
 
 
 def input_bounds(
-    inputs: Sequence[Variable], ranges: Mapping[str, tuple[float, float]] | None = None
+    inputs: Sequence[Variable],
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    parameters: Iterable[Variable] = (),
 ) -> dict[str, Bounds]:
-    """Return limits of every input: those given, else declared, else a guess from nominal or start value."""
+    """Return limits of every input: those given, else declared, else a guess.
+
+    A guess follows parameters of the plant that are named after the input, its nominal or its start value;
+    ``parameters`` have their values as start values.
+    """
     given = {name: Bounds(low, high, "as asked for") for name, (low, high) in (ranges or {}).items()}
-    return {variable.name: given.get(variable.name) or _input_bounds(variable) for variable in inputs}
+    known = {_plain(p.name): p for p in parameters}
+    return {v.name: given.get(v.name) or _bounds_by_name(v, known) or _input_bounds(v) for v in inputs}
+
+
+def _plain(name: str) -> str:
+    """Return a name as names of parameters are compared: u_max and uMax are the same."""
+    return name.replace("_", "").lower()
+
+
+def _bounds_by_name(variable: Variable, parameters: Mapping[str, Variable]) -> Bounds | None:
+    """Return the limits that parameters named after an input may be, uMin and uMax of u; None for none."""
+    path, dot, own = variable.name.rpartition(".")
+    ends, used = [variable.min, variable.max], []
+    for side, word in enumerate(("min", "max")):
+        names = (_plain(f"{path}{dot}{name}") for name in (own + word, word + own))
+        found = next((parameters[name] for name in names if name in parameters), None)
+        if found and not math.isfinite(ends[side]) and found.unit in ("", variable.unit):
+            ends[side] = found.start
+            used.append(f"{found.name} = {found.start:g}")
+    low, high = ends
+    # Where one end is known, there may be as much room to the other side.
+    low = low if math.isfinite(low) else 2 * variable.start - high
+    high = high if math.isfinite(high) else 2 * variable.start - low
+    if not used or not low < high or not low <= variable.start <= high:
+        return None
+    return Bounds(low, high, f"parameter {', '.join(used)}? the FMU declares no range: going by the name")
 
 
 def _input_bounds(variable: Variable) -> Bounds:

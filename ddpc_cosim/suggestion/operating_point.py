@@ -1,7 +1,7 @@
 """Where a plant is tried: at its start values, or elsewhere if it starts at 0 K or where products vanish."""
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
 from time import monotonic
@@ -112,7 +112,9 @@ def _at(
 ) -> Found:
     """Run a step test with inputs that start at these levels."""
     with open_plant(start=start) as plant:
-        bounds = bounds or design.input_bounds(plant.inputs, request.ranges)
+        bounds = bounds or design.input_bounds(
+            plant.inputs, request.ranges, _parameters(plant.description, parameters)
+        )
         rest, room = design.rest_and_room(plant.inputs, bounds)
         resting = Resting(rest, room, parameters)
         tested = step_test(plant, resting, timing)
@@ -145,6 +147,15 @@ def _at(
             choice,
             remarks,
         )
+
+
+def _parameters(description: FMUDescription, given: Mapping[str, ParameterValue]) -> Iterator[Variable]:
+    """Yield the real parameters, with the values that they have in the study."""
+    for signal in description.signals("parameter"):
+        variable = signal.variable
+        if signal.source.values == "real" and signal.source.start_text is not None:
+            value = given.get(variable.name, variable.start)
+            yield variable if isinstance(value, str) else replace(variable, start=value)
 
 
 def sampling_time_of(tested: StepTest, choice: Choice, timing: Timing, request: Request) -> float:

@@ -9,6 +9,8 @@ import pytest
 from fmus.builder import CO_SIMULATION, V, describe, model_library, write_fmu
 
 from ddpc_cosim.suggestion import suggest_study, write_study
+from ddpc_cosim.suggestion.design import input_bounds
+from ddpc_cosim.variables import Variable as InputVariable
 from fmu_plants import Equations, PlantModel, Variable, build_fmu
 
 ROOM = Variable("room", "K", start=293.15)
@@ -49,6 +51,37 @@ def test_an_ambient_that_would_start_at_0_kelvin_is_asked_about(
     given, text = study_of(build_fmu(house), tmp_path / "given", at={"ambient": 280.0})
     assert given["plant"]["start"] == {"ambient": 280.0}
     assert "hardly be meant" not in text
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected", "origin"),
+    [
+        ({"uMin": -2.0, "uMax": 5.0}, (-2.0, 5.0), "parameter uMin = -2, uMax = 5?"),
+        ({"u_max": 5.0}, (-5.0, 5.0), "parameter u_max = 5?"),
+        ({"max_u": 5.0, "umin": 0.0}, (0.0, 5.0), "parameter umin = 0, max_u = 5?"),
+        ({"limiter.uMax": 5.0, "yMax": 3.0, "uMaximal": 2.0}, (-1.0, 1.0), "guessed: "),
+        ({"uMin": 2.0, "uMax": 5.0}, (-1.0, 1.0), "guessed: "),  # the start value is outside
+    ],
+)
+def test_a_parameter_named_after_an_input_may_limit_it_with_a_question_mark(
+    parameters: dict[str, float], expected: tuple[float, float], origin: str
+) -> None:
+    named = [InputVariable(name, start=value) for name, value in parameters.items()]
+    (found,) = input_bounds([InputVariable("u")], parameters=named).values()
+    assert ((found.low, found.high), found.origin.startswith(origin)) == (expected, True)
+    assert ("?" in found.origin) == (not origin.startswith("guessed"))
+    asked = input_bounds([InputVariable("u")], {"u": (-3.0, 3.0)}, named)["u"]
+    declared = input_bounds([InputVariable("u", min=-4.0, max=4.0)], parameters=named)["u"]
+    assert [(b.low, b.high) for b in (asked, declared)] == [(-3.0, 3.0), (-4.0, 4.0)]
+
+
+def test_such_a_limit_is_in_the_file_with_its_question_mark(own_cache_folder: None, tmp_path: Path) -> None:
+    limit = V("uMax", 6, causality="parameter", variability="fixed", start="5")
+    variables = [V("u", 0, causality="input", start="0"), X, limit]
+    text = describe("2.0", "lag", variables, interfaces=CO_SIMULATION)
+    study, text = study_of(write_fmu(tmp_path / "limited.fmu", text, model_library("2.0")), tmp_path)
+    assert study["bounds"]["u"] == {"min": -5.0, "max": 5.0}
+    assert "# parameter uMax = 5? the FMU declares no range" in text
 
 
 @pytest.mark.parametrize(
