@@ -143,8 +143,10 @@ def _classify(time: FloatArray, deviation: FloatArray, peak: float, held: float)
     if slope:
         lag = _lag(time, deviation, slope, held)
         return Response(ResponseType.INTEGRATING, float(deviation[-1]), slope, lag, np.inf, peak)
-    before = float(np.max(np.abs(deviation[-2 * BLOCK : -BLOCK]), initial=0.0))
-    if len(deviation) > BLOCK and peak > _ACCELERATING * before and np.argmax(np.abs(last)) == BLOCK - 1:
+    # What runs away at once leaves no more than one block, in which time doubles in its second half.
+    half = deviation[-2 * BLOCK : -BLOCK] if len(deviation) > BLOCK else deviation[: BLOCK // 2]
+    before = float(np.max(np.abs(half), initial=0.0))
+    if len(deviation) >= BLOCK and peak > _ACCELERATING * before and np.argmax(np.abs(last)) == BLOCK - 1:
         doubling = _doubling_time(time, deviation)
         early = float(deviation[np.argmax(time >= min(_DOUBLINGS * doubling, time[-1]))])
         return Response(ResponseType.ACCELERATING, early, 0.0, doubling, np.inf, peak)

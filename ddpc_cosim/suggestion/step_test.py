@@ -397,9 +397,13 @@ def _run_all(
         fault = fault or failed
         deviations.append(stepped[:n] - rest[:n])
     plant.note(monotonic() - began)
-    levels = np.max(np.abs(rest), axis=0, initial=0.0)
+    # What runs away is far beyond its responses where only the run at rest is that long.
+    levels = [np.max(np.abs(rest[: len(d)]), axis=0, initial=0.0) for d in deviations]
     responses = tuple(
-        tuple(classify(grid.time[: len(d)], d[:, j], float(levels[j])) for d in deviations)
+        tuple(
+            classify(grid.time[: len(d)], d[:, j], float(level[j]))
+            for d, level in zip(deviations, levels, strict=True)
+        )
         for j in range(len(plant.outputs))
     )
     tested = StepTest(grid.time[: len(rest)], rest, steps, responses, fault, resolution=grid.resolution)

@@ -146,6 +146,14 @@ def test_an_unstable_plant_is_sampled_five_times_per_time_constant(
     assert 5 <= doubling / np.log(2) / sample <= 10
 
 
+def test_what_runs_away_within_one_block_of_equal_steps_is_unstable_not_insensitive() -> None:
+    plant, timing = Linear(1, 1, 1), fixed(1.0)  # 10^30 after 69 steps, where intervals are 2 to 3 of them
+    for begin in (0.9, 1.0, 1.1):  # one run may be an interval longer than the other: nine times as far
+        tested = step_test(plant, Resting(np.array([begin]), np.array([begin])), timing)
+        assert tested.fault
+        assert tested.responses[0][0].rise_time == pytest.approx(np.log(2), rel=0.05)
+
+
 @pytest.mark.parametrize(
     "plant",
     [
