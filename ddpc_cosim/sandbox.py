@@ -1,10 +1,10 @@
 """A sandbox for what a stranger's FMU does in its process: Linux, opt-in, for good.
 
 A process that has entered it, and all that it starts, writes nowhere but in the folders it is given, reads
-what is installed but not the user's files, opens no sockets, and signals or traces no process outside. The
-system does this: Landlock (https://docs.kernel.org/userspace-api/landlock.html) for files and signals, a
-seccomp filter for sockets, key rings, shared memory, and permissions of files, which Landlock leaves alone;
-root loses its capabilities.
+what is installed but not the user's files, opens no sockets, and signals, traces or limits no process
+outside. The system does this: Landlock (https://docs.kernel.org/userspace-api/landlock.html) for files and
+signals, a seccomp filter for sockets, key rings, shared memory, limits of other processes, and permissions
+of files, which Landlock leaves alone; root loses its capabilities.
 """
 
 import ctypes
@@ -45,6 +45,7 @@ class _Processor(NamedTuple):
     """How a processor is called in filters, and its numbers of the calls that are refused."""
 
     audit: int
+    set_limits: int  # of a process, which is refused but for the own one: a limit on CPU time ends a process
     refused: tuple[int, ...]
 
 
@@ -54,14 +55,15 @@ _PROCESSORS = {
     # removexattr, lremovexattr; add_key, request_key, keyctl
     "x86_64": _Processor(
         0xC000003E,
+        302,
         (41, 29, 30, 64, 68, 90, 92, 94, 260, 268, 188, 189, 197, 198, 248, 249, 250, *_EVERYWHERE),
     ),
     "aarch64": _Processor(
-        0xC00000B7, (198, 194, 196, 190, 186, 54, 53, 5, 6, 14, 15, 217, 218, 219, *_EVERYWHERE)
+        0xC00000B7, 261, (198, 194, 196, 190, 186, 54, 53, 5, 6, 14, 15, 217, 218, 219, *_EVERYWHERE)
     ),
 }
 _LOAD, _EQUAL, _AT_LEAST, _RETURN = 0x20, 0x15, 0x35, 0x06
-_NUMBER, _PROCESSOR = 0, 4  # where a filter finds them
+_NUMBER, _PROCESSOR, _FIRST_ARGUMENT = 0, 4, 16  # where a filter finds them
 _ALLOW, _REFUSE, _KILL = 0x7FFF0000, 0x00050000 | errno.EACCES, 0x80000000
 _FOREIGN_CALLS = 0x40000000  # of 32-bit programs on x86_64, which have other numbers
 
@@ -192,8 +194,11 @@ def _filter_calls(libc: ctypes.CDLL) -> None:
         (_EQUAL, 1, 0, processor.audit),
         (_RETURN, 0, 0, _KILL),
         (_LOAD, 0, 0, _NUMBER),
-        (_AT_LEAST, len(refused) + 1, 0, _FOREIGN_CALLS),
-        *((_EQUAL, len(refused) - i, 0, number) for i, number in enumerate(refused)),
+        (_AT_LEAST, len(refused) + 4, 0, _FOREIGN_CALLS),
+        *((_EQUAL, len(refused) + 3 - i, 0, number) for i, number in enumerate(refused)),
+        (_EQUAL, 0, 2, processor.set_limits),
+        (_LOAD, 0, 0, _FIRST_ARGUMENT),
+        (_EQUAL, 0, 1, 0),  # its own
         (_RETURN, 0, 0, _ALLOW),
         (_RETURN, 0, 0, _REFUSE),
     ]

@@ -10,7 +10,7 @@ from typing import Any
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import StartValues
 from ddpc_cosim.fmu.co_simulation import StepSizes
-from ddpc_cosim.fmu.description import FMUDescription, Signal, choose_signals
+from ddpc_cosim.fmu.description import FMUDescription, Signal, choose_signals, elements_of
 from ddpc_cosim.loop_setup import limits_error, whole_steps
 from ddpc_cosim.plant import ParameterValue
 from fmu_plants.spelling import did_you_mean
@@ -112,8 +112,7 @@ def _unfit(description: FMUDescription, name: str, signal: Signal | None) -> str
     """Return why a name is not that of an input or output; empty if it is."""
     variable = description.variables.get(name)
     if signal is None and variable is not None:
-        first = ",".join("1" for _ in variable.shape)
-        return f'it is an array; name its elements, for example "{name}[{first}]"'
+        return f"it is an array; name its elements: {elements_of(variable)}"
     if signal is None:
         known = [s.variable.name for s in description.signals("input", "output")]
         return f"no input or output has this name; {did_you_mean(name, known)}"

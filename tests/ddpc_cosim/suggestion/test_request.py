@@ -68,7 +68,7 @@ FAULTS: list[tuple[dict[str, Any], str]] = [
     ({"ranges": {"u": (0.0, float("inf"))}}, r"range of u: 0.0:inf is not a range"),
     ({"ranges": {"u": (0.0, 20.0)}}, r"range of u: 0:20 is not within \[-10, 10\], the limits that the FMU"),
     ({"ranges": {"uu": (0.0, 1.0)}}, r'range of uu: no input or output has this name; did you mean "u"'),
-    ({"ranges": {"v": (0.0, 1.0)}}, r'range of v: it is an array; name its elements, for example "v\[1\]"'),
+    ({"ranges": {"v": (0.0, 1.0)}}, r"range of v: it is an array; name its elements: v\[1\], v\[2\]"),
     ({"ranges": {"gain": (0.0, 1.0)}}, r"range of gain: it is neither an input nor an output"),
     ({"ranges": {"u": (0.0, 1.0)}, "at": {"u": 2.0}}, r"0:1 does not hold its operating point 2"),
     ({"ranges": {"y": (0.0, 1.0)}, "outputs": ["gain"]}, r"range of y: it is not used; add --output y"),
@@ -78,7 +78,7 @@ FAULTS: list[tuple[dict[str, Any], str]] = [
     ({"at": {"count": 1.5}}, r"count = 1.5 must be an integer"),
     ({"at": {"y": 1.0}}, r'"y": the FMU calculates it'),
     ({"at": {"gian": 1.0}}, r'"gian"; did you mean "gain"'),
-    ({"at": {"v": 1.0}}, r'"v" is an array; set its elements, for example "v\[1\]"'),
+    ({"at": {"v": 1.0}}, r'"v" is an array; set its elements: v\[1\], v\[2\]'),
     ({"sampling_time": 0.0}, r"sampling time = 0.0 is not possible; allowed: a finite number of seconds > 0"),
     ({"duration": float("inf")}, r"duration = inf is not possible"),
     (
