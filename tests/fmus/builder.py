@@ -278,6 +278,27 @@ def model_fmu(folder: Path, version: str, model: str, fault: Fault = Fault.NO_FA
     return write_fmu(folder / f"{model}{version[0]}.fmu", description, model_library(version))
 
 
+TELLS = (
+    V("u", 0, causality="input", start="0", more={"min": "0", "max": "1"}),
+    V("x", 1, causality="output", initial="exact", start="0"),
+    V("copy", 16, causality="output"),
+    V("der(x)", 7, derivative=1),
+    V("rate", 6, causality="parameter", variability="fixed", start="1"),
+    V("told", 13, causality="parameter", variability="fixed", start="1"),
+)
+
+
+def telling_fmu(folder: Path, *left_out: str) -> Path:
+    """Write an FMU for Model Exchange with x' = rate (u - x) and copy = x.
+
+    Of the derivatives of x' it tells ``told`` times what they are; of those of outputs that they are 0.
+    """
+    variables = [v for v in TELLS if v.name not in left_out]
+    claim = f'<ModelExchange modelIdentifier="{IDENTIFIER}" providesDirectionalDerivative="true"/>'
+    text = describe("2.0", "lag", variables, interfaces=claim)
+    return write_fmu(folder / "tells.fmu", text, model_library("2.0", telling=True))
+
+
 def integrator_description(version: str) -> str:
     """Return the description of the integrator whose parameters say which fault it shows and when."""
     return describe(version, "integrator", with_time(version, INTEGRATOR), interfaces=CO_SIMULATION)

@@ -14,7 +14,7 @@ controller gets it through :class:`FMUModel` or :class:`~ddpc_controllers.models
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -172,8 +172,8 @@ class FMUModel(ModelSource):
         ConfigError
             It has no such inputs or outputs, or cannot be linearised as it is asked for.
         """
-        source = self._pulsed(loop) if self._by_pulses(loop) else self._differentiated(loop)
-        return reduced(source.model(loop), self.order)
+        model = self._pulsed(loop).model(loop) if self._by_pulses(loop) else self._differentiated(loop)
+        return reduced(model, self.order)
 
     def _by_pulses(self, loop: Loop) -> bool:
         if self.derivatives != "auto":
@@ -191,14 +191,17 @@ class FMUModel(ModelSource):
                 parameters=self.parameters,
             )
 
-    def _differentiated(self, loop: Loop) -> StateSpace:
+    def _differentiated(self, loop: Loop) -> SampledModel:
         with self._open(loop, "model-exchange") as plant:
             u_0 = self._inputs(plant)
             plant.reset(self.parameters)
             if self.settling_time > 0.0:
                 plant.step(u_0, self.settling_time)
             kind: Any = self.derivatives
-            return StateSpace.about(plant.linearise(u_0, derivatives=kind))
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", CosimWarning)  # it goes with the model
+                linear = plant.linearise(u_0, derivatives=kind)
+        return replace(StateSpace.about(linear).model(loop), warnings=linear.warnings)
 
     def _inputs(self, plant: Plant) -> FloatArray:
         """Return the inputs at the operating point, shape (m,)."""

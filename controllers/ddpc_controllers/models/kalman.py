@@ -228,6 +228,10 @@ class ModelBased(ScaledSignals):
         """Return the quality of the model's identification."""
         return {**self._model.fit, **self._judgement.diagnostics}
 
+    def warnings(self) -> Sequence[str]:
+        """Return what speaks against the recording or the model."""
+        return [*super().warnings(), *self._model.warnings]
+
     def _scaled_model(self, loop: Loop, scales: Scales) -> SampledModel:
         """Return the model of scaled signals: identified from them, or given for the signals themselves."""
         if self.model.uses_recording:

@@ -37,6 +37,8 @@ class SampledModel:
         Samples that it rests on: a pole nearer to 1 than ``1 / samples`` may be an integrator's.
     fit : dict of str to float
         Quality of its identification, by name.
+    warnings : tuple of str
+        What speaks against it.
     """
 
     a: FloatArray
@@ -46,6 +48,7 @@ class SampledModel:
     y_0: FloatArray
     samples: int = 1000
     fit: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
 
 @runtime_checkable

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fmus.builder import telling_fmu
 
 from ddpc_controllers import LQR, MPC, FMUModel, StateSpace, pulse_model
 from ddpc_controllers.models.identification import markov_parameters
@@ -227,6 +228,17 @@ def test_states_that_the_outputs_do_not_show_can_be_left_out(fmu_of: Any) -> Non
     expected = [3.0 * (1.0 - np.exp(-2.0 * H)) * np.exp(-2.0 * H * k) for k in range(20)]
     assert markov_parameters(model, 20)[:, 0, 0] == pytest.approx(expected, abs=1e-9)
     LQR(model=FMUModel(fmu=path, order=1, isolated=False)).start(loop)
+
+
+def test_derivatives_that_the_fmu_contradicts_are_a_warning_of_the_controller(tmp_path: Path) -> None:
+    """It says that its output does not depend on its state: there would be nothing to control."""
+    path = telling_fmu(tmp_path)
+    controller = MPC(model=FMUModel(fmu=str(path), isolated=False))
+    controller.start(loop_of(path, ["u"], ["copy"]))
+    (warning,) = controller.warnings()
+    assert "directional derivatives of copy are not those of its values" in warning
+    told = controller.model.model(loop_of(path, ["u"], ["copy"]))
+    assert markov_parameters(told, 1)[0, 0, 0] == pytest.approx(1 - np.exp(-H), abs=1e-8)
 
 
 def test_a_study_names_the_fmu_in_a_table(fmu_of: Any, tmp_path: Path) -> None:

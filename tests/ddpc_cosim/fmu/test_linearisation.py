@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fmus.builder import LAG, V, describe, model_fmu, model_library, write_fmu
+from fmus.builder import LAG, V, describe, model_fmu, model_library, telling_fmu, write_fmu
 
 from ddpc_cosim import ConfigError, CosimWarning, FMUPlant, FMUStepError, LinearModel
 from ddpc_cosim.cli.main import main
@@ -148,32 +148,11 @@ def test_a_library_without_the_function_that_the_description_claims_is_different
         assert plant.linearise().derivatives == "differences"
 
 
-CLAIM = ONLY_ME.format(' providesDirectionalDerivative="true"')
-TELLS = (
-    V("u", 0, causality="input", start="0", more={"min": "0", "max": "1"}),
-    V("x", 1, causality="output", initial="exact", start="0"),
-    V("copy", 16, causality="output"),
-    V("der(x)", 7, derivative=1),
-    V("rate", 6, causality="parameter", variability="fixed", start="1"),
-    V("told", 13, causality="parameter", variability="fixed", start="1"),
-)
-"""x' = rate (u - x), copy = x; of the derivatives by x and u the FMU tells ``told`` times what they are, and
-nothing but 0 of outputs."""
-
-
-def telling(folder: Path, *left_out: str) -> Path:
-    variables = [v for v in TELLS if v.name not in left_out]
-    path = folder / "tells.fmu"
-    return write_fmu(
-        path, describe("2.0", "lag", variables, interfaces=CLAIM), model_library("2.0", telling=True)
-    )
-
-
 @pytest.mark.parametrize("isolated", [False, True])
 def test_an_output_that_is_a_state_has_a_row_of_the_identity_whatever_the_fmu_tells(
     tmp_path: Path, isolated: bool
 ) -> None:
-    with open_model(telling(tmp_path, "copy"), isolated=isolated) as plant:
+    with open_model(telling_fmu(tmp_path, "copy"), isolated=isolated) as plant:
         plant.reset({"rate": 3.0})
         model = plant.linearise([0.5])
         assert (model.derivatives, model.warnings, plant.warnings) == ("directional", (), ())
@@ -188,7 +167,7 @@ def test_derivatives_that_contradict_small_changes_are_not_used(
     """An output with a reference of its own that repeats a state: 0 is told, 1 is true."""
     expected = [np.array(rows) for rows in ([[-1.0]], [[1.0]], [[1.0], [1.0]], [[0.0], [0.0]])]
     said = r"tells\.fmu: the FMU's directional derivatives of copy are not those of its values"
-    with open_model(telling(tmp_path), isolated=isolated) as plant:
+    with open_model(telling_fmu(tmp_path), isolated=isolated) as plant:
         plant.reset()
         with pytest.warns(CosimWarning, match=said):
             model = plant.linearise([u])
@@ -200,7 +179,7 @@ def test_derivatives_that_contradict_small_changes_are_not_used(
 
 @pytest.mark.parametrize(("told", "derivatives"), [(1.0, "directional"), (1.01, "differences")])
 def test_a_hundredth_is_a_contradiction(tmp_path: Path, told: float, derivatives: str) -> None:
-    with open_model(telling(tmp_path, "copy")) as plant, warnings.catch_warnings():
+    with open_model(telling_fmu(tmp_path, "copy")) as plant, warnings.catch_warnings():
         warnings.simplefilter("ignore", CosimWarning)
         plant.reset({"told": told, "rate": 3.0, "x": 0.3})
         model = plant.linearise([0.9])
