@@ -16,6 +16,7 @@ from rich.text import Text
 from ddpc_cosim.fmu.description import Clock, FMUDescription, FMUVariable, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Severity
 from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu
+from ddpc_cosim.inspection.checks import NO_INPUTS, NO_OUTPUTS
 from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import Variable
 
@@ -119,6 +120,8 @@ def _line(*cells: str) -> str:
 
 def _next_step(inspection: Inspection) -> str:
     path = quote(printable(str(inspection.path)))
+    if any(defect.kind in (NO_INPUTS, NO_OUTPUTS) for defect in inspection.defects):
+        return f"open loop: ddpc-cosim simulate {path}"
     return f"suggested study: ddpc-cosim init {path} && ddpc-cosim run study.toml"
 
 

@@ -203,8 +203,8 @@ def _candidates(
     if not known:
         locals_ = [signal.variable.name for signal in description.signals("local")][:_MOST_LISTED]
         hint = f"; local variables may serve, with --output: {', '.join(locals_)}" if locals_ else ""
-        why = "there is nothing to drive" if causality == "input" else f"there is nothing to control{hint}"
-        raise ConfigError(f"{label}: the FMU has no {causality} that is a number: {why}")
+        why = "drive; `simulate` runs it in open loop" if causality == "input" else f"control{hint}"
+        raise ConfigError(f"{label}: the FMU has no {causality} that is a number: there is nothing to {why}")
     known.sort(key=lambda name: name not in request.ranges)  # what is asked for comes first
     return known[:most], known[most:]
 

@@ -72,6 +72,11 @@ def test_plain_lines_can_be_searched_and_cut(pendulum_fmu: Path) -> None:
     assert lines[-1][0].startswith(f"suggested study: ddpc-cosim init {pendulum_fmu}")
 
 
+def test_what_cannot_be_controlled_is_simulated(mutate, pendulum_fmu: Path) -> None:
+    autonomous = mutate(pendulum_fmu, ('causality="input"', 'causality="local"'))
+    assert run_inspect(autonomous).stdout.splitlines()[-1] == f"open loop: ddpc-cosim simulate {autonomous}"
+
+
 def test_names_steer_neither_a_terminal_nor_the_columns(mutate, pendulum_fmu: Path) -> None:
     foreign = mutate(pendulum_fmu, ("Applied torque", "one&#10;two&#9;&#x9b;31m&#x202e;three"))
     result = run_inspect(foreign)

@@ -166,7 +166,7 @@ def test_an_fmu_that_does_not_respond_is_refused(model_fmu) -> None:
 
 def test_an_fmu_without_inputs_or_outputs_is_refused(model_fmu, mutate) -> None:
     fmu = mutate(model_fmu("deaf"), ('causality="input"', 'causality="local"'))
-    with pytest.raises(ConfigError, match="no input that is a number: there is nothing to drive"):
+    with pytest.raises(ConfigError, match="no input that is a number: there is nothing to drive; `simulate`"):
         suggest_study(fmu)
     fmu = mutate(model_fmu("static"), ('causality="output"', 'causality="local"'))
     with pytest.raises(
