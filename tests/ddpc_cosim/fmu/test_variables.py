@@ -264,6 +264,14 @@ def test_impossible_values_are_refused_by_name(
     session.close()
 
 
+def test_an_array_as_a_whole_is_refused_with_its_elements(tmp_path: Path) -> None:
+    with FMUPlant(feedthrough(tmp_path), inputs=["real in"], outputs=["steps"]) as plant:
+        with pytest.raises(ConfigError, match=r'"k" is an array; set its elements: k\[1\], k\[2\]'):
+            plant.reset({"k": 1.0})
+        with pytest.raises(ConfigError, match=r"M\[1,1\], M\[1,2\], M\[1,3\], M\[2,1\]"):
+            plant.reset({"M": 1.0})
+
+
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_a_value_that_the_fmu_refuses_is_an_error(tmp_path: Path, version: str) -> None:
     session = FMUPlant(model_fmu(tmp_path, version, "lag"), outputs=["x"])
