@@ -20,7 +20,7 @@ from types import ModuleType
 from typing import Any
 
 from ddpc_cosim.errors import PluginError
-from fmu_plants.files import cached as cached  # for plug-ins that keep what takes long to make
+from fmu_plants.files import cached as cached, write_atomically as write_atomically  # for plug-ins
 from fmu_plants.spelling import did_you_mean
 
 KINDS = ("plants", "controllers", "studies", "metrics", "reports")

@@ -4,7 +4,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
@@ -50,7 +50,8 @@ def run_command(
 ) -> int:
     """Run a study, print the result table and the report's path, and return the exit code."""
     chosen = _parse_seeds(seeds)
-    with _warnings_in_one_line():
+    # What a controller prints when it is tried here is not a result; a case keeps what it prints there.
+    with _warnings_in_one_line(), Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
         resolved = read_study(name)
     folder = out or Path("runs") / resolved.study.name
     console = Console(stderr=True)

@@ -3,7 +3,6 @@
 Everything heavy is imported when a report is written, so that finding this plug-in costs nothing.
 """
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,16 +43,12 @@ def write_report(results: "Sequence[StudyResults]", path: Path) -> Path:
     CosimWarning
         A part of the page fails: a sentence in its place says why.
     """
+    from ddpc_cosim.plugins import write_atomically
     from ddpc_reports.page import render_page
 
     page = render_page(results).encode("utf-8", "backslashreplace")
     path.parent.mkdir(parents=True, exist_ok=True)
-    staged = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        staged.write_bytes(page)
-        staged.replace(path)
-    finally:
-        staged.unlink(missing_ok=True)
+    write_atomically(path, page)
     return path
 
 

@@ -9,9 +9,12 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Mapping
+from time import monotonic
 from typing import Any
 
+_LONGEST_SECONDS = 60.0  # for a picture that takes milliseconds, the first one a second
 _CODE = """
 import json, os, sys
 answers = os.fdopen(os.dup(1), "wb")
@@ -42,18 +45,13 @@ class _Painter:
         question = json.dumps(spec, allow_nan=False).encode() + b"\n"
         if self._broken:
             raise DrawingError(self._broken)
+        began = monotonic()
         try:
-            if self._process is None:
-                self._process = self._started()
-            assert self._process.stdin is not None
-            assert self._process.stdout is not None
-            self._process.stdin.write(question)
-            self._process.stdin.flush()
-            line = self._process.stdout.readline()
+            line = self._answer(question)
         except OSError:
             line = b""
         if not line:
-            words = self._lost()
+            words = self._lost(late=monotonic() - began >= _LONGEST_SECONDS)
             self._broken = "" if self._has_drawn else words
             raise DrawingError(words)
         answer = json.loads(line)
@@ -62,15 +60,32 @@ class _Painter:
         self._has_drawn = True
         return str(answer["svg"])
 
+    def _answer(self, question: bytes) -> bytes:
+        """Return what the process answers; nothing if it ends, or is ended for taking too long."""
+        if self._process is None:
+            self._process = self._started()
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        limit = threading.Timer(_LONGEST_SECONDS, self._process.kill)
+        limit.start()
+        try:
+            self._process.stdin.write(question)
+            self._process.stdin.flush()
+            return self._process.stdout.readline()
+        finally:
+            limit.cancel()
+
     def _started(self) -> "subprocess.Popen[bytes]":
         atexit.register(self.end)
         pipe = subprocess.PIPE
         command = [sys.executable, "-P", "-c", _CODE]
         return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
 
-    def _lost(self) -> str:
+    def _lost(self, *, late: bool) -> str:
         """End the process, if it was started, and say how it ended."""
         code = self.end()
+        if late:
+            return f"the process that draws took longer than {_LONGEST_SECONDS:g} s and was ended"
         if code is None:
             return "the process that draws cannot be started"
         try:
@@ -85,7 +100,11 @@ class _Painter:
         if process is None:
             return None
         atexit.unregister(self.end)
-        process.communicate()
+        try:
+            process.communicate(timeout=_LONGEST_SECONDS)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
         return process.returncode
 
 

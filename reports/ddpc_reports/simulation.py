@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ddpc_cosim import FloatArray, Simulation, Variable
+from ddpc_cosim.plugins import write_atomically
 from ddpc_reports.charts import time_chart
 from ddpc_reports.embedding import pack, static_svg, stylesheet
 from ddpc_reports.figures import Entry, Figure, View
@@ -88,7 +89,7 @@ def simulation_drawing(simulation: Simulation) -> str:
 def write(simulation: Simulation, path: Path) -> Path:
     """Write a page, or a drawing where the name of the file ends in ``.svg``."""
     text = simulation_drawing(simulation) if path.suffix == ".svg" else simulation_page(simulation)
-    path.write_text(text, encoding="utf-8", newline="\n")
+    write_atomically(path, text.encode("utf-8", "backslashreplace"))
     return path
 
 

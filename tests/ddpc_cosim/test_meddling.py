@@ -71,6 +71,8 @@ class StopsServer(Meddles):
     def meddle(self): os.kill(os.getppid(), signal.SIGSTOP)
 
 class Prints(Meddles):
+    def __init__(self):
+        print("made")
     def meddle(self):
         for _ in range(20_000):
             print(999 * "x")
@@ -134,6 +136,7 @@ def test_a_worker_that_meddles_costs_its_case_and_no_other(
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
     assert done.returncode == 1
     assert len(done.stdout + done.stderr) < 20_000
+    assert "made" not in done.stdout + done.stderr
     *cases, last = load_results(tmp_path / "out").cases
     assert last.outcome == "completed"
     for case, (outcome, reason) in zip(cases, ENDINGS.values(), strict=True):

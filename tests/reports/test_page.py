@@ -328,6 +328,16 @@ def test_a_picture_that_cannot_be_drawn_is_a_sentence(
         assert page.json == sound.json
 
 
+def test_a_process_that_does_not_answer_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drawing, "_CODE", "import signal; signal.pause()")
+    monkeypatch.setattr(drawing, "_LONGEST_SECONDS", 0.01)
+    painter = drawing._Painter()
+    for _ in range(2):  # and not started again
+        with pytest.raises(drawing.DrawingError, match=r"took longer than 0\.01 s and was ended"):
+            painter.draw({})
+    assert painter.end() is None
+
+
 def test_a_process_that_dies_on_one_picture_draws_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
     painter = drawing._Painter()
     code = drawing._CODE.replace(
