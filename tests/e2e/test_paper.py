@@ -110,8 +110,8 @@ def test_figures_in_files_and_report_are_those_of_the_samples(
         assert case.holds
         assert holds(case.folder, 5)
         assert {key: case.metrics[key] for key in figures} == pytest.approx(figures, abs=1e-9, nan_ok=True)
-        own = {key: float(row[NAMES[key]] or "nan") for key in figures}
-        assert own == pytest.approx(figures, abs=1e-9, nan_ok=True)
+        own = {key: float(row[name] or "nan") for key, name in NAMES.items()}
+        assert own == pytest.approx({key: figures[key] for key in NAMES}, abs=1e-9, nan_ok=True)
 
 
 @pytest.mark.parametrize(
