@@ -70,6 +70,7 @@ def choose(tested: StepTest, room: FloatArray, fallback: float, *, all_outputs: 
         chosen = list(range(len(tested.responses)))
     else:
         chosen = _independent(gains[:, lively] * np.abs(room[lively]), min(len(lively), MOST_OUTPUTS))
+        lively = [i for i in lively if any(_moves(tested.responses[j][i]) for j in chosen)]
     return Choice(tuple(lively), tuple(chosen), gains[np.ix_(chosen, lively)], time_scale, guessed)
 
 
@@ -123,6 +124,10 @@ def _time_scale(tested: StepTest) -> float:
         if np.isfinite(times).any():
             return float(max(time for time in times if np.isfinite(time)))
     return np.inf
+
+
+def _moves(response: Response) -> bool:
+    return response.type is not ResponseType.INSENSITIVE
 
 
 def _relative_reach(reach: FloatArray) -> FloatArray:

@@ -146,6 +146,12 @@ def test_an_unstable_plant_is_sampled_five_times_per_time_constant(
     assert 5 <= doubling / np.log(2) / sample <= 10
 
 
+def test_an_input_that_moves_only_outputs_left_out_is_left_out() -> None:
+    # y1 is y0, but for a little of the second input: not worth an output of its own.
+    _, choice, _, _ = proposed(Linear(np.diag([-1, -1]), np.eye(2), [[1, 0], [1, 0.01]]), OPEN)
+    assert (choice.inputs, choice.outputs) == ((0,), (0,))
+
+
 def test_what_runs_away_within_one_block_of_equal_steps_is_unstable_not_insensitive() -> None:
     plant, timing = Linear(1, 1, 1), fixed(1.0)  # 10^30 after 69 steps, where intervals are 2 to 3 of them
     for begin in (0.9, 1.0, 1.1):  # one run may be an interval longer than the other: nine times as far
