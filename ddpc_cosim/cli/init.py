@@ -63,6 +63,7 @@ def assignments(option: str, texts: Sequence[str], value_of: Callable[[str], T])
     faults = []
     for text in texts:
         name, equals, value = text.rpartition("=")
+        name = name.strip()
         if not (equals and name and value):
             faults.append(f'{option} "{text}" is not possible; needed: NAME=VALUE')
         elif name in values:

@@ -11,13 +11,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ddpc_cosim.cli.init import assignments
 from ddpc_cosim.cli.run import LineProgress, TerminalProgress
 from ddpc_cosim.csv_files import CSVFile
 from ddpc_cosim.errors import ConfigError, CosimWarning, DataError
 from ddpc_cosim.plant import FMIType
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.simulation import Simulation, run
-from ddpc_cosim.simulation.request import Request, prepare
+from ddpc_cosim.simulation.request import Request, overwrites, prepare
 from ddpc_cosim.texts import printable
 
 # A comma between names: those of indices are part of a name.
@@ -48,12 +49,13 @@ def simulate_command(
     KeyboardInterrupt
         It was interrupted; what was simulated until then is written, and told.
     """
-    faults = [fault for path in out if (fault := _impossible(path))]
-    faults += [
-        f'--set {value}: needed: NAME=VALUE, for example "mass=2"' for value in values if "=" not in value
-    ]
-    given = dict(value.split("=", 1) for value in values if "=" in value)
-    files = {}
+    read = [Path(plant), *(path for path in (inputs, golden) if path is not None)]
+    faults = [fault for path in out if (fault := _impossible(path, read))]
+    files, given = dict[str, CSVFile | None](), dict[str, str]()
+    try:
+        given = assignments("--set", values, str)
+    except ConfigError as error:
+        faults += error.faults
     for option, path in (("inputs", inputs), ("compare", golden)):
         try:
             files[option] = None if path is None else CSVFile(path)
@@ -64,7 +66,7 @@ def simulate_command(
     request = Request(
         plant=plant,
         inputs=files["inputs"],
-        values={name.strip(): value for name, value in given.items()},
+        values=given,
         stop=stop,
         step=step,
         outputs=[name.strip() for text in outputs for name in _COMMA.split(text)] or None,
@@ -99,11 +101,14 @@ def simulate_command(
     return 1 if simulation.failed else code
 
 
-def _impossible(path: Path) -> str:
+def _impossible(path: Path, read: Sequence[Path]) -> str:
     """Return why a file cannot be written; empty if it can be tried."""
     if path.suffix not in _SUFFIXES:
         return f"--out {path}: the name must end in {', '.join(_SUFFIXES)}"
-    return "" if path.parent.is_dir() else f"--out {path}: no such folder: {path.parent}"
+    if not path.parent.is_dir():
+        return f"--out {path}: no such folder: {path.parent}"
+    fault = overwrites(path, read)
+    return f"--out {fault}" if fault else ""
 
 
 def _write(simulation: Simulation, path: Path) -> None:

@@ -227,9 +227,11 @@ def prepare(request: Request) -> Prepared:
     if golden is not None:
         notes += golden.notes
     if request.trace_calls:
-        faults.collect(_empty, Path(request.trace_calls))
+        faults.collect(_check_writable, request)
     if faults or times is None:
         raise ConfigError(faults)
+    if request.trace_calls:
+        Path(request.trace_calls).write_bytes(b"")
     at_start = {name: float(values_at(s, name, np.array([start]))[0]) for name, s in driven.items()}
     case = Case(
         controller=subject.label,
@@ -379,9 +381,19 @@ def _check_covered(file: CSVFile, driven: Mapping[str, Steps], start: float, end
         return
 
 
-def _empty(path: Path) -> None:
-    """Make a file that can be written to, and is empty."""
+def _check_writable(request: Request) -> None:
+    """Raise ConfigError if calls cannot be written to the file for them, or if it is one that is read."""
+    path = Path(request.trace_calls)
+    files = [file.path for file in (request.inputs, request.golden) if file is not None]
+    if fault := overwrites(path, [Path(request.plant), *files]):
+        raise ConfigError(fault)
     try:
-        path.write_bytes(b"")
+        path.open("ab").close()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def overwrites(path: Path, read: Sequence[Path]) -> str:
+    """Return why a file is not to be written, as it is one that is read; empty if it is not."""
+    same = path.exists() and any(other.exists() and path.samefile(other) for other in read)
+    return f"{path}: this file is read; choose another one to write to" if same else ""

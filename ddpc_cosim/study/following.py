@@ -30,7 +30,7 @@ def left_by(case: CaseResult) -> float:
     return math.inf if most < FOLLOWS and not case.holds else most
 
 
-def nobody_follows(cases: Iterable[CaseResult]) -> str:
+def none_follows(cases: Iterable[CaseResult]) -> str:
     """Return a sentence where no controller follows its reference: none leaves less than 5 % of a step.
 
     Parameters
@@ -64,7 +64,7 @@ def following_lines(study: Study, cases: Iterable[CaseResult]) -> list[str]:
     return [
         (f"{labels.get(name, name)}: " if len(by_scenario) > 1 else "") + text + _likely_reason(own, study)
         for name, own in by_scenario.items()
-        if (text := nobody_follows(own))
+        if (text := none_follows(own))
     ]
 
 

@@ -15,7 +15,7 @@ from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.responses import Actuation, Response, Stretch
 from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.study.cases import cases_of
-from ddpc_cosim.study.following import FOLLOWS, WHY, following_lines, left_by, nobody_follows
+from ddpc_cosim.study.following import FOLLOWS, WHY, following_lines, left_by, none_follows
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, CaseResult, judge_again, load_cases
@@ -340,7 +340,7 @@ def _told(attempts: Sequence[_Attempt]) -> Proposal:
     proposal = best.proposal
     limits = dict.fromkeys(limit for one in attempts for limit in one.limits)
     likely = [*limits, *proposal.hints] if best.line else []
-    if best.line and not likely and best.line == nobody_follows(best.cases):
+    if best.line and not likely and best.line == none_follows(best.cases):
         likely = [_NOT_FOUND]
     head = [f"{best.line}." if best.line else _best_words(best)]
     head += [f"Likely why: {'; '.join(likely)}."] if likely else []

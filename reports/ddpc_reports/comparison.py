@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
 from ddpc_cosim.metrics import Metric, all_metrics, headline, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
-from ddpc_cosim.study.following import nobody_follows
+from ddpc_cosim.study.following import none_follows
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
 
 
@@ -173,13 +173,13 @@ class Condition:
         return tuple(key for key in self._keys if split_key(key)[0] == name)
 
     @cached_property
-    def nobody_follows(self) -> str:
+    def none_follows(self) -> str:
         """Say that no controller follows its reference; empty where one does, or none can be judged."""
-        return nobody_follows(case for one in (*self.controllers, *self.variants) for case in one.cases)
+        return none_follows(case for one in (*self.controllers, *self.variants) for case in one.cases)
 
     def may_win(self, one: ControllerResults) -> bool:
         """Whether a controller may be the best: it always holds its reference, and somebody follows it."""
-        return one.holds_all and not self.nobody_follows
+        return one.holds_all and not self.none_follows
 
     def ranking(self, key: str) -> list[tuple[float, ControllerResults]]:
         """Return the controllers that may be the best, with medians of a metric, best first."""

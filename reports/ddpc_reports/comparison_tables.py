@@ -147,7 +147,7 @@ def _tracking(condition: Condition, key: str) -> list[Column]:
     metric = metric_of(key)
     group = " / ".join(filter(None, (metric.title, metric_unit(key))))
     firsts = [one.at_first(key) for one in condition.controllers]
-    eligible = [one.holds_first and not condition.nobody_follows for one in condition.controllers]
+    eligible = [one.holds_first and not condition.none_follows for one in condition.controllers]
     cells = number_cells(firsts, eligible=eligible, better=metric.better)
     columns = [(Heading(f"seed {condition.seeds[0]}", group=group), cells)]
     if len(condition.seeds) > 1:
@@ -166,7 +166,7 @@ def _all_hold(condition: Condition) -> list[bool]:
 
 def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
     best = "Bold and tinted: the best of the column"
-    if condition.nobody_follows:
+    if condition.none_follows:
         best = "No controller follows the reference, so none is marked as the best"
     elif condition.not_ranked:
         best += (
@@ -182,7 +182,7 @@ def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
     own = metric_of(condition.headline[0]) if len(condition.headline) == 1 else None
     summed = [metric for metric in metrics if metric is not own]
     words = [_summing_words(condition, summed)] if len(condition.seeds) > 1 else []
-    equal = "" if condition.nobody_follows else "; where most are equal, none is marked"
+    equal = "" if condition.none_follows else "; where most are equal, none is marked"
     return f"{best}{equal}.", " ".join([*meanings, *words])
 
 

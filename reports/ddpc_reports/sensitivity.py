@@ -110,7 +110,7 @@ def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
         key=lambda entry: metric_of(key).rank(entry[0]),
     )
     text = Markup("{} settings of <b>{}</b>").format(len(members), group[0].label)
-    if condition.nobody_follows:
+    if condition.none_follows:
         return text + ": with none of them is the reference followed."
     if not order:
         return text + ": none of them holds the reference in every case."

@@ -37,8 +37,8 @@ def verdict(condition: Condition) -> list[Statement]:
     statements = [Statement("Completed", _completeness(condition))]
     if not any(one.completed for one in condition.controllers):
         return statements
-    if condition.nobody_follows:
-        nothing = Markup("<b>{}</b>, so nothing is ranked.").format(condition.nobody_follows)
+    if condition.none_follows:
+        nothing = Markup("<b>{}</b>, so nothing is ranked.").format(condition.none_follows)
         statements.insert(0, Statement("Reference", nothing))
     else:
         statements += tracking(condition)

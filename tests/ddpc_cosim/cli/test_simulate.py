@@ -94,7 +94,8 @@ def test_a_golden_file_that_goes_on_differs(folder: Path) -> None:
     [
         (("lag2.fmu", "--out", "a.txt"), "--out a.txt: the name must end in .csv, .html, .svg"),
         (("lag2.fmu", "--out", "none/a.csv"), "no such folder: none"),
-        (("lag2.fmu", "--set", "rate"), "--set rate: needed: NAME=VALUE"),
+        (("lag2.fmu", "--set", "rate"), '--set "rate" is not possible; needed: NAME=VALUE'),
+        (("lag2.fmu", "--set", "rate=1", "--set", "rate=2"), "--set: rate is given more than once"),
         (("lag2.fmu", "--inputs", "none.csv"), "none.csv: no such file"),
         (("lag2.fmu", "--compare", "none.csv"), "none.csv: no such file"),
         (("lag2.fmu", "--trace-calls", "none/calls.txt"), "none/calls.txt: cannot be written"),
@@ -110,6 +111,19 @@ def test_what_cannot_be_done_is_refused_before_anything_runs(
     assert result.exit_code == 2
     assert words in result.stderr
     assert "samples" not in result.stdout
+
+
+@pytest.mark.parametrize("option", ["--out", "--trace-calls"])
+@pytest.mark.parametrize("name", ["lag2.fmu", "u.csv", "golden.csv"])
+def test_no_file_that_is_read_is_written_over(folder: Path, option: str, name: str) -> None:
+    model_fmu(folder, "2.0", "lag")
+    for file in ("u.csv", "golden.csv"):
+        (folder / file).write_text("time,u\n0,1\n2,1\n")
+    before = (folder / name).read_bytes()
+    result = simulate("lag2.fmu", "--inputs", "u.csv", "--compare", "golden.csv", option, f"./{name}")
+    assert result.exit_code == 2
+    assert name in result.stderr
+    assert (folder / name).read_bytes() == before
 
 
 SLOW = """

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ddpc_cosim import CaseResult, Outcome
-from ddpc_cosim.study.following import WHY, following_lines, left_by, nobody_follows
+from ddpc_cosim.study.following import WHY, following_lines, left_by, none_follows
 from ddpc_cosim.study.sections import Study
 
 
@@ -74,7 +74,7 @@ def case(
     ],
 )
 def test_the_sentence_is_said_where_it_is_true(cases: list[CaseResult], sentence: str) -> None:
-    assert nobody_follows(cases) == sentence
+    assert none_follows(cases) == sentence
 
 
 def test_a_run_that_fell_out_of_its_limits_leaves_more_than_any_number() -> None:
