@@ -8,6 +8,7 @@ during a run. A value that the FMU refuses, or does not take, is an error.
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from math import prod
@@ -404,10 +405,11 @@ class StartValues:
 def _number(variable: FMUVariable, value: Value) -> float:
     """Return a value as a number; values of enumerations by their name too."""
     if not isinstance(value, str):
-        return float(value)
-    if value in variable.items:
+        with suppress(TypeError):  # it is anything but a number
+            return float(value)
+    elif value in variable.items:
         return float(variable.items[value])
-    if variable.values == "boolean" and value.lower() in ("true", "false"):
+    elif variable.values == "boolean" and value.lower() in ("true", "false"):
         return float(value.lower() == "true")
     allowed = f"; allowed: {', '.join(variable.items)}" if variable.items else ""
     raise ValueError(f"parameter {variable.name} = {value!r} must be a number{allowed}")

@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -77,6 +77,10 @@ class _Subject:
         is_file = path.suffix.lower() == ".fmu" or (bool(path.suffix) and path.is_file())
         if is_file and not path.is_file():
             raise ConfigError(f"{path}: no such file")
+        if request.fmi_type not in (allowed := get_args(FMIType)):
+            raise ConfigError(
+                f"fmi_type = {request.fmi_type!r} is not possible; allowed: {', '.join(allowed)}"
+            )
         named: dict[str, Any] = {"fmu": request.plant} if is_file else {"name": request.plant}
         section = PlantSection(**named, fmi_type=request.fmi_type)
         self.label = path.name if is_file else request.plant
@@ -178,6 +182,8 @@ class _Subject:
 
     def _value(self, name: str, value: ParameterValue) -> ParameterValue:
         """Return a value in the variable's own unit: a text may be a number with a unit."""
+        if value is None:
+            raise ConfigError(f"{self.label}: {name} = None is not possible; needed: a number or a text")
         signal = self.description.signal(name) if self.description else None
         if not isinstance(value, str) or (signal is not None and signal.source.values == "text"):
             return value

@@ -176,7 +176,7 @@ def test_everything_that_is_not_possible_is_told_at_once(tmp_path: Path) -> None
     told = faults_of(
         path,
         inputs=csv(tmp_path, "time,v,uu [V]\n0,1,1\n"),
-        parameters={"ratte": 1.0, "rate": "3 [kg]", "x": "fast", "name": "b"},
+        parameters={"ratte": 1.0, "rate": "3 [kg]", "x": "fast", "name": None, "u": [1.0]},
         stop=-1.0,
         step=0.0,
         outputs=["y"],
@@ -188,6 +188,8 @@ def test_everything_that_is_not_possible_is_told_at_once(tmp_path: Path) -> None
         'no parameter "ratte"; did you mean "rate"?',
         'unit "kg" does not fit rate',
         "parameter x = 'fast' must be a number",
+        "name = None is not possible",
+        "parameter u = [1.0] must be a number",
         "stop = -1 s is not possible",
         "step = 0 s is not possible",
         'no output "y"',
