@@ -248,7 +248,7 @@ class Worker:
         memory: int | None = None,
     ) -> None:
         ours, theirs = socket.socketpair()
-        self.channel = Channel(ours)
+        self.channel, self.folder = Channel(ours), folder
         self._owner, self._ending = os.getpid(), Ending(None)
         self._process: Forked | _Shared | None = None
         try:

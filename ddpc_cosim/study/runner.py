@@ -342,14 +342,14 @@ class _Run:
         self.case, self._folder, self._staging = case, folder, staging
         self._staged, self._place = (Path(tempfile.mkdtemp(dir=within)) for within in (staging, temporary))
         self.can_be_reused = not (case.plant.isolated or case.sandbox)
-        own, sandbox = temporary, None
-        if not self.can_be_reused:
-            own = self._place
+        own, sandbox = self._place, None
         if case.sandbox:
             traced = [Path(case.plant.trace_calls)] if case.plant.trace_calls else []
             written, read = (self._place, self._staged, *traced), (*files_read(case), cache_dir())
             sandbox = Sandbox(written, read)
         reused = idle.pop() if idle and self.can_be_reused else None
+        if self.can_be_reused and reused is None:
+            own = Path(tempfile.mkdtemp(dir=temporary))  # which outlives the case
         self.worker = reused or make(folder=own, sandbox=sandbox)
         rows = self._place / "rows"
         self._store = row_store(case, rows, follow=True)
@@ -394,6 +394,7 @@ class _Run:
 
     def _accept(self) -> None:
         """Put what the worker has staged in its place: what it ran has no more to say in that by now."""
+        self.can_be_reused &= self.worker.folder.is_dir()  # what it ran may have removed it
         printed = self.worker.printed() if self.can_be_reused else self.worker.end().output
         try:
             accept_case(self._staged, self._folder, printed)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from fmus.builder import CO_SIMULATION, Fault, V, describe, library_name, model_library, write_archive
 
-from ddpc_cosim import CaseResult, load_results
+from ddpc_cosim import CaseResult, StudyResults, load_results
 
 pytestmark = [
     pytest.mark.slow,
@@ -119,7 +119,8 @@ def leaves_a_thread():
     threading.Thread(target=threading.Event().wait).start()
 
 def rows():
-    return next(Path(tempfile.gettempdir()).glob("rows"))
+    mapped = Path("/proc/self/maps").read_text().splitlines()
+    return Path(next(line.split()[-1] for line in mapped if line.endswith("/rows")))
 
 def cuts_its_rows():
     os.truncate(rows(), rows().stat().st_size // 2)
@@ -224,6 +225,7 @@ EACH = len(FAULTS) // CONTROLLERS
 STUDY = """
 [plant]
 fmu = "chaos.fmu"
+isolated = {isolated}
 outputs = ["y"]
 [loop]
 sampling_time = 0.1
@@ -231,7 +233,7 @@ duration = 1.0
 step_timeout = 3.0
 memory_limit = 1.0
 [reference]
-y = { kind = "constant", value = 1.0 }
+y = {{ kind = "constant", value = 1.0 }}
 """
 
 
@@ -250,7 +252,7 @@ main()
 """
 
 
-def write_study(folder: Path) -> tuple[dict[str, str], dict[str, str]]:
+def write_study(folder: Path, isolated: str) -> tuple[dict[str, str], dict[str, str]]:
     """Write study, FMU and module; return outcomes and faults of the cases that go wrong, by their names."""
     assert (len(FAULTS), EACH + len(EARLY)) == (EACH * CONTROLLERS, 15)
     content = {
@@ -259,7 +261,7 @@ def write_study(folder: Path) -> tuple[dict[str, str], dict[str, str]]:
     }
     write_archive(folder / "chaos.fmu", content)
     (folder / "chaos.py").write_text(CODE, encoding="utf-8")
-    text, outcomes, names, faults = STUDY, {}, {}, iter(FAULTS.items())
+    text, outcomes, names, faults = STUDY.format(isolated=isolated), {}, {}, iter(FAULTS.items())
     scenarios = [*(f"faulty-{k}" for k in range(1, 16)), *(f"good-{k}" for k in range(16, SCENARIOS + 1))]
     for i in range(CONTROLLERS):
         own = dict(islice(faults, EACH))
@@ -328,8 +330,10 @@ def name_of(case: CaseResult) -> str:
     return f"{case.controller}_{case.scenario}_seed{case.seed}"
 
 
-def test_what_goes_wrong_costs_itself_and_nothing_else(tmp_path: Path) -> None:
-    wrong, faults = write_study(tmp_path)
+@pytest.mark.parametrize("isolated", ['"auto"', "false"], ids=["own-processes", "shared-processes"])
+def test_what_goes_wrong_costs_itself_and_nothing_else(isolated: str, tmp_path: Path) -> None:
+    """Processes that run one case after the other included."""
+    wrong, faults = write_study(tmp_path, isolated)
     chaos = run(tmp_path, "--out", "out")
     assert chaos.done.returncode == 1, chaos.done.stderr
     assert chaos.left == []
@@ -348,12 +352,20 @@ def test_what_goes_wrong_costs_itself_and_nothing_else(tmp_path: Path) -> None:
     written = [path.stat().st_size for path in (tmp_path / "out").rglob("*") if path.is_file()]
     assert sum(written) < 1e7
 
-    calm = run(tmp_path, "--out", "calm", "--no-report", "--only", "*good*")
+    (tmp_path / "calm").mkdir()
+    write_study(tmp_path / "calm", "false")
+    calm = run(tmp_path / "calm", "--out", "out", "--no-report", "--only", "*good*")
     assert (calm.done.returncode, calm.left) == (0, []), calm.done.stderr
-    alone = {case.id: signals(case) for case in load_results(tmp_path / "calm").cases}
+    alone = {name_of(case): signals(case) for case in load_results(tmp_path / "calm/out").cases}
     assert len(alone) == 140
-    assert {case.id: signals(case) for case in results.cases if case.id in alone} == alone
+    assert {name_of(case): signals(case) for case in results.cases if name_of(case) in alone} == alone
 
+    if isolated != "false":  # it makes no difference to going on
+        check_going_on(tmp_path, results, faults)
+
+
+def check_going_on(folder: Path, results: StudyResults, faults: dict[str, str]) -> None:
+    """Damage some cases of a controller: they are run again, and those that may end otherwise."""
     cases = {name_of(case): case for case in results.cases if case.controller == "c1"}
     rng, damaged = np.random.default_rng(0), list(cases)[::10]
     for name in damaged:
@@ -361,17 +373,19 @@ def test_what_goes_wrong_costs_itself_and_nothing_else(tmp_path: Path) -> None:
         content = bytearray(path.read_bytes())
         content[rng.integers(len(content))] ^= 1
         path.write_bytes(content)
-    before = {name: (case.folder / "run.json").stat().st_mtime_ns for name, case in cases.items()}
-    again = run(tmp_path, "--out", "out", "--no-report", "--only", "c1_*")
+
+    def times() -> dict[str, int]:
+        return {name: (case.folder / "run.json").stat().st_mtime_ns for name, case in cases.items()}
+
+    before = times()
+    again = run(folder, "--out", "out", "--no-report", "--only", "c1_*")
     assert (again.done.returncode, again.left) == (1, []), again.done.stderr
-    rerun = {
-        name for name, case in cases.items() if (case.folder / "run.json").stat().st_mtime_ns != before[name]
-    }
+    after = times()
     may_end_otherwise = {
         name
-        for name in cases
-        if found[name] in ("crashed", "timed-out") or faults.get(name) in OF_THE_MACHINE
+        for name, case in cases.items()
+        if case.outcome in ("crashed", "timed-out") or faults.get(name) in OF_THE_MACHINE
     }
-    assert rerun == {*damaged, *may_end_otherwise}
-    after = {name_of(case): case.outcome for case in load_results(tmp_path / "out").cases}
-    assert after == {name: found[name] for name in cases}
+    assert {name for name in cases if after[name] != before[name]} == {*damaged, *may_end_otherwise}
+    outcomes = {name_of(case): case.outcome for case in load_results(folder / "out").cases}
+    assert outcomes == {name: case.outcome for name, case in cases.items()}
