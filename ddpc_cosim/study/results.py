@@ -370,7 +370,7 @@ def stage_case(
     (staged / _RUN_FILE).write_bytes(_json(run | {"signals": signals}))
 
 
-def accept_case(staged: Path, folder: Path, printed: str) -> None:
+def accept_case(staged: Path, folder: Path, printed: str, longest: int) -> None:
     """Move what a process that has ended has staged to where its case belongs, if it is that case.
 
     Parameters
@@ -379,6 +379,8 @@ def accept_case(staged: Path, folder: Path, printed: str) -> None:
         Where it lies, and where it belongs; both on one disk.
     printed : str
         What the process printed last.
+    longest : int
+        Bytes that its samples can take.
 
     Raises
     ------
@@ -387,11 +389,7 @@ def accept_case(staged: Path, folder: Path, printed: str) -> None:
     CosimError
         It cannot be moved, and why.
     """
-    for path in staged.iterdir():
-        if not stat.S_ISREG((found := path.lstat()).st_mode) or found.st_nlink > 1:
-            raise ConfigError(f"{path.name} is not a file of its own")
-        if path.name == _RUN_FILE and found.st_size > _LONGEST_RUN:
-            raise ConfigError(f"{path.name} has {found.st_size} bytes; allowed: {_LONGEST_RUN}")
+    _check_staged(staged, {_RUN_FILE: _LONGEST_RUN, _SIGNALS_FILE: longest})
     case = load_case(staged)
     if case.id != folder.name:
         raise ConfigError(f"{_RUN_FILE} is of {str(case.id)[:100]}")
@@ -402,6 +400,21 @@ def accept_case(staged: Path, folder: Path, printed: str) -> None:
         _move_into_place(staged, folder)
     except OSError as error:
         raise _not_written(folder, error) from error
+
+
+def _check_staged(staged: Path, longest: dict[str, int]) -> None:
+    """Refuse what cannot be what :func:`stage_case` has written, before any of it is read."""
+    try:
+        if staged.is_symlink():
+            raise ConfigError("its folder is a link")
+        for path in staged.iterdir():
+            found = path.lstat()
+            if not (path.name in longest and stat.S_ISREG(found.st_mode) and found.st_nlink == 1):
+                raise ConfigError(f"{recorded(path.name)} is not a file of its own")
+            if found.st_size > longest[path.name]:
+                raise ConfigError(f"{path.name} has {found.st_size} bytes; allowed: {longest[path.name]}")
+    except OSError as error:
+        raise _damaged(staged, error) from error
 
 
 def _not_written(folder: Path, error: OSError) -> CosimError:

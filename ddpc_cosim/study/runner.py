@@ -56,6 +56,8 @@ _REPLY_SECONDS = 5.0
 # Opening a plant, computing metrics and writing take no longer. Without a limit, a process that a dead worker
 # has forked could hold its channel open for ever.
 _BETWEEN_CALLS_SECONDS = 600.0
+# A column's name and unit; a row's status and info; a number.
+_HEADER_BYTES, _ROW_BYTES, _NUMBER_BYTES = 100_000, 10_000, 32
 _STAGING = ".staging-"
 _AT_THE_END = ("diagnostics", "close")
 _PRELOAD = (__name__, "ddpc_cosim.fmu.plant")
@@ -397,9 +399,16 @@ class _Run:
         self.can_be_reused &= self.worker.folder.is_dir()  # what it ran may have removed it
         printed = self.worker.printed() if self.can_be_reused else self.worker.end().output
         try:
-            accept_case(self._staged, self._folder, printed)
+            accept_case(self._staged, self._folder, printed, self._longest_samples())
         except ConfigError as error:
             self._give_up(Outcome.CRASHED, f"its process has left no results: {error}")
+
+    def _longest_samples(self) -> int:
+        """Return how many bytes the samples of the case can take as text, header included."""
+        store = self._store
+        tables = (store.reference, store.y, store.measured, store.u, store.applied)
+        columns = sum(table.shape[1] for table in tables)
+        return (columns + 1) * _HEADER_BYTES + len(store.y) * (_ROW_BYTES + _NUMBER_BYTES * columns)
 
     def _hangs(self) -> bool:
         """Whether the run has been waiting for too long, mostly for the plant or the controller."""

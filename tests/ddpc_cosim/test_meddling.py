@@ -64,6 +64,29 @@ class Links(Meddles):
             path.symlink_to("/etc/hostname")
         Trace.write_csv = link
 
+class Stages(Meddles):
+    def meddle(self):
+        def staged(trace, path):
+            self.stage(path)
+            say(b'{"result": null}')
+        Trace.write_csv = staged
+
+class Removes(Stages):
+    def stage(self, path): path.parent.rmdir()
+
+class Moves(Stages):
+    def stage(self, path):
+        path.parent.rmdir()
+        path.parent.symlink_to("/etc")
+
+class Swells(Stages):
+    def stage(self, path):
+        path.touch()
+        os.truncate(path, 1 << 40)
+
+class Adds(Stages):
+    def stage(self, path): path.with_name("page.html").touch()
+
 class Stops(Meddles):
     def meddle(self): os.kill(os.getpid(), signal.SIGSTOP)
 
@@ -115,6 +138,10 @@ ENDINGS = {
     "Error": ("crashed", "stop all of it"),
     "Cut": ("crashed", "before the first sample: the run: crashed in between two calls: SIGKILL"),
     "Links": ("crashed", "its process has left no results: signals.csv is not a file of its own"),
+    "Removes": ("crashed", "its process has left no results: "),
+    "Moves": ("crashed", "its process has left no results: its folder is a link"),
+    "Swells": ("crashed", "its process has left no results: signals.csv has 1099511627776 bytes; allowed: "),
+    "Adds": ("crashed", "its process has left no results: page.html is not a file of its own"),
     "Stops": ("timed-out", "controller meddling:Stops: no return within 2 s in step at t = 0.3 s"),
     "StopsServer": ("completed", ""),
     "Prints": ("completed", ""),
