@@ -14,6 +14,7 @@ import platform
 import socket
 import struct
 import sys
+import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -148,10 +149,11 @@ def enter(sandbox: Sandbox) -> None:
 
 
 def _readable(sandbox: Sandbox) -> list[Path]:
-    """Return what may be read; not the user's whole home, nor what it lies in, by way of the import path."""
-    home = Path.home().resolve()
+    """Return what may be read: nothing that holds the home folder, or by import path temporary files."""
+    home, temporary = Path.home().resolve(), Path(tempfile.gettempdir()).resolve()
     places = (Path(place).resolve() for place in (sys.prefix, sys.base_prefix, *sys.path) if place)
-    own = [place for place in (*places, *sandbox.readable) if not home.is_relative_to(place.resolve())]
+    installed = [place for place in places if not temporary.is_relative_to(place)]
+    own = [place for place in (*installed, *sandbox.readable) if not home.is_relative_to(place.resolve())]
     return [*map(Path, _INSTALLED), *own]
 
 

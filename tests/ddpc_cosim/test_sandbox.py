@@ -1,7 +1,9 @@
 """The sandbox: what an FMU may not do in it; all else is as without. Where there is none, that is told."""
 
 import os
+import shutil
 import subprocess
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -78,6 +80,32 @@ def test_limits_of_another_process_are_its_own(tmp_path: Path) -> None:
         assert called(resource.getrlimit, resource.RLIMIT_CPU) == [600, limits[1]]
     finally:
         worker.end()
+
+
+@pytest.mark.skipif(not IS_HERE, reason="no sandbox on this system")
+@pytest.mark.parametrize("holds_temporary_files", [True, False])
+def test_the_import_path_opens_no_temporary_files(
+    holds_temporary_files: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where a script lies beside them, whose folder is on the import path."""
+    module, own = tmp_path / "module.py", tmp_path / "own"
+    module.write_text("", encoding="utf-8")
+    own.mkdir()
+    monkeypatch.syspath_prepend(tmp_path)
+    if not holds_temporary_files:
+        own = Path(tempfile.mkdtemp())
+    worker = Worker(serve_calls, folder=own, sandbox=Sandbox((own,)))
+    try:
+        ask(worker.channel, os.listdir, str(tmp_path))
+        answer = worker.channel.receive(LONGEST_REPLY)
+        if not holds_temporary_files:
+            assert "module.py" in result_of(answer)
+        else:
+            with pytest.raises(UnexpectedError, match="PermissionError"):
+                result_of(answer)
+    finally:
+        worker.end()
+        shutil.rmtree(own)
 
 
 def test_a_study_in_the_sandbox(
