@@ -240,8 +240,9 @@ def linearise(
         matrix[rows] = directional_derivatives(model, unknowns, [*states, *inputs], shapes)
         _place_states(matrix[n:], states, outputs)
         labels = [*(f"der({name})" for name in names), *(signal.variable.name for signal in outputs)]
+        is_single = any(signal.source.type == "Float32" for signal in (*states, *inputs, *outputs))
         try:
-            wrong = [labels[row] for row in contradicted(around, matrix)]
+            wrong = [labels[row] for row in contradicted(around, matrix, is_single)]
         except CallError as error:  # beside the point, where nothing has to be known
             if error.code == FATAL:
                 raise
@@ -281,10 +282,14 @@ def _place_states(rows: FloatArray, states: Sequence[Signal], outputs: Sequence[
 
 
 # Large enough for the noise of algebraic loops that the FMU solves, small enough to see a share of 1 in 1000.
-_PROBE, _WRONG, _NOISE = 1e-4, 1e-3, 1e-8
+_PROBE = 1e-4
+# What counts as wrong, in parts of the change, and as noise, in parts of the value; single precision rounds
+# values to 6e-8 of them, and so the step itself to 1e-3.
+_WRONG, _NOISE = 1e-3, 1e-8
+_WRONG_OF_SINGLES, _NOISE_OF_SINGLES = 1e-2, 1e-6
 
 
-def contradicted(around: OperatingPoint, told: FloatArray) -> list[int]:
+def contradicted(around: OperatingPoint, told: FloatArray, is_single: bool = False) -> list[int]:
     """Return the rows of a matrix of derivatives, shape (n + p, n + m), that a small change contradicts.
 
     All states and inputs change at once, to either side. The derivative of a curved function is between what
@@ -299,11 +304,12 @@ def contradicted(around: OperatingPoint, told: FloatArray) -> list[int]:
     middle = np.where(has_room, here.clip(low, high), here)
     with np.errstate(over="ignore", invalid="ignore"):  # the caller says what is not finite
         start = around.at(middle)
-        allowed = _WRONG * (np.abs(told) @ step) + _NOISE * np.abs(start)
+        wrong, noise = (_WRONG_OF_SINGLES, _NOISE_OF_SINGLES) if is_single else (_WRONG, _NOISE)
+        allowed = wrong * (np.abs(told) @ step) + noise * np.abs(start)
         above, below = (around.at(middle + h) - start - told @ h for h in (step, -step))
     around.at(here)
-    wrong = (above * below < 0.0) & (np.minimum(np.abs(above), np.abs(below)) > allowed)
-    return [int(row) for row in np.flatnonzero(wrong)]
+    is_wrong = (above * below < 0.0) & (np.minimum(np.abs(above), np.abs(below)) > allowed)
+    return [int(row) for row in np.flatnonzero(is_wrong)]
 
 
 def _require_finite(

@@ -212,6 +212,27 @@ def test_a_kink_is_no_contradiction() -> None:
     assert found == [[0], [], [], [], [0]]
 
 
+@pytest.mark.parametrize("is_single", [False, True])
+def test_rounding_to_single_precision_contradicts_nothing(is_single: bool) -> None:
+    """y = 2 u and z = 300 + 2.5 u at 100 values of u; of slopes of 0, that of y is contradicted still."""
+
+    class Around:
+        low, high, scale = np.full(1, -np.inf), np.full(1, np.inf), np.ones(1)
+
+        def __init__(self, u: float) -> None:
+            self.x_0, self.u_0 = np.zeros(0), np.array([u])
+
+        def at(self, point: FloatArray) -> FloatArray:
+            u = float(np.float32(point[0]))
+            return np.array([np.float32(2 * u), np.float32(300 + 2.5 * u)], dtype=float)
+
+    around: list[Any] = [Around(u) for u in np.linspace(0.5, 1.5, 100)]
+    right = [contradicted(one, np.array([[2.0], [2.5]]), is_single) for one in around]
+    assert any(right) != is_single
+    if is_single:
+        assert all(contradicted(one, np.array([[0.0], [0.0]]), is_single) == [0] for one in around)
+
+
 def test_any_variable_that_can_be_read_may_be_an_output(fmu_of: Any) -> None:
     """The standard tells no derivatives of variables that are not declared as outputs."""
     with open_model(fmu_of(pendulum.MODEL), ["der(angular_velocity)", "angle"]) as plant:
