@@ -38,6 +38,7 @@ _STUCK = 0.2  # of that end with an input at its limits, from which on there is 
 _ALIKE = 1e-6  # of the span: samples at a limit of the plant's own
 _MOVED = 0.01  # of the span: setpoints that differ
 _LISTED = 3
+_NOT_BEGUN = "not begun"
 _NOT_FOUND = (
     "not found; the inputs are within their limits, the plant may answer otherwise than in the step test"
 )
@@ -150,23 +151,28 @@ def _attempt(
         share = f"{100 * update.samples // max(update.planned, 1)} %"
         tell(f"trying {label}: {share} of its run")
         if monotonic() > deadline:
-            attempt.untried[label] = f"{share} of its run"
+            attempt.untried[label] = f"{share} of its run" if update.samples else _NOT_BEGUN
             raise _TimeUpError
 
     try:
         tried = run_cases(cases, folder / CASES_FOLDER, 1, watch, sandboxed=sandboxed)
         done.extend(case.id for case in tried)
     except _TimeUpError:
-        attempt.untried |= dict.fromkeys((case.label for case in cases[len(done) + 1 :]), "not begun")
+        attempt.untried |= dict.fromkeys((case.label for case in cases[len(done) + 1 :]), _NOT_BEGUN)
     results, _ = load_cases(folder, resolved.study, done)
     for case in results:
         if case.outcome is not Outcome.COMPLETED:
             attempt.drop(case.controller, f"{case.outcome}: {case.reason}")
     attempt.cases = tuple(case for case in results if case.outcome is Outcome.COMPLETED)
-    if attempt.cases:  # what has not been tried is not proposed, as long as there is anything else
-        for one in cases:
-            if one.label in attempt.untried:
-                attempt.drop(one.controller, f"not tried in time: {attempt.untried[one.label]}")
+    # What has not been tried is not proposed, as long as there is anything else; what has begun can start.
+    undone = {
+        one.controller: attempt.untried[one.label]
+        for one in cases
+        if one.label in attempt.untried and (attempt.cases or attempt.untried[one.label] == _NOT_BEGUN)
+    }
+    if undone.keys() != attempt.proposal.controllers.keys():
+        for key, share in undone.items():
+            attempt.drop(key, f"not tried in time: {share}")
     if attempt.dropped and attempt.proposal.controllers:
         # How far those that are left look ahead decides what all are judged by.
         resolved = _resolved(attempt, fmu, folder)

@@ -104,9 +104,13 @@ def test_the_deadline_ends_a_run_that_hangs_and_the_file_says_what_was_not_tried
     proposal = suggest_study(fmu, step_timeout=0.2, trial=False)
     proved = tried_out(only(proposal, "pid", "mfapc"), fmu, monotonic() + 0.5, lambda _: None)
     text = written(proved, fmu, tmp_path)
-    assert set(tomllib.loads(text)["controllers"]) == {"pid", "mfapc"}
-    assert "The time for trying was over before the end of " in comments(text)
-    assert "MFAPC-CFDL (not begun)" in comments(text)
+    told = comments(text)
+    assert "The time for trying was over before the end of " in told
+    assert "MFAPC-CFDL (not begun)" in told
+    # On a slow machine not even the first one begins in time: then none is known to be better than another.
+    has_begun = re.search(r"PID[^;]* \(\d+ % of its run\)", told) is not None
+    kept = {"pid"} if has_begun else {"pid", "mfapc"}
+    assert set(tomllib.loads(text)["controllers"]) == kept
 
 
 def test_where_every_run_fails_the_inputs_keep_to_the_side_that_works(model_fmu, tmp_path) -> None:
