@@ -35,7 +35,7 @@ from ddpc_cosim.loop_setup import (
     whole_steps,
 )
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.rows import RowStore
+from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.safe_calls import (
     NotFiniteError,
     ask_controller,

@@ -18,17 +18,17 @@ from rich.text import Text
 
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError
-from ddpc_cosim.fork_server import Ending
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.plugins import find_modules_in, load_plugin, load_target, plugin_names
+from ddpc_cosim.processes.fork_server import Ending
+from ddpc_cosim.processes.sandbox import Sandbox, require
+from ddpc_cosim.processes.scratch import ScratchFolder
+from ddpc_cosim.processes.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, result_of, serve_calls
 from ddpc_cosim.safe_calls import CallsInTime
-from ddpc_cosim.sandbox import Sandbox, require
-from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
 from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
 from ddpc_cosim.texts import printable
-from ddpc_cosim.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, result_of, serve_calls
 from fmu_plants.files import cache_dir
 from fmu_plants.spelling import did_you_mean
 

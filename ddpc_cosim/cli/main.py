@@ -102,6 +102,15 @@ _SANDBOX = click.option(
 )
 
 
+_STEP_TIMEOUT = click.option(
+    "--step-timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    default=60.0,
+    show_default=True,
+    help="Seconds that one call of the plant may take.",
+)
+
+
 @main.command()
 @click.argument("study")
 @click.option(
@@ -210,13 +219,7 @@ def inspect(fmu: Path, as_json: bool, strict: bool, every: bool) -> None:
 @click.option("--sampling-time", type=float, help="Of the loop, in s [what the step test shows].")
 @click.option("--duration", type=float, help="Of the loop, in s [what the step test shows].")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
-@click.option(
-    "--step-timeout",
-    type=click.FloatRange(min=0, min_open=True),
-    default=60.0,
-    show_default=True,
-    help="Seconds that one call of the FMU may take.",
-)
+@_STEP_TIMEOUT
 @click.option(
     "--budget",
     type=click.FloatRange(min=0, min_open=True),
@@ -303,13 +306,7 @@ def init(
     help="Allowed difference, relative to a signal's range in the golden file.",
 )
 @click.option("--fmi-type", type=click.Choice(_FMI_TYPES), default="auto", show_default=True)
-@click.option(
-    "--step-timeout",
-    type=click.FloatRange(min=0, min_open=True),
-    default=60.0,
-    show_default=True,
-    help="Seconds that one call of the plant may take.",
-)
+@_STEP_TIMEOUT
 @click.option(
     "--trace-calls",
     type=click.Path(path_type=Path, dir_okay=False),

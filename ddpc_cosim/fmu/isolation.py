@@ -16,10 +16,9 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.fmu.linearisation import LinearModel
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU
-from ddpc_cosim.fork_server import Ending
-from ddpc_cosim.sandbox import Sandbox
-from ddpc_cosim.variables import FloatArray
-from ddpc_cosim.worker import (
+from ddpc_cosim.processes.fork_server import Ending
+from ddpc_cosim.processes.sandbox import Sandbox
+from ddpc_cosim.processes.worker import (
     LONGEST_REPLY,
     Channel,
     UnexpectedError,
@@ -29,6 +28,7 @@ from ddpc_cosim.worker import (
     reply_error,
     result_of,
 )
+from ddpc_cosim.variables import FloatArray
 
 T = TypeVar("T")
 _STEP = -1  # where a message has its length

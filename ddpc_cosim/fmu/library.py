@@ -33,7 +33,7 @@ from ddpc_cosim.fmu.call_trace import TracedFunction
 from ddpc_cosim.fmu.description import FMUDescription, Interface
 from ddpc_cosim.fmu.description.reader import read_description
 from ddpc_cosim.fmu.status import missing_function
-from ddpc_cosim.scratch import ScratchFolder
+from ddpc_cosim.processes.scratch import ScratchFolder
 
 CFunction = Callable[..., int]
 

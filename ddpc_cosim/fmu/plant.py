@@ -18,8 +18,8 @@ from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU, for_model_exchange, unpack_fmu
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
-from ddpc_cosim.sandbox import entered, require
-from ddpc_cosim.scratch import ScratchFolder
+from ddpc_cosim.processes.sandbox import entered, require
+from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.variables import FloatArray, Variable, names, with_display_units
 from fmu_plants.spelling import did_you_mean
 

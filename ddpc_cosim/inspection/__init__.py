@@ -14,7 +14,7 @@ from ddpc_cosim.fmu.description.defects import Defect, Findings, Kind, Severity
 from ddpc_cosim.fmu.description.reader import read_tolerantly
 from ddpc_cosim.inspection.binaries import Binaries, check_binaries
 from ddpc_cosim.inspection.checks import check_description
-from ddpc_cosim.scratch import ScratchFolder
+from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.variables import Variable
 
 REFUSED = Kind("refused", Severity.ERROR, "the file cannot be opened as an FMU")

@@ -15,8 +15,8 @@ import numpy as np
 from ddpc_cosim.csv_files import CSVFile, split_unit, write_table
 from ddpc_cosim.errors import CosimError, CosimWarning
 from ddpc_cosim.plant import FMIType, ParameterValue
+from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
-from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.signals import values_at
 from ddpc_cosim.simulation.golden import OUTCOME, TIME, Difference
 from ddpc_cosim.simulation.request import Prepared, Request, prepare

@@ -28,7 +28,7 @@ from ddpc_cosim.master import EARLY, OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.plugins import code_version, own_folder, types_in
-from ddpc_cosim.rows import RowStore
+from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller

@@ -22,12 +22,21 @@ from time import monotonic
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from ddpc_cosim.errors import ConfigError, CosimError
-from ddpc_cosim.limits import default_memory
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import find_modules_in, load_plugin, own_folder, package_version
-from ddpc_cosim.rows import Call, RowStore
-from ddpc_cosim.sandbox import Sandbox, require as require_sandbox
-from ddpc_cosim.scratch import ScratchFolder, remove
+from ddpc_cosim.processes.limits import default_memory
+from ddpc_cosim.processes.rows import Call, RowStore
+from ddpc_cosim.processes.sandbox import Sandbox, require as require_sandbox
+from ddpc_cosim.processes.scratch import ScratchFolder, remove
+from ddpc_cosim.processes.worker import (
+    LONGEST_REPLY,
+    UnexpectedError,
+    Worker,
+    ask,
+    lost,
+    result_of,
+    serve_calls,
+)
 from ddpc_cosim.study.cases import Case, cases_of, files_read, no_samples, partial_trace, row_store, run_case
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.results import (
@@ -45,7 +54,6 @@ from ddpc_cosim.study.results import (
 )
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome
-from ddpc_cosim.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, lost, result_of, serve_calls
 from fmu_plants.files import cache_dir
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from time import monotonic
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.responses import Actuation, Response, Stretch
-from ddpc_cosim.scratch import ScratchFolder
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.following import FOLLOWS, WHY, following_lines, left_by, none_follows
 from ddpc_cosim.study.reading import read_study

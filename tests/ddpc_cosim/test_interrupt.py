@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ddpc_cosim.cli.main import Terminated, orderly_end
-from ddpc_cosim.scratch import remove_left_behind
+from ddpc_cosim.processes.scratch import remove_left_behind
 
 from .fmu_faults.processes import Watch, descendants, heed_interrupts
 
@@ -137,6 +137,55 @@ def test_an_interrupt_while_workers_start(write_study: WriteStudy, tmp_path: Pat
     assert "interrupted: finished cases are kept" in rest
     assert "Traceback" not in rest
     assert family.wait(60.0) == []
+
+
+SLOW_PLANT = """
+import os
+import signal
+
+import numpy as np
+from ddpc_cosim import Plant, Variable
+
+class Slow(Plant):
+    inputs, outputs = (), (Variable("y"),)
+    def reset(self, parameters=None, t0=0.0):
+        self.k = 0
+        return np.zeros(1)
+    def step(self, u, h):
+        self.k += 1
+        if self.k == 5:
+            os.write(os.open(os.environ["READY"], os.O_WRONLY), b"x")
+            signal.pause()
+        return np.full(1, float(self.k))
+"""
+
+
+def test_simulate_keeps_what_was_simulated(tmp_path: Path, program: str) -> None:
+    (tmp_path / "slow.py").write_text(SLOW_PLANT, encoding="utf-8")
+    pipe = tmp_path / "ready"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    process = subprocess.Popen(
+        [program, "simulate", "slow:Slow", "--stop", "1", "--step", "0.1", "--out", "part.csv"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path), "READY": str(pipe)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    os.set_blocking(reader, True)
+    assert select.select([reader], [], [], 60.0)[0], "it has not begun"
+    os.close(reader)
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 130, told
+    assert "slow:Slow: interrupted: 5 of 11 samples, to t = 0.4 s" in told
+    assert "Traceback" not in told
+    lines = (tmp_path / "part.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "time [s],y [1],outcome"
+    assert lines[-1] == "0.4,4.0,interrupted"
 
 
 @pytest.fixture

@@ -16,10 +16,7 @@ from fmus.builder import CO_SIMULATION, Fault, V, describe, library_name, model_
 
 from ddpc_cosim import CaseResult, StudyResults, load_results
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(sys.platform != "linux", reason="what a process has is told on Linux"),
-]
+pytestmark = pytest.mark.slow
 
 VARIABLES = (
     V("u", 0, causality="input", start="0", more={"min": "-10", "max": "10"}),

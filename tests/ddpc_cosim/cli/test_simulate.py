@@ -1,10 +1,6 @@
 """``ddpc-cosim simulate``: what is written, what is printed, and the exit codes."""
 
-import os
-import select
-import signal
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -124,56 +120,6 @@ def test_no_file_that_is_read_is_written_over(folder: Path, option: str, name: s
     assert result.exit_code == 2
     assert name in result.stderr
     assert (folder / name).read_bytes() == before
-
-
-SLOW = """
-import os
-import signal
-
-import numpy as np
-from ddpc_cosim import Plant, Variable
-
-class Slow(Plant):
-    inputs, outputs = (), (Variable("y"),)
-    def reset(self, parameters=None, t0=0.0):
-        self.k = 0
-        return np.zeros(1)
-    def step(self, u, h):
-        self.k += 1
-        if self.k == 5:
-            os.write(os.open(os.environ["READY"], os.O_WRONLY), b"x")
-            signal.pause()
-        return np.full(1, float(self.k))
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of a terminal")
-def test_ctrl_c_keeps_what_was_simulated(tmp_path: Path, program: str) -> None:
-    (tmp_path / "slow.py").write_text(SLOW, encoding="utf-8")
-    pipe = tmp_path / "ready"
-    os.mkfifo(pipe)
-    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    process = subprocess.Popen(
-        [program, "simulate", "slow:Slow", "--stop", "1", "--step", "0.1", "--out", "part.csv"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(tmp_path), "READY": str(pipe)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-    os.set_blocking(reader, True)
-    assert select.select([reader], [], [], 60.0)[0], "it has not begun"
-    os.close(reader)
-    process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=60)
-    assert process.returncode == 130, told
-    assert "slow:Slow: interrupted: 5 of 11 samples, to t = 0.4 s" in told
-    assert "Traceback" not in told
-    lines = (tmp_path / "part.csv").read_text(encoding="utf-8").splitlines()
-    assert lines[0] == "time [s],y [1],outcome"
-    assert lines[-1] == "0.4,4.0,interrupted"
 
 
 def test_a_run_without_samples_is_told_everywhere(folder: Path) -> None:

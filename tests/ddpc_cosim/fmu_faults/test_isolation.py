@@ -16,7 +16,7 @@ from fmus.builder import Fault
 from ddpc_cosim import ConfigError, FMUImportError, FMUPlant, FMUStepError
 from ddpc_cosim.errors import StepStatus
 from ddpc_cosim.fmu.isolation import Frame, IsolatedSession
-from ddpc_cosim.worker import Channel
+from ddpc_cosim.processes.worker import Channel
 
 from .loop import H
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from fmus.builder import Fault
 
-from ddpc_cosim.scratch import remove_left_behind
+from ddpc_cosim.processes.scratch import remove_left_behind
 
 from .processes import Watch, descendants, heed_interrupts
 
@@ -183,7 +183,8 @@ def test_a_folder_that_is_not_to_outlive_its_process(
     process = start(
         sys.executable,
         "-c",
-        "from ddpc_cosim.scratch import ScratchFolder; folder = ScratchFolder(); folder.remove_after_death();"
+        "from ddpc_cosim.processes.scratch import ScratchFolder; folder = ScratchFolder();"
+        "folder.remove_after_death();"
         "(folder.path / 'file').touch(); print(folder.path, flush=True); input()",
     )
     assert process.stdout is not None

@@ -18,9 +18,9 @@ from fmus.builder import library_name
 
 from ddpc_cosim import FMUPlant, FMUStepError
 from ddpc_cosim.fmu.archive import unpack
-from ddpc_cosim.fork_server import ForkServer
-from ddpc_cosim.scratch import ScratchFolder, remove_left_behind
-from ddpc_cosim.worker import Worker, result_of
+from ddpc_cosim.processes.fork_server import ForkServer
+from ddpc_cosim.processes.scratch import ScratchFolder, remove_left_behind
+from ddpc_cosim.processes.worker import Worker, result_of
 
 from .loop import H
 from .processes import Watch, descendants
@@ -71,7 +71,7 @@ class TestTheServer:
 
 WORKER_SIDE = """
 import json, os, signal, subprocess, sys
-from ddpc_cosim.worker import reply
+from ddpc_cosim.processes.worker import reply
 
 def leave_a_process(channel):
     child = subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"])
@@ -205,7 +205,7 @@ def test_a_forked_copy_of_the_master(faulty_fmus: dict[int, Path], scratch: Path
 class TestScratchFolders:
     SCRIPT = """
 import os, signal
-from ddpc_cosim.scratch import ScratchFolder
+from ddpc_cosim.processes.scratch import ScratchFolder
 folder = ScratchFolder()
 (folder.path / "file").touch()
 print(folder.path, flush=True)

@@ -1,17 +1,14 @@
 """Each defect of an FMU is found, called by its name, and located; sound FMUs are in test_inspection.py."""
 
-import os
-import sys
 import warnings
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from ddpc_cosim import CosimError, CosimWarning, FMUImportError, FMUPlant
 from ddpc_cosim.fmu.description.defects import Severity
-from ddpc_cosim.inspection import Inspection, inspect_fmu
+from ddpc_cosim.inspection import inspect_fmu
 
 FMI2, FMI3 = "2.0", "3.0"
 
@@ -240,42 +237,6 @@ def test_a_library_for_another_platform(pendulum_fmu, tmp_path) -> None:
             content = b"not a library" if name == binary_of(pendulum_fmu) else source.read(name)
             target.writestr(name, content)
     assert kinds(fmu) == ["foreign-library"]
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="ELF")
-def test_a_library_for_another_processor_or_cut_off(pendulum_fmu, tmp_path) -> None:
-    """The fields of the ELF header: e_machine at 18, 243 is RISC-V; what is cut off are its last segments."""
-
-    def changed(change: Callable[[bytes], bytes]) -> Inspection:
-        fmu = tmp_path / "changed.fmu"
-        with zipfile.ZipFile(pendulum_fmu) as source, zipfile.ZipFile(fmu, "w") as target:
-            for name in source.namelist():
-                content = source.read(name)
-                target.writestr(name, change(content) if name == binary_of(pendulum_fmu) else content)
-        return inspect_fmu(fmu)
-
-    foreign = changed(lambda library: library[:18] + (243).to_bytes(2, "little") + library[20:])
-    (defect,) = foreign.defects
-    assert (defect.kind.name, foreign.can_run) == ("foreign-library", False)
-    assert "is for RISC-V, not " in str(defect.places)
-    for part in (0.001, 0.3, 0.6):
-        cut_off = changed(lambda library, part=part: library[: int(part * len(library))])
-        assert [one.kind.name for one in cut_off.defects] == ["cut-off-library"]
-        assert not cut_off.can_run
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="mount flags")
-def test_a_temporary_folder_that_forbids_execution(
-    pendulum_fmu, tmp_path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    statvfs = os.statvfs
-
-    class Mounted:
-        f_flag = statvfs(tmp_path).f_flag | os.ST_NOEXEC
-
-    monkeypatch.setattr(os, "statvfs", lambda path: Mounted)
-    (defect,) = (found := inspect_fmu(pendulum_fmu)).defects
-    assert (defect.kind.name, found.can_run) == ("no-execution", False)
 
 
 def test_a_library_without_the_functions_it_needs(pendulum_fmu, pendulum_fmi3, tmp_path) -> None:

@@ -26,7 +26,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, ClassVar, NamedTuple, NoReturn
 
-from ddpc_cosim.limits import children, excess_of, limit_tasks
+from ddpc_cosim.processes.limits import children, excess_of, limit_tasks
 
 START_SECONDS = 120.0
 _LOOK_SECONDS, _LIMIT_SECONDS = 1.0, 0.1
@@ -80,8 +80,11 @@ def start_python(code: str, stdin: int, pass_fds: Sequence[int] = ()) -> "subpro
         # In a virtual environment, python.exe only launches this one, and would be ended in its place.
         command[0] = sys._base_executable
         flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
-    find = "import sys; sys.path += [p for p in sys.argv[1:] if p not in sys.path]; import ddpc_cosim.worker"
-    command += [f"{find}; {code}", *(entry or here() for entry in sys.path)]
+    find = "import sys; sys.path += [p for p in sys.argv[1:] if p not in sys.path]"
+    command += [
+        f"{find}; from ddpc_cosim.processes import fork_server, worker; {code}",
+        *(entry or here() for entry in sys.path),
+    ]
     null = subprocess.DEVNULL
     return subprocess.Popen(
         command,
@@ -121,7 +124,7 @@ class ForkServer:
         self._socket, other = socket.socketpair()
         with other:
             descriptor = other.fileno()
-            code = f"ddpc_cosim.fork_server.Server({descriptor}, ddpc_cosim.worker.run).serve()"
+            code = f"fork_server.Server({descriptor}, worker.run).serve()"
             self._process = start_python(code, subprocess.DEVNULL, (descriptor,))
         self._socket.settimeout(_LOOK_SECONDS)
         atexit.register(self._stop)

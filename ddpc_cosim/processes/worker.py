@@ -26,7 +26,7 @@ from typing import Any
 
 from ddpc_cosim import errors
 from ddpc_cosim.errors import ConfigError, CosimError, DataError, FMUStepError, StepStatus
-from ddpc_cosim.fork_server import (
+from ddpc_cosim.processes.fork_server import (
     LEFT_BEHIND,
     ONE_THREAD,
     START_SECONDS,
@@ -36,8 +36,8 @@ from ddpc_cosim.fork_server import (
     here,
     start_python,
 )
-from ddpc_cosim.limits import default_memory
-from ddpc_cosim.sandbox import Sandbox, enter
+from ddpc_cosim.processes.limits import default_memory
+from ddpc_cosim.processes.sandbox import Sandbox, enter
 from ddpc_cosim.texts import recorded
 
 LONGEST_REPLY = 1 << 27
@@ -293,7 +293,7 @@ class _Shared:
     """A process of its own with the far end of a channel (Windows)."""
 
     def __init__(self, connection: socket.socket) -> None:
-        self._process = start_python("ddpc_cosim.worker.run_shared()", stdin=subprocess.PIPE)
+        self._process = start_python("worker.run_shared()", stdin=subprocess.PIPE)
         assert self._process.stdin is not None
         if sys.platform == "win32":
             with self._process.stdin as pipe:

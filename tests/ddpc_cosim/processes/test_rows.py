@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import Action, Constant, Controller, FMUPlant, Loop, Sample, Variable, cosimulate, safe_calls
-from ddpc_cosim.rows import RowStore, info_path
+from ddpc_cosim.processes.rows import RowStore, info_path
 from ddpc_cosim.variables import FloatArray
 
 

@@ -1,0 +1,43 @@
+"""Defects that show in ELF files and in mount flags."""
+
+import os
+import zipfile
+from collections.abc import Callable
+
+import pytest
+
+from ddpc_cosim.inspection import Inspection, inspect_fmu
+
+
+def test_a_library_for_another_processor_or_cut_off(pendulum_fmu, tmp_path) -> None:
+    """The fields of the ELF header: e_machine at 18, 243 is RISC-V; what is cut off are its last segments."""
+
+    def changed(change: Callable[[bytes], bytes]) -> Inspection:
+        fmu = tmp_path / "changed.fmu"
+        with zipfile.ZipFile(pendulum_fmu) as source, zipfile.ZipFile(fmu, "w") as target:
+            for name in source.namelist():
+                content = source.read(name)
+                target.writestr(name, change(content) if name.startswith("binaries/") else content)
+        return inspect_fmu(fmu)
+
+    foreign = changed(lambda library: library[:18] + (243).to_bytes(2, "little") + library[20:])
+    (defect,) = foreign.defects
+    assert (defect.kind.name, foreign.can_run) == ("foreign-library", False)
+    assert "is for RISC-V, not " in str(defect.places)
+    for part in (0.001, 0.3, 0.6):
+        cut_off = changed(lambda library, part=part: library[: int(part * len(library))])
+        assert [one.kind.name for one in cut_off.defects] == ["cut-off-library"]
+        assert not cut_off.can_run
+
+
+def test_a_temporary_folder_that_forbids_execution(
+    pendulum_fmu, tmp_path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    statvfs = os.statvfs
+
+    class Mounted:
+        f_flag = statvfs(tmp_path).f_flag | os.ST_NOEXEC
+
+    monkeypatch.setattr(os, "statvfs", lambda path: Mounted)
+    (defect,) = (found := inspect_fmu(pendulum_fmu)).defects
+    assert (defect.kind.name, found.can_run) == ("no-execution", False)
