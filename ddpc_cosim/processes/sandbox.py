@@ -3,8 +3,9 @@
 A process that has entered it, and all that it starts, writes nowhere but in the folders it is given, reads
 what is installed but not the user's files, opens no sockets, and signals, traces or limits no process
 outside. The system does this: Landlock (https://docs.kernel.org/userspace-api/landlock.html) for files and
-signals, a seccomp filter for sockets, key rings, shared memory, limits of other processes, and permissions
-of files, which Landlock leaves alone; root loses its capabilities.
+signals, a seccomp filter for sockets, key rings, shared memory, limits and priorities of other processes, and
+for what Landlock leaves alone: permissions and times of files, and who looks at a folder. Root loses its
+capabilities.
 """
 
 import ctypes
@@ -43,30 +44,43 @@ _DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom"
 
 
 class _Processor(NamedTuple):
-    """How a processor is called in filters, and its numbers of the calls that are refused."""
+    """How a processor is called in filters, and its numbers of the calls that are not free."""
 
     audit: int
-    set_limits: int  # of a process, which is refused but for the own one: a limit on CPU time ends a process
+    pair: int  # of sockets: only of streams, as one end of a pair of datagrams can send to any service
+    own_only: tuple[int, ...]  # of a process: a limit on CPU time ends it, one processor slows it down
     refused: tuple[int, ...]
 
 
 _EVERYWHERE = (425, 452, 463, 466)  # io_uring_setup, fchmodat2, setxattrat, removexattrat
 _PROCESSORS = {
-    # socket; shmget, shmat, semget, msgget; chmod, chown, lchown, fchownat, fchmodat; setxattr, lsetxattr,
-    # removexattr, lremovexattr; add_key, request_key, keyctl
     "x86_64": _Processor(
         0xC000003E,
-        302,
-        (41, 29, 30, 64, 68, 90, 92, 94, 260, 268, 188, 189, 197, 198, 248, 249, 250, *_EVERYWHERE),
+        53,
+        # prlimit64; sched_setparam, sched_setscheduler, sched_setaffinity, sched_setattr
+        (302, 142, 144, 203, 314),
+        (
+            *(41, 29, 30, 64, 68),  # socket; shmget, shmat, semget, msgget
+            *(90, 92, 94, 260, 268),  # chmod, chown, lchown, fchownat, fchmodat
+            *(188, 189, 197, 198),  # setxattr, lsetxattr, removexattr, lremovexattr
+            *(248, 249, 250),  # add_key, request_key, keyctl
+            *(132, 235, 261, 280),  # utime, utimes, futimesat, utimensat
+            *(254, 141, 251),  # inotify_add_watch; setpriority, ioprio_set
+            *_EVERYWHERE,
+        ),
     ),
     "aarch64": _Processor(
-        0xC00000B7, 261, (198, 194, 196, 190, 186, 54, 53, 5, 6, 14, 15, 217, 218, 219, *_EVERYWHERE)
+        0xC00000B7,
+        199,
+        (261, 118, 119, 122, 274),
+        (198, 194, 196, 190, 186, 54, 53, 5, 6, 14, 15, 217, 218, 219, 88, 27, 140, 30, *_EVERYWHERE),
     ),
 }
-_LOAD, _EQUAL, _AT_LEAST, _RETURN = 0x20, 0x15, 0x35, 0x06
-_NUMBER, _PROCESSOR, _FIRST_ARGUMENT = 0, 4, 16  # where a filter finds them
+_LOAD, _AND, _EQUAL, _AT_LEAST, _RETURN = 0x20, 0x54, 0x15, 0x35, 0x06
+_NUMBER, _PROCESSOR, _FIRST_ARGUMENT, _SECOND_ARGUMENT = 0, 4, 16, 24  # where a filter finds them
 _ALLOW, _REFUSE, _KILL = 0x7FFF0000, 0x00050000 | errno.EACCES, 0x80000000
 _FOREIGN_CALLS = 0x40000000  # of 32-bit programs on x86_64, which have other numbers
+_SOCKET_TYPE = 0xF  # without its flags
 
 _entered = ""
 
@@ -190,20 +204,16 @@ def _allow(libc: ctypes.CDLL, rules: int, path: Path, rights: int) -> None:
 
 def _filter_calls(libc: ctypes.CDLL) -> None:
     processor = _PROCESSORS[platform.machine()]
-    refused = processor.refused
-    program = [
-        (_LOAD, 0, 0, _PROCESSOR),
-        (_EQUAL, 1, 0, processor.audit),
-        (_RETURN, 0, 0, _KILL),
-        (_LOAD, 0, 0, _NUMBER),
-        (_AT_LEAST, len(refused) + 4, 0, _FOREIGN_CALLS),
-        *((_EQUAL, len(refused) + 3 - i, 0, number) for i, number in enumerate(refused)),
-        (_EQUAL, 0, 2, processor.set_limits),
-        (_LOAD, 0, 0, _FIRST_ARGUMENT),
-        (_EQUAL, 0, 1, 0),  # its own
-        (_RETURN, 0, 0, _ALLOW),
-        (_RETURN, 0, 0, _REFUSE),
-    ]
+    allow, refuse = (_RETURN, 0, 0, _ALLOW), (_RETURN, 0, 0, _REFUSE)
+    program = [(_LOAD, 0, 0, _PROCESSOR), (_EQUAL, 1, 0, processor.audit), (_RETURN, 0, 0, _KILL)]
+    program += [(_LOAD, 0, 0, _NUMBER), (_AT_LEAST, 0, 1, _FOREIGN_CALLS), refuse]
+    for number in processor.refused:
+        program += [(_EQUAL, 0, 1, number), refuse]
+    for number in processor.own_only:
+        program += [(_EQUAL, 0, 4, number), (_LOAD, 0, 0, _FIRST_ARGUMENT), (_EQUAL, 0, 1, 0), allow, refuse]
+    program += [(_EQUAL, 0, 7, processor.pair), (_LOAD, 0, 0, _FIRST_ARGUMENT)]
+    program += [(_EQUAL, 0, 4, socket.AF_UNIX), (_LOAD, 0, 0, _SECOND_ARGUMENT), (_AND, 0, 0, _SOCKET_TYPE)]
+    program += [(_EQUAL, 0, 1, socket.SOCK_STREAM), allow, refuse, allow]
     code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *line) for line in program))
     head = ctypes.create_string_buffer(struct.pack("@HP", len(program), ctypes.addressof(code)))
     _check(libc.prctl(_SECCOMP, _FILTER, head, 0, 0), "seccomp")
