@@ -4,6 +4,9 @@ The public names stand in ``__init__.pyi``; each is imported when it is first us
 answers at once.
 """
 
+from importlib.metadata import version
+
 import lazy_loader
 
+__version__ = version("ddpc-cosim")
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

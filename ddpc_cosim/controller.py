@@ -1,19 +1,21 @@
 """The controller contract: what a plug-in implements, and what the loop tells it."""
 
+import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from itertools import accumulate, pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table, write_table
 from ddpc_cosim.errors import DataError
-from ddpc_cosim.settings import check_settings, to_plain
+from ddpc_cosim.settings import SettingsError, check_settings, instead_of, to_plain
 from ddpc_cosim.variables import FloatArray, Variable
+from fmu_plants.spelling import did_you_mean
 
 OK = "ok"
 _NO_INFO: Mapping[str, float] = MappingProxyType({})
@@ -318,6 +320,18 @@ class Controller(ABC):
         counts such samples as fallbacks.
         """
         return False
+
+    def __new__(cls, *_: Any, **settings: Any) -> Self:
+        """Make a controller; an unknown setting is told with the one that may be meant."""
+        known = list(inspect.signature(cls.__init__).parameters.values())[1:]
+        if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in known):
+            allowed = [parameter.name for parameter in known]
+            unknown = [name for name in settings if name not in allowed]
+            if unknown:
+                what = f"unknown setting of {cls.__name__}"
+                hints = {name: instead_of(cls, name) or did_you_mean(name, allowed) for name in unknown}
+                raise SettingsError([((name,), f"{what}; {hint}") for name, hint in hints.items()])
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -8,15 +8,16 @@ import importlib.util
 import inspect
 import sys
 import sysconfig
+import textwrap
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.abc import MetaPathFinder
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, FunctionType, ModuleType, NoneType
 from typing import Any
 
 from ddpc_cosim.errors import PluginError
@@ -172,6 +173,8 @@ def load_target(target: str, kind: str) -> Any:
     PluginError
         It cannot be loaded, and why.
     """
+    if target in _by_value:
+        return _by_value[target]
     module_name, _, attribute = target.partition(":")
     top = module_name.partition(".")[0]
     try:
@@ -197,6 +200,58 @@ def _hint(error: BaseException, top: str) -> str:
     return ""
 
 
+_by_value: dict[str, Any] = {}
+"""What another process cannot import, by ``module:attribute``: classes of a notebook or a script, models."""
+
+
+def name_of(kind: str, value: Any, attribute: str = "") -> str:
+    """Return the name by which a study speaks of a class, or of an object that plug-ins of a kind can be.
+
+    It is that of its entry point, else ``module:attribute``. What no other process can import under that name
+    (a class of a notebook, a script or a function, an object) is kept, for :func:`load_plugin` here and, sent
+    by :func:`values_of` and :func:`keep_values`, in a worker.
+
+    Parameters
+    ----------
+    kind : str
+        One of ``KINDS``.
+    value : object
+        The class or object.
+    attribute : str
+        What an object that has no name of its own is called.
+    """
+    target = f"{getattr(value, '__module__', '__main__')}:{getattr(value, '__qualname__', attribute)}"
+    for entry in _entry_points(kind):
+        module, _, name = entry.value.partition(":")
+        if module in sys.modules and getattr(sys.modules[module], name, None) is value:
+            return entry.name
+    if not _is_importable(target, value):
+        _by_value[target] = value
+        code_version.cache_clear()
+    return target
+
+
+def _is_importable(target: str, value: Any) -> bool:
+    """Whether another process finds an object under its name."""
+    module_name, _, attribute = target.partition(":")
+    found: Any = sys.modules.get(module_name)
+    if module_name == "__main__" or getattr(found, "__spec__", None) is None:
+        return False
+    for part in attribute.split("."):
+        found = getattr(found, part, None)
+    return found is value
+
+
+def values_of(targets: Iterable[str]) -> dict[str, Any]:
+    """Return those of some names that another process cannot import, for :func:`keep_values` there."""
+    return {target: _by_value[target] for target in targets if target in _by_value}
+
+
+def keep_values(values: Mapping[str, Any]) -> None:
+    """Have names stand for what another process has sent."""
+    _by_value.update(values)
+
+
 _CODE = (".py", *EXTENSION_SUFFIXES)
 
 
@@ -212,10 +267,60 @@ def code_version(controller: str) -> str:
     It can be any class that a setting names; with a name of nothing comes no code.
     """
     try:
-        module = load_plugin("controllers", controller).__module__
+        return source_hash(__name__) + hash_of_code(controller, load_plugin("controllers", controller))
     except (PluginError, AttributeError):
         return ""
-    return source_hash(__name__) + source_hash(module)
+
+
+def hash_of_code(target: str, value: Any) -> str:
+    """Return a hash of the source that a class consists of: its package's, or its own where it has none."""
+    if target in _by_value:
+        return hashlib.sha256("\n".join(_own_source(value)).encode()).hexdigest()
+    return source_hash(value.__module__)
+
+
+_DATA = (bool, int, float, complex, str, bytes, tuple, list, dict, set, NoneType)
+
+
+def _own_source(value: Any) -> list[str]:
+    """Return the source of a class and of what it uses of its own module.
+
+    Data are told by their values, other objects by their class. Where there is no source, as of a class that
+    was made without a file, its code stands in for it.
+    """
+    parts, waiting, seen = list[str](), [value], {id(value)}
+    while waiting:
+        one = waiting.pop()
+        if not isinstance(one, type | FunctionType):
+            if isinstance(one, _DATA):
+                parts.append(repr(one))
+                continue
+            one = type(one)
+        try:
+            source = textwrap.dedent(inspect.getsource(one))
+            used = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
+        except (OSError, TypeError, SyntaxError):
+            source, used = _code_of(one), set[str]()
+        parts.append(source)
+        around = vars(sys.modules[one.__module__]) if one.__module__ in sys.modules else {}
+        for name in sorted(used & around.keys()):
+            other = around[name]
+            is_own = getattr(other, "__module__", one.__module__) == one.__module__
+            if id(other) not in seen and is_own and not isinstance(other, ModuleType):
+                seen.add(id(other))
+                waiting.append(other)
+    return parts
+
+
+def _code_of(value: Any) -> str:
+    """Return what a class or function without source does: byte code, constants, names, plain values."""
+    if isinstance(value, type):
+        return "".join(name + _code_of(entry) for name, entry in sorted(vars(value).items()))
+    if isinstance(value, FunctionType):
+        return _code_of(value.__code__) + repr(value.__defaults__)
+    if isinstance(value, CodeType):
+        return repr((value.co_code, value.co_names)) + "".join(map(_code_of, value.co_consts))
+    return repr(value) if isinstance(value, _DATA) else type(value).__name__
 
 
 def types_in(section: Any) -> Iterator[str]:

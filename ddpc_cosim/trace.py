@@ -12,9 +12,11 @@ from ddpc_cosim.controller import OK, Bounds
 from ddpc_cosim.csv_files import write_table
 from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
 from ddpc_cosim.responses import Actuation, Response, StepTimes
-from ddpc_cosim.variables import FloatArray, Variable
+from ddpc_cosim.texts import html_table, printable
+from ddpc_cosim.variables import FloatArray, Variable, names
 
 if TYPE_CHECKING:
+    import altair
     import pandas as pd
 
 
@@ -32,7 +34,7 @@ class Outcome(StrEnum):
     TERMINATED = "terminated"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Trace:
     """The samples of one run, how it ended, and what it was made from.
 
@@ -122,6 +124,14 @@ class Trace:
     def __len__(self) -> int:
         return len(self.time)
 
+    def __repr__(self) -> str:
+        samples = f"{len(self)} of {self.planned_samples} samples, {self.sampling_time:g} s apart"
+        signals = f"{' '.join(names(self.inputs))} -> {' '.join(names(self.outputs))}"
+        return printable(f"Trace({self.outcome}, {samples}, {signals})")
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self), ("metric", "value"), self.metrics().items())
+
     @property
     def completed(self) -> bool:
         """Whether the run reached its last sample."""
@@ -188,6 +198,23 @@ class Trace:
             Response(output, self.y[rows, i], ends, h, self.reference[rows, i], settings.preview)
             for i, (output, ends) in enumerate(zip(self.outputs, limits, strict=True))
         ]
+
+    def plot(self) -> "altair.VConcatChart":
+        """Return the samples as a chart: outputs with references and limits, inputs below, in display units.
+
+        It shows itself in a notebook; ``save`` writes it as a page, SVG or PNG.
+        """
+        from ddpc_cosim.plotting import Panel, time_chart
+
+        limits = self.bounds
+        panels = [
+            Panel(v, self.y[:, i], (limits.y_min[i], limits.y_max[i]), self.reference[:, i])
+            for i, v in enumerate(self.outputs)
+        ]
+        panels += [
+            Panel(v, self.u[:, i], (limits.u_min[i], limits.u_max[i])) for i, v in enumerate(self.inputs)
+        ]
+        return time_chart(self.time, panels, "" if self.completed else f"{self.outcome}: {self.reason}")
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the numeric columns under the headers of ``signals.csv``, each of shape (K,).

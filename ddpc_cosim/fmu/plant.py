@@ -20,6 +20,7 @@ from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU, for_model_exchange, 
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.processes.sandbox import entered, require
 from ddpc_cosim.processes.scratch import ScratchFolder
+from ddpc_cosim.texts import html_table, printable
 from ddpc_cosim.variables import FloatArray, Variable, names, with_display_units
 from fmu_plants.spelling import did_you_mean
 
@@ -147,6 +148,20 @@ class FMUPlant(Plant):
         self._session = self._open(self._fmu)
         self._stop_time: float | None = None
         self._step = self._session.step
+
+    def __repr__(self) -> str:
+        how = f"FMI {self.description.fmi_version} {_KIND[self._fmu.interface.kind]}"
+        signals = f"{len(self.inputs)} inputs, {len(self.outputs)} outputs"
+        return printable(f"FMUPlant({self.path.name}, {how}, {signals})")
+
+    def _repr_html_(self) -> str:
+        kinds = (("input", self.inputs), ("output", self.outputs))
+        rows = [
+            (kind, v.name, v.unit or "1", v.start, v.min, v.max, v.description)
+            for kind, variables in kinds
+            for v in variables
+        ]
+        return html_table(repr(self), ("", "name", "unit", "start", "min", "max", "description"), rows)
 
     def _shown_in(self, units: Mapping[str, str]) -> tuple[tuple[Variable, ...], tuple[Variable, ...]]:
         """Return inputs and outputs with the display units that are asked for."""

@@ -351,4 +351,6 @@ def serve_calls(channel: Channel) -> None:
 
 def ask(channel: Channel, function: Callable[..., Any], *arguments: Any) -> None:
     """Have a worker that serves calls call a function; its reply is to be received."""
-    channel.send(pickle.dumps((function, arguments)))
+    import cloudpickle  # a class that the worker cannot import goes along by value
+
+    channel.send(cloudpickle.dumps((function, arguments)))

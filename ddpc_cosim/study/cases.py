@@ -213,6 +213,12 @@ def files_read(case: Case) -> list[Path]:
     return [Path(path) for path in (case.plant.fmu, *named, *modules) if path]
 
 
+def plugins_in(case: Case) -> Iterator[str]:
+    """Yield the names of the plug-ins that a case is made of."""
+    yield case.plant.name
+    yield from types_in(_sections(case))
+
+
 def _hash_of_recording(recording: Recording) -> str:
     content = hashlib.sha256(repr((recording.seams, recording.sampling_time)).encode())
     for array in (recording.u, recording.y, recording.measured):

@@ -12,7 +12,7 @@ import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
-from ddpc_cosim.plugins import load_plugin, source_hash
+from ddpc_cosim.plugins import hash_of_code, load_plugin
 from ddpc_cosim.safe_calls import (
     close_plant,
     make_plant,
@@ -180,7 +180,7 @@ class PlantSpec:
         """Return the plant ready to run: equations are exported to an FMU, which is compiled if it is new."""
         if not self.is_fmu:
             plugin = self._plugin()
-            content = f"{plugin.__module__}:{plugin.__qualname__} {source_hash(plugin.__module__)}"
+            content = f"{plugin.__module__}:{plugin.__qualname__} {hash_of_code(self.name, plugin)}"
             return replace(self, content=content + self._shown())
         if self.fmu:
             self._check_library()

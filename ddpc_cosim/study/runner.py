@@ -10,7 +10,7 @@ import shlex
 import sys
 import tempfile
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -19,11 +19,18 @@ from importlib import metadata
 from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.master import OUTCOME_OF
-from ddpc_cosim.plugins import find_modules_in, load_plugin, own_folder, package_version
+from ddpc_cosim.plugins import (
+    find_modules_in,
+    keep_values,
+    load_plugin,
+    own_folder,
+    package_version,
+    values_of,
+)
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.rows import Call, RowStore
 from ddpc_cosim.processes.sandbox import Sandbox, require as require_sandbox
@@ -37,7 +44,16 @@ from ddpc_cosim.processes.worker import (
     result_of,
     serve_calls,
 )
-from ddpc_cosim.study.cases import Case, cases_of, files_read, no_samples, partial_trace, row_store, run_case
+from ddpc_cosim.study.cases import (
+    Case,
+    cases_of,
+    files_read,
+    no_samples,
+    partial_trace,
+    plugins_in,
+    row_store,
+    run_case,
+)
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.results import (
     CASES_FOLDER,
@@ -365,7 +381,8 @@ class _Run:
         self._store = row_store(case, rows, follow=True)
         self._call, self._since = 0, monotonic()
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
-            ask(self.worker.channel, run_and_stage, case, rows, self._staged, own_folder())
+            values = values_of(plugins_in(case))
+            ask(self.worker.channel, run_and_stage, case, rows, self._staged, own_folder(), values)
 
     @property
     def progress(self) -> Update:
@@ -453,7 +470,8 @@ class _Run:
         write_case(self._folder, trace, head, self._staging, self.case.metrics)
 
 
-def run_and_stage(case: Case, rows: Path, staged: Path, modules: str) -> None:
+def run_and_stage(case: Case, rows: Path, staged: Path, modules: str, values: Mapping[str, Any]) -> None:
     """Run a case, in a worker, and write its files where they do not count yet."""
     find_modules_in(modules)
+    keep_values(values)
     stage_case(staged, run_case(case, row_store(case, rows)), case.head(), case.metrics)
