@@ -57,10 +57,7 @@ from .signals import (
     WhiteNoise as WhiteNoise,
 )
 from .simulation import Simulation as Simulation, simulate as simulate
-from .study.results import (
-    CaseResult as CaseResult,
-    StudyResults as StudyResults,
-    load_results as load_results,
-)
+from .study.case_files import CaseResult as CaseResult
+from .study.results import StudyResults as StudyResults, load_results as load_results
 from .trace import Outcome as Outcome, Trace as Trace
 from .variables import DisplayUnit as DisplayUnit, FloatArray as FloatArray, Variable as Variable

@@ -23,10 +23,11 @@ from rich.progress import (
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.results import METRICS_FILE, CaseResult, StudyResults, load_results
+from ddpc_cosim.study.results import METRICS_FILE, StudyResults, load_results
 from ddpc_cosim.study.runner import Selection, Update, run_study
 from ddpc_cosim.study.sections import expand_seeds
 from ddpc_cosim.texts import printable

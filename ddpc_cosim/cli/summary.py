@@ -11,7 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from ddpc_cosim.metrics import all_metrics, headline, metric_of, split_key
-from ddpc_cosim.study.results import METRICS_FILE, CaseResult, StudyResults
+from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.texts import printable
 from ddpc_cosim.trace import Outcome
 

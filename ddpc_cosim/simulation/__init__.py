@@ -20,8 +20,8 @@ from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.signals import values_at
 from ddpc_cosim.simulation.golden import OUTCOME, TIME, Difference
 from ddpc_cosim.simulation.request import Prepared, Request, prepare
+from ddpc_cosim.study.case_files import load_case
 from ddpc_cosim.study.cases import partial_trace
-from ddpc_cosim.study.results import load_case
 from ddpc_cosim.study.runner import Update, run_cases
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import FloatArray, Variable

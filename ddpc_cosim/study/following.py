@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from statistics import median
 
 from ddpc_cosim.metrics import split_key
-from ddpc_cosim.study.results import CaseResult
+from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.sections import Study
 from ddpc_cosim.trace import Outcome
 

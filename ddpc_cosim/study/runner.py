@@ -44,6 +44,15 @@ from ddpc_cosim.processes.worker import (
     result_of,
     serve_calls,
 )
+from ddpc_cosim.study.case_files import (
+    CaseResult,
+    accept_case,
+    judge_again,
+    load_case,
+    read_run,
+    stage_case,
+    write_case,
+)
 from ddpc_cosim.study.cases import (
     Case,
     cases_of,
@@ -55,19 +64,7 @@ from ddpc_cosim.study.cases import (
     run_case,
 )
 from ddpc_cosim.study.plants import PlantSpec
-from ddpc_cosim.study.results import (
-    CASES_FOLDER,
-    CaseResult,
-    StudyResults,
-    accept_case,
-    judge_again,
-    load_case,
-    load_cases,
-    read_run,
-    stage_case,
-    write_case,
-    write_results,
-)
+from ddpc_cosim.study.results import CASES_FOLDER, StudyResults, load_cases, write_results
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome
 from fmu_plants.files import cache_dir

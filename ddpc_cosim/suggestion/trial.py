@@ -14,11 +14,12 @@ import numpy as np
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.responses import Actuation, Response, Stretch
+from ddpc_cosim.study.case_files import CaseResult, judge_again
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.following import FOLLOWS, WHY, following_lines, left_by, none_follows
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedStudy
-from ddpc_cosim.study.results import CASES_FOLDER, CaseResult, judge_again, load_cases
+from ddpc_cosim.study.results import CASES_FOLDER, load_cases
 from ddpc_cosim.study.runner import Update, run_cases
 from ddpc_cosim.suggestion.design import Bounds, Setpoints, clean, rounded
 from ddpc_cosim.suggestion.writing import Proposal, study_text

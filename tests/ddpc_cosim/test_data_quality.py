@@ -23,7 +23,7 @@ from ddpc_cosim import (
     cosimulate,
     judge_prediction,
 )
-from ddpc_cosim.study.results import load_case, read_trace, write_case
+from ddpc_cosim.study.case_files import load_case, read_trace, write_case
 
 
 class Lag(Plant):

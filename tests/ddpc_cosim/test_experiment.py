@@ -28,9 +28,9 @@ from ddpc_cosim import (
     record,
     setting,
 )
+from ddpc_cosim.study.case_files import read_run
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.results import read_run
 from ddpc_cosim.study.runner import Selection, run_study
 
 EXCITATION = UniformRandom(-0.1, 0.1, samples=45, seed=3)

@@ -11,7 +11,7 @@ import pytest
 from ddpc_cosim import CosimError, load_results
 from ddpc_cosim.processes.rows import RowStore, info_path
 from ddpc_cosim.processes.worker import result_of
-from ddpc_cosim.study.results import read_run
+from ddpc_cosim.study.case_files import read_run
 
 WriteStudy = Callable[..., Path]
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -14,9 +14,10 @@ import pytest
 from fmus.builder import Fault
 
 from ddpc_cosim import ConfigError, CosimError, load_results
+from ddpc_cosim.study.case_files import CaseResult, read_run
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.results import CaseResult, StudyResults, read_run
+from ddpc_cosim.study.results import StudyResults
 from ddpc_cosim.study.runner import Selection, Update, run_study
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -656,7 +657,7 @@ def test_a_disk_that_is_full_ends_the_run_and_what_is_done_is_kept(
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("ddpc_cosim.study.results.stage_case", fail)
+    monkeypatch.setattr("ddpc_cosim.study.case_files.stage_case", fail)
     with pytest.raises(
         CosimError, match="cannot be written: No space left on device; finished cases are kept"
     ):

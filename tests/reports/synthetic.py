@@ -9,7 +9,7 @@ import numpy as np
 
 from ddpc_cosim import Bounds, CaseResult, DisplayUnit, Outcome, StudyResults, Trace, Variable
 from ddpc_cosim.metrics import MetricSettings
-from ddpc_cosim.study.results import load_case, write_case
+from ddpc_cosim.study.case_files import load_case, write_case
 from ddpc_cosim.study.sections import Study
 
 SAMPLING_TIME = 0.1

@@ -8,10 +8,10 @@ import pytest
 from fmus.builder import Fault
 
 from ddpc_cosim import ConfigError, Outcome, Trace
+from ddpc_cosim.study.case_files import read_trace
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.results import read_trace
 from ddpc_cosim.study.runner import run_cases
 from ddpc_cosim.study.sections import PlantSection
 

@@ -10,7 +10,7 @@ from fmus.builder import Fault
 
 from ddpc_cosim import ConfigError, FMUPlant, FMUStepError, load_results
 from ddpc_cosim.processes.sandbox import missing
-from ddpc_cosim.study.results import read_run
+from ddpc_cosim.study.case_files import read_run
 
 MakeFMU = Callable[..., Path]
 WriteStudy = Callable[..., Path]

@@ -23,9 +23,9 @@ from ddpc_cosim import (
     load_results,
 )
 from ddpc_cosim.controller import Bounds
-from ddpc_cosim.study import results
+from ddpc_cosim.study.case_files import load_case, read_run, read_trace, sealed_json, write_case
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.results import load_case, read_run, read_trace, write_case
+from ddpc_cosim.study.results import write_results
 
 HEAD = {"id": "a_seed0_1", "controller": "a", "label": "A", "scenario": "nominal", "seed": 0}
 
@@ -264,7 +264,7 @@ def test_rows_that_are_missing_are_counted(tmp_path: Path, trace: Trace) -> None
 @pytest.mark.parametrize("content", [{"metrics": 3}, {"metrics": {}, "diagnostics": {}}, {"id": 1}])
 def test_a_case_of_another_version_is_damaged(tmp_path: Path, content: dict[str, Any]) -> None:
     (tmp_path / "case").mkdir()
-    (tmp_path / "case" / "run.json").write_bytes(results._json(content))
+    (tmp_path / "case" / "run.json").write_bytes(sealed_json(content))
     with pytest.raises(ConfigError, match=r"case: damaged: "):
         load_case(tmp_path / "case")
 
@@ -280,7 +280,7 @@ def test_damaged_results_are_named(
     tmp_path: Path, paper_text: str, file: str, damage: Callable[[bytes], bytes | None]
 ) -> None:
     study = read_study("paper").study
-    results.write_results(StudyResults(tmp_path, study, (), {"date": "2020"}))
+    write_results(StudyResults(tmp_path, study, (), {"date": "2020"}))
     assert load_results(tmp_path).study == study
     path = tmp_path / file
     content = damage(path.read_bytes())

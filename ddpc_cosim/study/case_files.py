@@ -1,0 +1,437 @@
+"""The files of one case: written in one move and sealed, accepted from a worker, read to the last byte."""
+
+import csv
+import hashlib
+import io
+import json
+import os
+import shutil
+import stat
+import warnings
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ddpc_cosim.controller import Bounds
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.texts import recorded
+from ddpc_cosim.trace import Outcome, Trace
+from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
+from fmu_plants.files import write_atomically
+
+_RUN_FILE, _SIGNALS_FILE = "run.json", "signals.csv"
+# A JSON file ends with the checksum of all that stands before it.
+_SEAL = b',\n "sha256": "%s"\n}\n'
+
+_LONGEST_RUN = 1 << 26
+# These may end otherwise next time: only a result that would come out the same is kept.
+_TRANSIENT = (Outcome.CRASHED, Outcome.TIMED_OUT)
+# What reading a file raises that has been cut off or changed, or that another version wrote.
+DAMAGED = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    StopIteration,
+    RecursionError,
+    csv.Error,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CaseResult:
+    """One case: what it was, how it ended, and its metrics.
+
+    Parameters
+    ----------
+    id : str
+        Readable name and hash; the name of its folder.
+    controller, label : str
+        The controller's name in the study and in reports.
+    scenario : str
+        The scenario's name.
+    seed : int
+        The seed.
+    outcome : Outcome
+        How the run ended.
+    reason : str
+        Why it ended early; empty if completed.
+    holds : bool
+        Whether it completed and held its reference, as :meth:`ddpc_cosim.Trace.holds` says.
+    metrics, diagnostics : dict of str to float
+        Values of the run, and of the controller's data or model.
+    settings : dict
+        The controller's settings, defaults filled in.
+    warnings : tuple of str
+        What spoke against the data or the model before the loop was closed, and metrics that failed.
+    folder : Path
+        Where its files are.
+    sandbox : str
+        The sandbox that it ran in, in words; empty: none.
+    transient : bool
+        Whether it is run again next time, as it may end otherwise: it crashed, was late, or the machine may
+        be at fault.
+    """
+
+    id: str
+    controller: str
+    label: str
+    scenario: str
+    seed: int
+    outcome: Outcome
+    reason: str
+    holds: bool
+    metrics: dict[str, float]
+    diagnostics: dict[str, float]
+    settings: dict[str, Any]
+    warnings: tuple[str, ...]
+    folder: Path
+    sandbox: str = ""
+    transient: bool = False
+
+    def trace(self) -> Trace:
+        """Read the samples of the run.
+
+        Raises
+        ------
+        ConfigError
+            The files are missing or damaged.
+        """
+        try:
+            return read_trace(self.folder)
+        except DAMAGED as error:
+            raise damaged_files(self.folder, error) from error
+
+
+def load_case(folder: Path) -> CaseResult:
+    """Read one case, whose files have to be what was written to the last byte.
+
+    Raises
+    ------
+    ConfigError
+        Its files are missing or damaged.
+    """
+    try:
+        run = read_run(folder)
+        _signals(folder, run)
+        keys = ("id", "controller", "label", "scenario", "seed", "reason", "sandbox")
+        head = {key: run[key] for key in keys}
+        values = {key: run[key] for key in ("holds", "metrics", "diagnostics", "settings")}
+        told, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
+        transient = run["transient"] or outcome in _TRANSIENT
+        return CaseResult(
+            **head, **values, outcome=outcome, warnings=told, folder=folder, transient=transient
+        )
+    except DAMAGED as error:
+        raise damaged_files(folder, error) from error
+
+
+def damaged_files(folder: Path, error: Exception) -> ConfigError:
+    """Say what is wrong with a folder of results, from what reading it has raised."""
+    why = f"{Path(error.filename).name}: {error.strerror}" if isinstance(error, OSError) else str(error)
+    return ConfigError(f"{folder}: damaged: {why}; run the study again, which runs only what is damaged")
+
+
+def write_case(
+    folder: Path,
+    trace: Trace,
+    head: dict[str, Any],
+    staging: Path | None = None,
+    settings: MetricSettings | None = None,
+) -> None:
+    """Write a case's folder in one move, replacing an older one.
+
+    Parameters
+    ----------
+    folder : Path
+        The case's folder.
+    trace : Trace
+        What the run left behind.
+    head : dict
+        What the case is: id, controller, scenario, seed, ...
+    staging : Path, optional
+        Where it stands until it is complete, on the same disk; default: next to the folder.
+    settings : MetricSettings, optional
+        What its metrics depend on besides its samples; default: as for a run that stands alone.
+
+    Raises
+    ------
+    CosimError
+        It cannot be written, and why; an older one is kept.
+    """
+    staged = (staging or folder.parent) / f".{folder.name}.{os.getpid()}"
+    shutil.rmtree(staged, ignore_errors=True)  # of a process of the same number that died here
+    try:
+        stage_case(staged, trace, head, settings)
+        _move_into_place(staged, folder)
+    except OSError as error:
+        raise _not_written(folder, error) from error
+    finally:
+        shutil.rmtree(staged, ignore_errors=True)
+
+
+def stage_case(
+    staged: Path, trace: Trace, head: dict[str, Any], settings: MetricSettings | None = None
+) -> None:
+    """Write a case's files into a folder that is not yet its own; parameters as of :func:`write_case`.
+
+    Raises
+    ------
+    OSError
+        They cannot be written.
+    """
+    settings = settings or MetricSettings(trace.preview)
+    run = (
+        {"printed": "", "sandbox": ""}
+        | head
+        | {
+            "outcome": trace.outcome.value,
+            "reason": recorded(trace.reason),
+            "transient": trace.transient,
+            **_judged(trace, settings),
+            "diagnostics": trace.diagnostics,
+            "info": list(trace.info),
+            "warnings": list(trace.warnings),
+            "settings": _recorded(trace.settings),
+            "sampling_time": trace.sampling_time,
+            "planned_samples": trace.planned_samples,
+            "preview": trace.preview,
+            "inputs": [asdict(v) for v in trace.inputs],
+            "outputs": [asdict(v) for v in trace.outputs],
+            "measurements": [asdict(v) for v in trace.measurements],
+            "changed_inputs": [asdict(v) for v in trace.changed_inputs],
+            "bounds": {
+                name: getattr(trace.bounds, name).tolist() for name in ("u_min", "u_max", "y_min", "y_max")
+            },
+            "recorded_samples": trace.recorded_samples,
+            "knowledge": trace.knowledge,
+            "provenance": trace.provenance,
+        }
+    )
+    staged.mkdir(parents=True, exist_ok=True)
+    trace.write_csv(staged / _SIGNALS_FILE)
+    signals = {"rows": len(trace), "sha256": checksum((staged / _SIGNALS_FILE).read_bytes())}
+    (staged / _RUN_FILE).write_bytes(sealed_json(run | {"signals": signals}))
+
+
+def accept_case(staged: Path, folder: Path, printed: str, longest: int) -> None:
+    """Move what a process that has ended has staged to where its case belongs, if it is that case.
+
+    Parameters
+    ----------
+    staged, folder : Path
+        Where it lies, and where it belongs; both on one disk.
+    printed : str
+        What the process printed last.
+    longest : int
+        Bytes that its samples can take.
+
+    Raises
+    ------
+    ConfigError
+        It is not that case: an FMU may have written into the folder, or linked to what is not its own.
+    CosimError
+        It cannot be moved, and why.
+    """
+    _check_staged(staged, {_RUN_FILE: _LONGEST_RUN, _SIGNALS_FILE: longest})
+    case = load_case(staged)
+    if case.id != folder.name:
+        raise ConfigError(f"{_RUN_FILE} is of {str(case.id)[:100]}")
+    try:
+        if printed:
+            run = read_run(staged) | {"printed": printed}
+            (staged / _RUN_FILE).write_bytes(sealed_json(run))
+        _move_into_place(staged, folder)
+    except OSError as error:
+        raise _not_written(folder, error) from error
+
+
+def _check_staged(staged: Path, longest: dict[str, int]) -> None:
+    """Refuse what cannot be what :func:`stage_case` has written, before any of it is read."""
+    try:
+        if staged.is_symlink():
+            raise ConfigError("its folder is a link")
+        for path in staged.iterdir():
+            found = path.lstat()
+            if not (path.name in longest and stat.S_ISREG(found.st_mode) and found.st_nlink == 1):
+                raise ConfigError(f"{recorded(path.name)} is not a file of its own")
+            if found.st_size > longest[path.name]:
+                raise ConfigError(f"{path.name} has {found.st_size} bytes; allowed: {longest[path.name]}")
+    except OSError as error:
+        raise damaged_files(staged, error) from error
+
+
+def _not_written(folder: Path, error: OSError) -> CosimError:
+    reason = error.strerror or str(error)
+    return CosimError(f"{folder}: cannot be written: {reason}; finished cases are kept")
+
+
+def judge_again(folder: Path, settings: MetricSettings) -> None:
+    """Compute the metrics of a case again from its samples, where they depend on other settings by now.
+
+    Raises
+    ------
+    CosimError
+        The case cannot be read or written, and why.
+    """
+    try:
+        run = read_run(folder)
+        if run["metric_settings"] == asdict(settings):
+            return
+        run |= _judged(read_trace(folder), settings)
+        write_atomically(folder / _RUN_FILE, sealed_json(run))
+    except DAMAGED as error:
+        raise CosimError(f"{folder}: metrics cannot be computed again: {error}") from error
+
+
+def _judged(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
+    """Return what is said of a run, and what that depends on."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        metrics = trace.metrics(settings)
+    return {
+        "holds": trace.holds(settings),
+        "metrics": metrics,
+        "metric_warnings": [
+            recorded(one.message) for one in caught if issubclass(one.category, CosimWarning)
+        ],
+        "metric_settings": asdict(settings),
+    }
+
+
+def _recorded(value: Any) -> Any:
+    """Return settings whose texts can be kept, whatever they are."""
+    if isinstance(value, dict):
+        return {recorded(key): _recorded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_recorded(item) for item in value]
+    return recorded(value) if isinstance(value, str) else value
+
+
+def sealed_json(content: dict[str, Any]) -> bytes:
+    """Return a JSON object whose last entry is the checksum of all before it."""
+    text = json.dumps(_finite(content), indent=1).removesuffix("\n}").encode()
+    return text + _SEAL % checksum(text).encode()
+
+
+def read_sealed(path: Path) -> dict[str, Any]:
+    """Return what :func:`sealed_json` was given; ValueError unless the file holds it to the last byte."""
+    content = path.read_bytes()
+    text = content[: -len(_SEAL % checksum(b"").encode())]
+    if content != text + _SEAL % checksum(text).encode():
+        raise ValueError(f"{path.name} is not what was written: its checksum differs")
+    read: dict[str, Any] = json.loads(text + b"\n}")
+    return read
+
+
+def _signals(folder: Path, run: dict[str, Any]) -> bytes:
+    """Return ``signals.csv``; raises ValueError unless it holds what was written to the last byte."""
+    content, written = (folder / _SIGNALS_FILE).read_bytes(), run["signals"]
+    if checksum(content) != written["sha256"]:
+        rows = f"{len(content.splitlines()[1:])} rows, {written['rows']} were written"
+        raise ValueError(f"{_SIGNALS_FILE} is not what was written: its checksum differs ({rows})")
+    return content
+
+
+def checksum(content: bytes) -> str:
+    """Return the SHA-256 of a file's content."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def _move_into_place(staged: Path, folder: Path) -> None:
+    """Put a completely written folder in its place, while other runs may do the same."""
+    older = staged.with_name(f"{staged.name}.older")
+    with suppress(FileNotFoundError):
+        folder.replace(older)  # quicker than removing it: hardly a moment without a case
+    try:
+        staged.replace(folder)
+    except OSError:
+        if not (folder / _RUN_FILE).is_file():
+            with suppress(FileNotFoundError):
+                older.replace(folder)
+            raise
+        # Another run has just written the same case, and what decides its result is the same.
+    shutil.rmtree(older, ignore_errors=True)
+
+
+def read_run(folder: Path) -> dict[str, Any]:
+    """Return ``run.json`` of a case."""
+    run = read_sealed(folder / _RUN_FILE)
+    run["metrics"] = {name: float(value) for name, value in run["metrics"].items()}
+    run["diagnostics"] = {name: float(value) for name, value in run["diagnostics"].items()}
+    return run
+
+
+def read_trace(folder: Path) -> Trace:
+    """Return the trace that :func:`write_case` wrote."""
+    run = read_run(folder)
+    inputs, outputs, measurements, changed_inputs = (
+        [_variable(v) for v in run[key]] for key in ("inputs", "outputs", "measurements", "changed_inputs")
+    )
+    columns, status = _read_signals(_signals(folder, run))
+
+    def table(variables: list[Variable], prefixes: tuple[str, ...] = ("",)) -> FloatArray:
+        found = [
+            next(columns[header] for p in prefixes if (header := p + v.header) in columns) for v in variables
+        ]
+        return np.column_stack(found) if found else np.empty((len(status), 0))
+
+    return Trace(
+        time=columns["time [s]"],
+        reference=table(outputs, ("reference ",)),
+        y=table(outputs, ("output ", "")),
+        measured=table(measurements, ("measured ", "")),
+        u=table(inputs, ("input ", "")),
+        applied=table(changed_inputs, ("applied ",)),
+        status=status,
+        solve_time=columns["solve_time [s]"],
+        inputs=tuple(inputs),
+        changed_inputs=tuple(changed_inputs),
+        outputs=tuple(outputs),
+        measurements=tuple(measurements),
+        bounds=Bounds(**{name: np.array(values, dtype=float) for name, values in run["bounds"].items()}),
+        sampling_time=run["sampling_time"],
+        planned_samples=run["planned_samples"],
+        preview=run["preview"],
+        outcome=Outcome(run["outcome"]),
+        reason=run["reason"],
+        transient=run["transient"],
+        settings=run["settings"],
+        diagnostics=run["diagnostics"],
+        recorded_samples=run["recorded_samples"],
+        knowledge=run["knowledge"],
+        provenance=run["provenance"],
+        info={name: columns[f"info.{name}"] for name in run["info"]},
+        warnings=tuple(run["warnings"]),
+    )
+
+
+def _read_signals(content: bytes) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+    header, *rows = csv.reader(io.StringIO(content.decode(), newline=""))
+    cells = list(zip(*rows, strict=True)) or [()] * len(header)
+    columns = {name: np.array(column, dtype=float) for name, column in zip(header[:-1], cells, strict=False)}
+    return columns, tuple(cells[-1])
+
+
+def _variable(stored: dict[str, Any]) -> Variable:
+    shown = stored["display_unit"]
+    numbers = {key: float(stored[key]) for key in ("min", "max", "nominal", "start")}
+    return Variable(**{**stored, **numbers, "display_unit": DisplayUnit(**shown) if shown else None})
+
+
+def _finite(value: Any) -> Any:
+    """Return JSON's version of a value: infinity and NaN, which JSON lacks, as text that ``float`` reads."""
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _finite(value.tolist())
+    if isinstance(value, float) and not np.isfinite(value):
+        return repr(value)
+    return value if isinstance(value, str | int | float | bool | None) else repr(value)
