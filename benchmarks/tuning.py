@@ -34,7 +34,7 @@ class Trial(NamedTuple):
     Parameters
     ----------
     lost : int
-        Runs that do not hold their reference.
+        Runs that do not stay near their reference.
     error : float
         RMSE in parts of the reference's span, as above.
     settings : dict

@@ -52,11 +52,13 @@ class Signal:
 class Response(Signal):
     """A controlled output over the held samples, and its reference, shape (K,).
 
-    ``preview`` is that of :class:`ddpc_cosim.MetricSettings`.
+    ``preview`` is that of :class:`ddpc_cosim.MetricSettings`, ``ahead`` how much of that the run's own
+    controller saw.
     """
 
     reference: FloatArray
     preview: int
+    ahead: int
 
     @cached_property
     def error(self) -> FloatArray:
@@ -175,7 +177,8 @@ class Stretch:
     @property
     def anticipation_samples(self) -> float:
         """Samples by which the output left 5 % of the step before it; NaN if it had not come to rest."""
-        start = max(self.first - self.response.preview, 0)
+        # What leaves earlier than its controller knew of the step drifts.
+        start = max(self.first - max(self.response.ahead, 1), 0)
         path = self._path(start)[: self.first - start + 1]
         at_rest = np.flatnonzero(np.abs(path) <= _SETTLING_BAND)
         if self.first == 0 or not at_rest.size or at_rest[0] > 0:

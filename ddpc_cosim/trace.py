@@ -182,7 +182,7 @@ class Trace:
         return table | compute_installed_metrics(self)
 
     def holds(self, settings: MetricSettings | None = None) -> bool:
-        """Return whether the run completed and held its reference; parameters as in :meth:`metrics`.
+        """Return whether the run completed and stayed near its reference; parameters as in :meth:`metrics`.
 
         It did not where the settled error of a stretch of constant reference exceeds half of the step that
         leads to it, or where an output leaves its bounds by more than its reference's span.
@@ -195,7 +195,9 @@ class Trace:
         rows, h = slice(0, self.held), self.sampling_time
         limits = zip(self.bounds.y_min, self.bounds.y_max, strict=True)
         return [
-            Response(output, self.y[rows, i], ends, h, self.reference[rows, i], settings.preview)
+            Response(
+                output, self.y[rows, i], ends, h, self.reference[rows, i], settings.preview, self.preview
+            )
             for i, (output, ends) in enumerate(zip(self.outputs, limits, strict=True))
         ]
 

@@ -72,7 +72,7 @@ def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
     table.add_column("median\nstep", justify="right", no_wrap=True)
     table.add_column("cases\ndone", justify="right", no_wrap=True)
     if not all(case.holds for case in results.cases):
-        table.add_column("holding their\nreference", justify="right", no_wrap=True)
+        table.add_column("near their\nreference", justify="right", no_wrap=True)
     for row in rows:
         names = [Text(printable(name)) for name in (row.name, *([row.scenario] if several else []))]
         values = _values(row.cases, keys, left_out) if row.cases else []
@@ -111,7 +111,7 @@ def _indented(variant: Sequence[CaseResult], own: Sequence[Sequence[CaseResult]]
 
 
 def _rank(cases: Sequence[CaseResult], key: str) -> tuple[int, float]:
-    """Order by cases that do not hold their reference, then by the median of a metric, the best first."""
+    """Order by cases far from their reference, then by the median of a metric, the best first."""
     values = _completed_values(cases, key)
     lost = sum(not case.holds for case in cases)
     return lost, metric_of(key).rank(median(values)) if values else math.inf

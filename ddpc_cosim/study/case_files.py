@@ -62,7 +62,7 @@ class CaseResult:
     reason : str
         Why it ended early; empty if completed.
     holds : bool
-        Whether it completed and held its reference, as :meth:`ddpc_cosim.Trace.holds` says.
+        Whether it completed and stayed near its reference, as :meth:`ddpc_cosim.Trace.holds` says.
     metrics, diagnostics : dict of str to float
         Values of the run, and of the controller's data or model.
     settings : dict

@@ -244,7 +244,9 @@ def _within_reach(attempts: Sequence[_Attempt]) -> Proposal:
     last = attempts[-1]
     trace, proposal = last.best_trace(), last.proposal
     responses = [
-        Response(output, trace.y[:, j], (-np.inf, np.inf), 1.0, trace.reference[:, j], last.preview)
+        Response(
+            output, trace.y[:, j], (-np.inf, np.inf), 1.0, trace.reference[:, j], last.preview, trace.preview
+        )
         for j, output in enumerate(trace.outputs)
     ]
     ends = {one.variable.name: [_settled_part(step) for step in one.steps] for one in responses}

@@ -105,7 +105,7 @@ def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], 
         (
             "All metrics of every case are in the file metrics.csv next to the results. "
             "Values of cases that did not complete cover their samples up to where they ended. "
-            "Of a run that does not hold its reference, figures of the response would say nothing.",
+            "Of a run that does not stay near its reference, figures of the response would say nothing.",
         ),
         sortable=True,
         kind="cases",

@@ -62,17 +62,17 @@ class ControllerResults:
 
     @cached_property
     def holding(self) -> tuple[CaseResult, ...]:
-        """The cases that completed and held their reference: only of these one can be the best."""
+        """The cases that completed and stayed near their reference: only of these one can be the best."""
         return tuple(case for case in self.cases if case.holds)
 
     @property
     def holds_first(self) -> bool:
-        """Whether the case of the first seed is there and held its reference."""
+        """Whether the case of the first seed is there and stayed near its reference."""
         return self.first_case is not None and self.first_case.holds
 
     @property
     def holds_all(self) -> bool:
-        """Whether every case held its reference."""
+        """Whether every case stayed near its reference."""
         return len(self.holding) == len(self.cases)
 
     @property
@@ -86,7 +86,7 @@ class ControllerResults:
         return next((case for case in self.cases if case.seed == self.first_seed), None)
 
     def by_seed(self, key: str) -> dict[int, float]:
-        """Return a metric by seed: of the cases that completed, or held their reference, and have it."""
+        """Return a metric by seed: of cases that completed, or stayed near their reference, and have it."""
         cases = self.holding if metric_of(key).if_held else self.completed
         values = {case.seed: case.metrics.get(key, math.nan) for case in cases}
         return {seed: value for seed, value in values.items() if not math.isnan(value)}
@@ -178,7 +178,7 @@ class Condition:
         return none_follows(case for one in (*self.controllers, *self.variants) for case in one.cases)
 
     def may_win(self, one: ControllerResults) -> bool:
-        """Whether a controller may be the best: it always holds its reference, and somebody follows it."""
+        """Whether a controller may be the best: it always stays near its reference, and one follows."""
         return one.holds_all and not self.none_follows
 
     def ranking(self, key: str) -> list[tuple[float, ControllerResults]]:
@@ -255,9 +255,9 @@ def response_metrics() -> dict[str, Metric[Any]]:
 
 
 def outcome_words(case: CaseResult) -> str:
-    """Say how a case ended; of one that completed, whether it held its reference."""
+    """Say how a case ended; of one that completed, whether it stayed near its reference."""
     lost = case.outcome is Outcome.COMPLETED and not case.holds
-    return f"{case.outcome}, reference not held" if lost else str(case.outcome)
+    return f"{case.outcome}, reference missed" if lost else str(case.outcome)
 
 
 def metric_label(key: str) -> str:

@@ -54,7 +54,7 @@ def verdict_table(condition: Condition, prefix: str) -> Table:
     columns.append((Heading("cases completed"), completed))
     if condition.not_ranked:
         held = [_counted(len(one.holding), len(one.cases)) for one in condition.controllers]
-        columns.append((Heading("reference held"), held))
+        columns.append((Heading("near the reference"), held))
     return controller_table(
         f"{prefix}verdict",
         "Verdict in numbers, per controller",
@@ -83,7 +83,7 @@ def response_table(condition: Condition, prefix: str) -> Table | None:
     preview = condition.results.provenance.get("largest preview", "as many samples as anyone looks ahead")
     notes = [
         f"From each step of the reference until {preview} before the next one: until then, every controller "
-        "answers the same step. Of a run that does not hold its reference there are none.",
+        "answers the same step. Of a run that does not stay near its reference there are none.",
         *(
             f"{metric.title.capitalize()}: {metric.description}."
             for metric in shown_metrics().values()
@@ -170,7 +170,8 @@ def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
         best = "No controller follows the reference, so none is marked as the best"
     elif condition.not_ranked:
         best += (
-            ", among controllers that hold their reference in every case (for the first seed: in that one)"
+            ", among controllers that stay near their reference in every case "
+            "(for the first seed: in that one)"
         )
     metrics = [all_metrics()[name] for name in shown]
     meanings = [
@@ -211,7 +212,8 @@ def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
     headings = (Heading("Controller", numeric=False), *(Heading(one.label) for one in conditions))
     over = max(len(condition.seeds) for condition in conditions)
     notes = (
-        "Bold and tinted: the best in a scenario, among controllers that hold their reference in every case.",
+        "Bold and tinted: the best in a scenario, among controllers that stay near their reference in every "
+        "case.",
         *((f"Medians over {over} seeds.",) if over > 1 else ()),
     )
     return Table(

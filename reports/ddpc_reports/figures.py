@@ -346,8 +346,8 @@ def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | 
     values = [row["value"] for row in rows]
     logarithmic = min(values) > 0 and max(values) / min(values) > _LOGARITHMIC_FROM
     caption = (
-        f"{what} over {len(condition.seeds)} seeds, cases that hold their reference only; one dot per seed, "
-        f"upright line: median, diamond: seed {condition.seeds[0]}."
+        f"{what} over {len(condition.seeds)} seeds, cases that stay near their reference only; "
+        f"one dot per seed, upright line: median, diamond: seed {condition.seeds[0]}."
         + (" Logarithmic axis." if logarithmic else "")
     )
     return one_chart(identifier, "Spread over seeds", caption, spread_chart(rows, axis, logarithmic))

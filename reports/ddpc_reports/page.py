@@ -279,12 +279,12 @@ def _facts(results: StudyResults) -> dict[str, str]:
         "Scenarios": str(len({case.scenario for case in results.cases})),
         "Seeds": compact_seeds(list(dict.fromkeys(case.seed for case in results.cases))),
         "Cases completed": f"{done} of {total}",
-        "Reference held": f"{held} of {total}",
+        "Near the reference": f"{held} of {total}",
     }
     if facts["Scenarios"] == "1":
         del facts["Scenarios"]
     if held == total:
-        del facts["Reference held"]
+        del facts["Near the reference"]
     return facts
 
 

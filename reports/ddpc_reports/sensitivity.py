@@ -113,10 +113,10 @@ def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
     if condition.none_follows:
         return text + ": with none of them is the reference followed."
     if not order:
-        return text + ": none of them holds the reference in every case."
+        return text + ": none of them stays near the reference in every case."
     show = formatter(key)
     (low, best, winner), (high, worst, loser) = order[0], order[-1]
-    worst_of = "worst of those that hold the reference" if lost else "worst"
+    worst_of = "worst of those that stay near the reference" if lost else "worst"
     text += Markup(": best {} with {}, {} {} with {}").format(
         show(low), best.place(winner), worst_of, show(high), worst.place(loser)
     )
@@ -129,7 +129,9 @@ def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
         f"; and {len(lost) - _LOST_SHOWN} more" if lost[_LOST_SHOWN:] else ""
     )
     verb = "does" if len(lost) == 1 else "do"
-    return text + Markup(". {} {} not hold the reference in every case: {}.").format(len(lost), verb, some)
+    return text + Markup(". {} {} not stay near the reference in every case: {}.").format(
+        len(lost), verb, some
+    )
 
 
 def sensitivity_figures(condition: Condition, prefix: str) -> list[Figure]:
@@ -149,7 +151,7 @@ def _figure(sweep: Sweep, key: str, identifier: str) -> Figure:
     )
     rows = list(_rows(sweep, key))
     if any(row["shown"].endswith("*") for row in rows):
-        caption += " Starred: of the cases that hold their reference; others of this setting do not."
+        caption += " Starred: of the cases that stay near their reference; others of this setting do not."
     # A map with one setting needs no second axis.
     titles = sweep.axes if len(sweep.axes) > 1 else ("", *sweep.axes)
     return one_chart(identifier, "Sensitivity", caption, heat_chart(rows, titles), sweep.label)
@@ -183,10 +185,10 @@ def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
 
 
 def _lost_words(members: Sequence[ControllerResults]) -> str:
-    """Say how many cases of a cell do not hold their reference; nothing if all do."""
+    """Say how many cases of a cell do not stay near their reference; nothing if all do."""
     cases = sum(len(one.cases) for one in members)
     lost = cases - sum(len(one.holding) for one in members)
-    return f"; {lost} of {cases} cases do not hold their reference" if lost else ""
+    return f"; {lost} of {cases} cases do not stay near their reference" if lost else ""
 
 
 def _median(members: Sequence[ControllerResults], key: str) -> float:

@@ -72,13 +72,13 @@ def _all_completed(condition: Condition) -> Markup:
 
 
 def _not_held(condition: Condition) -> Markup:
-    """Name the controllers whose runs completed without holding their reference; nothing without any."""
+    """Name the controllers whose runs completed without staying near their reference; nothing without any."""
     counts = [(len(one.completed) - len(one.holding), one) for one in condition.controllers]
     who = [Markup("<b>{}</b> {} of {}").format(one.label, n, len(one.cases)) for n, one in counts if n]
     if not who:
         return Markup("")
     return Markup(
-        " <b>The reference is not held</b> by {}: an output settles further from it than half of the "
+        " <b>The reference is missed</b> by {}: an output settles further from it than half of the "
         "step, or leaves its limits by more than the reference moves. Such a controller is never the "
         "best, and comes last."
     ).format(join_words(who))
@@ -121,8 +121,8 @@ def _times(condition: Condition) -> Markup:
 
 
 def _among(condition: Condition) -> str:
-    """Say that only those are compared that hold their reference, where others do not."""
-    return "Of those that hold their reference, " if condition.not_ranked else ""
+    """Say that only those are compared that stay near their reference, where others do not."""
+    return "Of those that stay near their reference, " if condition.not_ranked else ""
 
 
 def _deadlines(condition: Condition) -> Markup:
@@ -193,7 +193,7 @@ def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> State
 def _in_short(condition: Condition, key: str) -> Markup:
     order = condition.ranking(key)
     if not order:
-        return Markup("no controller holds its reference in every case.")
+        return Markup("no controller stays near its reference in every case.")
     show = formatter(key)
     alike = _alike(order, show)
     if len(alike) > 1:
@@ -221,7 +221,7 @@ def _last(
     """Say who comes last: those that lost cases, else the last of three or more."""
     if not_ranked:
         be = "is" if len(not_ranked) == 1 else "are"
-        whose = "whose reference is not held"
+        whose = "whose reference is missed"
         return Markup("; last {} {}, {}").format(be, join_words(names(not_ranked)), whose)
     if len(order) < 3:
         return Markup("")
@@ -263,19 +263,19 @@ def _first_seed(condition: Condition, key: str) -> Markup:
     others = [one for one in condition.controllers if one not in eligible]
     seed = condition.seeds[0]
     if not order:
-        return Markup("No controller holds its reference on seed {}.").format(seed)
+        return Markup("No controller stays near its reference on seed {}.").format(seed)
     show = formatter(key)
     what = metric_label(key).lower()
     if len(order) == 1:
-        alone = "no other case holds its reference, to" if others else "there is no other controller to"
+        alone = "no other case stays near its reference, to" if others else "there is no other controller to"
         return Markup("On seed {}, <b>{}</b> reaches a {} of {}; {} compare with.").format(
             seed, order[0][1].label, what, show(order[0][0]), alone
         )
     one_is, several = ("costs least", "cost") if _is_cost(key) else ("tracks best", "track")
     (best, winner), (second, next_one), (worst, _) = order[0], order[1], order[-1]
-    # A run that does not hold its reference can have the smaller figure, a cost above all.
+    # A run that does not stay near its reference can have the smaller figure, a cost above all.
     beaten = any(one.at_first(key) < best for one in others)
-    where = f"On seed {seed}, of those that hold their reference," if beaten else f"On seed {seed},"
+    where = f"On seed {seed}, of those that stay near their reference," if beaten else f"On seed {seed},"
     if show(best) == show(worst) and not others:
         return Markup("On seed {} all controllers {} alike: {} {}.").format(seed, several, what, show(best))
     if show(best) == show(second):
@@ -297,16 +297,16 @@ def _first_seed(condition: Condition, key: str) -> Markup:
 def _over_seeds(condition: Condition, key: str) -> Markup:
     order = condition.ranking(key)
     if not order:
-        return Markup("No controller holds its reference on every seed, so medians are not compared.")
+        return Markup("No controller stays near its reference on every seed, so medians are not compared.")
     winner, rest = order[0][1], [one for _, one in order[1:]]
     shown = median_and_range(winner.over_seeds(key), key)
     if not rest:
         only = "Only " if condition.not_ranked else ""
         return Markup(
-            "{}<b>{}</b> holds its reference on every seed: median {}; nothing to compare with."
+            "{}<b>{}</b> stays near its reference on every seed: median {}; nothing to compare with."
         ).format(only, winner.label, shown)
     alike = _alike(order, formatter(key))
-    among = " of those that hold their reference on each" if condition.not_ranked else ""
+    among = " of those that stay near their reference on each" if condition.not_ranked else ""
     if len(alike) > 1:
         return Markup("Over {} seeds, {} share the smallest median{}: {}.").format(
             len(condition.seeds), join_words(names(alike)), among, formatter(key)(order[0][0])
@@ -447,7 +447,7 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
         claim = "" if parts else f" {verb} the smallest {metric_label(key).lower()}"
         who = join_words([Markup("<b>{}</b>").format(label) for label in winners])
         parts.append(Markup("{}{} in {}").format(who, claim, join_words(where)))
-    among = ", of those that hold their reference in every case there" if lost else ""
+    among = ", of those that stay near their reference in every case there" if lost else ""
     return Markup("{}{}.").format(Markup("; ").join(parts), among)
 
 
@@ -505,7 +505,7 @@ def _of_windows(conditions: tuple[Condition, ...]) -> list[str]:
         ]
 
     unsettled, stepless = unknown("settled_error"), unknown("overshoot")
-    near = "That a run holds this reference says that it kept near its limits, and no more."
+    near = "That a run stays near this reference says that it kept near its limits, and no more."
     return [
         f"Whether {signal} settles cannot be judged: its reference moves all the time, its steps follow each "
         f"other within five samples of the largest preview, or the run is as short. {near}"

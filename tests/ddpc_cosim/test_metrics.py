@@ -267,6 +267,14 @@ def test_anticipation_of_an_output_that_had_not_come_to_rest_is_not_known() -> N
     assert math.isnan(figure(stepping(1, 3, y=np.repeat([0.5, 3.0], 20), preview=3), "anticipation"))
 
 
+def test_what_drifts_before_its_controller_knows_of_the_step_does_not_anticipate() -> None:
+    """The output drifts from 0 to 0.15 before the step to 1; others know of it 15 rows ahead."""
+    trace = stepping(0, 1, y=np.concatenate([np.linspace(0.0, 0.15, 20), np.ones(20)]))
+    key = "anticipation.y [s]"
+    assert math.isnan(trace.metrics(MetricSettings(15))[key])
+    assert replace(trace, preview=15).metrics()[key] == pytest.approx(13 * H)
+
+
 @pytest.mark.parametrize(("settled", "holds"), [(0.51, True), (0.49, False), (1.49, True), (1.51, False)])
 def test_a_run_holds_its_reference_within_half_of_each_step(settled: float, holds: bool) -> None:
     y = np.repeat([0.0, 1.0, 2.0], 20)

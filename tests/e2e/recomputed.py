@@ -100,7 +100,7 @@ def figures_of(folder: Path, preview: int) -> dict[str, float]:
 
 
 def holds(folder: Path, preview: int) -> bool:
-    """Return whether a case completed and held its references."""
+    """Return whether a case completed and stayed near its references."""
     run, columns = read_case(folder)
     kept = run["outcome"] == "completed"
     for i, (name, (output, stretches, _)) in enumerate(outputs_of(folder, preview).items()):

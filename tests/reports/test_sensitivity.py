@@ -78,8 +78,8 @@ def test_the_verdict_names_best_and_worst_settings_and_those_lost(results: Study
     (statement,) = sweep_statements(conditions(results)[0])
     text = re.sub("<[^>]*>", "", str(statement.text))
     assert text.startswith("6 settings of Slow: best ")
-    assert "with a = 1, b = 1, worst of those that hold the reference " in text
-    assert text.endswith("1 does not hold the reference in every case: a = 2, b = 2.")
+    assert "with a = 1, b = 1, worst of those that stay near the reference " in text
+    assert text.endswith("1 does not stay near the reference in every case: a = 2, b = 2.")
 
 
 def test_variants_alone_give_a_report(results: StudyResults) -> None:
@@ -98,7 +98,7 @@ def test_a_cell_that_lost_a_case_is_starred(tmp_path: Path) -> None:
     results = make_results_in(tmp_path, one_lost, sections(), seeds=[7, 8])
     cells = {(row["y"], row["x"]): row for row in rows_of(results, 0)}
     assert cells["1", "1"]["shown"].endswith(" *")
-    assert cells["1", "1"]["text"].endswith("; 1 of 2 cases do not hold their reference")
+    assert cells["1", "1"]["text"].endswith("; 1 of 2 cases do not stay near their reference")
     assert not cells["1", "2"]["shown"].endswith("*")
     assert "Starred" in sensitivity_figures(conditions(results)[0], "x-")[0].caption
 

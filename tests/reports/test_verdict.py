@@ -111,7 +111,7 @@ def test_a_controller_that_lost_cases_is_named_and_not_ranked_over_the_seeds(
     said = statements(results)
     assert "5 of 6 cases completed; not completed: quick 1 of 3 (diverged)." in said["Completed"]
     assert said["Tracking"].startswith("On seed 7, quick tracks best")
-    assert said["Spread"].startswith("Only slow holds its reference on every seed")
+    assert said["Spread"].startswith("Only slow stays near its reference on every seed")
     assert "smallest" not in said["Spread"]
     marks = best(verdict_table(only(results), ""))
     assert marks["mean |error| / ° seed 7"] == ["quick"]
@@ -129,9 +129,9 @@ def losing(key: str, seed: int) -> Trace:
 def test_a_run_that_does_not_hold_its_reference_is_told_and_ranked_last(make_results: MakeResults) -> None:
     results = make_results(losing, seeds=[0, 7, 8])
     said = statements(results)
-    assert said["Completed"].startswith("All 6 cases completed. The reference is not held by quick 1 of 3:")
+    assert said["Completed"].startswith("All 6 cases completed. The reference is missed by quick 1 of 3:")
     assert said["Tracking"].startswith("On seed 0, slow reaches a mean absolute error of ")
-    assert said["Spread"].startswith("Only slow holds its reference on every seed")
+    assert said["Spread"].startswith("Only slow stays near its reference on every seed")
     assert not {"Settling", "Actuator"} & said.keys()
     assert "is fastest" not in said["Step time"]
     table = verdict_table(only(results), "")
@@ -142,7 +142,7 @@ def test_a_run_that_does_not_hold_its_reference_is_told_and_ranked_last(make_res
 
 
 def test_who_is_first_among_those_that_hold_is_not_said_to_be_first_of_all(make_results: MakeResults) -> None:
-    """`quick` neither moves the input nor takes long, but does not hold its reference."""
+    """`quick` neither moves the input nor takes long, but does not stay near its reference."""
     controllers = {key: {"type": "x"} for key in ("quick", "slow", "other")}
 
     def trace_of(key: str, seed: int) -> Trace:
@@ -150,20 +150,21 @@ def test_who_is_first_among_those_that_hold_is_not_said_to_be_first_of_all(make_
 
     said = statements(make_results(trace_of, controllers))
     for topic in ("Settling", "Actuator", "Step time"):
-        assert said[topic].startswith("Of those that hold their reference, "), topic
+        assert said[topic].startswith("Of those that stay near their reference, "), topic
     many = make_results(trace_of, controllers, seeds=SEEDS, scenarios={"calm": {}, "windy": {}})
     assert (
-        "has the smallest median of those that hold their reference on each: " in statements(many)["Spread"]
+        "has the smallest median of those that stay near their reference on each: "
+        in statements(many)["Spread"]
     )
     ((_, across),) = across_statements(conditions(many))
-    assert across.endswith(", of those that hold their reference in every case there.")
+    assert across.endswith(", of those that stay near their reference in every case there.")
 
 
 def test_of_three_the_one_that_does_not_hold_is_last(make_results: MakeResults) -> None:
     results = make_results(losing, {key: {"type": "x"} for key in ("quick", "slow", "other")}, seeds=[0, 7])
     said = statements(results)["Tracking"]
     assert said.startswith("On seed 0, slow and other track best")
-    assert said.endswith("; last is quick, whose reference is not held.")
+    assert said.endswith("; last is quick, whose reference is missed.")
 
 
 def test_the_notes_say_how_times_that_are_not_reached_are_summed_up(make_results: MakeResults) -> None:
@@ -189,7 +190,7 @@ def test_figures_of_the_step_response_are_those_of_runs_that_hold(make_results: 
     texts = dict(
         zip([head.title for head in every.headings[1:]], [cell.text for cell in row.cells], strict=True)
     )
-    assert texts["outcome"] == "completed, reference not held"
+    assert texts["outcome"] == "completed, reference missed"
     assert texts["overshoot, angle"] == texts["settled error, angle"] == "\N{EN DASH}"
     assert texts["mean |error|, angle"] != "\N{EN DASH}"
 
@@ -239,8 +240,8 @@ def test_one_that_does_not_hold_may_cost_less_and_is_not_denied_it(make_results:
     controllers = {key: {"type": "x"} for key in ("quick", "slow", "still")}
     weights = MetricSettings(cost={"inputs": {"torque": 1.0}})
     said = statements(make_results(trace_of, controllers, settings=weights))["Cost"]
-    assert said.startswith("On seed 7, of those that hold their reference, quick costs least: ")
-    assert said.endswith("; last is still, whose reference is not held.")
+    assert said.startswith("On seed 7, of those that stay near their reference, quick costs least: ")
+    assert said.endswith("; last is still, whose reference is missed.")
 
 
 def test_what_cannot_be_judged_is_a_limitation(make_results: MakeResults) -> None:
@@ -250,7 +251,7 @@ def test_what_cannot_be_judged_is_a_limitation(make_results: MakeResults) -> Non
 
 
 def test_a_reference_without_steps_sizes_no_error(make_results: MakeResults) -> None:
-    """Regulation: nothing but the limits tells whether such a run holds its reference."""
+    """Regulation: nothing but the limits tells whether such a run stays near its reference."""
 
     def at_rest(key: str, seed: int) -> Trace:
         trace = make_trace(0.5)
