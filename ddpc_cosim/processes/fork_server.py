@@ -127,6 +127,8 @@ class ForkServer:
             code = f"fork_server.Server({descriptor}, worker.run).serve()"
             self._process = start_python(code, subprocess.DEVNULL, (descriptor,))
         self._socket.settimeout(_LOOK_SECONDS)
+        # Its end is what the server waits for, and a copy of this process may outlive it.
+        os.register_at_fork(after_in_child=self._socket.close)
         atexit.register(self._stop)
 
     @classmethod
@@ -194,13 +196,6 @@ class Forked(NamedTuple):
             return Ending(None)
         return Ending(answer["code"], answer["output"], answer["excess"])
 
-    def printed(self) -> str:
-        """Return the end of what it has printed since it was asked last."""
-        try:
-            return str(self.server.ask({"printed": self.pid})["output"])
-        except OSError:
-            return ""
-
 
 @dataclass(slots=True)
 class _Child:
@@ -220,6 +215,7 @@ class Server:
         self._control, self._run = socket.socket(fileno=descriptor), run
         self._workers: dict[int, _Child] = {}
         self._looked = 0.0
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # one that is ignored leaves no exit code to collect
         _adopt_orphans()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._control, selectors.EVENT_READ)
@@ -254,8 +250,6 @@ class Server:
         try:
             if "end" in request:
                 answer = self._end(request["end"])
-            elif "printed" in request:
-                answer = {"output": self._output(request["printed"])}
             else:
                 answer = {"pid": self._fork(request["preload"], request["memory"], descriptors.pop(0))}
         except OSError as error:  # no more processes or descriptors
@@ -270,6 +264,7 @@ class Server:
         output, printing = os.pipe()
         server, pid = os.getpid(), os.fork()
         if pid == 0:
+            os.close(output)
             self._become_worker(connection, printing, server)
         for descriptor in (connection, printing):
             os.close(descriptor)
@@ -318,22 +313,16 @@ class Server:
                     break
                 child.printed = (child.printed + chunk)[-_OUTPUT_KEPT:]
 
-    def _output(self, pid: int) -> str:
-        """Return what a worker has printed since this was asked last."""
-        self._collect(pid)
-        child = self._workers[pid]
-        printed, child.printed = child.printed, b""
-        return printed.decode("utf-8", "replace")
-
     def _end(self, pid: int) -> dict[str, Any]:
         _kill(pid)
         code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         self._bury(pid)
-        output = self._output(pid)
+        self._collect(pid)
         child = self._workers.pop(pid)
         with contextlib.suppress(KeyError):
             self._selector.unregister(child.output)
         os.close(child.output)
+        output = child.printed.decode("utf-8", "replace")
         return {"code": code, "output": output, "excess": child.excess}
 
     def _bury(self, pid: int) -> None:

@@ -248,7 +248,7 @@ class Worker:
         memory: int | None = None,
     ) -> None:
         ours, theirs = socket.socketpair()
-        self.channel, self.folder = Channel(ours), folder
+        self.channel = Channel(ours)
         self._owner, self._ending = os.getpid(), Ending(None)
         self._process: Forked | _Shared | None = None
         try:
@@ -277,10 +277,6 @@ class Worker:
         self.channel.socket.close()
         return self._ending
 
-    def printed(self) -> str:
-        """Return the end of what it has printed since it was asked last, as far as the system tells."""
-        return "" if self._process is None else self._process.printed()
-
 
 def _start(connection: socket.socket, preload: Sequence[str], memory: int) -> "Forked | _Shared":
     """Start a process with the far end of a channel."""
@@ -302,9 +298,6 @@ class _Shared:
     def end(self) -> Ending:
         self._process.kill()
         return Ending(self._process.wait())
-
-    def printed(self) -> str:
-        return ""
 
 
 def run(connection: socket.socket) -> None:

@@ -1,6 +1,7 @@
 """Running a study: prepare the plant, run what is not there yet, write what is known of all cases.
 
-Cases run in local workers: a crash or a hang costs one case and nothing else.
+Each case runs in a worker of its own: a crash or a hang costs that case and nothing else, and what a plug-in
+leaves behind in its process (floating-point errors, random numbers, modules) changes no other case.
 """
 
 import math
@@ -275,7 +276,7 @@ def run_cases(
         cases = [replace(case, sandbox=words) for case in cases]
     with _scratch() as temporary, _scratch(folder, _STAGING) as staging:
         preload = [*_PRELOAD, *_plugin_modules(cases)]
-        waiting, idle, running = deque(cases), list[Worker](), list[_Run]()
+        waiting, running = deque(cases), list[_Run]()
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
@@ -287,7 +288,7 @@ def run_cases(
                         continue
                     make = partial(Worker, serve_calls, preload=preload, memory=_memory(case, jobs))
                     with _writable():
-                        running.append(_Run(case, idle, make, folder / case.id, staging, temporary))
+                        running.append(_Run(case, make, folder / case.id, staging, temporary))
                     if watch is not None:
                         watch(running[-1].progress)
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
@@ -297,15 +298,11 @@ def run_cases(
                         watch(run.progress)
                     if ended:
                         running.remove(run)
-                        if run.can_be_reused:
-                            idle.append(run.worker)
                         yield run.case
         finally:
             for run in running:
                 run.worker.end()
                 run.close()
-            for worker in idle:
-                worker.end()
 
 
 def _memory(case: Case, workers: int) -> int:
@@ -343,10 +340,8 @@ class _Run:
     ----------
     case : Case
         The case.
-    idle : list of Worker
-        Those that may be used again.
     make : callable
-        Makes another one.
+        Makes the worker.
     folder, staging : Path
         The case's folder, and where it is to stand until it is complete.
     temporary : Path
@@ -354,26 +349,16 @@ class _Run:
     """
 
     def __init__(
-        self,
-        case: Case,
-        idle: list[Worker],
-        make: Callable[..., Worker],
-        folder: Path,
-        staging: Path,
-        temporary: Path,
+        self, case: Case, make: Callable[..., Worker], folder: Path, staging: Path, temporary: Path
     ) -> None:
         self.case, self._folder, self._staging = case, folder, staging
         self._staged, self._place = (Path(tempfile.mkdtemp(dir=within)) for within in (staging, temporary))
-        self.can_be_reused = not (case.plant.isolated or case.sandbox)
-        own, sandbox = self._place, None
+        sandbox = None
         if case.sandbox:
             traced = [Path(case.plant.trace_calls)] if case.plant.trace_calls else []
             written, read = (self._place, self._staged, *traced), (*files_read(case), cache_dir())
             sandbox = Sandbox(written, read)
-        reused = idle.pop() if idle and self.can_be_reused else None
-        if self.can_be_reused and reused is None:
-            own = Path(tempfile.mkdtemp(dir=temporary))  # which outlives the case
-        self.worker = reused or make(folder=own, sandbox=sandbox)
+        self.worker = make(folder=self._place, sandbox=sandbox)
         rows = self._place / "rows"
         self._store = row_store(case, rows, follow=True)
         self._call, self._since = 0, monotonic()
@@ -418,10 +403,8 @@ class _Run:
 
     def _accept(self) -> None:
         """Put what the worker has staged in its place: what it ran has no more to say in that by now."""
-        self.can_be_reused &= self.worker.folder.is_dir()  # what it ran may have removed it
-        printed = self.worker.printed() if self.can_be_reused else self.worker.end().output
         try:
-            accept_case(self._staged, self._folder, printed, self._longest_samples())
+            accept_case(self._staged, self._folder, self.worker.end().output, self._longest_samples())
         except ConfigError as error:
             self._give_up(Outcome.CRASHED, f"its process has left no results: {error}")
 
@@ -461,7 +444,6 @@ class _Run:
 
     def _give_up(self, outcome: Outcome, reason: str) -> None:
         """Write a case that its worker has not written, with the rows that it has left."""
-        self.can_be_reused = False
         head = self.case.head() | {"printed": self.worker.end().output}
         trace = partial_trace(self.case, self._store, outcome, reason)
         write_case(self._folder, trace, head, self._staging, self.case.metrics)

@@ -176,6 +176,50 @@ def test_a_worker_that_meddles_costs_its_case_and_no_other(
     assert printed["stopsserver"] == ""
 
 
+REMEMBERING = """
+from dataclasses import dataclass
+import numpy as np
+from ddpc_cosim import Controller, Plant, Variable
+
+runs = []
+
+class Integrator(Plant):
+    inputs, outputs = (Variable("u"),), (Variable("y"),)
+    def reset(self, parameters=None, t0=0.0):
+        self.y = np.zeros(1)
+        return self.y
+    def step(self, u, h):
+        self.y = self.y + h * u
+        return self.y
+
+@dataclass(kw_only=True)
+class Remembers(Controller):
+    def start(self, loop):
+        runs.append(loop)
+    def step(self, sample):
+        return np.array([len(runs)])
+"""
+
+
+def test_no_case_finds_what_another_one_has_left(tmp_path: Path, run_program: Run) -> None:
+    """Its result is the same whichever ran before it, and how many at a time."""
+    (tmp_path / "remembering.py").write_text(REMEMBERING, encoding="utf-8")
+    (tmp_path / "study.toml").write_text(
+        """
+seeds = [0, 1]
+plant = { name = "remembering:Integrator" }
+loop = { sampling_time = 0.1, duration = 0.3 }
+reference.y = { kind = "constant", value = 1.0 }
+controllers.it = { type = "remembering:Remembers" }
+""",
+        encoding="utf-8",
+    )
+    run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
+    first, second = load_results(tmp_path / "out").cases
+    assert (first.outcome, second.outcome) == ("completed", "completed"), second.reason
+    assert first.trace().u.tolist() == second.trace().u.tolist() == [[1.0]] * 4
+
+
 LIMITED = {
     "Detaches": ("completed", ""),
     "Grows": (

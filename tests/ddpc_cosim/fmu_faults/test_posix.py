@@ -68,6 +68,18 @@ class TestTheServer:
         np.testing.assert_allclose(session.reset(), [0.0])
         session.close()
 
+    def test_one_whose_caller_ignores_what_becomes_of_children(
+        self, worker_side: Any, tmp_path: Path
+    ) -> None:
+        """As a service manager may start it: a worker's exit code is told all the same."""
+        ForkServer.running()._stop()
+        before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+        try:
+            worker = Worker(worker_side.leave_a_process, folder=tmp_path)
+        finally:
+            signal.signal(signal.SIGCHLD, before)
+        assert worker.end().code == -signal.SIGKILL
+
 
 WORKER_SIDE = """
 import json, os, signal, subprocess, sys
@@ -200,6 +212,31 @@ def test_a_forked_copy_of_the_master(faulty_fmus: dict[int, Path], scratch: Path
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "[0.5]\n[0.25]\n"), done.stderr
     assert list(scratch.iterdir()) == []
+
+
+OUTLIVED = """
+import os, signal, sys
+from ddpc_cosim.processes.fork_server import ForkServer
+
+print(ForkServer.running()._process.pid, flush=True)
+sys.stdin.readline()
+if os.fork() == 0:
+    sys.stdin.read()
+    os._exit(0)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_forked_copy_that_outlives_the_master() -> None:
+    """The server does not wait for its end."""
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", OUTLIVED], stdin=pipe, stdout=pipe, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        server = Watch([int(process.stdout.readline())])
+        process.stdin.write("\n")
+        process.stdin.flush()
+        assert server.wait(60.0) == []
 
 
 class TestScratchFolders:
