@@ -149,6 +149,29 @@ def report(folders: tuple[Path, ...], out: Path | None) -> None:
     sys.exit(report_command(folders, out))
 
 
+_TOLERANCE = click.FloatRange(min=0, max=1e300)
+
+
+@main.command()
+@click.argument("folders", nargs=2, type=click.Path(path_type=Path), metavar="DIR_A DIR_B")
+@click.option(
+    "--abs", "absolute", type=_TOLERANCE, default=1e-9, show_default=True, help="Allowed difference."
+)
+@click.option(
+    "--rel",
+    "relative",
+    type=_TOLERANCE,
+    default=1e-6,
+    show_default=True,
+    help="Allowed difference, relative to the larger value.",
+)
+def diff(folders: tuple[Path, Path], absolute: float, relative: float) -> None:
+    """Compare two runs case by case; exit with 1 if one differs by more than both allow."""
+    from ddpc_cosim.cli.diff import diff_command
+
+    sys.exit(diff_command(folders, absolute, relative))
+
+
 @main.command("list")
 @click.argument("kind", required=False, type=click.Choice(_LISTED))
 def list_(kind: str | None) -> None:

@@ -1,0 +1,105 @@
+"""``ddpc-cosim diff``: whether two folders of results say the same, as a gate for changes."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.metrics import metric_of, split_key
+from ddpc_cosim.responses import StepTimes
+from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.results import StudyResults, load_results
+from ddpc_cosim.texts import printable
+from ddpc_cosim.trace import Trace
+from ddpc_cosim.variables import FloatArray
+
+_MOST_LISTED = 20
+_SOLVE_TIME = "solve_time [s]"
+# Of a controller's steps; all else of them is time, which is never the same twice.
+_COUNTS = ("failures", "samples")
+
+
+def diff_command(folders: Sequence[Path], absolute: float, relative: float) -> int:
+    """Print how many cases agree and how others differ, and return the exit code."""
+    one, other = (_cases(load_results(folder)) for folder in folders)
+    common = [key for key in one if key in other]
+    lines = [
+        f"{one[key].id}: {difference}"
+        for key in common
+        if (difference := _difference(one[key], other[key], absolute, relative))
+    ]
+    agreeing = len(common) - len(lines)
+    for folder, mine, others in ((folders[0], one, other), (folders[1], other, one)):
+        lines += [f"{case.id}: only in {folder}" for key, case in mine.items() if key not in others]
+    total = len(one.keys() | other.keys())
+    print(f"{agreeing} of {total} cases agree within max({absolute:g}, {relative:g} of the larger value)")
+    for line in lines[:_MOST_LISTED]:
+        print(printable(line))
+    if len(lines) > _MOST_LISTED:
+        print(f"and {len(lines) - _MOST_LISTED} more")
+    return 1 if lines else 0
+
+
+def _cases(results: StudyResults) -> dict[tuple[str, str, int], CaseResult]:
+    """Return the cases by what they are, whatever settings or code they ran with.
+
+    Raises
+    ------
+    ConfigError
+        Some are damaged.
+    """
+    if results.damaged:
+        raise ConfigError(list(results.damaged.values()))
+    return {(case.controller, case.scenario, case.seed): case for case in results.cases}
+
+
+def _difference(one: CaseResult, other: CaseResult, absolute: float, relative: float) -> str:
+    """Return in words the worst difference of two cases, but for computation times; empty: they agree."""
+    if one.outcome is not other.outcome:
+        return f"{one.outcome}, other {other.outcome}"
+    first, second = one.trace(), other.trace()
+    if len(first) != len(second):
+        return f"{len(first)} samples, other {len(second)}"
+    unequal = [
+        k for k, pair in enumerate(zip(first.status, second.status, strict=True)) if len(set(pair)) > 1
+    ]
+    if unequal:
+        k = unequal[0]
+        return f'status at t = {first.time[k]:g} s is "{first.status[k]}", other "{second.status[k]}"'
+    for kind in (_signals, _metrics):  # what is computed from signals that differ says no more
+        ours, theirs = kind(one, first), kind(other, second)
+        if single := sorted(ours.keys() ^ theirs.keys()):
+            return f"{', '.join(single)}: only in one of them"
+        parts = {name: _excess(values, theirs[name], absolute, relative) for name, values in ours.items()}
+        name = max(parts, key=lambda name: parts[name][0], default="")
+        if name and parts[name][0] > 1.0:
+            k = parts[name][1]
+            where = f" at t = {first.time[k]:g} s" if kind is _signals else ""
+            return f"{name}{where} is {ours[name][k]:.9g}, other {theirs[name][k]:.9g}"
+    return ""
+
+
+def _signals(case: CaseResult, trace: Trace) -> dict[str, FloatArray]:
+    return {name: values for name, values in trace.columns().items() if name != _SOLVE_TIME}
+
+
+def _metrics(case: CaseResult, trace: Trace) -> dict[str, FloatArray]:
+    """Return the metrics that are not of the times of computation."""
+    return {
+        f"metric {key}": np.array([value])
+        for key, value in case.metrics.items()
+        if metric_of(key).of is not StepTimes or split_key(key)[0] in _COUNTS
+    }
+
+
+def _excess(one: FloatArray, other: FloatArray, absolute: float, relative: float) -> tuple[float, int]:
+    """Return the largest difference in parts of what is allowed, and where; what both lack agrees."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        sizes = np.maximum(np.abs(one), np.abs(other))
+        allowed = np.maximum(absolute, relative * np.where(np.isfinite(sizes), sizes, 0.0))
+        parts = np.where(one == other, 0.0, np.abs(one - other) / allowed)
+    parts[np.isnan(one) & np.isnan(other)] = 0.0
+    parts = np.nan_to_num(parts, nan=np.inf, posinf=np.inf)
+    k = int(np.argmax(parts)) if parts.size else 0
+    return (float(parts[k]), k) if parts.size else (0.0, 0)
