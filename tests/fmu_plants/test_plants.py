@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
-from scipy.linalg import eigvals
+from scipy.linalg import eigvals, expm
 from scipy.optimize import brentq
 
 from ddpc_cosim import FMUPlant
@@ -59,6 +59,66 @@ def cart_pendulum(x, u):
     return [velocity, acceleration, rate, angular_acceleration]
 
 
+def servo(x, u):
+    stribeck = 0.25 * (np.tanh(100.0 * x[1]) - np.tanh(10.0 * x[1]))
+    return [x[1], (u[0] - stribeck - 0.5 * np.tanh(100.0 * x[1]) - 0.3 * x[1]) / 0.05]
+
+
+def building(x, u):
+    """In kW, kWh and h, divided by 3600 s/h at the end."""
+    heating, outdoors, sun = u[0] / 1e3, u[1], 6.0 * u[2] / 1e3
+    in_heater, in_envelope = (x[1] - x[0]) / 0.4, (x[0] - x[2]) / 0.9
+    lost = (x[2] - outdoors) / 4.4
+    return (
+        np.array(
+            [(in_heater - in_envelope + sun) / 0.9, (heating - in_heater) / 0.3, (in_envelope - lost) / 3.2]
+        )
+        / 3600
+    )
+
+
+# Wood and Berry (1973): input, output, gain, time constant and dead time in minutes.
+COLUMN = [
+    (0, 0, 12.8, 16.7, 1.0),
+    (1, 0, -18.9, 21.0, 3.0),
+    (2, 0, 3.8, 14.9, 8.1),
+    (0, 1, 6.6, 10.9, 7.0),
+    (1, 1, -19.4, 14.4, 3.0),
+    (2, 1, 4.9, 13.2, 3.4),
+]
+
+
+def distillation_column(x, u):
+    """Of each path: its effect, and the delayed flow in controllable form."""
+    flows, slopes = np.asarray(u) - [1.95, 1.71, 2.45], []
+    for (flow, _, gain, lag, delay), (effect, *q) in zip(COLUMN, np.reshape(x, (6, 4)), strict=True):
+        delayed = q[0] - 0.4 * q[1] + 0.05 * q[2]
+        last = 60.0 * (flows[flow] - q[0]) - 36.0 * q[1] - 9.0 * q[2]
+        slopes += [(gain * delayed - effect) / lag, q[1] / delay, q[2] / delay, last / delay]
+    return np.array(slopes) / 60.0
+
+
+def boiler_turbine(x, u):
+    flow = x[0] ** 1.125
+    return [
+        -0.0018 * u[1] * flow + 0.9 * u[0] - 0.15 * u[2],
+        (0.073 * u[1] - 0.016) * flow - 0.1 * x[1],
+        (141.0 * u[2] - (1.1 * u[1] - 0.19) * x[0]) / 85.0,
+    ]
+
+
+def level(x, u):
+    steam = (1.0 - 0.001538 * x[2]) * (0.8 * x[0] - 25.6) / (x[2] * (1.0394 - 0.0012304 * x[0]))
+    evaporation = (0.854 * u[1] - 0.147) * x[0] + 45.59 * u[0] - 2.514 * u[2] - 2.096
+    return 0.05 * (0.13073 * x[2] + 100.0 * steam + evaporation / 9.0 - 67.975)
+
+
+# What is put out where it is not states.
+OUTPUTS = {
+    distillation_column: lambda x, u: [96.25 + x[0] + x[4] + x[8], 0.5 + x[12] + x[16] + x[20]],
+    boiler_turbine: lambda x, u: [x[0], x[1], level(x, u)],
+}
+
 # How far the inputs go from their start values.
 AMPLITUDES = {
     pendulum: 3.5,
@@ -67,6 +127,10 @@ AMPLITUDES = {
     cstr: 5.0,
     two_mass_drive: 2.0,
     cart_pendulum: 0.2,
+    servo: 2.0,
+    building: np.array([2000.0, 5.0, 0.0]),
+    distillation_column: 0.1,
+    boiler_turbine: 0.02,
 }
 PLANTS = [pytest.param(formula, amplitude, id=formula.__name__) for formula, amplitude in AMPLITUDES.items()]
 
@@ -111,7 +175,7 @@ def simulated(fmu, model, inputs, kind):
         input=held,
         output=[state.name for state in model.states],
         fmi_type=kind,
-        relative_tolerance=1e-12,
+        relative_tolerance=1e-10,
         record_events=False,
     )
     return np.column_stack([result[state.name][1:] for state in model.states])
@@ -158,17 +222,18 @@ def test_plants_begin_at_rest(formula, amplitude):
 def test_linear_models_are_the_differences_of_the_formula(formula, amplitude):
     model = model_of(formula)
     n = len(model.states)
+    names = [state.name for state in model.states]
+    selected = [names.index(output.name) for output in model.outputs if output.name in names]
+    outputs = OUTPUTS.get(formula, lambda x, u: x[selected])
     rng = np.random.default_rng(9)
     nominal = np.array([v.nominal for v in (*model.states, *model.inputs)])
     point = starts((*model.states, *model.inputs)) + 0.05 * nominal * rng.uniform(-1, 1, len(nominal))
     a, b, c, d = linearise(model, point[:n], point[n:])
     for index, size in enumerate(1e-6 * nominal):
         shift = size * np.eye(len(point))[index]
-        up, down = (np.array(formula(z[:n], z[n:])) for z in (point + shift, point - shift))
-        assert np.hstack([a, b])[:, index] == pytest.approx((up - down) / (2 * size), rel=1e-6, abs=1e-6)
-    selected = [[float(output.name == state.name) for state in model.states] for output in model.outputs]
-    np.testing.assert_array_equal(c, selected)
-    assert not d.any()
+        for matrix, function in ((np.hstack([a, b]), formula), (np.hstack([c, d]), outputs)):
+            up, down = (np.array(function(z[:n], z[n:])) for z in (point + shift, point - shift))
+            assert matrix[:, index] == pytest.approx((up - down) / (2 * size), rel=1e-6, abs=1e-6)
 
 
 def zeros(a, b, c, d):
@@ -228,6 +293,64 @@ def test_the_cart_is_unstable_upright():
     a, b, *_ = linearise(model_of(cart_pendulum), parameters={"gravity": 9.8})
     assert a[[1, 1, 3, 3], [1, 2, 1, 2]] == pytest.approx([-0.1818, 2.6727, -0.4545, 31.1818], abs=1e-4)
     assert b[[1, 3], 0] == pytest.approx([1.8182, 4.5455], abs=1e-4)
+
+
+def settled(model, u):
+    """Return the outputs at the end of a long time at constant inputs, of a linear plant."""
+    a, b, c, _ = linearise(model)
+    change = -c @ np.linalg.solve(a, b @ (np.asarray(u) - starts(model.inputs)))
+    return np.array(OUTPUTS[distillation_column](starts(model.states), u)) + change
+
+
+def test_the_column_has_the_published_dead_times():
+    """Step responses as those of the exact dead times, within 5 % of the gain."""
+    model = model_of(distillation_column)
+    a, b, c, _ = linearise(model)
+    times = np.arange(0.0, 3600.0, 5.0)
+    step = expm(5.0 * np.block([[a, np.eye(24)], [np.zeros((24, 48))]]))
+    for flow, composition, gain, lag, delay in COLUMN:
+        x, rows = np.zeros(24), []
+        for _ in times:
+            rows.append(c[composition] @ x)
+            x = step[:24, :24] @ x + step[:24, 24:] @ b[:, flow]
+        exact = gain * np.maximum(0.0, 1.0 - np.exp(-(times / 60.0 - delay) / lag))
+        error = np.abs(rows - exact).max() / abs(gain)
+        assert error <= min(0.05, 0.08 * delay / lag), (flow, composition)
+    assert settled(model, [1.96, 1.72, 2.46]) == pytest.approx([96.227, 0.421], abs=1e-9)
+
+
+def test_the_boiler_begins_at_the_published_point():
+    """Bell and Astrom (1987), nominal operating point: valves at 0.34, 0.69, 0.436 and the level at zero."""
+    model = model_of(boiler_turbine)
+    u = starts(model.inputs)
+    assert u == pytest.approx([0.34, 0.69, 0.436], abs=5e-4)
+    assert level(starts(model.states), u) == pytest.approx(0.0, abs=0.01)
+    poles = eigvals(linearise(model).A).real
+    assert np.sort(poles) == pytest.approx([-0.1, -0.0025, 0.0], abs=1e-4)
+
+
+def test_the_building_loses_heat_through_its_envelope_and_gains_the_sun():
+    model = model_of(building)
+    a, b, c, _ = linearise(model)
+    gain = -c @ np.linalg.solve(a, b)
+    assert gain[0] == pytest.approx([5.3e-3, 1.0, 6.0 * 5.3e-3])  # K/W, K/K, K/(W/m2)
+    hours = -1.0 / eigvals(a).real / 3600.0
+    assert max(hours) == pytest.approx(20.0, abs=1.0)
+
+
+def test_the_servo_sticks_and_breaks_away():
+    """Breakaway and sliding torque: the friction's maximum, and its least value beyond."""
+    speed = np.linspace(0.0, 1.0, 100_001)
+    friction = -0.05 * np.array(servo([0.0, speed], [0.0])[1])
+    breakaway, sliding = friction[speed < 0.1].max(), friction[speed > 0.1].min()
+    assert (breakaway, sliding) == pytest.approx((0.686, 0.567), abs=1e-3)
+
+    def turned(torque):
+        end = solve_ivp(lambda _, x: servo(x, [torque]), (0.0, 1.0), [0.0, 0.0], "Radau", rtol=1e-8).y
+        return end[0, -1]
+
+    assert turned(0.5) < 0.02
+    assert turned(1.0) > 0.5
 
 
 def test_an_empty_tank_stays_empty():
