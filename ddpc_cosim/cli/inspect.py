@@ -161,11 +161,12 @@ def _model_facts(description: FMUDescription) -> Iterator[tuple[str, str]]:
     yield (
         "experiment",
         _joined(
-            f"{what} {value:g} s"
-            for what, value in (
-                ("start", experiment.start_time),
-                ("stop", experiment.stop_time),
-                ("step", experiment.step_size),
+            f"{what} {value:g}{unit}"
+            for what, value, unit in (
+                ("start", experiment.start_time, " s"),
+                ("stop", experiment.stop_time, " s"),
+                ("step", experiment.step_size, " s"),
+                ("tolerance", experiment.tolerance, ""),
             )
             if value is not None
         )

@@ -58,7 +58,9 @@ class FMUPlant(Plant):
         Whether that process is in a sandbox, in which it writes into its temporary folder only, reads what is
         installed but not your files, and has no network: see ``docs/whom-you-trust.md``.
     tolerance : float, optional
-        Relative tolerance of the integration; default: the FMU's own.
+        Relative tolerance that the FMU is told, and that Model Exchange is integrated with (there 1e-12 to
+        1e-2); default: the one of its default experiment. Where that has none, the FMU is told none, and
+        Model Exchange is integrated with 1e-6.
     max_unpacked_size, max_files : int
         How large the FMU may get when it is unpacked: bytes, and number of files.
     trace_calls : str or Path, optional
@@ -111,6 +113,8 @@ class FMUPlant(Plant):
             raise ConfigError(f"step_timeout = {step_timeout} is not possible; allowed: a finite number > 0")
         if memory_limit is not None and not 0 < memory_limit < math.inf:
             raise ConfigError(f"memory_limit = {memory_limit} is not possible; allowed: a finite number > 0")
+        if tolerance is not None and not 0 < tolerance < math.inf:
+            raise ConfigError(f"tolerance = {tolerance} is not possible; allowed: a finite number > 0")
         if sandbox and not isolated:
             raise ConfigError("sandbox = True needs isolated = True: a process of its own enters it")
         self._sandbox = require() if sandbox else entered()
@@ -290,9 +294,11 @@ class FMUPlant(Plant):
         return self._session.time
 
     def provenance(self) -> Mapping[str, str]:
-        """Return the FMU's file name, SHA-256, GUID or token, FMI version and type, tool, and warnings."""
+        """Return the FMU's file name, SHA-256, GUID, FMI version and type, tool, tolerance, and warnings."""
         description = self.description
         told = {"fmu_warnings": "; ".join(self.warnings)} if self.warnings else {}
+        if self._fmu.tolerance is not None:
+            told["fmu_tolerance"] = repr(self._fmu.tolerance)
         if self._sandbox:
             told["sandbox"] = self._sandbox
         return {

@@ -41,6 +41,7 @@ from ddpc_cosim.variables import FloatArray
 _SLAVES: dict[int, type[Slave]] = {1: Fmi1Slave, 2: Fmi2Slave, 3: Fmi3Slave}
 _MODELS: dict[int, type[Model]] = {1: Fmi1Model, 2: Fmi2Model, 3: Fmi3Model}
 _DEFAULT_TOLERANCE = 1e-6
+# Between these an integrator of Model Exchange does what it is told.
 _TOLERANCES = (1e-12, 1e-2)
 _ONE_INSTANT = 1e-6  # of a step: where an FMU says that it ended, rounded in its own way
 
@@ -67,7 +68,8 @@ class UnpackedFMU:
     warnings : tuple of str
         What is wrong with the FMU but does not keep it from running.
     tolerance : float or None
-        Relative tolerance of the integration; None: the FMU's own.
+        Relative tolerance that the FMU is told, the one of its default experiment unless another is given;
+        None: none.
     start : mapping of str to float
         Start values of inputs, driven or not, in place of the FMU's own.
     """
@@ -127,6 +129,9 @@ def unpack_fmu(
     driven, read = choose_signals(description, label, inputs, outputs)
     start = start or {}
     StartValues(description, label, start, ())  # so that an impossible one is told now, and not at a reset
+    declared = description.default_experiment.tolerance
+    if tolerance is None and declared is not None and declared > 0.0:
+        tolerance = declared
     tool = f"the FMU needs the tool that made it: {description.generation_tool}"
     origin = Origin(
         folder=folder,
@@ -409,15 +414,13 @@ def _start_run(fmu: UnpackedFMU, instance: Instance, inputs: Port, outputs: Port
     if not isinstance(instance, Model):
         raise TypeError(f"{type(instance).__name__} is neither a slave nor a model")
     low, high = _TOLERANCES
-    own = fmu.description.default_experiment.tolerance or _DEFAULT_TOLERANCE
-    tolerance = fmu.tolerance if fmu.tolerance is not None else min(max(own, low), high)
     needs_completed_step = fmu.interface.needs_completed_step or fmu.description.major == 1
     return ModelExchangeRun(
         instance,
         inputs,
         outputs,
         t0,
-        tolerance=tolerance,
+        tolerance=min(max(fmu.tolerance or _DEFAULT_TOLERANCE, low), high),
         needs_completed_step=needs_completed_step,
         clocks=clocks,
     )

@@ -70,6 +70,7 @@ def test_plain_lines_can_be_searched_and_cut(pendulum_fmu: Path) -> None:
     assert ["input", "torque", "[N.m]", "start 0", "Applied torque"] in lines
     assert {line[1] for line in lines if line[0] == "parameter"} >= {"mass", "radius", "damping", "gravity"}
     assert lines[-1][0].startswith(f"suggested study: ddpc-cosim init {pendulum_fmu}")
+    assert ["experiment", "start 0 s, stop 40 s, step 0.1 s, tolerance 1e-10"] in lines
 
 
 def test_what_cannot_be_controlled_is_simulated(mutate, pendulum_fmu: Path) -> None:
