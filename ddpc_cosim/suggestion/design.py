@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Any, Self
 
 import numpy as np
@@ -471,10 +472,13 @@ def _pid(gains: ScaledGains) -> list[SuggestedController]:
     outputs, inputs = gains.lasting.shape
     if outputs > inputs:
         return []
-    from scipy.optimize import linear_sum_assignment
-
-    _, pairing = linear_sum_assignment(np.abs(gains.lasting), maximize=True)
-    settings = {"tuning": "step-test", "pairing": pairing.tolist()}
+    moved = np.abs(gains.lasting).tolist()
+    # Signals are so few that all pairings can be tried.
+    pairing = max(
+        permutations(range(inputs), outputs),
+        key=lambda order: sum(moved[j][i] for j, i in enumerate(order)),
+    )
+    settings = {"tuning": "step-test", "pairing": [*pairing]}
     return [
         SuggestedController(
             "pid",

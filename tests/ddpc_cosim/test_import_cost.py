@@ -14,7 +14,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 SNOOPERS = """
 import json, os, sys
 from pathlib import Path
-from ddpc_controllers import DeePC, MFAPC, WKPC
+from ddpc_controllers import DeePC, MFAPC, MPC, WKPC
 
 class Snooper:
     def diagnostics(self):  # the last thing that a run asks for
@@ -24,6 +24,7 @@ class Snooper:
 class SnoopingMFAPC(Snooper, MFAPC): pass
 class SnoopingDeePC(Snooper, DeePC): pass
 class SnoopingWKPC(Snooper, WKPC): pass
+class SnoopingMPC(Snooper, MPC): pass
 """
 
 
@@ -110,17 +111,27 @@ def test_a_simulation(tmp_path: Path, pendulum_fmu: Path) -> None:
     assert not loaded & (HEAVY | {"scipy", "jinja2"})
 
 
+def test_a_proposal(tmp_path: Path, pendulum_fmu: Path) -> None:
+    code = "import contextlib\nfrom ddpc_cosim.cli.main import main\n"
+    command = ["init", pendulum_fmu.as_posix(), "--out", "study.toml"]
+    code += f"with contextlib.suppress(SystemExit): main({command})"
+    loaded = modules_after(code, tmp_path)
+    assert (tmp_path / "study.toml").is_file()
+    assert not loaded & (HEAVY | {"scipy.optimize", "jinja2"})
+
+
 def test_a_worker_that_runs_cases_of_the_paper(tmp_path: Path, run_program: Run, paper_text: str) -> None:
     (tmp_path / "snoopers.py").write_text(SNOOPERS, encoding="utf-8")
     for name in ("MFAPC", "DeePC", "WKPC"):
         paper_text = paper_text.replace(
             f'"{name.lower()}"\nlabel = "{name}', f'"snoopers:Snooping{name}"\nlabel = "{name}'
         )
+    paper_text += '\n[controllers.mpc]\ntype = "snoopers:SnoopingMPC"\n'  # on a model of the recording
     (tmp_path / "study.toml").write_text(paper_text, encoding="utf-8")
     arguments = ("run", "study.toml", "--seeds", "0", "--jobs", "1", "--no-report")
     done = run_program(*arguments, SNOOPED=str(tmp_path))
     assert done.returncode == 0, done.stderr
-    for name in ("MFAPC", "DeePC", "WKPC"):
+    for name in ("MFAPC", "DeePC", "WKPC", "MPC"):
         loaded = set(json.loads((tmp_path / f"Snooping{name}").read_text(encoding="utf-8")))
         assert "fmpy" in loaded
         assert not loaded & (HEAVY | {"pydantic", "rich", "click"})

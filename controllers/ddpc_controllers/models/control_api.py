@@ -1,7 +1,8 @@
 """What is taken from python-control, and nothing else of it: arrays in, arrays out.
 
-python-control is imported inside the functions: its import costs a second, which only those pay whose
-controller needs it, and only once per run.
+python-control is imported inside the functions: its import costs a second and more, which only those pay
+whose controller needs it, and only once per run. The filter of every controller on a model goes straight to
+the Riccati solver that python-control calls.
 """
 
 from typing import Any
@@ -54,7 +55,7 @@ def regulator_gain(
 
 
 def estimator_covariance(a: FloatArray, c: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
-    """Return the covariance P of the prediction error of the steady Kalman filter (``control.dlqe``).
+    """Return the covariance P of the prediction error of the steady Kalman filter, as ``control.dlqe`` does.
 
     Parameters
     ----------
@@ -68,11 +69,11 @@ def estimator_covariance(a: FloatArray, c: FloatArray, q: FloatArray, r: FloatAr
     ConfigError
         There is no stable filter.
     """
-    import control
+    from scipy.linalg import solve_discrete_are
 
     return _riccati(
         "Kalman filter: the model has a mode that is not stable and that the outputs do not show",
-        lambda: control.dlqe(a, np.eye(len(a)), c, _symmetric(q), _symmetric(r))[1],
+        lambda: solve_discrete_are(a.T, c.T, _symmetric(q), _symmetric(r)),
     )
 
 
@@ -100,11 +101,13 @@ def _symmetric(matrix: FloatArray) -> FloatArray:
 
 
 def _riccati(failure: str, solve: Any) -> FloatArray:
-    from control.exception import ControlArgument, ControlDimension
-
     try:
         solution = np.asarray(solve(), dtype=np.float64)
-    except (np.linalg.LinAlgError, ControlArgument, ControlDimension, ValueError) as error:
+    except (
+        np.linalg.LinAlgError,
+        TypeError,
+        ValueError,
+    ) as error:  # python-control's own are of these classes
         raise ConfigError(f"{failure} ({error})") from error
     if not np.isfinite(solution).all():
         raise ConfigError(failure)

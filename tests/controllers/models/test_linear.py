@@ -5,11 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.linalg import expm
 
+from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.from_fmu import pulse_model
 from ddpc_controllers.models.identification import Identified, choose_lags, fit_arx, markov_parameters
 from ddpc_controllers.models.linear import ModelFunction, SampledModel, StateSpace
@@ -233,3 +235,15 @@ def test_a_response_that_does_not_show_the_order_is_refused() -> None:
         pulse_model(Pendulum(), H, order=5)
     with pytest.raises(ConfigError, match="operating_input has shape"):
         pulse_model(Pendulum(), H, operating_input=[1.0, 2.0])
+
+
+@pytest.mark.parametrize("states", [1, 4, 12])
+def test_the_steady_filter_is_that_of_python_control(states: int) -> None:
+    rng = np.random.default_rng(states)
+    plant = LinearPlant.random(rng, states, 1, 2)
+    drive = plant.b @ plant.b.T + np.eye(states)
+    noise = np.diag([0.1, 2.0])
+    _, expected, _ = control.dlqe(plant.a, np.eye(states), plant.c, drive, noise)
+    assert estimator_covariance(plant.a, plant.c, drive, noise) == pytest.approx(
+        expected, rel=1e-9, abs=1e-12
+    )

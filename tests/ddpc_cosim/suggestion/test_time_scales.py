@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.optimize import linear_sum_assignment
 
 from ddpc_cosim import Plant, Variable
 from ddpc_cosim.suggestion import design
@@ -221,3 +222,11 @@ def test_where_responses_tell_nothing_the_default_experiment_does(
     request_: Request, stop: float, step: float | None, scale: float | None
 ) -> None:
     assert design.guessed_time_scale(request_, stop, step) == (scale and pytest.approx(scale))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 6), (2, 3), (4, 4), (4, 6)])
+def test_every_output_has_the_input_that_moves_it_most(shape: tuple[int, int]) -> None:
+    gains = np.random.default_rng(0).normal(size=shape)
+    suggested = design.suggested_controllers(design.ScaledGains(gains, gains), may_record=True)
+    _, pairing = linear_sum_assignment(np.abs(gains), maximize=True)
+    assert suggested["pid"].settings["pairing"] == pairing.tolist()
