@@ -143,7 +143,7 @@ class CallsInTime:
     """
 
     def __init__(self, seconds: float) -> None:
-        self.seconds = seconds
+        self.seconds = min(seconds, threading.TIMEOUT_MAX)
         self._thread: threading.Thread | None = None
 
     def __enter__(self) -> Self:

@@ -9,6 +9,7 @@ import sys
 import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from threading import TIMEOUT_MAX
 from typing import Any, TypeVar
 
 import numpy as np
@@ -91,7 +92,7 @@ class IsolatedSession:
         sandboxed: bool,
     ) -> None:
         self.fmu = fmu
-        self._folder, self._timeout = folder, step_timeout
+        self._folder, self._timeout = folder, min(step_timeout, TIMEOUT_MAX)
         self._memory = None if memory_limit is None else int(1e9 * memory_limit)
         traced = fmu.origin.trace_calls
         if sandboxed and traced:
@@ -196,7 +197,7 @@ class IsolatedSession:
         except FMUStepError as error:
             self.time = error.time
             raise
-        except (LookupError, TypeError) as error:
+        except (ArithmeticError, LookupError, TypeError) as error:
             raise ValueError("the reply cannot be read") from error
         return result
 

@@ -294,11 +294,11 @@ def run_cases(
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
                 for run in list(running):
                     ended = run.has_ended(run.worker.channel.socket in ready)
-                    if watch is not None:
-                        watch(run.progress)
                     if ended:
                         running.remove(run)
                         yield run.case
+                    elif watch is not None:
+                        watch(run.progress)
         finally:
             for run in running:
                 run.worker.end()

@@ -156,8 +156,8 @@ def _attempt(
             raise _TimeUpError
 
     try:
-        tried = run_cases(cases, folder / CASES_FOLDER, 1, watch, sandboxed=sandboxed)
-        done.extend(case.id for case in tried)
+        for tried in run_cases(cases, folder / CASES_FOLDER, 1, watch, sandboxed=sandboxed):
+            done.append(tried.id)
     except _TimeUpError:
         attempt.untried |= dict.fromkeys((case.label for case in cases[len(done) + 1 :]), _NOT_BEGUN)
     results, _ = load_cases(folder, resolved.study, done)

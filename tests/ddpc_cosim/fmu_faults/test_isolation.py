@@ -17,6 +17,7 @@ from ddpc_cosim import ConfigError, FMUImportError, FMUPlant, FMUStepError
 from ddpc_cosim.errors import StepStatus
 from ddpc_cosim.fmu.isolation import Frame, IsolatedSession
 from ddpc_cosim.processes.worker import Channel
+from ddpc_cosim.safe_calls import CallsInTime
 
 from .loop import H
 
@@ -167,6 +168,7 @@ class Evil:
 
 
 HEAD = struct.Struct("=q")
+ENDLESS = b'{"result": [{"shape": [1]}, 1%s]}\n' % (400 * b"0") + bytes(8)
 
 
 @pytest.mark.parametrize(
@@ -181,6 +183,7 @@ HEAD = struct.Struct("=q")
         HEAD.pack(13) + b'{"result": 1}',
         HEAD.pack(20) + b'{"result": [[1], []]}'[:20],
         HEAD.pack(20) + b'{"result": ["x", 0]}',
+        HEAD.pack(len(ENDLESS)) + ENDLESS,
     ],
     ids=str,
 )
@@ -212,3 +215,11 @@ def test_an_fmu_that_writes_into_its_channel_is_a_crash(
 def test_an_impossible_limit(limit: float, faulty_fmus: dict[int, Path]) -> None:
     with pytest.raises(ConfigError, match=r"step_timeout = .* is not possible; allowed: a finite number > 0"):
         FMUPlant(faulty_fmus[2], isolated=True, step_timeout=limit)
+
+
+def test_a_limit_longer_than_a_system_waits(faulty_fmus: dict[int, Path]) -> None:
+    with FMUPlant(faulty_fmus[2], isolated=True, step_timeout=1e300) as session:
+        session.reset()
+        np.testing.assert_allclose(session.step(U, H), [H])
+    with CallsInTime(1e300) as in_time:
+        assert in_time(lambda: 1) == 1

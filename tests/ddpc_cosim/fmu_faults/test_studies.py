@@ -12,7 +12,7 @@ from ddpc_cosim.study.case_files import read_trace
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.runner import run_cases
+from ddpc_cosim.study.runner import Update, run_cases
 from ddpc_cosim.study.sections import PlantSection
 
 from .loop import FAULT_SAMPLE, FAULT_TIME, SHORT
@@ -57,7 +57,11 @@ def run(tmp_path: Path, faulty_fmus: dict[int, Path]) -> Run:
         path.write_text(text + more, encoding="utf-8")
         resolved = read_study(str(path))
         cases = cases_of(resolved, resolved.plant.built())
-        (case,) = run_cases(cases, tmp_path, jobs=1)
+
+        def watch(update: Update) -> None:
+            assert not (tmp_path / cases[0].id).exists(), "what is over runs no more"
+
+        (case,) = run_cases(cases, tmp_path, 1, watch)
         return read_trace(tmp_path / case.id)
 
     return run_fault
