@@ -236,7 +236,9 @@ def _propose(name: str, candidates: Candidates, found: Found) -> Proposal:
     references, duration = design.setpoints(tested, choice, candidates.outputs, working, sample, request)
     if unstable:  # there is nothing else to ask for before it is stabilised
         references = design.near_rest(tested, choice, candidates.outputs, duration)
-    nominal = _sizes(inputs, working.size) | _sizes(outputs, _output_sizes(choice, working))
+    nominal = _sizes(inputs, working.size) | _sizes(
+        outputs, np.minimum(_output_sizes(choice, working), design.limits(tested, choice))
+    )
     u_size = np.array([nominal[v.name] for v in inputs])
     y_size = np.array([nominal[v.name] for v in outputs])[:, np.newaxis]
     gains = ScaledGains(
@@ -263,8 +265,17 @@ def _propose(name: str, candidates: Candidates, found: Found) -> Proposal:
         controllers=chosen,
         comments=comments(circumstances, candidates.left_out, candidates.warnings),
         hints=tuple(hints(circumstances, design.rest_and_room(candidates.inputs, bounds)[1])),
+        gains=_settled_gains(tested, choice),
+        rest=design.where_it_rests(tested)[list(choice.outputs)],
         asked=request,
     )
+
+
+def _settled_gains(tested: StepTest, choice: Choice) -> FloatArray:
+    """Return the gains, NaN of outputs that have responses that do not settle."""
+    settles = {ResponseType.INSENSITIVE, ResponseType.SETTLED}
+    known = [all(tested.responses[j][i].type in settles for i in choice.inputs) for j in choice.outputs]
+    return np.where(np.array(known)[:, np.newaxis], choice.gains, np.nan)
 
 
 def _recording_length(controller: SuggestedController, *signals: int) -> int:

@@ -60,7 +60,7 @@ def choose(tested: StepTest, room: FloatArray, fallback: float, *, all_outputs: 
     time_scale = fallback if guessed else shown
     gains = lasting_gains(tested, time_scale)
     if not all_outputs:
-        gains = _urgent(gains, tested.responses)
+        gains = _not_adrift(_urgent(gains, tested.responses), tested, room)
     reach = np.abs(gains) * np.abs(room)
     lively = [i for i in range(len(room)) if np.any(reach[:, i] > 0.0)]
     lively = sorted(sorted(lively, key=lambda i: -_relative_reach(reach)[i])[:MOST_INPUTS])
@@ -69,7 +69,9 @@ def choose(tested: StepTest, room: FloatArray, fallback: float, *, all_outputs: 
     if all_outputs:
         chosen = list(range(len(tested.responses)))
     else:
-        chosen = _independent(gains[:, lively] * np.abs(room[lively]), min(len(lively), MOST_OUTPUTS))
+        order = sorted(range(len(gains)), key=lambda j: any(map(_is_rough, tested.responses[j])))
+        reach = gains[np.ix_(order, lively)] * np.abs(room[lively])
+        chosen = sorted(order[k] for k in _independent(reach, min(len(lively), MOST_OUTPUTS)))
         lively = [i for i in lively if any(_moves(tested.responses[j][i]) for j in chosen)]
     return Choice(tuple(lively), tuple(chosen), gains[np.ix_(chosen, lively)], time_scale, guessed)
 
@@ -106,6 +108,23 @@ def _urgent(gains: FloatArray, responses: Sequence[Sequence[Response]]) -> Float
     """Return the gains without those of stable outputs if there are unstable ones: they come first."""
     unstable = np.array([any(response.is_unstable for response in row) for row in responses])
     return np.where(unstable[:, np.newaxis], gains, 0.0) if unstable.any() else gains
+
+
+def _not_adrift(gains: FloatArray, tested: StepTest, room: FloatArray) -> FloatArray:
+    """Return the gains without those of outputs that drift by more than inputs can, if others are left.
+
+    An energy that is used up, a distance covered: no input holds what only ever goes on.
+    """
+    kept = np.array(
+        [tested.authority(j, range(len(room)), room) >= tested.drift(j) for j in range(len(gains))]
+    )
+    held = np.where(kept[:, np.newaxis], gains, 0.0)
+    return held if held.any() else gains
+
+
+def _is_rough(response: Response) -> bool:
+    """Whether a response does not come to rest, or goes in jumps: there may be a better output."""
+    return response.type is ResponseType.OSCILLATING or response.held > 0.0
 
 
 def _time_scale(tested: StepTest) -> float:
@@ -156,4 +175,4 @@ def _independent(reach: FloatArray, most: int) -> list[int]:
         direction = rest[j] / np.linalg.norm(rest[j])
         rest = rest - np.outer(rest @ direction, direction)
         chosen.append(j)
-    return sorted(chosen)
+    return chosen

@@ -215,7 +215,10 @@ def sampling_time(
     if not choice.guessed:
         most = _MOST_SAMPLES_PER_RINGING if rises else _MOST_SAMPLES_PER_SETTLING
         wanted = max(min((wanted, *limits)), choice.time_scale / most)
-    wanted = max(wanted, float(tested.time[0]), *(r.held for r in responses))
+    clocks = (
+        r.held for j in choice.outputs for r in tested.responses[j]
+    )  # an output's own, whatever the input
+    wanted = max(wanted, float(tested.time[0]), *clocks)
     multiple = 1 if fixed_step is None else max(1, round(wanted / fixed_step))
     sample = nearest_125(wanted) if fixed_step is None else multiple * fixed_step
     if duration is None or _divides(sample, duration):
@@ -274,7 +277,7 @@ def setpoints(
     if samples < 2 * n:
         short = f"duration = {request.duration:g} has {samples} samples of {sample:g} s"
         raise ConfigError(f"{short}; needed: at least {2 * n}, one for each step of a setpoint")
-    up, down = reachable(choice.gains, working)
+    up, down = (np.minimum(way, limits(tested, choice)) for way in reachable(choice.gains, working))
     references = {}
     for position, j in enumerate(choice.outputs):
         first, output = _inside(rest[j], outputs[j]), outputs[j]
@@ -292,6 +295,11 @@ def setpoints(
             tuple(rounded(value, resolution) for value in steps.values()),
         )
     return references, clean(samples * sample)
+
+
+def limits(tested: StepTest, choice: Choice) -> FloatArray:
+    """Return how far each chosen output may go from rest in view of a limit of its own, shape (p,)."""
+    return np.array([_ROOM * tested.own_limit(j) for j in choice.outputs])
 
 
 def near_rest(

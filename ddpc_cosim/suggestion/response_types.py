@@ -25,6 +25,8 @@ _ACCELERATING = 3.0  # a line doubles while time doubles, a parabola quadruples
 _HIGHEST_POWER = 4.5  # of time: chains of integrators up to four, nothing else, rise so
 _DOUBLINGS = 3.0  # after which an unstable plant is still where one would want to catch it
 _ESCAPE = (0.003, 0.3)  # of the peak: between them an unstable mode grows undisturbed
+_RAMP = (0.03, 0.1, 0.3)  # of the peak: an integrator takes three times as long from one to the next
+_RAMP_RATIO = 2.0  # of the second of these times to the first; of an exponential it is 1, of a parabola 1.7
 _RISEN = 1.0 - np.exp(-1.0)  # where a first-order lag is after its time constant
 _CREEP = 1e-3  # of the peak: what a response that seems settled may still move without being asked further
 _GROWING = 1.5  # the ends of a slow mode, that it starts with a line: twice as much in twice the time
@@ -168,6 +170,21 @@ def escaping(time: FloatArray, deviation: FloatArray, peak: float) -> Response:
     doubling = max(end - begin, float(time[0])) / np.log2(_ESCAPE[1] / _ESCAPE[0])
     early = float(deviation[np.argmax(time >= _DOUBLINGS * doubling)])
     return Response(ResponseType.ACCELERATING, early, 0.0, float(doubling), np.inf, peak)
+
+
+def limited_slope(time: FloatArray, deviation: FloatArray) -> float:
+    """Return the slope of an output that integrates until it is at a limit of its own; 0 if it does not.
+
+    Parameters
+    ----------
+    time, deviation : array, shape (n,)
+        As for :func:`escaping`.
+    """
+    size = np.abs(deviation) / np.max(np.abs(deviation))
+    begin, middle, end = (int(np.argmax(size >= share)) for share in _RAMP)
+    if not time[end] - time[middle] > _RAMP_RATIO * (time[middle] - time[begin]):
+        return 0.0
+    return float((deviation[end] - deviation[begin]) / (time[end] - time[begin])) if end > begin else 0.0
 
 
 def _first_reached(time: FloatArray, deviation: FloatArray, way: float) -> float:

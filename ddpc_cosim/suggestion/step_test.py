@@ -1,7 +1,7 @@
 """Steps of a plant's inputs, one by one, from where it rests: for as long and as closely as it takes."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
 
@@ -16,6 +16,7 @@ from ddpc_cosim.suggestion.response_types import (
     ResponseType,
     classify,
     escaping,
+    limited_slope,
     sample_counts,
 )
 from ddpc_cosim.variables import FloatArray
@@ -25,7 +26,9 @@ _BLOCKS_MORE, _BLOCKS_MOST = 4, 40
 _UNCLEAR = {ResponseType.OSCILLATING, ResponseType.INTEGRATING, ResponseType.ACCELERATING}
 _FASTER, _TIMES_FASTER = 2**10, 3
 _MOST_STEPS = 100_000
-_SHARE, _LARGER_SHARES, _SMALLER_SHARE = 0.1, (0.5, 1.0), 0.001
+SHARE = 0.1
+"""Part of its room by which an input is stepped first."""
+_LARGER_SHARES, _SMALLER_SHARE = (0.5, 1.0), 0.001
 _NONLINEAR = 0.3
 _LATER = 1.5
 _BEYOND = 1e30
@@ -33,6 +36,7 @@ _IMMEDIATE = 3  # samples
 _ROUNDING = 1e-9
 _STEPS_TIMED = 3
 _STEPS_COMPARED = 40
+_STOPPED = 2.0  # of what an output has reached: how far its slope would have taken it
 _PART_FOR_LONGER = 0.5  # of the time that is left
 
 
@@ -101,12 +105,16 @@ class StepTest:
         By output, then by input.
     fault : str
         Why a run ended early; empty if none did.
+    fails_at_rest : bool
+        Whether it is the plant that ended the run at rest.
     stopped : bool
         Whether computing time ran out before every response had shown its type.
     static : bool
         Whether the outputs follow the inputs at once, however closely one looks.
     unstable : frozenset of int
         Outputs whose response does not shrink with the step.
+    switched : frozenset of (int, int)
+        Outputs and inputs whose response is as soon there and as large after a thousandth of the step.
     resolution : float
         What happens within this time cannot be told from what happens at once [s].
     """
@@ -116,14 +124,31 @@ class StepTest:
     steps: FloatArray
     responses: tuple[tuple[Response, ...], ...]
     fault: str = ""
+    fails_at_rest: bool = False
     stopped: bool = False
     static: bool = False
     unstable: frozenset[int] = field(default_factory=frozenset)
+    switched: frozenset[tuple[int, int]] = field(default_factory=frozenset)
     resolution: float = 0.0
 
     def is_immediate(self, response: Response) -> bool:
         """Whether a response is over within the first samples: direct feedthrough, as far as one sees."""
         return response.settling_time <= self.resolution
+
+    def authority(self, output: int, inputs: Iterable[int], room: FloatArray) -> float:
+        """Return by how much the inputs move an output within their room, going by its responses."""
+        row = self.responses[output]
+        return float(sum(abs(row[i].peak / self.steps[i] * room[i]) for i in inputs))
+
+    def own_limit(self, output: int) -> float:
+        """Return where an output stops that integrates until then; infinity if it does not stop."""
+        integrating = [r for r in self.responses[output] if r.type is ResponseType.INTEGRATING]
+        stopped = [r.peak for r in integrating if abs(r.slope) * self.time[-1] > _STOPPED * r.peak]
+        return min(stopped, default=math.inf)
+
+    def drift(self, output: int) -> float:
+        """Return by how much an output moves while the inputs rest."""
+        return float(np.ptp(self.rest[:, output]))
 
 
 def step_test(plant: Plant, resting: Resting, timing: Timing) -> StepTest:
@@ -146,7 +171,7 @@ def step_test(plant: Plant, resting: Resting, timing: Timing) -> StepTest:
     deadline = monotonic() + timing.budget
     paced = _Paced(plant, deadline)
     timing = _for_its_speed(paced, resting, timing)
-    tested = _at_time_scale(paced, resting, _SHARE * resting.room, timing)
+    tested = _at_time_scale(paced, resting, SHARE * resting.room, timing)
     larger = _with_larger_steps(paced, resting, tested, timing)
     if larger is not tested and not any(_responds(tested)) and paced.may_repeat:
         larger = _at_time_scale(paced, resting, larger.steps, timing)
@@ -317,6 +342,10 @@ def _until_clear(plant: _Paced, resting: Resting, steps: FloatArray, timing: Tim
     """Make runs longer until every response has shown its type, or time is up."""
     blocks = timing.blocks
     tested, _ = _run_all(plant, resting, steps, _Grid(timing.step, blocks, timing.fixed))
+    if not any(_responds(tested)):  # larger steps cost less time than longer runs
+        larger = _with_larger_steps(plant, resting, tested, timing)
+        if any(_responds(larger)):
+            tested, steps = larger, larger.steps
     while not (tested.fault or _is_clear(tested)):
         if tested.time[-1] >= timing.longest or blocks >= _BLOCKS_MOST:
             return tested
@@ -384,6 +413,7 @@ def _run_all(
     began = monotonic()
     plant.share(1 + len(u), part)
     rest, fault = grid.run(plant, u, parameters)
+    fails_at_rest = bool(fault) and not plant.ran_out
     if len(rest) < BLOCK:
         raise CosimError(f"the plant does not run with its inputs at rest: {fault}")
     deviations = []
@@ -406,8 +436,10 @@ def _run_all(
         )
         for j in range(len(plant.outputs))
     )
-    tested = StepTest(grid.time[: len(rest)], rest, steps, responses, fault, resolution=grid.resolution)
-    return tested, deviations
+    time = grid.time[: len(rest)]
+    return StepTest(
+        time, rest, steps, responses, fault, fails_at_rest, resolution=grid.resolution
+    ), deviations
 
 
 def _whole_blocks(samples: int) -> int:
@@ -421,12 +453,26 @@ def _with_instabilities(plant: _Paced, resting: Resting, tested: StepTest, timin
     grid = _Grid(float(tested.time[0]), len(tested.time) // BLOCK, timing.fixed)
     smaller, deviations = _run_all(plant, resting, _SMALLER_SHARE * tested.steps, grid)
     responses = [list(row) for row in tested.responses]
-    unstable = set()
+    unstable, switched = set(), set()
     for j, row in enumerate(smaller.responses):
         for i, small in enumerate(row):
             large = responses[j][i]
             is_late = small.half_time > _LATER * large.half_time  # a switch acts as soon whatever the step is
-            if small.peak > _NONLINEAR * large.peak and is_late:
+            if not small.peak > _NONLINEAR * large.peak:
+                continue
+            scaled = deviations[i][:, j] / _SMALLER_SHARE
+            if not is_late:
+                switched.add((j, i))
+            elif slope := limited_slope(grid.time, scaled):
+                responses[j][i] = replace(
+                    large, type=ResponseType.INTEGRATING, slope=slope, rise_time=0.0, settling_time=np.inf
+                )
+            else:
                 unstable.add(j)
-                responses[j][i] = escaping(grid.time, deviations[i][:, j] / _SMALLER_SHARE, small.peak)
-    return replace(tested, responses=tuple(map(tuple, responses)), unstable=frozenset(unstable))
+                responses[j][i] = escaping(grid.time, scaled, small.peak)
+    return replace(
+        tested,
+        responses=tuple(map(tuple, responses)),
+        unstable=frozenset(unstable),
+        switched=frozenset(switched),
+    )

@@ -40,9 +40,8 @@ _ALIKE = 1e-6  # of the span: samples at a limit of the plant's own
 _MOVED = 0.01  # of the span: setpoints that differ
 _LISTED = 3
 _NOT_BEGUN = "not begun"
-_NOT_FOUND = (
-    "not found; the inputs are within their limits, the plant may answer otherwise than in the step test"
-)
+_OTHERWISE = 0.5  # of what an output has moved: what it is off where its step responses say it should be
+_NOT_FOUND = "not found; inputs are within their limits, and outputs go where the step test says they should"
 _LIMIT = re.compile("max|min|lim|sat|upper|lower|bound|range", re.IGNORECASE)
 
 
@@ -59,6 +58,7 @@ class _Attempt:
     preview: int = 0
     line: str = ""
     limits: list[str] = field(default_factory=list)
+    surprises: list[str] = field(default_factory=list)
     dropped: dict[str, str] = field(default_factory=dict)
     untried: dict[str, str] = field(default_factory=dict)
 
@@ -184,6 +184,7 @@ def _attempt(
     if resolved is not None and attempt.cases:
         attempt.preview = resolved.metrics.preview
         attempt.line = next(iter(following_lines(resolved.study, attempt.cases)), "")
+        attempt.surprises = [*_surprises(attempt.best_trace(), proposal, attempt.preview)]
         attempt.limits = [*_limits_shown(attempt.best_trace(), resolved.plant.variables().parameters)]
     return attempt
 
@@ -243,12 +244,7 @@ def _within_reach(attempts: Sequence[_Attempt]) -> Proposal:
     """Return the proposal with what may be followed: longer stretches, or setpoints such as were reached."""
     last = attempts[-1]
     trace, proposal = last.best_trace(), last.proposal
-    responses = [
-        Response(
-            output, trace.y[:, j], (-np.inf, np.inf), 1.0, trace.reference[:, j], last.preview, trace.preview
-        )
-        for j, output in enumerate(trace.outputs)
-    ]
+    responses = _responses(trace, last.preview)
     ends = {one.variable.name: [_settled_part(step) for step in one.steps] for one in responses}
     may_be_longer = proposal.asked.duration is None and len(attempts) == 1
     if may_be_longer and not _stuck(trace, chain(*ends.values())):
@@ -267,6 +263,31 @@ def _within_reach(attempts: Sequence[_Attempt]) -> Proposal:
         moves = (low - min(old)) + (max(old) - high) > _MOVED * float(np.ptp(old))
         spans[name] = (low, high) if moves and low < high else _shrunk(old)
     return _moved(proposal, spans)
+
+
+def _responses(trace: Trace, preview: int) -> list[Response]:
+    limits = (-np.inf, np.inf)
+    return [
+        Response(output, trace.y[:, j], limits, 1.0, trace.reference[:, j], preview, trace.preview)
+        for j, output in enumerate(trace.outputs)
+    ]
+
+
+def _surprises(trace: Trace, proposal: Proposal, preview: int) -> Iterator[str]:
+    """Name the outputs that end elsewhere than the step responses say, going by the inputs."""
+    rest_u = np.array([proposal.start.get(v.name, v.start) for v in proposal.inputs])
+    for j, response in enumerate(_responses(trace, preview)):
+        worst, text = _OTHERWISE, ""
+        for rows in map(_settled_part, response.steps):
+            u, y = trace.u[rows].mean(axis=0), float(response.values[rows].mean())
+            expected = float(proposal.rest[j] + proposal.gains[j] @ (u - rest_u))
+            moved = max(abs(y - proposal.rest[j]), abs(expected - proposal.rest[j]))
+            if abs(y - expected) > worst * moved:  # of NaN there is nothing to say
+                worst = abs(y - expected) / moved
+                inputs = ", ".join(f"{v.name} {x:.3g}" for v, x in zip(trace.inputs, u, strict=True))
+                text = f"{y:.3g} with {inputs}, where its step responses say {expected:.3g}"
+        if text:
+            yield f"{response.variable.name} ends otherwise than in the step test: at {text}"
 
 
 def _settled_part(step: Stretch) -> slice:
@@ -293,7 +314,7 @@ def _longer(proposal: Proposal) -> Proposal:
 def _shorter(proposal: Proposal, share: float) -> Proposal:
     """Return the proposal with everything in a share of the time, from the recording on."""
     note = f"All in {100 * share:g} % of the time that the step test suggests: later on every run failed."
-    comments = {**proposal.comments, "loop": (*proposal.comments.get("loop", ()), note)}
+    comments = {**proposal.comments, "loop": (note,)}
     faster = replace(proposal, sampling_time=clean(share * proposal.sampling_time), comments=comments)
     return _stretched(faster, share)
 
@@ -349,8 +370,8 @@ def _told(attempts: Sequence[_Attempt]) -> Proposal:
     proposal = best.proposal
     limits = dict.fromkeys(limit for one in attempts for limit in one.limits)
     likely = [*limits, *proposal.hints] if best.line else []
-    if best.line and not likely and best.line == none_follows(best.cases):
-        likely = [_NOT_FOUND]
+    if best.line and not likely:
+        likely = best.surprises or ([_NOT_FOUND] if best.line == none_follows(best.cases) else [])
     head = [f"{best.line}." if best.line else _best_words(best)]
     head += [f"Likely why: {'; '.join(likely)}."] if likely else []
     if best.untried:

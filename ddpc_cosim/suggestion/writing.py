@@ -1,5 +1,6 @@
 """A suggested study as a commented file."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,7 +13,7 @@ from ddpc_cosim.suggestion.choice import Choice, returns
 from ddpc_cosim.suggestion.design import Bounds, Setpoints, SuggestedController, drifting
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import Response, ResponseType
-from ddpc_cosim.suggestion.step_test import StepTest
+from ddpc_cosim.suggestion.step_test import SHARE, StepTest
 from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import FloatArray, Variable
 
@@ -51,6 +52,10 @@ class Proposal:
         What to know, by section of the study, ``head`` for its beginning: findings, guesses and warnings.
     hints : tuple of str
         What may keep any controller from following the reference.
+    gains : array, shape (p, m)
+        Lasting change of the outputs per unit of the inputs; NaN of an output that does not settle.
+    rest : array, shape (p,)
+        Where the outputs rest.
     limitations : tuple of str
         What the report is to say of the study.
     asked : Request
@@ -73,6 +78,8 @@ class Proposal:
     controllers: Mapping[str, SuggestedController]
     comments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     hints: tuple[str, ...] = ()
+    gains: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    rest: FloatArray = field(default_factory=lambda: np.zeros(0))
     limitations: tuple[str, ...] = ()
     asked: Request = field(default_factory=Request)
 
@@ -396,19 +403,31 @@ def hints(about: Circumstances, room: FloatArray) -> Iterator[str]:
     room : array, shape (m,)
         How far each candidate among the inputs can go, signed.
     """
+    tested, inputs = about.tested, about.choice.inputs
+    if tested.fails_at_rest:
+        yield f"with constant inputs the plant itself fails after {tested.time[-1]:.3g} s: {tested.fault}"
+    for i in inputs:
+        name, first = about.inputs[i].name, SHARE * room[i]
+        if any((j, i) in tested.switched for j in about.choice.outputs):
+            yield f"{name} acts like a switch: a thousandth of the step does as much"
+        elif abs(tested.steps[i]) > abs(first):
+            enough = tested.steps[i]
+            yield f"{name} has a threshold: a step of {first:.3g} does nothing, one of {enough:.3g} does"
     for j in about.choice.outputs:
-        name, row = about.outputs[j].name, about.tested.responses[j]
+        name, row = about.outputs[j].name, tested.responses[j]
         if any(response.is_unstable for response in row):
             yield f"{name} leaves its equilibrium by itself"
             continue
-        if all(returns(row[i]) or row[i].type is ResponseType.INSENSITIVE for i in about.choice.inputs):
+        if all(returns(row[i]) or row[i].type is ResponseType.INSENSITIVE for i in inputs):
             yield f"{name} goes back to where it was whatever the inputs are: none can hold it elsewhere"
-        moved = sum(abs(row[i].peak / about.tested.steps[i] * room[i]) for i in about.choice.inputs)
-        drift = float(np.ptp(about.tested.rest[:, j]))
+            continue
+        if math.isfinite(limit := tested.own_limit(j)):
+            yield f"{name} integrates until it stops at {limit:.3g}, a limit of its own"
+        moved, drift = tested.authority(j, inputs, room), tested.drift(j)
         if moved < drift:
             yield (
                 f"{name}: the inputs move it by {moved:.3g} within their limits, and it moves by {drift:.3g} "
-                "while they rest"
+                f"while they rest (--range {about.inputs[inputs[0]].name}=LO:HI if it may go further)"
             )
-        elif moved < _NEGLIGIBLE * abs(float(about.tested.rest[-1, j])):
+        elif moved < _NEGLIGIBLE * abs(float(tested.rest[-1, j])):
             yield f"{name}: the inputs hardly matter at this operating point, they move it by {moved:.3g}"

@@ -112,6 +112,13 @@ MODELS = {
         inputs=(Variable("push", "N", min=-1.0, max=1.0),),
         outputs=(PLACE,),
     ),
+    "even": PlantModel(
+        name="even",
+        equations=lambda v: Equations({"x": v.push**2 - v.x}),
+        states=(X,),
+        inputs=(Variable("push", "N", min=-1.0, max=1.0),),
+        outputs=(X,),
+    ),
     "pure_integrator": PlantModel(
         name="pure_integrator",
         equations=lambda v: Equations({"x": 3 * v.push}),

@@ -1,5 +1,6 @@
 """Sampling time and duration fit plants of every kind; the formulas are those of elementary systems."""
 
+import re
 from collections.abc import Mapping
 from functools import cache
 from typing import Any
@@ -15,6 +16,7 @@ from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, step_test
+from ddpc_cosim.suggestion.writing import Circumstances, hints
 from ddpc_cosim.variables import FloatArray
 
 
@@ -75,6 +77,13 @@ def proposed(plant: Linear, timing: Timing) -> tuple[StepTest, Choice, float, fl
     working = design.working_range(plant.inputs, design.input_bounds(plant.inputs)).of(choice.inputs)
     _, duration = design.setpoints(tested, choice, plant.outputs, working, sample, Request())
     return tested, choice, sample, duration
+
+
+def told(tested: StepTest, plant: Linear) -> list[str]:
+    """Return what may keep any controller from following."""
+    room = np.ones(len(plant.inputs))
+    choice = choose(tested, room, 10.0, all_outputs=False)
+    return list(hints(Circumstances(plant.inputs, plant.outputs, tested, choice, 1.0, False), room))
 
 
 OPEN = Timing(1e-4, longest=1e5)
@@ -197,11 +206,57 @@ def test_a_switch_is_not_taken_for_an_instability(plant: Linear) -> None:
     assert not tested.unstable
     assert tested.responses[0][0].type is ResponseType.SETTLED
     assert tested.responses[0][0].effect == pytest.approx(1.0, rel=0.01)
+    assert told(tested, plant) == ["u0 acts like a switch: a thousandth of the step does as much"]
+
+
+class Altered(Linear):
+    """The same with outputs between two limits, a second input that is held, and an end."""
+
+    limit, held, end = np.inf, 0.0, np.inf
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        y = super().step(np.append(u, self.held)[: self.b.shape[1]], h)
+        return np.clip(y, -self.limit, self.limit) if self.t < self.end else y * np.nan
+
+
+def test_an_integrator_that_stops_at_a_limit_is_not_taken_for_an_instability() -> None:
+    """After a step of 0.1 it is at 1 within 0.05 s, after a thousandth of that within 50 s."""
+    plant = Altered(0, 200, 1)
+    plant.limit = 1.0
+    tested, choice, _, _ = proposed(plant, Timing(1e-3, longest=1e3))
+    assert not tested.unstable
+    assert tested.responses[0][0].type is ResponseType.INTEGRATING
+    assert tested.responses[0][0].slope == pytest.approx(20.0, rel=0.01)
+    assert design.limits(tested, choice) == pytest.approx([0.5])
+    assert told(tested, plant) == ["y0 integrates until it stops at 1, a limit of its own"]
+
+
+def test_what_is_only_ever_used_up_is_not_controlled_if_something_can_be_held() -> None:
+    """An energy grows by 1 + 0.5 u per second whatever u is; an angle integrates u."""
+    plant = Altered(np.zeros((2, 2)), [[0.5, 1.0], [1.0, 0.0]], np.eye(2))
+    plant.inputs, plant.held = plant.inputs[:1], 1.0
+    assert proposed(plant, OPEN)[1].outputs == (1,)
+    plant.c, plant.outputs = np.array([[1.0, 0.0]]), plant.outputs[:1]
+    tested, choice, _, _ = proposed(plant, OPEN)
+    assert choice.outputs == (0,)
+    assert re.fullmatch(
+        r"y0: the inputs move it by .* while they rest \(--range u0=LO:HI if it may go further\)",
+        told(tested, plant)[0],
+    )
+
+
+def test_a_plant_that_fails_by_itself_is_told_as_the_reason() -> None:
+    plant = Altered(-1, 1, 1)
+    plant.end = 5.0
+    tested, *_ = proposed(plant, OPEN)
+    assert re.match(r"with constant inputs the plant itself fails after 4\.\d+ s: ", told(tested, plant)[0])
 
 
 def test_a_relay_that_needs_more_than_a_tenth_is_found() -> None:
     tested, _, _, _ = proposed(Linear(-1, 1, 1, threshold=0.7), OPEN)
     assert tested.steps == [1.0]
+    text = "u0 has a threshold: a step of 0.1 does nothing, one of 1 does"
+    assert told(tested, Linear(-1, 1, 1)) == [text]
     assert tested.responses[0][0].type is ResponseType.SETTLED
     assert tested.responses[0][0].effect == pytest.approx(1.0, rel=0.01)
 

@@ -95,6 +95,22 @@ def test_where_nobody_follows_the_file_begins_with_it_and_the_likely_reason(mode
     assert "place: the inputs move it by" in " ".join(shown.split())
 
 
+def test_an_output_that_goes_elsewhere_than_in_the_step_test_is_told_with_its_inputs(
+    model_fmu, tmp_path
+) -> None:
+    """x' = u^2 - x: the step test finds 0.1 per unit, and at the limits it is ten times as much."""
+    fmu = model_fmu("even")
+    proposal = only(suggest_study(fmu, trial=False), "pid")
+    proposal = replace(proposal, setpoints={"x": Setpoints((0.0, 60.0), (-0.05, -0.1))}, duration=120.0)
+    proved = tried_out(proposal, fmu, monotonic() + 1000.0, lambda _: None)
+    text = comments(written(proved, fmu, tmp_path))
+    found = re.search(r"Likely why: x ends .* test: at (\S+) with push (\S+), where .* say (\S+)\.", text)
+    assert found is not None, text
+    y, u, expected = map(float, found.groups())
+    assert y == pytest.approx(u**2, abs=0.02)
+    assert expected == pytest.approx(0.1 * u, abs=0.001)
+
+
 def test_the_deadline_ends_a_run_that_hangs_and_the_file_says_what_was_not_tried(tmp_path) -> None:
     fmu = write_fmu(
         tmp_path / "hangs.fmu",
