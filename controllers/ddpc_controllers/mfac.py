@@ -24,7 +24,7 @@ from operator import sub
 from typing import ClassVar
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+import scipy  # whose parts are imported when they are first used
 
 from ddpc_controllers.checks import knowing
 from ddpc_controllers.data.hankel import resting_input
@@ -85,6 +85,8 @@ class ModelFreeAdaptive(ScaledSignals):
 
     def _begin(self, loop: Loop, steps: int, optimise: bool) -> None:
         """Forget what was learned; ``steps`` is the control horizon, over which a QP may keep the limits."""
+        import scipy.linalg.lapack  # noqa: F401 - here, and not in the first step, whose time counts
+
         p, m = len(loop.outputs), len(loop.inputs)
         ly = self.output_length if self.form == "ffdl" else 0
         lu = self.input_length if self.form != "cfdl" else 1
@@ -159,7 +161,7 @@ class ModelFreeAdaptive(ScaledSignals):
         Their normal equations ``hessian dU = slope`` (20) are the fast way. Where lambda_u is lost in the
         rounding of A'A the factorisation fails, and the least squares that they come from are solved instead.
         """
-        _, changes, failed = dposv(hessian, slope)
+        _, changes, failed = scipy.linalg.lapack.dposv(hessian, slope)
         if failed and isfinite(hessian.sum() + slope.sum()):
             n = len(slope)
             stacked = np.vstack([a, sqrt(self.lambda_u) * np.eye(n)])

@@ -117,7 +117,19 @@ def test_a_proposal(tmp_path: Path, pendulum_fmu: Path) -> None:
     code += f"with contextlib.suppress(SystemExit): main({command})"
     loaded = modules_after(code, tmp_path)
     assert (tmp_path / "study.toml").is_file()
-    assert not loaded & (HEAVY | {"scipy.optimize", "jinja2"})
+    assert not loaded & (HEAVY | {"scipy.linalg", "scipy.special", "scipy.optimize", "jinja2"})
+
+
+def test_a_command_that_runs_cases_leaves_computing_to_its_workers(
+    tmp_path: Path, pendulum_fmu: Path
+) -> None:
+    (tmp_path / "study.toml").write_text(STUDY.format(fmu=pendulum_fmu.as_posix()), encoding="utf-8")
+    code = "import contextlib\nfrom ddpc_cosim.cli.main import main\n"
+    command = ["run", "study.toml", "--out", "runs", "--jobs", "1", "--no-report"]
+    code += f"with contextlib.suppress(SystemExit): main({command})"
+    loaded = modules_after(code, tmp_path)
+    assert (tmp_path / "runs" / "metrics.csv").is_file()
+    assert not loaded & (HEAVY | {"scipy.linalg", "scipy.special", "scipy.optimize", "jinja2"})
 
 
 def test_a_worker_that_runs_cases_of_the_paper(tmp_path: Path, run_program: Run, paper_text: str) -> None:

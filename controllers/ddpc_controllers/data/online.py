@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+import scipy  # whose parts are imported when they are first used
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dtrtri
 
 from ddpc_controllers.checks import per_signal
 from ddpc_controllers.data.hankel import WindowBuffer, WindowLayout
@@ -48,7 +48,7 @@ class Excitation:
 
     def __init__(self, windows: FloatArray) -> None:
         factor = np.linalg.cholesky(windows @ windows.T)
-        self._whitening = np.asarray(dtrtri(factor, lower=1)[0])
+        self._whitening = np.asarray(scipy.linalg.lapack.dtrtri(factor, lower=1)[0])
         self._gram = np.eye(len(windows))
         self.value = 1.0
 
@@ -56,10 +56,10 @@ class Excitation:
         """Return the whitened Gram matrix, and the measure, with one window more and one less."""
         whitened_old = None if old is None else self._whitening @ old
         gram = _updated(self._gram, self._whitening @ new, whitened_old, keep)
-        factor, info = dpotrf(gram, lower=1)
+        factor, info = scipy.linalg.lapack.dpotrf(gram, lower=1)
         if info:
             return gram, 0.0
-        inverse, info = dtrtri(factor, lower=1)
+        inverse, info = scipy.linalg.lapack.dtrtri(factor, lower=1)
         return gram, 0.0 if info else len(gram) / float(np.vdot(inverse, inverse))
 
     def accept(self, gram: FloatArray, value: float) -> None:

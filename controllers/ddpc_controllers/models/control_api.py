@@ -8,6 +8,7 @@ the Riccati solver that python-control calls.
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are first used
 
 from ddpc_cosim import ConfigError, FloatArray
 
@@ -69,11 +70,9 @@ def estimator_covariance(a: FloatArray, c: FloatArray, q: FloatArray, r: FloatAr
     ConfigError
         There is no stable filter.
     """
-    from scipy.linalg import solve_discrete_are
-
     return _riccati(
         "Kalman filter: the model has a mode that is not stable and that the outputs do not show",
-        lambda: solve_discrete_are(a.T, c.T, _symmetric(q), _symmetric(r)),
+        lambda: scipy.linalg.solve_discrete_are(a.T, c.T, _symmetric(q), _symmetric(r)),
     )
 
 

@@ -22,7 +22,7 @@ from itertools import chain
 from operator import mul
 
 import numpy as np
-from scipy.linalg.blas import dtrsm
+import scipy  # whose parts are imported when they are first used
 
 from ddpc_controllers.models.data_model import PseudoGradient, Regressor, dot
 from ddpc_cosim import FloatArray
@@ -90,7 +90,8 @@ class LinearisedPrediction:
         changes[:, :-1] = self._decided
         changes[:, -1] = self._known @ known
         if self._coming is not None:
-            changes = dtrsm(1.0, -self._coming, changes, lower=1, diag=1)  # the diagonal counts as 1
+            # The diagonal counts as 1.
+            changes = scipy.linalg.blas.dtrsm(1.0, -self._coming, changes, lower=1, diag=1)
         sums = self._summed(changes)
         return sums[:, :-1], sums[:, -1]
 

@@ -24,9 +24,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # whose parts are imported when they are first used
 from numpy.typing import NDArray
-from scipy.linalg import qr
-from scipy.linalg.blas import dtrsm
 
 from ddpc_controllers.optimisation.problem import Problem
 from ddpc_cosim import ConfigError, FloatArray
@@ -90,7 +89,7 @@ def _block_triangular(data: FloatArray, sizes: tuple[int, ...]) -> tuple[FloatAr
     for block in np.split(rows, np.cumsum(sizes)[:-1]):
         new = block.T - known @ (known.T @ block.T)
         new -= known @ (known.T @ new)  # once more: twice is enough for orthogonality to rounding
-        directions, factor, _ = qr(new, mode="economic", pivoting=True, check_finite=False)
+        directions, factor, _ = scipy.linalg.qr(new, mode="economic", pivoting=True, check_finite=False)
         rank = int(np.count_nonzero(np.abs(np.diag(factor)) > significant))
         known = np.hstack([known, directions[:, :rank]])
         ranks.append(rank)
@@ -99,7 +98,7 @@ def _block_triangular(data: FloatArray, sizes: tuple[int, ...]) -> tuple[FloatAr
 
 def _row_space_factor(data: FloatArray) -> tuple[FloatArray, float]:
     """Return B with as many columns as M has independent rows, and what counted as significant."""
-    factor, order = qr(data.T, mode="r", pivoting=True, check_finite=False)
+    factor, order = scipy.linalg.qr(data.T, mode="r", pivoting=True, check_finite=False)
     diagonal = np.abs(np.diag(factor))
     significant = float(np.finfo(float).eps * max(data.shape) * diagonal[0])
     rank = int(np.count_nonzero(diagonal > significant))
@@ -227,7 +226,7 @@ class ReducedProblem:
                 "size, or do without the artificial setpoint where several leave the outputs the same"
             )
         # Not solve_triangular: its LAPACK routine starts threads even for a handful of rows.
-        gain = dtrsm(1.0, triangular, np.eye(size), side=1)
+        gain = scipy.linalg.blas.dtrsm(1.0, triangular, np.eye(size), side=1)
         return -gain @ projected, gain, left
 
 

@@ -25,8 +25,7 @@ from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from scipy.linalg.blas import dsyrk, dtrsm
-from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
+import scipy  # whose parts are imported when they are first used
 
 from ddpc_controllers.checks import all_finite
 from ddpc_controllers.data.online import OnlineData
@@ -473,7 +472,7 @@ class AdaptiveQP(_BoundedLaw):
         """Return L, in new coordinates where K has become singular in the old ones."""
         if self._factor is not self._data.factor:
             self._adopt_factor()
-        factor, info = dpotrf(self._data.gram, lower=1)
+        factor, info = scipy.linalg.lapack.dpotrf(self._data.gram, lower=1)
         diagonal = factor.diagonal().tolist()
         if info or not min(diagonal) > _SINGULAR * max(diagonal):
             self._data.renew()
@@ -512,17 +511,17 @@ class AdaptiveQP(_BoundedLaw):
         size = len(self._curvature)
         own = self._own
         own[:, size :: size + 1] = affine[size:].reshape(-1, len(own)).T
-        deviation = dtrsm(1.0, gram_factor, own, lower=1)
+        deviation = scipy.linalg.blas.dtrsm(1.0, gram_factor, own, lower=1)
         deviation *= self._roots
         if own.shape[1] > size + 1:
             deviation = np.vstack([deviation[:, place] for place in self._places_of_own()])
-        products = dsyrk(1.0, deviation, trans=1)
-        triangular, info = dpotrf(self._curvature + products[:size, :size])
+        products = scipy.linalg.blas.dsyrk(1.0, deviation, trans=1)
+        triangular, info = scipy.linalg.lapack.dpotrf(self._curvature + products[:size, :size])
         diagonal = triangular.diagonal().tolist()
         if info or (size and min(diagonal) < _ILL_CONDITIONED * max(diagonal)):
             return self._optimum_by_roots(deviation, parameters)
         slope = affine[:size] + products[:size, size]
-        w = -dpotrs(triangular, slope)[0]
+        w = -scipy.linalg.lapack.dpotrs(triangular, slope)[0]
         offset = np.dot(self._offset, parameters)
         return triangular, w, float(offset @ offset + products[size, size] + slope @ w)
 
@@ -541,11 +540,11 @@ class AdaptiveQP(_BoundedLaw):
         factor = np.asarray(np.linalg.qr(stacked, mode="r"))
         triangular = np.asfortranarray(factor[:size, :size])
         left = factor[size:, size]
-        return triangular, -dtrtrs(triangular, factor[:size, size])[0], float(left @ left)
+        return triangular, -scipy.linalg.lapack.dtrtrs(triangular, factor[:size, size])[0], float(left @ left)
 
     def _respect_bounds(self, triangular: FloatArray, excess: FloatArray, u: FloatArray) -> Correction | None:
         """Correct the unconstrained optimum ``u`` in place; t = R (w - optimum) is the deviation."""
-        gains = dtrsm(1.0, triangular, self._gains, side=1)
+        gains = scipy.linalg.blas.dtrsm(1.0, triangular, self._gains, side=1)
         gain, move_gain = gains[: self._bounds], gains[self._bounds : self._rest]
         self._gain = gain
         t = self._deviation(gain, excess)
@@ -575,10 +574,10 @@ def _certified(gain: FloatArray, excess: FloatArray, active: ActiveSet) -> Float
     if not active:
         return None
     rows = gain[list(active)]
-    factor, info = dpotrf(rows @ rows.T)
+    factor, info = scipy.linalg.lapack.dpotrf(rows @ rows.T)
     if info:
         return None
-    multipliers = dpotrs(factor, excess[list(active)])[0]
+    multipliers = scipy.linalg.lapack.dpotrs(factor, excess[list(active)])[0]
     if not min(multipliers.tolist()) >= 0.0:
         return None
     t = -(multipliers @ rows)
