@@ -18,7 +18,7 @@ import numpy as np
 import tomli_w
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults
-from ddpc_cosim.cli.run import LineProgress
+from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.metrics import split_key
 from ddpc_cosim.study.reading import find_study, read_study
 from ddpc_cosim.study.runner import Selection, run_study

@@ -36,6 +36,14 @@ def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def no_lines_that_depend_on_the_load() -> Iterator[None]:
+    """Leave out of what commands say in this process how long they have been at it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ddpc_cosim.cli.progress._SECONDS_BETWEEN_LINES", 3600.0)
+        yield
+
+
 @pytest.fixture(scope="session")
 def pendulum_fmu(own_cache_folder: None) -> Path:
     return build_fmu(MODEL)

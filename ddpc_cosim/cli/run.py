@@ -6,29 +6,18 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from time import monotonic
-from types import TracebackType
-from typing import Self, TextIO
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
+from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.case_files import CaseResult
-from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults, load_results
-from ddpc_cosim.study.runner import Selection, Update, run_study
+from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_cosim.study.sections import expand_seeds
 from ddpc_cosim.texts import printable
 from ddpc_cosim.trace import Outcome
@@ -51,15 +40,14 @@ def run_command(
 ) -> int:
     """Run a study, print the result table and the report's path, and return the exit code."""
     chosen = _parse_seeds(seeds)
-    # What a controller prints when it is tried here is not a result; a case keeps what it prints there.
-    with _warnings_in_one_line(), Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
-        resolved = read_study(name)
-    folder = out or Path("runs") / resolved.study.name
-    console = Console(stderr=True)
-    selection = Selection(jobs or os.cpu_count() or 1, chosen, only, fresh, sandbox)
-    progress = TerminalProgress(console) if console.is_terminal else LineProgress(sys.stderr)
-    with _warnings_in_one_line(), progress:
-        results = run_study(resolved, folder, selection, progress)
+    with shown(f"reading {name}") as progress:
+        # What a controller prints when it is tried here is not a result; a case keeps what it prints there.
+        with _warnings_in_one_line(), Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
+            resolved = read_study(name)
+        folder = out or Path("runs") / resolved.study.name
+        selection = Selection(jobs or os.cpu_count() or 1, chosen, only, fresh, sandbox)
+        with _warnings_in_one_line():
+            results = run_study(resolved, folder, selection, progress)
     # Where no window limits it, the table takes the width it needs.
     screen = Console(width=None if sys.stdout.isatty() else _WIDE)
     for line in following_lines(results.study, results.cases):
@@ -126,7 +114,8 @@ def _parse_seeds(text: str | None) -> list[int]:
 
 def report_command(folders: Sequence[Path], out: Path | None) -> int:
     """Write one report on several folders of results, print its path, and return the exit code."""
-    results = [load_results(folder) for folder in folders]
+    with shown("reading results"):
+        results = [load_results(folder) for folder in folders]
     print(write_report(results, out or folders[0] / REPORT_FILE))
     damaged = [_damaged(one) for one in results]
     return int(any(damaged))
@@ -136,110 +125,8 @@ def write_report(results: Sequence[StudyResults], path: Path) -> Path:
     """Write the report with the installed report generator and return its path."""
     generator = load_plugin("reports", "html")
     try:
-        with _warnings_in_one_line():
+        with shown(f"writing {path}"), _warnings_in_one_line():
             written: Path = generator(results, path)
     except OSError as error:
         raise ConfigError(f"{path}: the report cannot be written: {error.strerror}") from error
     return written
-
-
-_SECONDS_BETWEEN_LINES = 5.0
-
-
-class TerminalProgress:
-    """Cases done, current case, simulated time and time left, drawn in place."""
-
-    def __init__(self, console: Console) -> None:
-        columns = (
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("cases"),
-        )
-        times = (
-            TextColumn("{task.fields[simulated]:.0f} s simulated"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-        )
-        self._progress = Progress(*columns, *times, console=console, transient=True)
-        self._task = self._progress.add_task("preparing the plant", total=None, simulated=0.0)
-        self._simulated = 0.0
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._progress.stop()
-
-    def prepare(self, what: str) -> None:
-        """Show what is done before the cases."""
-        self._progress.update(self._task, description=printable(what))
-
-    def start(self, total: int, kept: int) -> None:
-        """Show how many cases there are."""
-        note = f"{kept} finished cases are kept" if kept else "starting"
-        self._progress.update(self._task, total=total, description=note)
-
-    def update(self, update: Update) -> None:
-        """Show how far a running case is."""
-        percent = 100 * update.samples // max(update.planned, 1)
-        self._progress.update(self._task, description=printable(f"{update.case} {percent} %"))
-
-    def finished(self, case: Case, result: CaseResult) -> None:
-        """Count a case, and keep a line about one that failed."""
-        self._simulated += case.duration
-        self._progress.update(
-            self._task, advance=1, description=printable(case.name), simulated=self._simulated
-        )
-        if result.outcome is not Outcome.COMPLETED:
-            line = printable(f"{case.name}: {result.outcome}: {result.reason}")
-            self._progress.console.print(line, markup=False)
-
-
-class LineProgress:
-    """A line now and then, for logs."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-        self._began = self._last = monotonic()
-        self._total = self._done = 0
-        self._simulated = 0.0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stream.flush()
-
-    def prepare(self, what: str) -> None:
-        """Say what is done before the cases."""
-        self._say(what)
-
-    def start(self, total: int, kept: int) -> None:
-        """Say how many cases there are."""
-        self._total = total
-        noun = "case" if total == 1 else "cases"
-        self._say(f"{total} {noun} to run" + (f", {kept} kept" if kept else ""))
-
-    def update(self, update: Update) -> None:
-        """Say how far a long case is."""
-        if monotonic() - self._last > _SECONDS_BETWEEN_LINES:
-            self._say(f"{update.case}: {100 * update.samples // max(update.planned, 1)} %")
-
-    def finished(self, case: Case, result: CaseResult) -> None:
-        """Say now and then, and at the end, how many cases are done."""
-        self._done += 1
-        self._simulated += case.duration
-        if self._done == self._total or monotonic() - self._last > _SECONDS_BETWEEN_LINES:
-            left = (monotonic() - self._began) / self._done * (self._total - self._done)
-            counts = f"{self._done}/{self._total} cases, {self._simulated:.0f} s simulated"
-            self._say(f"{counts}, about {left:.0f} s left, last: {case.name}")
-
-    def _say(self, line: str) -> None:
-        self._last = monotonic()
-        print(printable(line), file=self._stream, flush=True)

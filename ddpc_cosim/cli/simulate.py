@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ddpc_cosim.cli.init import assignments
-from ddpc_cosim.cli.run import LineProgress, TerminalProgress
+from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.csv_files import CSVFile
 from ddpc_cosim.errors import ConfigError, CosimWarning, DataError
 from ddpc_cosim.plant import FMIType
@@ -75,10 +75,9 @@ def simulate_command(
         trace_calls=str(trace_calls or ""),
         golden=files["compare"],
     )
-    console, code = Console(stderr=True), 0
-    progress = TerminalProgress(console) if console.is_terminal else LineProgress(sys.stderr)
+    code = 0
     try:
-        with warnings.catch_warnings(), progress:
+        with warnings.catch_warnings(), shown(f"simulate {plant}") as progress:
             warnings.simplefilter("ignore", CosimWarning)  # they are among the notes
             prepared = prepare(request)
             simulation = run(prepared, progress.update, sandboxed=sandbox)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
 from ddpc_cosim import Controller, Plant, Reference, Variable, setting
-from ddpc_cosim.cli.run import LineProgress
+from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.plugins import name_of
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study

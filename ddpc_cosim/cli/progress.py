@@ -1,0 +1,159 @@
+"""What is shown of long work: in place on a terminal, elsewhere lines; at first every other second."""
+
+import sys
+from threading import Event, Thread
+from time import monotonic
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, TextIO
+
+from ddpc_cosim.texts import printable
+
+if TYPE_CHECKING:  # which take a while to import themselves
+    from ddpc_cosim.study.case_files import CaseResult
+    from ddpc_cosim.study.cases import Case
+    from ddpc_cosim.study.runner import Update
+
+# Between two lines, and as a part of the time that has passed: a log of a day is not one of 50 000 lines.
+_SECONDS_BETWEEN_LINES, _PART = 1.5, 0.01
+
+
+class LineProgress:
+    """What is being done, and since when: lines now and then, for logs.
+
+    Parameters
+    ----------
+    stream : TextIO
+        Where they are written.
+    text : str
+        What is being done at first.
+    """
+
+    def __init__(self, stream: TextIO, text: str = "preparing") -> None:
+        self._stream, self._text = stream, text
+        self._began = monotonic()
+        self._over, self._thread = Event(), Thread(target=self._go_on, daemon=True)
+        self._total = self._done = 0
+        self._simulated = 0.0
+        self._counts = ""
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+        self._thread.join()
+        self._stream.flush()
+
+    def __call__(self, what: str) -> None:
+        """Take note of what is being done now."""
+        self._text = what
+
+    def prepare(self, what: str) -> None:
+        """Say what is done before the cases."""
+        self._text = what
+        self._say(what)
+
+    def start(self, total: int, kept: int) -> None:
+        """Say how many cases there are."""
+        self._total, self._began = total, monotonic()
+        noun = "case" if total == 1 else "cases"
+        self._text = f"{total} {noun} to run" + (f", {kept} kept" if kept else "")
+        self._say(self._text)
+
+    def update(self, update: "Update") -> None:
+        """Take note of how far a case is."""
+        self._text = f"{self._counts}{update.case}: {100 * update.samples // max(update.planned, 1)} %"
+
+    def finished(self, case: "Case", result: "CaseResult") -> None:
+        """Count a case; say at the end how many are done."""
+        self._done += 1
+        self._simulated += case.duration
+        left = (monotonic() - self._began) / self._done * (self._total - self._done)
+        self._counts = f"{self._done}/{self._total} cases, {self._simulated:.0f} s simulated, "
+        self._counts += f"about {left:.0f} s left, "
+        self._text = f"{self._counts}last: {case.name}"
+        if self._done == self._total:
+            self._say(self._text)
+
+    def _go_on(self) -> None:
+        begin = monotonic()
+        while not self._over.wait(max(_SECONDS_BETWEEN_LINES, _PART * (monotonic() - begin))):
+            self._say(f"{monotonic() - begin:.0f} s: {self._text}")
+
+    def _say(self, line: str) -> None:
+        print(printable(line), file=self._stream, flush=True)
+
+
+class TerminalProgress:
+    """What is being done, and since when; of cases also how many are done, simulated time and time left.
+
+    Parameters
+    ----------
+    text : str
+        What is being done at first.
+    """
+
+    def __init__(self, text: str) -> None:
+        from rich import progress  # elsewhere it is not needed
+        from rich.console import Console
+
+        what = progress.TextColumn("{task.description}", markup=False)
+        since = progress.TimeElapsedColumn()
+        self._of_cases = (
+            what,
+            progress.BarColumn(),
+            progress.MofNCompleteColumn(),
+            progress.TextColumn("cases"),
+            progress.TextColumn("{task.fields[simulated]:.0f} s simulated"),
+            since,
+            progress.TimeRemainingColumn(),
+        )
+        console = Console(stderr=True)
+        self._progress = progress.Progress(
+            progress.SpinnerColumn(), since, what, console=console, transient=True
+        )
+        self._task = self._progress.add_task(printable(text), total=None, simulated=0.0)
+        self._simulated = 0.0
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def __call__(self, what: str) -> None:
+        """Show what is being done now."""
+        self._progress.update(self._task, description=printable(what))
+
+    prepare = __call__
+
+    def start(self, total: int, kept: int) -> None:
+        """Show how many cases there are."""
+        self._progress.columns = self._of_cases
+        self._progress.reset(self._task, total=total)
+        self(f"{kept} finished cases are kept" if kept else "starting")
+
+    def update(self, update: "Update") -> None:
+        """Show how far a running case is."""
+        self(f"{update.case} {100 * update.samples // max(update.planned, 1)} %")
+
+    def finished(self, case: "Case", result: "CaseResult") -> None:
+        """Count a case, and keep a line about one that failed."""
+        self._simulated += case.duration
+        self._progress.update(
+            self._task, advance=1, description=printable(case.name), simulated=self._simulated
+        )
+        if result.reason:
+            line = printable(f"{case.name}: {result.outcome}: {result.reason}")
+            self._progress.console.print(line, markup=False)
+
+
+def shown(text: str) -> LineProgress | TerminalProgress:
+    """Return what shows long work on stderr, which begins with what a text says."""
+    return TerminalProgress(text) if sys.stderr.isatty() else LineProgress(sys.stderr, text)
