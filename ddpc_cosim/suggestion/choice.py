@@ -136,7 +136,8 @@ def _time_scale(tested: StepTest) -> float:
     settling = [r.settling_time for r in every if r.type is ResponseType.SETTLED and not r.is_transient]
     if settling:
         return max(settling)
-    oscillating = [_RISES * r.rise_time for r in every if r.type is ResponseType.OSCILLATING]
+    seen = float(tested.time[-1])  # a test that is cut short leaves all that was slower unsettled
+    oscillating = [min(_RISES * r.rise_time, seen) for r in every if r.type is ResponseType.OSCILLATING]
     lagging = [_LAGS * r.rise_time for r in every if r.type is ResponseType.INTEGRATING and r.rise_time > 0.0]
     transient = [r.settling_time for r in every if r.type is ResponseType.SETTLED]
     for times in (oscillating, transient, lagging):
