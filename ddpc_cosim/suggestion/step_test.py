@@ -172,10 +172,11 @@ def step_test(plant: Plant, resting: Resting, timing: Timing) -> StepTest:
     paced = _Paced(plant, deadline)
     timing = _for_its_speed(paced, resting, timing)
     tested = _at_time_scale(paced, resting, SHARE * resting.room, timing)
-    larger = _with_larger_steps(paced, resting, tested, timing)
+    larger, fault = _with_larger_steps(paced, resting, tested, timing)
     if larger is not tested and not any(_responds(tested)) and paced.may_repeat:
         larger = _at_time_scale(paced, resting, larger.steps, timing)
-    return _with_instabilities(paced, resting, larger, timing)
+    result = _with_instabilities(paced, resting, larger, timing)
+    return replace(result, fault=result.fault or fault)
 
 
 def dependence_on_step_size(plant: Plant, resting: Resting, tested: StepTest, step: float) -> float:
@@ -302,8 +303,14 @@ def _responds(tested: StepTest) -> list[bool]:
     return [any(r.type is not ResponseType.INSENSITIVE for r in column) for column in columns]
 
 
-def _with_larger_steps(plant: _Paced, resting: Resting, tested: StepTest, timing: Timing) -> StepTest:
-    """Step the inputs further that do nothing: a relay, an integer or a boolean needs more than a tenth."""
+def _with_larger_steps(
+    plant: _Paced, resting: Resting, tested: StepTest, timing: Timing
+) -> tuple[StepTest, str]:
+    """Step the inputs further that do nothing: a relay, an integer or a boolean needs more than a tenth.
+
+    Return also what ended one of these runs early.
+    """
+    fault = ""
     for share in _LARGER_SHARES:
         idle = ~np.array(_responds(tested))
         if tested.fault or not idle.any() or not plant.may_repeat:
@@ -317,7 +324,8 @@ def _with_larger_steps(plant: _Paced, resting: Resting, tested: StepTest, timing
             for before, after in rows
         )
         tested = replace(tested, steps=np.where(idle, steps, tested.steps), responses=merged)
-    return tested
+        fault = fault or larger.fault
+    return tested, fault
 
 
 def _at_time_scale(plant: _Paced, resting: Resting, steps: FloatArray, timing: Timing) -> StepTest:
@@ -343,9 +351,9 @@ def _until_clear(plant: _Paced, resting: Resting, steps: FloatArray, timing: Tim
     blocks = timing.blocks
     tested, _ = _run_all(plant, resting, steps, _Grid(timing.step, blocks, timing.fixed))
     if not any(_responds(tested)):  # larger steps cost less time than longer runs
-        larger = _with_larger_steps(plant, resting, tested, timing)
+        larger, fault = _with_larger_steps(plant, resting, tested, timing)
         if any(_responds(larger)):
-            tested, steps = larger, larger.steps
+            tested, steps = replace(larger, fault=fault), larger.steps
     while not (tested.fault or _is_clear(tested)):
         if tested.time[-1] >= timing.longest or blocks >= _BLOCKS_MOST:
             return tested

@@ -10,7 +10,8 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import linear_sum_assignment
 
-from ddpc_cosim import Plant, Variable
+from ddpc_cosim import FMUStepError, Plant, Variable
+from ddpc_cosim.errors import StepStatus
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.request import Request
@@ -285,3 +286,20 @@ def test_every_output_has_the_input_that_moves_it_most(shape: tuple[int, int]) -
     suggested = design.suggested_controllers(design.ScaledGains(gains, gains), may_record=True)
     _, pairing = linear_sum_assignment(np.abs(gains), maximize=True)
     assert suggested["pid"].settings["pairing"] == pairing.tolist()
+
+
+class Valve(Linear):
+    """Opens beyond half of its room, and fails there after a while."""
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        if abs(u[0]) > 0.4 and self.t > 0.5:
+            raise FMUStepError("beyond its stroke", StepStatus.ERROR, self.t)
+        return super().step(np.where([abs(u[0]) > 0.4, True], u, 0.0), h)
+
+
+def test_a_larger_step_that_ends_early_is_told() -> None:
+    """Also where another input has responded to a small one."""
+    tested = step_test(Valve(-1, [[1, 1]], 1), Resting(np.zeros(2), np.ones(2)), OPEN)
+    assert tested.fault == "beyond its stroke"
+    assert tested.steps.tolist() == [0.5, 0.1]
+    assert tested.responses[0][1].type is ResponseType.SETTLED
