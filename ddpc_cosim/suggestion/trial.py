@@ -372,7 +372,11 @@ def _told(attempts: Sequence[_Attempt]) -> Proposal:
     likely = [*limits, *proposal.hints] if best.line else []
     if best.line and not likely:
         likely = best.surprises or ([_NOT_FOUND] if best.line == none_follows(best.cases) else [])
-    head = [f"{best.line}." if best.line else _best_words(best)]
+    line = best.line
+    if likely:  # what speaks against the data of a run is the lesser reason
+        for case in best.cases:
+            line = line.removesuffix(f"; {next(iter(case.warnings), None)}")
+    head = [f"{line}." if line else _best_words(best)]
     head += [f"Likely why: {'; '.join(likely)}."] if likely else []
     if best.untried:
         rest = "; ".join(f"{label} ({share})" for label, share in best.untried.items())
