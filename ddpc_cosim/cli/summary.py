@@ -1,7 +1,7 @@
 """The result table that ``run`` prints: short enough to be read at once, also after a sweep."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
@@ -12,6 +12,7 @@ from rich.text import Text
 
 from ddpc_cosim.metrics import all_metrics, headline, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.following import none_follows
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.texts import printable
 from ddpc_cosim.trace import Outcome
@@ -58,6 +59,7 @@ def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
     keys = [key for key in first.metrics if (name := split_key(key)[0]) in _shown() and name not in left_out]
     keys.sort(key=lambda key: key not in ranked)
     rows = _rows(results, keys[0] if keys else "")
+    letters, seeds_line = _told_apart(results, keys[0]) if keys and _RANGE not in left_out else ({}, "")
     several = len({case.scenario for case in results.cases}) > 1
     table = Table(
         box=SIMPLE_HEAD, pad_edge=False, title=_title(results), title_justify="left", title_style="bold"
@@ -69,6 +71,8 @@ def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
         table.add_column(_heading(key), justify="right", no_wrap=True)
         if key == keys[0] and _RANGE not in left_out:
             table.add_column("over the seeds:\nmedian, range", justify="right", no_wrap=True)
+            if letters:
+                table.add_column("same letter:\nnot told apart", no_wrap=True)
     table.add_column("median\nstep", justify="right", no_wrap=True)
     table.add_column("cases\ndone", justify="right", no_wrap=True)
     if not all(case.holds for case in results.cases):
@@ -76,12 +80,41 @@ def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
     for row in rows:
         names = [Text(printable(name)) for name in (row.name, *([row.scenario] if several else []))]
         values = _values(row.cases, keys, left_out) if row.cases else []
+        if letters and row.cases:
+            values.insert(2, letters.get((row.cases[0].controller, row.cases[0].scenario), "-"))
         table.add_row(*names, *values[: len(table.columns) - len(names)])
-    hidden = sum(not row.cases for row in rows)
-    if hidden:
-        table.caption = Text(printable(f"every setting: {results.folder / METRICS_FILE}"))
+    hidden = any(not row.cases for row in rows)
+    where = f"every setting: {results.folder / METRICS_FILE}" if hidden else ""
+    if where or seeds_line:
+        table.caption = Text(printable("\n".join(filter(None, (seeds_line, where))), keep="\n"))
         table.caption_justify = "left"
     return table
+
+
+def _told_apart(results: StudyResults, key: str) -> tuple[dict[tuple[str, str], str], str]:
+    """Return the letters of controllers that the seeds do not tell apart, or a line if they tell none apart.
+
+    They are of controllers and scenarios; controllers that lose a run, and variants of sweeps, have none.
+    """
+    from ddpc_cosim.study.statistics import compare_all  # where there is one seed, it is not needed
+
+    varied = {name for name, section in results.study.controllers.items() if section.variant_of}
+    found = {}
+    for scenario in dict.fromkeys(case.scenario for case in results.cases):
+        cases = [case for case in results.cases if case.scenario == scenario]
+        left_out = varied | {case.controller for case in cases if not case.holds}
+        runs: dict[str, dict[tuple[Hashable, int], float]] = {}
+        for case in [] if none_follows(cases) else cases:
+            if case.controller not in left_out:
+                own = runs.setdefault(case.controller, {})
+                own[scenario, case.seed] = case.metrics.get(key, math.nan)
+        found[scenario] = compare_all(runs, metric_of(key).better)
+    if any(len(one.groups) > 1 for one in found.values()):
+        return {(name, here): text for here, one in found.items() for name, text in one.letters.items()}, ""
+    seeds = len({case.seed for case in results.cases})
+    needed = max((one.seeds_needed for one in found.values() if one.tests), default=0)
+    few = f": it takes at least {needed}" if needed > seeds else ""
+    return {}, f"{seeds} seeds tell no two controllers apart{few}" if needed else ""
 
 
 def _rows(results: StudyResults, key: str) -> list[_Row]:

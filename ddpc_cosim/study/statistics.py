@@ -1,15 +1,16 @@
 """Statistics within one problem: what its seeds show of each controller, and of two compared.
 
 The seed is what is drawn at random, so each seed gives one value: where it has several runs (scenarios,
-variants), their median. Scenarios do not multiply the seeds. A run that does not hold its reference has no
-value: it is counted, and never averaged away.
+variants), their median. Scenarios do not multiply the seeds. A run that does not stay near its reference has
+no value: it is counted, and never averaged away.
 """
 
 import math
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations
+from string import ascii_lowercase
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -29,10 +30,11 @@ FEWEST = 6
 """Of fewer values there is no interval: even the range of five covers the median with 93.75 % only."""
 
 Runs = Mapping[tuple[Hashable, int], float]
-"""A metric by condition (what may differ but the controller) and seed; NaN of a run that does not hold."""
+"""A metric by condition (what may differ but the controller) and seed; NaN of a run that is lost."""
 Better = Literal["low", "high", ""]
 """Which values of a metric are better, as its registry says."""
 
+_Places = np.ndarray[tuple[int], np.dtype[np.intp]]
 _EXACT = 50  # pairs up to which all signs are counted; 2**50 is exact in floating point
 _SAME = 1e-9  # relative difference from which on two values are two
 
@@ -43,7 +45,7 @@ class Sample(NamedTuple):
     Parameters
     ----------
     runs, known : int
-        How many runs there are, and how many of them have a value: they hold their reference.
+        How many runs there are, and how many of them have a value: they stay near their reference.
     seeds : int
         Seeds with a value: all that follows is over them.
     median, lower, upper : float
@@ -68,9 +70,9 @@ class Difference(NamedTuple):
     Parameters
     ----------
     pairs, seeds : int
-        Pairs in which both runs hold their reference, and the seeds that they are of.
+        Pairs in which both runs stay near their reference, and the seeds that they are of.
     only_own, only_other : int
-        Pairs of runs of which one alone holds its reference: won or lost, and in none of the figures below.
+        Pairs of runs of which one alone stays near its reference: won or lost, and in no figure below.
     median, low, high : float
         Median of the differences over the seeds, and its 95 % bootstrap interval; NaN where there is none.
     won : float
@@ -121,6 +123,13 @@ class Comparisons:
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """The largest groups that the data do not tell apart: two share one if and only if they are not."""
         return groups(self.order, {pair for pair, one in self.differences.items() if one.told_apart})
+
+    @cached_property
+    def letters(self) -> dict[str, str]:
+        """The groups of each controller as letters, from a on: two that are not told apart share one."""
+        names = [*ascii_lowercase, *(str(number) for number in range(27, len(self.groups) + 1))]
+        named = [*zip(names, self.groups, strict=False)]
+        return {one: " ".join(name for name, group in named if one in group) for one in self.order}
 
     @property
     def tests(self) -> int:
@@ -202,11 +211,18 @@ def signed_rank(differences: FloatArray) -> float:
         return float(wilcoxon(differences.tolist(), zero_method="pratt").pvalue)
     _, place, counts = np.unique(abs(differences), return_inverse=True, return_counts=True)
     twice = (2 * np.cumsum(counts) - counts + 1)[place]  # twice the shared ranks: whole numbers
-    ways = np.array([1])
-    for rank in twice[differences != 0]:
-        ways = np.pad(ways, (0, rank)) + np.pad(ways, (rank, 0))
+    ways = _ways(tuple(sorted(twice[differences != 0].tolist())))
     positive = int(twice[differences > 0].sum())
     return min(1.0, 2 * float(min(ways[: positive + 1].sum(), ways[positive:].sum()) / ways.sum()))
+
+
+@lru_cache
+def _ways(ranks: tuple[int, ...]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Return in how many ways signs give each sum of positive ranks, from 0 on."""
+    ways = np.ones(1, dtype=np.int64)
+    for rank in ranks:
+        ways = np.pad(ways, (0, rank)) + np.pad(ways, (rank, 0))
+    return ways
 
 
 def median_interval(values: FloatArray) -> tuple[float, float]:
@@ -215,28 +231,36 @@ def median_interval(values: FloatArray) -> tuple[float, float]:
     The distribution of the median of resamples is computed and not sampled (Efron 1979, section 3; for an
     even number from the two middle values), so that it is the same everywhere.
     """
-    n, values, tail = values.size, np.sort(values), LEVEL / 2
-    if n < FEWEST:
+    if values.size < FEWEST:
         return math.nan, math.nan
-    middle, place = (n - 1) // 2, np.arange(1, n + 1)
-    # Probability that the middle value of a resample, of an even number the lower one, is the i-th of all.
-    weights = np.diff(1 - bdtr(middle, n, np.arange(n + 1) / n))
-    medians = values
-    if n % 2 == 0:
-        half = n // 2
-        likely = np.flatnonzero(np.maximum(weights, weights[::-1]) > 1e-12)
-        # Half of the draws are at most the i-th, one of them is it; the others, mirrored, at least the j-th.
-        below = half * np.log(place / n) + np.log1p(-(((place - 1) / place) ** half))
-        table = np.add.outer(below, below[::-1])[np.ix_(likely, likely)]
-        table = np.triu(np.exp(table + gammaln(n + 1) - 2 * gammaln(half + 1)), 1)
-        np.fill_diagonal(table, weights[likely] - table.sum(axis=1))
-        weights, medians = table.ravel(), (np.add.outer(values[likely], values[likely]) / 2).ravel()
+    values = np.sort(values)
+    weights, lower, upper = _resampled_medians(values.size)
+    medians = (values[lower] + values[upper]) / 2
     order = np.argsort(medians, kind="stable")
-    reached = np.cumsum(weights[order])
+    reached, tail = np.cumsum(weights[order]), LEVEL / 2
     # The two ends mirror each other, whatever rounding does to a probability that meets the level.
     low = np.searchsorted(reached, tail - 1e-9)
     high = np.searchsorted(reached, 1 - tail + 1e-9, side="right")
     return float(medians[order[low]]), float(medians[order[high]])
+
+
+@lru_cache(maxsize=8)
+def _resampled_medians(n: int) -> tuple[FloatArray, _Places, _Places]:
+    """Return the probability of each pair of places between whose values a resample's median can lie."""
+    half, place = (n - 1) // 2, np.arange(1, n + 1)
+    # Probability that the middle value of a resample, of an even number the lower one, is the i-th of all.
+    weights = np.diff(1 - bdtr(half, n, np.arange(n + 1) / n))
+    if n % 2:
+        return weights, place - 1, place - 1
+    likely = np.flatnonzero(np.maximum(weights, weights[::-1]) > 1e-12)
+    half = n // 2
+    # Half of the draws are at most the i-th, one of them is it; the others, mirrored, at least the j-th.
+    below = half * np.log(place / n) + np.log1p(-(((place - 1) / place) ** half))
+    table = np.add.outer(below, below[::-1])[np.ix_(likely, likely)]
+    table = np.triu(np.exp(table + gammaln(n + 1) - 2 * gammaln(half + 1)), 1)
+    np.fill_diagonal(table, weights[likely] - table.sum(axis=1))
+    lower, upper = np.meshgrid(likely, likely, indexing="ij")
+    return table.ravel(), lower.ravel(), upper.ravel()
 
 
 def groups(order: Sequence[str], told_apart: Collection[tuple[str, str]]) -> tuple[tuple[str, ...], ...]:

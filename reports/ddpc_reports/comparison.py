@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from statistics import median
 from typing import Any, NamedTuple
@@ -11,6 +11,7 @@ from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
 from ddpc_cosim.metrics import Metric, all_metrics, headline, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.following import none_follows
+from ddpc_cosim.study.statistics import Comparisons, Runs, compare_all
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
 
 
@@ -125,6 +126,13 @@ class ControllerResults:
         """Return the sum of a count over all cases."""
         return sum(value for case in self.cases if not math.isnan(value := case.metrics.get(key, math.nan)))
 
+    def runs(self, key: str) -> Runs:
+        """Return a metric of every run, NaN of those that do not stay near their reference."""
+        return {
+            (case.scenario, case.seed): case.metrics.get(key, math.nan) if case.holds else math.nan
+            for case in self.cases
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class Condition:
@@ -134,6 +142,7 @@ class Condition:
     scenario: str
     controllers: tuple[ControllerResults, ...]
     variants: tuple[ControllerResults, ...] = ()
+    _compared: dict[str, Comparisons] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -185,6 +194,26 @@ class Condition:
         """Return the controllers that may be the best, with medians of a metric, best first."""
         eligible = [one for one in self.controllers if self.may_win(one)]
         return ranked(key, eligible, [one.over_seeds(key).median for one in eligible])
+
+    def compared(self, key: str) -> Comparisons:
+        """Return the controllers that may be the best, compared each with each over the seeds."""
+        if key not in self._compared:
+            runs = {one.key: one.runs(key) for one in self.controllers if self.may_win(one)}
+            self._compared[key] = compare_all(runs, metric_of(key).better)
+        return self._compared[key]
+
+    def not_told_apart(self, key: str) -> list[ControllerResults]:
+        """Return those of a ranking that the seeds do not tell from its first; none with one seed."""
+        compared = self.compared(key)
+        if len(self.seeds) < 2:
+            return []
+        first = compared.order[0] if compared.order else ""
+        alike = {
+            other
+            for (one, other), found in compared.differences.items()
+            if one == first and not found.told_apart
+        }
+        return [one for _, one in self.ranking(key) if one.key in alike]
 
     @property
     def not_ranked(self) -> list[ControllerResults]:

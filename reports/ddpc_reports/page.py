@@ -22,6 +22,7 @@ from ddpc_reports.case_tables import (
     step_time_table,
     warnings_table,
 )
+from ddpc_reports.certainty import certainty_statements, certainty_table
 from ddpc_reports.charts import COLOURS, CONFIG
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.comparison_tables import (
@@ -165,6 +166,7 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Pa
             *each(title, _verdict_blocks),
             *_in_their_place("Fallbacks and failures", lost),
         ],
+        ("sure", "How sure"): lambda title: each(title, _certainty_blocks),
         ("fairness", "Fairness"): lambda _: _statements(fairness_statements(results, seen)),
         ("reproduction", "Reproduction"): lambda _: _reproduction_blocks(first, reproduction, prefix),
         ("figures", "Figures"): lambda title: [("help", ""), *each(title, time_blocks)],
@@ -239,6 +241,10 @@ def _verdict_blocks(condition: Condition, prefix: str) -> list[Block]:
         *_statements(statements),
         *_tables(verdict_table(condition, prefix), response_table(condition, prefix)),
     ]
+
+
+def _certainty_blocks(condition: Condition, prefix: str) -> list[Block]:
+    return [*_statements(certainty_statements(condition)), *_tables(certainty_table(condition, prefix))]
 
 
 def _step_time_blocks(condition: Condition, prefix: str) -> list[Block]:

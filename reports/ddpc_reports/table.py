@@ -178,11 +178,15 @@ def number_cells(
 
 def range_texts(spreads: Sequence[Spread]) -> list[str]:
     """Write the ranges of a column with common decimals; a dash where there is no range."""
-    lows = column([s.low for s in spreads])
-    highs = column([s.high for s in spreads])
+    return interval_texts([(s.low, s.high) if s.varies else (math.nan, math.nan) for s in spreads])
+
+
+def interval_texts(ends: Sequence[tuple[float, float]]) -> list[str]:
+    """Write the intervals of a column with common decimals; a dash where there is none."""
+    lows, highs = (column([one[i] for one in ends]) for i in (0, 1))
     return [
-        f"{low.strip()} … {high.strip()}" if s.varies else MISSING
-        for s, low, high in zip(spreads, lows, highs, strict=True)
+        MISSING if math.isnan(one[0]) else f"{low.strip()} … {high.strip()}"
+        for one, low, high in zip(ends, lows, highs, strict=True)
     ]
 
 

@@ -9,6 +9,7 @@ from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
 from ddpc_cosim.metrics import split_key
+from ddpc_cosim.study.statistics import Difference
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
@@ -23,6 +24,15 @@ from ddpc_reports.numbers import duration, given_duration, integer, significant,
 
 _POOR = 3.0
 """From this many times the best tracking error on, little actuator travel is not a merit."""
+
+
+RANKED_BY = ("settled_error", "total_variation")
+"""The metrics besides those of the ranking by which the verdict names a first."""
+
+_NAMED = 3
+"""Controllers that are named where the seeds do not tell more of them apart."""
+
+_SMALLEST_P = 0.001
 
 
 class Statement(NamedTuple):
@@ -199,8 +209,14 @@ def _in_short(condition: Condition, key: str) -> Markup:
     if len(alike) > 1:
         text = Markup("{} share {}").format(join_words(names(alike)), show(order[0][0]))
     else:
-        text = Markup("<b>{}</b> {}").format(alike[0].label, median_and_range(alike[0].over_seeds(key), key))
-    if len(order) > len(alike):
+        first = _first(condition, key, alike[0])
+        text = Markup("{} {}").format(first, median_and_range(alike[0].over_seeds(key), key))
+    unsure = condition.not_told_apart(key)
+    if unsure:
+        values = {one.key: show(value) for value, one in order}
+        named = [Markup("<i>{}</i> {}").format(one.label, values[one.key]) for one in unsure]
+        text += Markup(", not told apart from {}").format(_some(named))
+    elif len(order) > len(alike):
         value, next_one = order[len(alike)]
         text += Markup(", then <i>{}</i> {}").format(next_one.label, show(value))
     return text + _last(order, condition.not_ranked, show) + "."
@@ -234,8 +250,7 @@ def least(condition: Condition, name: str, topic: str, claim: str) -> list[State
     if len(known) > 1:
         return [_each_signal(condition, [key for key, _ in known], topic)]
     return [
-        Statement(topic, _among(condition) + _leader(order, key, claim, len(condition.seeds)))
-        for key, order in known
+        Statement(topic, _among(condition) + _leader(condition, order, key, claim)) for key, order in known
     ]
 
 
@@ -311,13 +326,13 @@ def _over_seeds(condition: Condition, key: str) -> Markup:
         return Markup("Over {} seeds, {} share the smallest median{}: {}.").format(
             len(condition.seeds), join_words(names(alike)), among, formatter(key)(order[0][0])
         )
-    text = Markup("Over {} seeds, <b>{}</b> has the smallest median{}: {}.").format(
-        len(condition.seeds), winner.label, among, shown
+    text = Markup("Over {} seeds, {} has the smallest median{}: {}.").format(
+        len(condition.seeds), _first(condition, key, winner), among, shown
     )
     return (
         text
         + _seed_by_seed(winner, rest[0], key)
-        + _overlap(winner, rest, key, among)
+        + _told_apart(condition, key)
         + _constant([winner, *rest], key)
     )
 
@@ -331,15 +346,55 @@ def _seed_by_seed(winner: ControllerResults, second: ControllerResults, key: str
     )
 
 
-def _overlap(winner: ControllerResults, others: Sequence[ControllerResults], key: str, among: str) -> Markup:
-    reach = winner.over_seeds(key).high
-    inside = [one for one in others if one.over_seeds(key).low <= reach]
-    if not inside:
-        return Markup(" Its range lies below that of every other controller{}.").format(among)
-    which, overlap = ("range", "overlaps") if len(inside) == 1 else ("ranges", "overlap")
-    return Markup(" The {} of {} {} with its own, so the seed decides who is ahead there.").format(
-        which, join_words(names(inside)) if len(inside) < 4 else f"{len(inside)} controllers", overlap
-    )
+def _first(condition: Condition, key: str, one: ControllerResults) -> Markup:
+    """Set the name of the first of a ranking: in bold only if the seeds tell it apart from all others."""
+    unsure = condition.not_told_apart(key)
+    return (Markup("<i>{}</i>") if unsure else Markup("<b>{}</b>")).format(one.label)
+
+
+def _some(parts: Sequence[Markup]) -> Markup:
+    """Join the first of some parts as in a sentence, and say how many more there are."""
+    more = len(parts) - _NAMED
+    return join_words([*parts[:_NAMED], *([f"{more} more"] if more > 0 else [])])
+
+
+def _told_apart(condition: Condition, key: str) -> Markup:
+    """Say from which others the seeds tell the first of a ranking apart, and how sure that is."""
+    compared, unsure = condition.compared(key), condition.not_told_apart(key)
+    others = {b: found for (a, b), found in compared.differences.items() if a == compared.order[0]}
+    if not unsure:
+        tested = [found.corrected for found in others.values() if not found.constant]
+        sure = f" (corrected p {p_words(max(tested), 'at most ')})" if tested else ""
+        among = " that stays near its reference on each" if condition.not_ranked else ""
+        return Markup(" The seeds tell it apart from every other controller{}{}.").format(among, sure)
+    named = [Markup("<i>{}</i> ({})").format(one.label, _difference(others[one.key], key)) for one in unsure]
+    few = seeds_needed(condition, key)
+    return Markup(" The seeds do not tell it apart from {}.").format(_some(named)) + few
+
+
+def _difference(found: Difference, key: str) -> str:
+    """Write the difference of another to the first of a ranking, with its interval and p."""
+    show = formatter(key, 3)
+    if found.constant:
+        return "no difference"
+    interval = f"95\u00a0% interval {show(-found.high)} … {show(-found.low)}, "
+    known = "" if math.isnan(found.low) else interval
+    return f"median difference {show(-found.median)}, {known}corrected p {p_words(found.corrected, '= ')}"
+
+
+def p_words(p: float, sign: str = "") -> str:
+    """Write a p-value, after a sign unless it is very small."""
+    return "< 0.001" if p < _SMALLEST_P else sign + significant(p, 2)
+
+
+def seeds_needed(condition: Condition, key: str) -> Markup:
+    """Say how many seeds it takes to tell so many controllers apart, where there are fewer."""
+    compared = condition.compared(key)
+    if len(condition.seeds) >= compared.seeds_needed or not compared.tests:
+        return Markup("")
+    return Markup(
+        " {} seeds are too few to tell {} controllers apart, whatever they do: it takes {}."
+    ).format(len(condition.seeds), len(compared.order), compared.seeds_needed)
 
 
 def _constant(order: Sequence[ControllerResults], key: str) -> Markup:
@@ -349,29 +404,24 @@ def _constant(order: Sequence[ControllerResults], key: str) -> Markup:
     return Markup(" The seed changes nothing for {}.").format(join_words(names(same)))
 
 
-def _leader(order: Sequence[tuple[float, ControllerResults]], key: str, claim: str, seeds: int) -> Markup:
+def _leader(
+    condition: Condition, order: Sequence[tuple[float, ControllerResults]], key: str, claim: str
+) -> Markup:
     show = formatter(key, 3)
-    (best, winner), (second, next_one) = order[0], order[1]
-    what = metric_label(key).lower() + (" (median of the seeds)" if seeds > 1 else "")
+    (best, winner), (second, next_one), (worst, last) = order[0], order[1], order[-1]
+    what = metric_label(key).lower() + (" (median of the seeds)" if len(condition.seeds) > 1 else "")
     if show(best) == show(second):
         alike = _alike(order, show)
         return Markup("{} share the smallest {}: {}.").format(join_words(names(alike)), what, show(best))
-    return (
-        Markup("<b>{}</b> {}: {} {}, against {} of <i>{}</i> and {} of <i>{}</i>.").format(
-            winner.label,
-            claim,
-            what,
-            show(best),
-            show(second),
-            next_one.label,
-            show(order[-1][0]),
-            order[-1][1].label,
-        )
-        if len(order) > 2
-        else Markup("<b>{}</b> {}: {} {}, against {} of <i>{}</i>.").format(
-            winner.label, claim, what, show(best), show(second), next_one.label
-        )
+    text = Markup("{} {}: {} {}, against {} of <i>{}</i>").format(
+        _first(condition, key, winner), claim, what, show(best), show(second), next_one.label
     )
+    if len(order) > 2:
+        text += Markup(" and {} of <i>{}</i>").format(show(worst), last.label)
+    unsure = condition.not_told_apart(key)
+    if unsure:
+        text += Markup("; the seeds do not tell it apart from {}").format(_some(names(unsure)))
+    return text + "."
 
 
 def join_words(parts: Sequence[str | Markup]) -> Markup:
@@ -448,7 +498,19 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
         who = join_words([Markup("<b>{}</b>").format(label) for label in winners])
         parts.append(Markup("{}{} in {}").format(who, claim, join_words(where)))
     among = ", of those that stay near their reference in every case there" if lost else ""
-    return Markup("{}{}.").format(Markup("; ").join(parts), among)
+    return Markup("{}{}.").format(Markup("; ").join(parts), among) + _unsure(conditions, key)
+
+
+def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
+    """Name the scenarios in which the seeds do not tell the first apart from others."""
+    where = [
+        Markup("<i>{}</i> (from {})").format(condition.label, _some(names(unsure)))
+        for condition in conditions
+        if (unsure := condition.not_told_apart(key))
+    ]
+    if not where:
+        return Markup("")
+    return Markup(" The seeds do not tell the first apart in {}.").format(join_words(where))
 
 
 def limitations(conditions: tuple[Condition, ...], drawn: int) -> list[str]:

@@ -17,7 +17,8 @@ ROOMS = {
     "ddpc_reports": ROOT / "reports" / "ddpc_reports",
 }
 # Modules that plug-ins may use besides the names of the package.
-PUBLIC_MODULES = {"metrics", "plugins", "responses", "study.following", "study.sections", "testing", "texts"}
+PUBLIC_MODULES = {"metrics", "plugins", "responses", "testing", "texts"}
+PUBLIC_MODULES |= {"study.following", "study.ranks", "study.sections", "study.statistics"}
 
 
 def modules(room: str) -> dict[str, Path]:

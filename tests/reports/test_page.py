@@ -77,6 +77,7 @@ def test_the_page_has_every_section_in_order(make_results: MakeResults, tmp_path
     headings = [text for level, text in Reader(written(tmp_path, results)).headings if level == 2]
     assert headings == [
         "Verdict",
+        "How sure",
         "Fairness",
         "Figures",
         "Spread over seeds",

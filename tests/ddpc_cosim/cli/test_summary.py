@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -93,6 +94,39 @@ def test_one_seed_needs_no_range() -> None:
     first = replace(some, cases=tuple(case for case in some.cases if case.seed == 1))
     assert "over the seeds" in "".join(printed(some))
     assert "over the seeds" not in "".join(printed(first))
+
+
+def seeded(seeds: int, worse: float) -> StudyResults:
+    """Return results of two controllers that differ by a constant and by chance."""
+    noise = np.random.default_rng(5).normal(size=(2, seeds))
+    cases = []
+    for place, key in enumerate(("deepc", "pid")):
+        for seed in range(seeds):
+            figures = VALUES | {COST: 10.0 + place * worse + noise[place, seed]}
+            head = (f"{key}_{seed}", key, key, "nominal", seed, Outcome.COMPLETED, "", True)
+            cases.append(CaseResult(*head, figures, {}, {}, (), Path()))
+    return replace(results(0), cases=tuple(cases))
+
+
+def test_what_the_seeds_tell_apart_has_letters_of_its_own() -> None:
+    lines = printed(seeded(12, worse=9.0))
+    heads = next(i for i, line in enumerate(lines) if "same letter:" in line)
+    place = lines[heads].index("same letter:")
+    letters = {line.split()[0]: line[place:].split()[0] for line in lines if "12/12" in line}
+    assert letters == {"deepc": "a", "pid": "b"}
+
+
+@pytest.mark.parametrize(
+    ("seeds", "words"),
+    [
+        (12, "12 seeds tell no two controllers apart"),
+        (5, "5 seeds tell no two controllers apart: it takes at least 6"),
+    ],
+)
+def test_where_the_seeds_tell_none_apart_a_line_says_so(seeds: int, words: str) -> None:
+    lines = printed(seeded(seeds, worse=0.0))
+    assert words in [line.strip() for line in lines]
+    assert not any("same letter" in line for line in lines)
 
 
 def test_the_best_settings_of_a_sweep_follow_from_the_direction_of_the_metric(

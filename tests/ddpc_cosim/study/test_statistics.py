@@ -222,6 +222,7 @@ def test_controllers_compared_each_with_each() -> None:
     assert found.order[-1] == "worst"
     assert found.tests == 3
     assert [set(group) for group in found.groups] == [{"a", "b"}, {"worst"}]
+    assert found.letters == {"a": "a", "b": "a", "worst": "b"}
     # All twelve signs alike are one of 2048 cases on either side.
     assert found.differences["a", "worst"].corrected == pytest.approx(3 / 2048)
     assert compare_all({"low": runs(1.0), "high": runs(2.0)}, "high").order == ("high", "low")

@@ -1,0 +1,140 @@
+"""How sure the differences are: intervals, differences to the best, and who is not told apart."""
+
+import math
+from collections.abc import Sequence
+
+from markupsafe import Markup
+
+from ddpc_cosim.metrics import metric_of
+from ddpc_cosim.study.statistics import FEWEST, Difference, Sample, compare, describe
+from ddpc_reports.comparison import Condition, ControllerResults, metric_label, metric_signal, metric_unit
+from ddpc_reports.numbers import MISSING, as_given
+from ddpc_reports.table import Cell, Heading, Row, Table, interval_texts, number_cells
+from ddpc_reports.verdict import RANKED_BY, Statement, join_words, names, p_words, seeds_needed
+
+_NOTES = (
+    "Runs: those that stay near their reference and have a value; all that follows is of them. Interval: the "
+    f"95\u00a0% bootstrap interval of the median, from {FEWEST} seeds on. Difference: to the best median, in "
+    "pairs of the same seed. Seeds ahead: of these pairs, a tie counting half.",
+    "p: Wilcoxon's signed-rank test of the pairs, after Holm's correction for all pairs of controllers that "
+    "stay near their reference in every case; exact: the seed changes nothing. Others come last "
+    "whatever their figures, and are not tested. Group: controllers that are not told apart at 5\u00a0% "
+    "share a letter.",
+)
+
+
+def certainty_table(condition: Condition, prefix: str) -> Table | None:
+    """Return the medians and what sets them apart, a row per controller and metric; None for one seed."""
+    if len(condition.seeds) < 2:
+        return None
+    rows = [row for key in _keys(condition) for row in _rows(condition, key)]
+    headings = (
+        Heading("Controller", numeric=False),
+        Heading("runs"),
+        Heading("median"),
+        Heading("interval"),
+        Heading("median", group="difference to the best"),
+        Heading("interval", group="difference to the best"),
+        Heading("p", group="difference to the best"),
+        Heading("seeds ahead", group="difference to the best"),
+        Heading("group"),
+    )
+    caption = f"Medians over {len(condition.seeds)} seeds, and what they tell apart"
+    name = f"{prefix}sure"
+    return Table(name, caption, headings, tuple(rows), _NOTES, kind="grouped", download="how-sure.csv")
+
+
+def certainty_statements(condition: Condition) -> list[Statement]:
+    """Return for each metric which controllers the seeds do not tell apart; nothing for one seed."""
+    if len(condition.seeds) < 2:
+        return []
+    return [
+        Statement(_title(key), _groups(condition, key))
+        for key in _keys(condition)
+        if len(condition.compared(key).order) > 1
+    ]
+
+
+def _keys(condition: Condition) -> list[str]:
+    """Return the metrics by which the verdict names a first."""
+    more = [key for name in RANKED_BY for key in condition.keys(name)]
+    return [*condition.headline, *more]
+
+
+def _title(key: str) -> str:
+    return " of ".join(filter(None, (metric_label(key), metric_signal(key))))
+
+
+def _groups(condition: Condition, key: str) -> Markup:
+    compared = condition.compared(key)
+    labels = {one.key: one for one in condition.controllers}
+    alike = [
+        join_words(names([labels[name] for name in group])) for group in compared.groups if len(group) > 1
+    ]
+    if not alike:
+        return Markup("All {} controllers that stay near their reference are told apart.").format(
+            len(compared.order)
+        )
+    alone = [labels[group[0]] for group in compared.groups if len(group) == 1]
+    text = Markup("Not told apart: {}").format(Markup("; ").join(alike))
+    if alone:
+        text += Markup(". Told apart from all others: {}").format(join_words(names(alone)))
+    return text + "." + seeds_needed(condition, key)
+
+
+def _rows(condition: Condition, key: str) -> list[Row]:
+    """Return a row per controller: those that are ranked first, the best first, then the others."""
+    compared = condition.compared(key)
+    by_key = {one.key: one for one in condition.controllers}
+    order = [by_key[name] for name in compared.order]
+    order += [one for one in condition.controllers if one not in order]
+    samples = [describe(one.runs(key)) for one in order]
+    best = order[0] if compared.order else None
+    found = [_to_best(condition, key, one, best) for one in order]
+    unit = metric_unit(key)
+    cells = [
+        [Cell(f"{s.known} of {s.runs}", s.known, failed=s.known < s.runs) for s in samples],
+        number_cells([s.median for s in samples]),
+        _intervals(samples),
+        number_cells([one.median if one else math.nan for one in found]),
+        _intervals(found),
+        [_p(one) for one in found],
+        [_ahead(one) for one in found],
+        [Cell(compared.letters.get(one.key, MISSING)) for one in order],
+    ]
+    group = " / ".join(filter(None, (_title(key), unit)))
+    return [
+        Row(one.label, tuple(of_one[i] for of_one in cells), one.key, one.index, group)
+        for i, one in enumerate(order)
+    ]
+
+
+def _to_best(
+    condition: Condition, key: str, one: ControllerResults, best: ControllerResults | None
+) -> Difference | None:
+    """Return the difference of a controller to the best; None of the best itself, or where there is none."""
+    if best is None or one is best:
+        return None
+    tested = condition.compared(key).differences.get((best.key, one.key))
+    found = compare(one.runs(key), best.runs(key), metric_of(key).better)
+    return found._replace(corrected=tested.corrected if tested else math.nan)
+
+
+def _intervals(found: Sequence[Sample | Difference | None]) -> list[Cell]:
+    ends = [(one.low, one.high) if one else (math.nan, math.nan) for one in found]
+    return [
+        Cell("exact" if low == high else text, MISSING if math.isnan(low) else f"{low!r} … {high!r}")
+        for text, (low, high) in zip(interval_texts(ends), ends, strict=True)
+    ]
+
+
+def _p(one: Difference | None) -> Cell:
+    if one and one.constant:
+        return Cell("exact")
+    return Cell(p_words(one.corrected), one.corrected) if one else Cell(MISSING)
+
+
+def _ahead(one: Difference | None) -> Cell:
+    if not one or math.isnan(one.won):
+        return Cell(MISSING)
+    return Cell(f"{as_given(one.won * one.seeds)} of {one.seeds}", one.won)

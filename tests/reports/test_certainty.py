@@ -1,0 +1,150 @@
+"""What the page says of how sure it is follows from the cases, recomputed here."""
+
+import math
+import re
+from statistics import median
+
+import numpy as np
+import pytest
+from scipy.stats import bootstrap, wilcoxon
+
+from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_reports.certainty import certainty_statements, certainty_table
+from ddpc_reports.comparison import conditions
+from ddpc_reports.numbers import MISSING
+from ddpc_reports.page import render_page
+from ddpc_reports.table import Row, Table
+from ddpc_reports.verdict import across_statements, verdict
+
+from .synthetic import FORCE, SPEED, MakeResults, make_trace
+
+THREE = {key: {"type": key} for key in ("quick", "alike", "slow")}
+COST = "mean_abs_error.angle [deg]"
+GROUP = "Mean absolute error of angle / °"
+SEEDS = list(range(12))
+
+
+def trace_of(key: str, seed: int) -> Trace:
+    """Let two controllers differ by chance, and one be slower than both on every seed."""
+    chance = np.random.default_rng([seed, list(THREE).index(key)]).uniform(-0.1, 0.1)
+    return make_trace({"quick": 0.5, "alike": 0.505, "slow": 1.0}[key] + chance, noise_seed=seed)
+
+
+@pytest.fixture
+def results(make_results: MakeResults) -> StudyResults:
+    return make_results(trace_of, THREE, seeds=SEEDS)
+
+
+def values(results: StudyResults, key: str) -> np.ndarray:
+    return np.array([case.metrics[COST] for case in results.cases if case.controller == key])
+
+
+def table_of(results: StudyResults) -> Table:
+    table = certainty_table(conditions(results)[0], "")
+    assert table
+    return table
+
+
+def rows(table: Table, group: str = GROUP) -> dict[str, Row]:
+    return {row.header: row for row in table.groups[group]}
+
+
+def plain(statements: list) -> dict[str, str]:  # type: ignore[type-arg]
+    return {topic: re.sub("<[^>]*>", "", str(text)) for topic, text in statements}
+
+
+def test_the_figures_of_the_table_are_those_of_the_cases(results: StudyResults) -> None:
+    found = rows(table_of(results))
+    first, second, last = found
+    assert {first, second} == {"quick", "alike"}
+    assert last == "slow"
+    own, best = values(results, "slow"), values(results, first)
+    runs, middle, interval, difference, _, p, ahead, letters = found["slow"].cells
+    assert (runs.text, middle.raw, difference.raw) == ("12 of 12", median(own), median(own - best))
+    low, high = map(float, str(interval.raw).split(" … "))
+    drawn = bootstrap((own,), np.median, method="percentile", n_resamples=20000, rng=np.random.default_rng(0))
+    step = np.diff(np.sort(own)).max()
+    assert abs(low - drawn.confidence_interval.low) <= step / 2
+    assert abs(high - drawn.confidence_interval.high) <= step / 2
+    # Of three comparisons, that with the smallest p counts three times.
+    assert p.raw == pytest.approx(3 * wilcoxon(own, best).pvalue)
+    assert (ahead.text, ahead.raw, letters.text) == ("0 of 12", 0.0, "b")
+    assert [found[key].cells[7].text for key in (first, second)] == ["a", "a"]
+    assert found[second].cells[5].raw == pytest.approx(wilcoxon(values(results, second), best).pvalue)
+
+
+def test_who_is_not_told_apart_is_not_crowned(results: StudyResults) -> None:
+    condition = conditions(results)[0]
+    said = plain(certainty_statements(condition))["Mean absolute error of angle"]
+    first, second, _ = rows(table_of(results))
+    assert said == f"Not told apart: {first} and {second}. Told apart from all others: slow."
+    spread = next(str(text) for topic, text in verdict(condition) if topic == "Spread")
+    assert f"Over 12 seeds, <i>{first}</i> has the smallest median" in spread
+    assert f"The seeds do not tell it apart from <i>{second}</i> (median difference " in spread
+    assert "<b>" not in spread
+
+
+def test_who_is_told_apart_from_all_others_is_said_to_be(make_results: MakeResults) -> None:
+    two = {key: THREE[key] for key in ("quick", "slow")}
+    results = make_results(trace_of, two, seeds=SEEDS)
+    condition = conditions(results)[0]
+    spread = next(str(text) for topic, text in verdict(condition) if topic == "Spread")
+    assert "Over 12 seeds, <b>quick</b> has" in spread
+    assert "The seeds tell it apart from every other controller (corrected p &lt; 0.001)." in spread
+    said = plain(certainty_statements(condition))["Mean absolute error of angle"]
+    assert said == "All 2 controllers that stay near their reference are told apart."
+
+
+def test_one_seed_says_nothing_of_how_sure_it_is(make_results: MakeResults) -> None:
+    results = make_results(trace_of, THREE)
+    condition = conditions(results)[0]
+    assert certainty_table(condition, "") is None
+    assert certainty_statements(condition) == []
+    assert "How sure" not in render_page([results])
+
+
+def test_a_controller_that_lost_a_run_is_last_and_not_tested(make_results: MakeResults) -> None:
+    def losing(key: str, seed: int) -> Trace:
+        if (key, seed) == ("quick", 3):
+            return make_trace(0.1, outcome=Outcome.DIVERGED, reason="angle is NaN at 3 s")
+        return trace_of(key, seed)
+
+    results = make_results(losing, THREE, seeds=SEEDS)
+    found = rows(table_of(results))
+    assert list(found) == ["alike", "slow", "quick"]
+    runs, *_, p, ahead, letters = found["quick"].cells
+    assert (runs.text, p.text, letters.text) == ("11 of 12", MISSING, MISSING)
+    assert ahead.text.endswith(" of 11")
+    assert "quick" not in plain(certainty_statements(conditions(results)[0]))["Mean absolute error of angle"]
+
+
+def test_what_the_seed_does_not_change_is_exact(make_results: MakeResults) -> None:
+    results = make_results(lambda key, seed: make_trace(0.5 if key == "quick" else 1.0), seeds=[0, 1])
+    slow = rows(table_of(results))["slow"]
+    assert [cell.text for cell in slow.cells[5:]] == ["exact", "0 of 2", "b"]
+    spread = next(str(text) for topic, text in verdict(conditions(results)[0]) if topic == "Spread")
+    assert "<b>quick</b> has the smallest median" in spread
+    assert "The seeds tell it apart from every other controller." in spread
+
+
+def test_where_none_stays_near_its_reference_there_are_no_differences(make_results: MakeResults) -> None:
+    def fallen(key: str, seed: int) -> Trace:
+        return make_trace(0.1, outcome=Outcome.DIVERGED, reason="angle is NaN at 3 s")
+
+    table = table_of(make_results(fallen, THREE, seeds=SEEDS))
+    for row in rows(table).values():
+        assert [cell.text for cell in row.cells] == ["0 of 12", *[MISSING] * 7]
+        assert math.isnan(float(row.cells[1].raw))
+
+
+def test_each_of_several_signals_and_scenarios_says_how_sure_it_is(make_results: MakeResults) -> None:
+    def of_two(key: str, seed: int) -> Trace:
+        chance = np.random.default_rng([seed, len(key)]).uniform(-0.1, 0.1)
+        return make_trace(0.5 + chance, outputs=(SPEED, FORCE), noise_seed=seed)
+
+    results = make_results(of_two, seeds=SEEDS, scenarios={"calm": {}, "windy": {}})
+    said = plain(verdict(conditions(results)[0]))["Tracking"]
+    assert len(re.findall("not told apart from (?:quick|slow)", said)) == 2
+    ((_, across),) = across_statements(conditions(results))
+    assert "The seeds do not tell the first apart in" in across
+    assert {row.group for row in table_of(results).rows} >= {"Mean absolute error of force / N"}
