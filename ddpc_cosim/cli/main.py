@@ -4,6 +4,7 @@ Exit codes: 0 done; 1 some case failed or a check failed; 2 usage or configurati
 143 terminated.
 """
 
+import math
 import os
 import signal
 import sys
@@ -91,6 +92,20 @@ class _Commands(click.Group):
             sys.exit(INTERRUPTED)
 
 
+class _FiniteRange(click.FloatRange):
+    """A range of numbers that are finite, which NaN is in none of."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number, or say why it is not possible."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
+
+
+_POSITIVE = _FiniteRange(min=0, min_open=True)
+
+
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="ddpc-cosim", message="%(version)s")
 def main() -> None:
@@ -104,7 +119,7 @@ _SANDBOX = click.option(
 
 _STEP_TIMEOUT = click.option(
     "--step-timeout",
-    type=click.FloatRange(min=0, min_open=True),
+    type=_POSITIVE,
     default=60.0,
     show_default=True,
     help="Seconds that one call of the plant may take.",
@@ -149,7 +164,7 @@ def report(folders: tuple[Path, ...], out: Path | None) -> None:
     sys.exit(report_command(folders, out))
 
 
-_TOLERANCE = click.FloatRange(min=0, max=1e300)
+_TOLERANCE = _FiniteRange(min=0)
 
 
 @main.command()
@@ -245,7 +260,7 @@ def inspect(fmu: Path, as_json: bool, strict: bool, every: bool) -> None:
 @_STEP_TIMEOUT
 @click.option(
     "--budget",
-    type=click.FloatRange(min=0, min_open=True),
+    type=_POSITIVE,
     default=60.0,
     show_default=True,
     help="Seconds for step test and trial; what is not tried in them is told.",
@@ -323,7 +338,7 @@ def init(
 )
 @click.option(
     "--rel",
-    type=click.FloatRange(min=0, max=1),
+    type=_FiniteRange(min=0, max=1),
     default=1e-4,
     show_default=True,
     help="Allowed difference, relative to a signal's range in the golden file.",
@@ -354,12 +369,12 @@ def simulate(**options: Any) -> None:
 @click.argument("subject", metavar="NAME|MODULE:CLASS|FILE.fmu")
 @click.option(
     "--sampling-time",
-    type=click.FloatRange(min=0, min_open=True),
+    type=_POSITIVE,
     help="Step size of the runs in s [the FMU's own, or 0.1].",
 )
 @click.option(
     "--timeout",
-    type=click.FloatRange(min=0, min_open=True),
+    type=_POSITIVE,
     default=60.0,
     show_default=True,
     help="Seconds that one check may take.",

@@ -41,7 +41,7 @@ if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
     from ddpc_cosim.study.sections import ControllerSection, LoopSection, ScenarioSection, StabiliserSection
 
 _MOST_LISTED = 8
-_TRIED_AGAIN = "; the machine may be at fault: the next run tries this case again"
+_TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ import importlib.util
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -18,6 +19,8 @@ from fmu_plants.export.platforms import Platform, host_platform
 from fmu_plants.files import cache_dir
 from fmu_plants.model import ExportError
 
+# The largest FMUs take some minutes.
+_LONGEST_SECONDS = 600.0
 _SYSTEM_COMPILERS = ("cc", "gcc", "clang")
 _NO_COMPILER = (
     "no C compiler was found (looked for $CC, {names} on PATH, and the Python package ziglang).\n"
@@ -113,7 +116,7 @@ class Compiler:
         Raises
         ------
         ExportError
-            It fails or cannot be run; the message has what the compiler says, and the call.
+            It fails, cannot be run or does not end; the message has what the compiler says, and the call.
         """
         command = [*self.command, *arguments]
         environment = {**os.environ}
@@ -257,10 +260,45 @@ def compile_library(
 def _capture(
     command: Sequence[str], cwd: Path | None = None, env: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
-    """Run a command for its output, which may be in any encoding."""
-    return subprocess.run(
-        command, cwd=cwd, env=env, capture_output=True, text=True, encoding="utf-8", errors="replace"
-    )
+    """Run a command for its output, which may be in any encoding; what it starts does not outlive it.
+
+    Raises
+    ------
+    ExportError
+        It does not end in time.
+    """
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command,
+        cwd=cwd,
+        env=env,
+        stdin=subprocess.DEVNULL,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        start_new_session=True,
+    ) as process:
+        try:
+            output = process.communicate(timeout=_LONGEST_SECONDS)
+        except subprocess.TimeoutExpired as error:
+            raise ExportError(
+                f"{command[0]} did not end within {_LONGEST_SECONDS:g} s and was ended, with all that it had "
+                f"started; if it hangs, set CC to another compiler\nThe call: {shlex.join(command)}"
+            ) from error
+        finally:
+            if process.returncode is None:  # late, or interrupted
+                _end(process)
+    return subprocess.CompletedProcess(command, process.returncode, *output)
+
+
+def _end(process: "subprocess.Popen[str]") -> None:
+    """End a process and all that it has started."""
+    if sys.platform == "win32":
+        process.kill()
+    else:
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 _EXPORT_CHECK = """

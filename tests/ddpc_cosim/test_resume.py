@@ -167,7 +167,7 @@ def test_what_may_be_the_machine_s_fault_is_tried_again(
     assert diary.started == (3, 2)
     assert cases["imports"].reason == (
         "before the first sample: Imports.start raised ModuleNotFoundError: No module named "
-        "'installed_later'; the machine may be at fault: the next run tries this case again"
+        "'installed_later'; the machine may be at fault: when this is run again, it is tried again"
     )
     assert len(cases["grows"].trace()) == 4
     (tmp_path / "installed_later.py").touch()
@@ -182,7 +182,7 @@ def test_an_fmu_that_cannot_be_loaded_is_tried_again(write_study: WriteStudy) ->
     for _ in range(2):
         results, diary = run(study)
         assert diary.started == (1, 0)
-        assert results.cases[0].reason.endswith("the next run tries this case again")
+        assert results.cases[0].reason.endswith("when this is run again, it is tried again")
 
 
 def test_results_of_any_number_of_workers_are_the_same(write_study: WriteStudy) -> None:

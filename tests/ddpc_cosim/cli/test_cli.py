@@ -6,6 +6,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+import click
 import fmpy
 import pytest
 from click.testing import CliRunner, Result
@@ -65,6 +66,28 @@ def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
     assert result.exit_code == 2
     assert result.stdout == ""
     assert "Usage:" in result.stderr
+
+
+def test_no_range_of_numbers_has_nan_or_infinity_in_it() -> None:
+    options = [
+        (option, option.type)
+        for command in main.commands.values()
+        for option in command.params
+        if isinstance(option.type, click.FloatRange)
+    ]
+    assert len(options) >= 7
+    for option, kind in options:
+        for text in ("nan", "inf"):
+            with pytest.raises(click.BadParameter, match=r"is not (a finite number|in the range)"):
+                kind.convert(text, option, None)
+
+
+def test_times_that_are_not_finite_are_refused() -> None:
+    for text in ("nan", "inf"):
+        done = invoke("simulate", "pendulum", "--stop", text)
+        assert (done.exit_code, f"error: stop = {text} s is not possible" in done.stderr) == (2, True)
+        done = invoke("simulate", "pendulum", "--step", text)
+        assert (done.exit_code, f"error: step = {text} s is not possible" in done.stderr) == (2, True)
 
 
 @pytest.mark.parametrize(
