@@ -52,7 +52,8 @@ def run_command(
     screen = Console(width=None if sys.stdout.isatty() else _WIDE)
     for line in following_lines(results.study, results.cases):
         screen.print(printable(f"{line}."), markup=False, highlight=False, style="bold")
-    screen.print(summary_table(results, screen))
+    if results.cases:
+        screen.print(summary_table(results, screen))
     if report:
         print(write_report([results], folder / REPORT_FILE))
     _print_warnings(results)
