@@ -68,8 +68,8 @@ def _proportional(pid: int) -> int:
     try:
         lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
         return next(1024 * int(line.split()[1]) for line in lines if line.startswith("Pss:"))
-    except (OSError, StopIteration):
-        return 0
+    except (OSError, StopIteration):  # not every kernel tells it, nor of every process
+        return _resident(pid)
 
 
 def default_memory(workers: int = 1) -> int:

@@ -219,13 +219,15 @@ def stage_case(
     (staged / _RUN_FILE).write_bytes(sealed_json(run | {"signals": signals}))
 
 
-def accept_case(staged: Path, folder: Path, printed: str, longest: int) -> None:
+def accept_case(staged: Path, folder: Path, head: dict[str, Any], printed: str, longest: int) -> None:
     """Move what a process that has ended has staged to where its case belongs, if it is that case.
 
     Parameters
     ----------
     staged, folder : Path
         Where it lies, and where it belongs; both on one disk.
+    head : dict
+        What the case is, as of :func:`write_case`.
     printed : str
         What the process printed last.
     longest : int
@@ -239,13 +241,14 @@ def accept_case(staged: Path, folder: Path, printed: str, longest: int) -> None:
         It cannot be moved, and why.
     """
     _check_staged(staged, {_RUN_FILE: _LONGEST_RUN, _SIGNALS_FILE: longest})
-    case = load_case(staged)
-    if case.id != folder.name:
-        raise ConfigError(f"{_RUN_FILE} is of {str(case.id)[:100]}")
+    load_case(staged)
+    run = read_run(staged)
+    for key, value in head.items():
+        if run[key] != value:
+            raise ConfigError(f"{_RUN_FILE} is of {key} {str(run[key])[:100]}")
     try:
         if printed:
-            run = read_run(staged) | {"printed": printed}
-            (staged / _RUN_FILE).write_bytes(sealed_json(run))
+            (staged / _RUN_FILE).write_bytes(sealed_json(run | {"printed": printed}))
         _move_into_place(staged, folder)
     except OSError as error:
         raise _not_written(folder, error) from error

@@ -405,7 +405,8 @@ class _Run:
     def _accept(self) -> None:
         """Put what the worker has staged in its place: what it ran has no more to say in that by now."""
         try:
-            accept_case(self._staged, self._folder, self.worker.end().output, self._longest_samples())
+            printed, longest = self.worker.end().output, self._longest_samples()
+            accept_case(self._staged, self._folder, self.case.head(), printed, longest)
         except ConfigError as error:
             self._give_up(Outcome.CRASHED, f"its process has left no results: {error}")
 

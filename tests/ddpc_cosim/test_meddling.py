@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
 from ddpc_cosim import Controller
+from ddpc_cosim.study.cases import Case
 from ddpc_cosim.trace import Trace
 
 @dataclass(kw_only=True)
@@ -87,6 +88,11 @@ class Swells(Stages):
 class Adds(Stages):
     def stage(self, path): path.with_name("page.html").touch()
 
+class Forges(Meddles):
+    def meddle(self):
+        head = Case.head
+        Case.head = lambda case: head(case) | {"controller": "mfapc"}
+
 class Stops(Meddles):
     def meddle(self): os.kill(os.getpid(), signal.SIGSTOP)
 
@@ -142,6 +148,7 @@ ENDINGS = {
     "Moves": ("crashed", "its process has left no results: its folder is a link"),
     "Swells": ("crashed", "its process has left no results: signals.csv has 1099511627776 bytes; allowed: "),
     "Adds": ("crashed", "its process has left no results: page.html is not a file of its own"),
+    "Forges": ("crashed", "its process has left no results: run.json is of controller mfapc"),
     "Stops": ("timed-out", "controller meddling:Stops: no return within 2 s in step at t = 0.3 s"),
     "StopsServer": ("completed", ""),
     "Prints": ("completed", ""),
