@@ -20,6 +20,7 @@ from .data.hankel import (
 )
 from .decentralised import Decentralised as Decentralised, Group as Group
 from .deepc import DeePC as DeePC
+from .idle import Idle as Idle
 from .ipid import IPID as IPID
 from .koopman_mpc import KoopmanMPC as KoopmanMPC
 from .lqr import LQR as LQR
@@ -28,6 +29,7 @@ from .models.from_fmu import FMUModel as FMUModel, pulse_model as pulse_model
 from .models.identification import Identified as Identified
 from .models.linear import ModelFunction as ModelFunction, StateSpace as StateSpace
 from .mpc import MPC as MPC
+from .nmpc import NMPC as NMPC
 from .offset_free import OffsetFree as OffsetFree
 from .pid import PID as PID
 from .scaling import Scaled as Scaled

@@ -30,7 +30,9 @@ REASONS: dict[str, str] = {
     "cascade": "its inner i-PID has to be told how strongly the inputs act: alpha, kp",
     "decentralised": "which signals belong together is the user's to say",
     "deepc-published": "it is what the authors' program does, whose ridge pulls every output to zero",
+    "idle": "it does nothing, and is to",
     "ipid": "it has to be told how strongly the inputs act: alpha, kp",
+    "nmpc": "it has to be told the plant, where it is not a study that tells it",
     "offset-free": "it is about another controller",
     "pid": f'{BY_HAND}; with tuning = "step-test" it takes them from the recording',
     "scaled": "it is about another controller",
@@ -38,6 +40,13 @@ REASONS: dict[str, str] = {
     "wkpc-published": "it is what the authors' program does, whose ridge pulls every output to zero",
 }
 """Methods that need to be told something, and what."""
+
+EXCEPTIONS = {
+    ("mfac", "distillation-column"): "dead times and gains of both signs: another initial_gradient",
+    ("mfapc", "distillation-column"): "likewise",
+    ("wkpc", "building"): "its thin plates leave a fifth of the step",
+}
+"""Where a method that needs to be told nothing does not settle all the same."""
 
 
 class Problem(NamedTuple):
@@ -61,6 +70,17 @@ PROBLEMS = {
     ),
     "two-mass-drive": Problem(
         ["motor_torque"], ["motor_speed"], ["motor_speed", "load_speed"], 0.2, [0.0], [1.0]
+    ),
+    "building": Problem(
+        ["heating_power"], ["indoor_temperature"], ["indoor_temperature"], 3600.0, [3773.58], [3000.0]
+    ),
+    "distillation-column": Problem(
+        ["reflux", "steam"],
+        ["distillate", "bottoms"],
+        ["distillate", "bottoms"],
+        300.0,
+        [1.95, 1.71],
+        [0.1, 0.1],
     ),
 }
 
@@ -138,7 +158,8 @@ def settled_error(controller: Controller, plant: str, seed: int) -> float:
 @pytest.mark.parametrize("plant", sorted(PROBLEMS))
 @pytest.mark.parametrize("method", sorted(set(plugin_names("controllers")) - set(REASONS)))
 def test_a_method_tracks_with_its_defaults(method: str, plant: str) -> None:
-    assert settled_error(load_plugin("controllers", method)(), plant, seed=1) < SETTLED
+    settles = settled_error(load_plugin("controllers", method)(), plant, seed=1) < SETTLED
+    assert settles == ((method, plant) not in EXCEPTIONS)
 
 
 @pytest.mark.parametrize("plant", sorted(PROBLEMS))

@@ -1,0 +1,28 @@
+"""Inputs at rest: what doing nothing costs, a reference point of comparisons."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from ddpc_controllers.checks import knowing
+from ddpc_controllers.data.hankel import resting_input
+from ddpc_cosim import Controller, FloatArray, Loop, Sample
+
+
+@dataclass(kw_only=True)
+class Idle(Controller):
+    """Inputs at rest, whatever is measured or asked for."""
+
+    accepts_missing: ClassVar[bool] = True
+
+    def start(self, loop: Loop) -> None:
+        """Take the inputs' start values, within their limits."""
+        self._u = resting_input(loop)
+
+    def step(self, sample: Sample) -> FloatArray:
+        """Return the inputs at rest, shape (m,)."""
+        return self._u.copy()
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return that it uses nothing."""
+        return knowing("nothing")

@@ -1,0 +1,297 @@
+"""A plant's own equations in CasADi: sampled by Runge-Kutta steps, with a disturbance that explains the rest.
+
+    x+ = F(x, u + d, t),   y = h(x, u + d, t)
+
+The equations are those of a `PlantModel` of :mod:`fmu_plants`, found as a plug-in. The inputs carry the
+disturbance d; where they outnumber the outputs, the outputs do.
+"""
+
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from ddpc_cosim import ConfigError, FloatArray, Loop, Variable
+from ddpc_cosim.plugins import installed, load_plugin
+
+_STEP_TIMES_POLE = 1.5
+"""Runge-Kutta steps of fourth order are stable up to 2.78."""
+_MOST_STEPS = 200
+_STATE_NOISE = 1e-4
+"""In parts of nominal values, per sample: a state that nothing drives must not be taken for known exactly."""
+
+
+def casadi() -> Any:
+    """Import CasADi.
+
+    Raises
+    ------
+    ConfigError
+        It is not installed.
+    """
+    try:
+        return import_module("casadi")
+    except ImportError as error:
+        raise ConfigError('NMPC needs CasADi: pip install "ddpc-cosim[nmpc]"') from error
+
+
+def find_model(model: str, fmu: str) -> Any:
+    """Return a plant's model by its name or ``module:MODEL``; without, the one that an FMU was exported from.
+
+    Raises
+    ------
+    PluginError
+        There is none of this name.
+    ConfigError
+        The FMU is of no plant that is installed, or what is named has no equations.
+    """
+    if model:
+        found = load_plugin("plants", model)
+    elif fmu == "{plant}":
+        raise ConfigError('NMPC: which plant? give model, for example model = "pendulum"')
+    else:
+        name = _model_name(fmu)
+        known = {getattr(plugin.value, "name", ""): plugin.value for plugin in installed("plants")}
+        if name not in known:
+            raise ConfigError(f'NMPC: {Path(fmu).name} is of no installed plant; give model = "module:MODEL"')
+        found = known[name]
+    if not callable(getattr(found, "equations", None)):
+        raise ConfigError(f'NMPC: model = "{model}" has no equations; needed: a PlantModel')
+    return found
+
+
+def _model_name(fmu: str) -> str:
+    try:
+        with zipfile.ZipFile(fmu) as archive:
+            return ElementTree.fromstring(archive.read("modelDescription.xml")).get("modelName", "")
+    except (OSError, KeyError, zipfile.BadZipFile, ElementTree.ParseError) as error:
+        raise ConfigError(f"NMPC: {fmu} is not an FMU that can be read: {error}") from error
+
+
+def measured_signals(loop: Loop) -> tuple[Variable, ...]:
+    """Return the outputs, then the measurements that are not outputs."""
+    outputs = {variable.name for variable in loop.outputs}
+    return (*loop.outputs, *(variable for variable in loop.measurements if variable.name not in outputs))
+
+
+class PlantEquations:
+    """A plant's equations, sampled for a loop.
+
+    Parameters
+    ----------
+    model : PlantModel
+        The plant.
+    loop : Loop
+        Its inputs and outputs are the model's, by name; further inputs rest at their start values.
+    given : mapping of str to float
+        Parameters, and inputs that the loop does not drive, that differ from the model's.
+
+    Attributes
+    ----------
+    advance, output : casadi.Function
+        x+ and what is measured, see :func:`measured_signals`, as functions of (x, u, d, t).
+    start : array, shape (n,)
+        States that the model starts from.
+    nominal : array, shape (n,)
+        Their nominal values.
+    disturbances : int
+        Size of d.
+
+    Raises
+    ------
+    ConfigError
+        Every signal that the model does not have, or a function that CasADi does not.
+    """
+
+    def __init__(self, model: Any, loop: Loop, given: Mapping[str, float]) -> None:
+        ca = casadi()
+        signals = measured_signals(loop)
+        driven = [variable.name for variable in loop.inputs]
+        _check_names(model, driven, [variable.name for variable in signals], given)
+        constants = {v.name: v.start for v in (*model.inputs, *model.parameters)} | dict(given)
+
+        states = [state.name for state in model.states]
+        n, m, p = len(states), len(driven), len(loop.outputs)
+        x, u, t = ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("t")
+        self.disturbances = m if m <= p else p
+        d = ca.SX.sym("d", self.disturbances)
+        applied = u + d if m <= p else u
+        values = constants | dict(zip(driven, ca.vertsplit(applied), strict=True)) | {"time": t}
+        values |= dict(zip(states, ca.vertsplit(x), strict=True))
+        equations = model.equations(_Symbols([*values]))
+        convert = _Converter(ca, values)
+        outputs = {name: values[name] for name in states} | {
+            name: convert(expression) for name, expression in equations.outputs.items()
+        }
+        slope = ca.Function(
+            "slope", [x, u, d, t], [ca.vertcat(*(convert(equations.derivatives[s]) for s in states))]
+        )
+        seen = ca.vertcat(*(outputs[variable.name] for variable in signals))
+        if m > p:
+            seen += ca.vertcat(d, ca.SX.zeros(len(signals) - p))
+        self.output = ca.Function("output", [x, u, d, t], [seen])
+        self.start = np.array([state.start for state in model.states])
+        self.nominal = np.array([state.nominal for state in model.states])
+        rest = np.array([variable.start for variable in loop.inputs])
+        self.steps = _steps(
+            ca, slope, (self.start, rest, np.zeros(self.disturbances), 0.0), loop.sampling_time
+        )
+        h, end = loop.sampling_time / self.steps, x
+        for i in range(self.steps):
+            end = _runge_kutta(lambda x, t: slope(x, u, d, t), end, t + i * h, h)
+        self.advance = ca.Function("advance", [x, u, d, t], [end])
+
+
+class _Symbols:
+    """The symbols that a plant's equations are given."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        symbol = import_module("sympy").Symbol
+        self._symbols = {name: symbol(name, real=True) for name in names}
+
+    def __getitem__(self, name: str) -> Any:
+        return self._symbols[name]
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return self._symbols[name]
+
+
+class _Converter:
+    """SymPy expressions in CasADi's."""
+
+    def __init__(self, ca: Any, values: Mapping[str, Any]) -> None:
+        self._ca, self._values = ca, values
+        self._sympy: Any = import_module("sympy")
+
+    def __call__(self, expression: Any) -> Any:
+        """Return an expression of the symbols' values."""
+        sympy, ca = self._sympy, self._ca
+        expression = sympy.sympify(expression)
+        if expression.is_Symbol:
+            return self._values[expression.name]
+        if expression.is_number:
+            return float(expression)
+        if isinstance(expression, sympy.Piecewise):
+            return self._piecewise(expression.args)
+        parts = [self(part) for part in expression.args]
+        many = {"Add": ca.plus, "Mul": ca.times, "Max": ca.fmax, "Min": ca.fmin}
+        renamed = {"Pow": "power", "Abs": "fabs", "ceiling": "ceil", "StrictGreaterThan": "gt"}
+        renamed |= {"GreaterThan": "ge", "StrictLessThan": "lt", "LessThan": "le"}
+        name = type(expression).__name__
+        if name in many:
+            return reduce(many[name], parts)
+        function = getattr(ca, renamed.get(name, name), None)
+        if function is None:
+            raise ConfigError(f"NMPC: the model's equations use {name}, which is not converted to CasADi")
+        return function(*parts)
+
+    def _piecewise(self, pieces: Sequence[Any]) -> Any:
+        (value, condition), *others = pieces
+        if condition == True or not others:  # noqa: E712 - SymPy's own truth
+            return self(value)
+        return self._ca.if_else(self(condition), self(value), self._piecewise(others))
+
+
+def _check_names(
+    model: Any, driven: Sequence[str], signals: Sequence[str], given: Mapping[str, float]
+) -> None:
+    known = {
+        "input": ([v.name for v in model.inputs], driven),
+        "output": ([v.name for v in (*model.states, *model.outputs)], signals),
+        "parameter": ([v.name for v in (*model.parameters, *model.inputs) if v.name not in driven], given),
+    }
+    faults = [
+        f'NMPC: model {model.name} has no {what} "{name}"; it has: {", ".join(names)}'
+        for what, (names, wanted) in known.items()
+        for name in dict.fromkeys(wanted)
+        if name not in names
+    ]
+    if faults:
+        raise ConfigError(faults)
+
+
+def _steps(ca: Any, slope: Any, point: Sequence[Any], duration: float) -> int:
+    """Return how many Runge-Kutta steps make a sample, by the fastest mode where the plant starts."""
+    arguments = slope.sx_in()
+    jacobian = ca.Function("jacobian", arguments, [ca.jacobian(slope(*arguments), arguments[0])])
+    fastest = np.abs(np.linalg.eigvals(jacobian(*point).full())).max(initial=0.0)
+    return int(np.clip(np.ceil(duration * fastest / _STEP_TIMES_POLE), 2, _MOST_STEPS))
+
+
+def _runge_kutta(slope: Callable[[Any, Any], Any], x: Any, t: Any, h: float) -> Any:
+    k1 = slope(x, t)
+    k2 = slope(x + h / 2 * k1, t + h / 2)
+    k3 = slope(x + h / 2 * k2, t + h / 2)
+    k4 = slope(x + h * k3, t + h)
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+class ExtendedKalmanFilter:
+    """The states of a plant's equations and their disturbance, estimated from what is measured.
+
+    Parameters
+    ----------
+    plant : PlantEquations
+        The equations.
+    loop : Loop
+        Nominal values of its signals are what the noise is in parts of.
+    process_noise, disturbance_noise, measurement_noise : float
+        Standard deviations of what is added to the inputs, of the change of the disturbance per sample, and
+        of what is measured.
+
+    Attributes
+    ----------
+    x, d : array, shapes (n,) and (disturbances,)
+        The estimate.
+    """
+
+    def __init__(
+        self,
+        plant: PlantEquations,
+        loop: Loop,
+        process_noise: float,
+        disturbance_noise: float,
+        measurement_noise: float,
+    ) -> None:
+        ca = casadi()
+        x, u, d, t = plant.advance.sx_in()
+        z = ca.vertcat(x, d)
+        self._ahead, self._seen = (
+            ca.Function("model", [x, u, d, t], [value, ca.jacobian(value, z), ca.jacobian(value, u)])
+            for value in (plant.advance(x, u, d, t), plant.output(x, u, d, t))
+        )
+        signals = measured_signals(loop)
+        carrier = loop.inputs if plant.disturbances == len(loop.inputs) else loop.outputs
+        own = measurement_noise * np.abs([variable.nominal for variable in signals])
+        change = disturbance_noise * np.abs([variable.nominal for variable in carrier])
+        self._drive = (process_noise * np.abs([variable.nominal for variable in loop.inputs])) ** 2
+        self._noise, self._wander = np.diag(own**2), np.append((_STATE_NOISE * plant.nominal) ** 2, change**2)
+        self.x, self.d = plant.start.copy(), np.zeros(plant.disturbances)
+        self._covariance = np.diag(self._wander)
+
+    def correct(self, measured: FloatArray, u: FloatArray, t: float) -> None:
+        """Take what is measured, shape (s,), as far as it is finite, after inputs u, shape (m,)."""
+        expected, c, _ = (matrix.full() for matrix in self._seen(self.x, u, self.d, t))
+        known = np.isfinite(measured)
+        c, surprise = c[known], (measured - expected[:, 0])[known]
+        spread = c @ self._covariance
+        gain = np.linalg.solve(spread @ c.T + self._noise[np.ix_(known, known)], spread).T
+        self._covariance = self._covariance - gain @ spread
+        change = gain @ surprise
+        self.x, self.d = self.x + change[: len(self.x)], self.d + change[len(self.x) :]
+
+    def predict(self, u: FloatArray, t: float) -> None:
+        """Go on by one sample with inputs u, shape (m,)."""
+        x, of_z, b = (matrix.full() for matrix in self._ahead(self.x, u, self.d, t))
+        n = len(self.x)
+        a = np.vstack([of_z, np.eye(len(self.d), n + len(self.d), n)])
+        covariance = a @ self._covariance @ a.T + np.diag(self._wander)
+        covariance[:n, :n] += (b * self._drive) @ b.T
+        self._covariance, self.x = (covariance + covariance.T) / 2, x[:, 0]

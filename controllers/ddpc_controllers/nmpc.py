@@ -1,0 +1,208 @@
+"""Nonlinear model predictive control on the plant's own equations: what is possible at all.
+
+    min  sum_k |h(x_k) - r_k|_Q^2 + |u_k-1 - u_k-2|_R^2,   x_k+1 = F(x_k, u_k + d, t_k),   u_k within limits
+
+by direct multiple shooting (H. G. Bock, K. J. Plitt, IFAC World Congress 1984) and IPOPT (A. Waechter, L. T.
+Biegler, Math. Program. 106, 2006, doi:10.1007/s10107-004-0559-y), both by way of CasADi (J. A. E. Andersson
+et al., Math. Program. Comput. 11, 2019, doi:10.1007/s12532-018-0139-4). States and a constant disturbance d
+are estimated by an extended Kalman filter that starts from the model's own start values.
+
+It is a reference point, not a contender: equations and parameters are those that the plant is made of. It is
+not told what acts on the plant besides: the weather, say, or parameters that change in a scenario.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ddpc_controllers.checks import check_settings_and, knowing, weight_matrices
+from ddpc_controllers.data.hankel import resting_input
+from ddpc_controllers.models.plant_equations import (
+    ExtendedKalmanFilter,
+    PlantEquations,
+    casadi,
+    find_model,
+)
+from ddpc_controllers.optimisation.limits import HELD_WITHOUT_REFERENCE, LAST_HELD, PREDICTED
+from ddpc_cosim import OK, Action, Controller, FloatArray, Loop, Sample, Weight, setting
+
+_EXCEEDED = 1e4
+"""Weight of what predicted outputs exceed their bounds by, in parts of their nominal values."""
+
+
+@dataclass(kw_only=True)
+class NMPC(Controller):
+    """Nonlinear model predictive control on the plant's own equations.
+
+    A measurement that is not finite is replaced by the model's prediction. Where IPOPT finds no optimum
+    within its iterations, the next inputs of the last plan are applied, without a plan the last inputs held.
+    Each is a status.
+    """
+
+    accepts_missing: ClassVar[bool] = True
+
+    model: str = setting(
+        "", doc="the plant: its name or module:MODEL; empty: the installed one that `fmu` was exported from"
+    )
+    fmu: str = setting(
+        "{plant}", file=True, doc='path of an FMU; in a study, "{plant}" is the FMU it controls'
+    )
+    parameters: Mapping[str, float] = setting(
+        default_factory=dict, doc="parameters, and inputs that are not driven, that differ from the model's"
+    )
+    horizon: int = setting(20, low=1, doc="prediction horizon N, samples")
+    output_weight: Weight = setting(1.0, low=0.0, doc="Q: outputs off the reference, in nominal values")
+    change_weight: Weight = setting(1e-3, above=0.0, doc="R: changes of the inputs, in nominal values")
+    process_noise: float = setting(
+        1.0, above=0.0, doc="filter: standard deviation of what adds to the inputs, in nominal values"
+    )
+    disturbance_noise: float = setting(
+        1.0, above=0.0, doc="filter: standard deviation of the disturbance's change per sample"
+    )
+    measurement_noise: float = setting(0.1, above=0.0, doc="filter: standard deviation of the measurements")
+    iterations: int = setting(100, low=1, doc="most iterations of IPOPT in a sample")
+
+    def __post_init__(self) -> None:
+        check_settings_and(self, lambda: [])
+        casadi()
+
+    def start(self, loop: Loop) -> None:
+        """Find the equations, and set up the filter and the nonlinear program.
+
+        Raises
+        ------
+        ConfigError
+            The plant is not found or has no such signals, or a weight does not fit.
+        """
+        model = find_model(self.model, self.fmu)
+        plant = PlantEquations(model, loop, self.parameters)
+        self._named, self._steps = model.name, plant.steps
+        self._filter = ExtendedKalmanFilter(
+            plant, loop, self.process_noise, self.disturbance_noise, self.measurement_noise
+        )
+        self._u, self._u_min, self._u_max = resting_input(loop), loop.bounds.u_min, loop.bounds.u_max
+        controlled = [variable.name for variable in loop.outputs]
+        self._further = [i for i, v in enumerate(loop.measurements) if v.name not in controlled]
+        self._program(plant, loop)
+        if loop.continues_recording and loop.recording is not None:
+            newest = loop.recording.pieces[-1]
+            for k, (u, y, measured) in enumerate(zip(newest.u, newest.y, newest.measured, strict=True)):
+                time = (k - len(newest)) * loop.sampling_time
+                self._filter.correct(self._signals(y, measured), self._u, time)
+                self._filter.predict(u, time)
+                self._u = u
+        states = np.zeros((len(plant.start), self.horizon))
+        inputs = np.tile((self._u / self._u_unit)[:, np.newaxis], self.horizon)
+        self._guess, self._planned = (states, inputs), False
+
+    def _program(self, plant: PlantEquations, loop: Loop) -> None:
+        """Set up the nonlinear program, in parts of nominal values: states first, then inputs."""
+        ca = casadi()
+        n, m, p, steps = len(plant.start), len(loop.inputs), len(loop.outputs), self.horizon
+        q, r = weight_matrices(output_weight=(self.output_weight, p), change_weight=(self.change_weight, m))
+        u_unit = np.abs([variable.nominal for variable in loop.inputs])
+        y_unit = np.abs([variable.nominal for variable in loop.outputs])
+        self._u_unit = u_unit
+        states, inputs = ca.MX.sym("x", n, steps), ca.MX.sym("u", m, steps)
+        known = {
+            name: ca.MX.sym(name, *shape)
+            for name, shape in {
+                "x": (n, 1),
+                "d": (plant.disturbances, 1),
+                "u": (m, 1),
+                "r": (p, steps),
+                "t": (1, 1),
+            }.items()
+        }
+        x = ca.repmat(plant.start, 1, steps) + states * ca.repmat(plant.nominal, 1, steps)
+        u = inputs * ca.repmat(u_unit, 1, steps)
+        d, times = ca.repmat(known["d"], 1, steps), known["t"] + loop.sampling_time * ca.DM(range(steps)).T
+        before = ca.horzcat(known["x"], x[:, :-1])
+        defects = (plant.advance.map(steps)(before, u, d, times) - x) / ca.repmat(plant.nominal, 1, steps)
+        y = plant.output.map(steps)(x, u, d, times + loop.sampling_time)[:p, :]
+        errors = (y - known["r"]) / ca.repmat(y_unit, 1, steps)
+        changes = inputs - ca.horzcat(known["u"] / u_unit, inputs[:, :-1])
+        cost = ca.dot(errors, q @ errors) + ca.dot(changes, r @ changes)
+        for sign, limits in ((1.0, loop.bounds.y_max), (-1.0, loop.bounds.y_min)):
+            for i in np.flatnonzero(np.isfinite(limits)):
+                cost += _EXCEEDED * ca.sumsqr(ca.fmax(sign * (y[int(i), :] - limits[i]) / y_unit[i], 0.0))
+        self._low, self._high = (
+            np.concatenate([np.full(n * steps, side), np.tile(bound / u_unit, steps)])
+            for side, bound in ((-np.inf, loop.bounds.u_min), (np.inf, loop.bounds.u_max))
+        )
+        options = {
+            "expand": True,
+            "print_time": False,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "max_iter": self.iterations,
+                "tol": 1e-6,
+                "warm_start_init_point": "yes",
+                "mu_init": 1e-3,
+            },
+        }
+        program = {
+            "x": ca.veccat(states, inputs),
+            "f": cost,
+            "g": ca.vec(defects),
+            "p": ca.veccat(*known.values()),
+        }
+        self._solver: Any = ca.nlpsol("nmpc", "ipopt", program, options)
+
+    def _signals(self, y: FloatArray, measured: FloatArray) -> FloatArray:
+        """Return the outputs, then the measurements that are not outputs."""
+        return np.concatenate([y, measured[self._further]])
+
+    def step(self, sample: Sample) -> Action:
+        """Return the first inputs of the optimal plan, shape (m,)."""
+        signals = self._signals(sample.y, sample.measured)
+        self._filter.correct(signals, self._u, sample.time)
+        u, status, iterations = self._solve(sample)
+        self._filter.predict(u, sample.time)
+        self._u = u
+        missing = OK if np.isfinite(signals).all() else PREDICTED
+        return Action(u.copy(), status or missing, {"iterations": iterations})
+
+    def _solve(self, sample: Sample) -> tuple[FloatArray, str, float]:
+        """Return the next inputs, why they are not the optimum, and the iterations that they took."""
+        if not np.isfinite(sample.reference).all():
+            return self._u, HELD_WITHOUT_REFERENCE, 0.0
+        states, inputs = self._guess
+        known = (self._filter.x, self._filter.d, self._u, sample.reference.ravel(), np.array([sample.time]))
+        found = self._solver(
+            x0=np.concatenate([states.ravel("F"), inputs.ravel("F")]),
+            p=np.concatenate(known),
+            lbx=self._low,
+            ubx=self._high,
+            lbg=0.0,
+            ubg=0.0,
+        )
+        told = self._solver.stats()
+        if told["success"]:
+            plan = found["x"].full()[:, 0]
+            states = plan[: states.size].reshape(states.shape, order="F")
+            inputs = plan[states.size :].reshape(inputs.shape, order="F")
+            self._planned, status = True, ""
+        else:
+            instead = "the next inputs of the last plan are applied" if self._planned else LAST_HELD
+            status = f"{told['return_status']}: {instead}"
+        u = np.clip(inputs[:, 0] * self._u_unit, self._u_min, self._u_max)
+        self._guess = _next(states), _next(inputs)
+        return u, status, float(told["iter_count"])
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """Return the number of states, and of Runge-Kutta steps in a sample."""
+        return {"model_order": float(len(self._filter.x)), "steps_per_sample": float(self._steps)}
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return that it has the plant's own equations."""
+        told = f"everything: the equations, parameters and start values of {self._named}"
+        return knowing(told, loop.outputs, loop.measurements)
+
+
+def _next(plan: FloatArray) -> FloatArray:
+    """Return a plan from its second sample on, the last one repeated."""
+    return np.hstack([plan[:, 1:], plan[:, -1:]])

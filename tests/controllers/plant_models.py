@@ -1,0 +1,29 @@
+"""Plants as equations, for the controller that goes by them."""
+
+from fmu_plants import Equations, PlantModel, Symbols, Variable
+
+
+def reference_plant(v: Symbols) -> Equations:
+    """The plant of the conformance kit: x' = G u - x."""
+    return Equations({"y1": v.u1 + 0.1 * v.u2 - v.y1, "y2": 0.1 * v.u1 + v.u2 - v.y2})
+
+
+def every_function(v: Symbols) -> Equations:
+    from sympy import Abs, Max, Min, Piecewise, atan2, ceiling, cos, exp, floor, log, sign, sqrt, tan, tanh
+
+    x, u = v.y1, v.u1
+    smooth = exp(-x) * cos(u) + tan(x / 9) + atan2(x, 2 + u) + log(3 + x**2) / sqrt(2 + u) + tanh(x) ** 3
+    jumps = floor(3 * x) + ceiling(2 * u) + sign(x) * Abs(u) + Max(x, u, 0.1) - Min(x, -u)
+    cases = Piecewise((x**2, x > 0.5), (-u, u <= -0.2), (1.5, True))
+    return Equations({"y1": smooth + v.time, "y2": jumps + cases})
+
+
+def _model(equations: object) -> PlantModel:
+    outputs = tuple(Variable(f"y{i}") for i in (1, 2))
+    inputs = tuple(Variable(f"u{i}", min=-1.0, max=1.0) for i in (1, 2))
+    return PlantModel(
+        name=equations.__name__, equations=equations, states=outputs, inputs=inputs, outputs=outputs
+    )
+
+
+REFERENCE, FUNCTIONS = _model(reference_plant), _model(every_function)

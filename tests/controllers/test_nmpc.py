@@ -1,0 +1,266 @@
+"""Nonlinear MPC on the plant's equations: its optimum, its observer, its fallbacks; and idle."""
+
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+
+from ddpc_controllers import NMPC, Idle
+from ddpc_controllers.models.plant_equations import PlantEquations, find_model
+from ddpc_cosim import (
+    OK,
+    Bounds,
+    ConfigError,
+    FMUPlant,
+    Loop,
+    PluginError,
+    Sample,
+    Steps,
+    Variable,
+    cosimulate,
+)
+from ddpc_cosim.plugins import load_plugin
+from fmu_plants import build_fmu
+from fmu_plants.equations import resolve
+
+from .loops import ANGLE, DEGREE, close_loop, pendulum, pendulum_loop, quick_pendulum
+from .plant_models import FUNCTIONS
+
+PENDULUM = {
+    "inputs": (Variable("torque"),),
+    "outputs": (Variable("angle"),),
+    "measurements": (Variable("angle"),),
+}
+
+
+def loop_of(**changes: Any) -> Loop:
+    """Return the pendulum's loop, its angle measured."""
+    return replace(pendulum_loop(None), **(PENDULUM | changes))
+
+
+def step_of(angle: float = 0.0, reference: float = 0.3, horizon: int = 20, k: int = 0) -> Sample:
+    y = np.array([angle])
+    return Sample(k, 0.1 * k, y, y, np.full((horizon, 1), reference), np.array([reference]))
+
+
+def test_its_inputs_are_those_of_the_best_plan_for_the_whole_run() -> None:
+    """The oracle knows all 30 samples and solves the problem once, by another integrator and solver."""
+    samples, weight = 30, 1e-2
+    reference = np.repeat([0.0, 0.35, -0.17], 10)
+
+    def residuals(torques: np.ndarray) -> np.ndarray:
+        x, errors = np.zeros(2), []
+        for torque, r in zip(torques, reference, strict=True):
+            x = quick_pendulum(x, np.array([torque]))
+            errors.append(x[0] - r)
+        return np.append(errors, np.sqrt(weight) * np.diff(torques, prepend=0.0))
+
+    best = least_squares(residuals, np.zeros(samples), bounds=(-2.5, 2.5), xtol=1e-10, ftol=1e-10)
+    loop = loop_of(bounds=Bounds(np.array([-2.5]), np.array([2.5]), np.array([-9.0]), np.array([9.0])))
+    future = np.concatenate([[0.0], reference, np.full(30, reference[-1])])[:, np.newaxis]
+    run = close_loop(
+        NMPC(model="pendulum", horizon=30, change_weight=weight), loop, pendulum, ANGLE, future, steps=samples
+    )
+    assert set(run.status) == {OK}
+    assert np.abs(run.u).max() == pytest.approx(2.5, abs=1e-4)
+    # Beyond the run the controller goes on caring, the oracle does not.
+    assert np.abs(run.u[:20, 0] - best.x[:20]).max() <= 0.02
+    assert 2.0 * best.cost <= np.square(residuals(run.u[:, 0])).sum() <= 1.01 * 2.0 * best.cost
+
+
+TASKS: dict[str, tuple[dict[str, tuple[float, float]], dict[str, float], float, int]] = {
+    "pendulum": ({"torque": (-3.5, 3.5)}, {"angle": 0.35}, 0.1, 30),
+    "van-der-pol": ({"force": (-3.0, 3.0)}, {"position": 1.0}, 0.2, 30),
+    "quadruple-tank": (
+        {"pump_1": (0.0, 6.0), "pump_2": (0.0, 6.0)},
+        {"level_1": 2.0, "level_2": -1.0},
+        10.0,
+        50,
+    ),
+    "cstr": ({"coolant_temperature": (285.0, 310.0)}, {"temperature": 10.0}, 10.0, 50),
+    "two-mass-drive": ({"motor_torque": (-5.0, 5.0)}, {"load_speed": 10.0}, 0.02, 40),
+    "cart-pendulum": ({"force": (-10.0, 10.0)}, {"angle": 0.05}, 0.02, 40),
+    "distillation-column": (
+        {"reflux": (1.6, 2.3), "steam": (1.4, 2.0)},
+        {"distillate": 0.75, "bottoms": 0.5},
+        120.0,
+        50,
+    ),
+    "building": ({"heating_power": (0.0, 8000.0)}, {"indoor_temperature": 1.0}, 900.0, 40),
+    "servo": ({"torque": (-3.0, 3.0)}, {"angle": 0.5}, 0.05, 40),
+    "boiler-turbine": (
+        dict.fromkeys(("fuel_valve", "steam_valve", "feedwater_valve"), (0.0, 1.0)),
+        {"pressure": 4.0, "power": 5.0, "level": 0.0},
+        10.0,
+        50,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_it_leaves_less_than_a_hundredth_of_a_step_on_every_plant(name: str) -> None:
+    bounds, steps, sampling_time, samples = TASKS[name]
+    model = load_plugin("plants", name)
+    with FMUPlant(build_fmu(model), inputs=[*bounds], outputs=[*steps], isolated=False) as plant:
+        at_rest = dict(zip(steps, plant.reset(), strict=True))
+        trace = cosimulate(
+            plant,
+            NMPC(model=name, horizon=15),
+            sampling_time=sampling_time,
+            duration=samples * sampling_time,
+            reference={
+                output: Steps((0.0, 3 * sampling_time), (y, y + steps[output]))
+                for output, y in at_rest.items()
+            },
+            bounds=bounds,
+        )
+    assert trace.outcome == "completed"
+    assert set(trace.status) == {OK}
+    left = np.abs(trace.y - trace.reference)[-5:]
+    size = np.array([abs(step) or 0.1 for step in steps.values()])
+    assert (left / size).max() <= 0.01
+
+
+@pytest.mark.parametrize("name", ["cart-pendulum", "servo", "distillation-column"])
+def test_its_prediction_is_that_of_the_equations(name: str) -> None:
+    """One sample from the start, by another integrator: unstable, stiff with friction, and of 24 states."""
+    model = load_plugin("plants", name)
+    bounds, _, sampling_time, _ = TASKS[name]
+    driven = tuple(v for v in model.inputs if v.name in bounds)
+    plant = PlantEquations(
+        model, loop_of(inputs=driven, outputs=model.outputs, measurements=(), sampling_time=sampling_time), {}
+    )
+    symbols = ["time", *(v.name for v in (*model.states, *model.inputs, *model.parameters))]
+    slopes = sympy.lambdify(
+        [sympy.Symbol(s, real=True) for s in symbols], [*resolve(model).derivatives.values()]
+    )
+    inputs = np.array([v.start for v in model.inputs])
+    inputs[: len(driven)] += 0.5 * np.array([v.nominal for v in driven])
+    constants = [parameter.start for parameter in model.parameters]
+    x = np.array([v.start for v in model.states])
+    exact = solve_ivp(
+        lambda t, x: slopes(t, *x, *inputs, *constants),
+        (0.0, sampling_time),
+        x,
+        "Radau",
+        rtol=1e-9,
+        atol=1e-11,
+    ).y[:, -1]
+    u, d = inputs[: len(driven)], np.zeros(plant.disturbances)
+    ahead, expected = (plant.output(z, u, d, 0.0).full()[:, 0] for z in (plant.advance(x, u, d, 0.0), exact))
+    assert ahead == pytest.approx(expected, rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize("point", [(0.3, -0.7), (0.9, 0.4), (-0.6, -0.1)])
+def test_every_function_of_the_equations_is_converted(point: tuple[float, float]) -> None:
+    loop = loop_of(inputs=FUNCTIONS.inputs, outputs=FUNCTIONS.outputs, measurements=(), sampling_time=1e-9)
+    plant = PlantEquations(FUNCTIONS, loop, {})
+    x, u = np.array([point[0], 0.0]), np.array([point[1], 0.0])
+    slope = (plant.advance(x, u, np.zeros(2), 0.5).full()[:, 0] - x) / 1e-9
+    values = {"y1": point[0], "y2": 0.0, "u1": point[1], "u2": 0.0, "time": 0.5}
+    expected = [
+        float(expression.subs({symbol: values[symbol.name] for symbol in expression.free_symbols}))
+        for expression in resolve(FUNCTIONS).derivatives.values()
+    ]
+    assert slope == pytest.approx(expected, rel=1e-5, abs=1e-5)
+
+
+def test_what_it_is_not_told_of_leaves_no_offset() -> None:
+    """A torque that nobody announces, and a pendulum that is heavier than its model."""
+
+    def heavier(x: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        return quick_pendulum(x, torque / 1.3 + 0.4)
+
+    reference = np.full((100, 1), 15.0 * DEGREE)
+    run = close_loop(NMPC(model="pendulum"), loop_of(), heavier, ANGLE, reference, steps=60)
+    assert np.abs(run.y - run.reference[:60])[-10:].max() <= 0.01 * 15.0 * DEGREE
+
+
+def test_it_uses_every_measurement_that_it_says_it_uses() -> None:
+    loop = loop_of(measurements=(Variable("angle"), Variable("angular_velocity")))
+    answers = []
+    for velocity in (-0.4, 0.6):
+        controller = NMPC(model="pendulum", measurement_noise=1e-6)
+        controller.start(loop)
+        measured, nothing = np.array([0.2, velocity]), np.zeros((20, 1))
+        answers.append(controller.step(Sample(0, 0.0, measured[:1], measured, nothing, nothing[0])).u[0])
+    assert answers[0] > answers[1] + 0.01
+    facts = controller.knowledge(loop)
+    assert facts["measures"] == "angle, angular_velocity"
+    assert "equations" in facts["plant"]
+
+
+def test_where_no_optimum_is_found_the_last_plan_goes_on_or_the_inputs_are_held() -> None:
+    hurried = NMPC(model="pendulum", iterations=1)
+    hurried.start(loop_of())
+    first = hurried.step(step_of())
+    assert first.status == "Maximum_Iterations_Exceeded: the last input is held"
+    assert np.array_equal(first.u, [0.0])
+
+    planned = NMPC(model="pendulum")
+    planned.start(loop_of())
+    planned.step(step_of())
+    plan = planned._guess[1][0]
+    x = quick_pendulum(np.zeros(2), np.zeros(1))
+    planned._solver = hurried._solver
+    second = planned.step(step_of(float(x[0]), -0.3, k=1))
+    assert second.status == "Maximum_Iterations_Exceeded: the next inputs of the last plan are applied"
+    assert second.u == pytest.approx(plan[:1])
+
+
+def test_a_missing_measurement_is_predicted_and_a_missing_reference_holds_the_inputs() -> None:
+    controller = NMPC(model="pendulum")
+    controller.start(loop_of())
+    acted = controller.step(step_of())
+    blind = controller.step(step_of(float("nan"), k=1))
+    assert "prediction" in blind.status
+    assert np.isfinite(blind.u).all()
+    held = controller.step(step_of(reference=float("nan"), k=2))
+    assert "reference" in held.status
+    assert np.array_equal(held.u, blind.u)
+    assert acted.info["iterations"] > 0
+
+
+def test_without_casadi_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    with pytest.raises(ConfigError, match=r'pip install "ddpc-cosim\[nmpc\]"'):
+        NMPC(model="pendulum")
+
+
+def test_the_plant_is_found_by_name_or_by_its_fmu(tmp_path: Any) -> None:
+    pendulum_model = load_plugin("plants", "pendulum")
+    assert find_model("pendulum", "{plant}") is pendulum_model
+    assert find_model("fmu_plants.pendulum:MODEL", "{plant}") is pendulum_model
+    assert find_model("", str(build_fmu(pendulum_model))) is pendulum_model
+    with pytest.raises(ConfigError, match=r"which plant\? give model"):
+        find_model("", "{plant}")
+    with pytest.raises(PluginError, match='did you mean "pendulum"'):
+        find_model("pendlum", "{plant}")
+    (tmp_path / "no.fmu").write_text("")
+    with pytest.raises(ConfigError, match="is not an FMU that can be read"):
+        find_model("", str(tmp_path / "no.fmu"))
+    with pytest.raises(ConfigError, match="has no equations"):
+        find_model("ddpc_cosim:Plant", "{plant}")
+
+
+def test_every_name_that_the_model_does_not_have_is_told_at_once() -> None:
+    loop = loop_of(inputs=(Variable("push"),), outputs=(Variable("height"),))
+    with pytest.raises(ConfigError) as caught:
+        NMPC(model="pendulum", parameters={"weight": 1.0}).start(loop)
+    assert [fault.split('"')[1] for fault in caught.value.faults] == ["push", "height", "weight"]
+
+
+def test_idle_rests_whatever_happens() -> None:
+    start = Variable("torque", start=0.4)
+    controller = Idle()
+    controller.start(loop_of(inputs=(start,)))
+    assert [float(controller.step(step_of(angle, k=k))[0]) for k, angle in enumerate((0.0, np.nan))] == [
+        0.4,
+        0.4,
+    ]
+    assert controller.knowledge(loop_of()) == {"measures": "", "plant": "nothing"}
