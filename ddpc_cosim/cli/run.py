@@ -44,16 +44,17 @@ def run_command(
         # What a controller prints when it is tried here is not a result; a case keeps what it prints there.
         with _warnings_in_one_line(), Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
             resolved = read_study(name)
-        folder = out or Path("runs") / resolved.study.name
+        folder = out or Path("runs") / resolved.head.name
         selection = Selection(jobs or os.cpu_count() or 1, chosen, only, fresh, sandbox)
         with _warnings_in_one_line():
             results = run_study(resolved, folder, selection, progress)
     # Where no window limits it, the table takes the width it needs.
     screen = Console(width=None if sys.stdout.isatty() else _WIDE)
-    for line in following_lines(results.study, results.cases):
-        screen.print(printable(f"{line}."), markup=False, highlight=False, style="bold")
-    if results.cases:
-        screen.print(summary_table(results, screen))
+    for problem in results.problems():
+        for line in following_lines(problem.study, problem.cases):
+            screen.print(printable(f"{line}."), markup=False, highlight=False, style="bold")
+        if problem.cases:
+            screen.print(summary_table(problem, screen))
     if report:
         print(write_report([results], folder / REPORT_FILE))
     _print_warnings(results)

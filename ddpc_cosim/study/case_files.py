@@ -76,6 +76,8 @@ class CaseResult:
     transient : bool
         Whether it is run again next time, as it may end otherwise: it crashed, was late, or the machine may
         be at fault.
+    problem : str
+        The problem's name; of a flat study its own.
     """
 
     id: str
@@ -93,6 +95,7 @@ class CaseResult:
     folder: Path
     sandbox: str = ""
     transient: bool = False
+    problem: str = ""
 
     def trace(self) -> Trace:
         """Read the samples of the run.
@@ -120,7 +123,7 @@ def load_case(folder: Path) -> CaseResult:
         run = read_run(folder)
         _signals(folder, run)
         keys = ("id", "controller", "label", "scenario", "seed", "reason", "sandbox")
-        head = {key: run[key] for key in keys}
+        head = {key: run[key] for key in keys} | {"problem": run.get("problem", "")}
         values = {key: run[key] for key in ("holds", "metrics", "diagnostics", "settings")}
         told, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
         transient = run["transient"] or outcome in _TRANSIENT
@@ -187,7 +190,7 @@ def stage_case(
     """
     settings = settings or MetricSettings(trace.preview)
     run = (
-        {"printed": "", "sandbox": ""}
+        {"printed": "", "sandbox": "", "problem": ""}
         | head
         | {
             "outcome": trace.outcome.value,

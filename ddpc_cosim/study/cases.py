@@ -100,6 +100,8 @@ class Case:
         Readable name and a hash of everything that decides the result, code version included.
     sandbox : str
         The sandbox that it is run in, in words, which does not decide the result; empty: none.
+    problem : str
+        The problem's name, where the study has several.
     """
 
     controller: str
@@ -132,12 +134,14 @@ class Case:
     late: str = ""
     id: str = ""
     sandbox: str = ""
+    problem: str = ""
 
     @property
     def name(self) -> str:
-        """Readable name: controller, scenario where there are several in play, seed."""
+        """Readable name: problem and scenario where there are several in play, controller, seed."""
+        problem = f"{self.problem}_" if self.problem else ""
         scenario = "" if self.scenario == "nominal" else f"_{self.scenario}"
-        return f"{self.controller}{scenario}_seed{self.seed}"
+        return f"{problem}{self.controller}{scenario}_seed{self.seed}"
 
     @property
     def changed_inputs(self) -> tuple[Variable, ...]:
@@ -146,14 +150,14 @@ class Case:
 
     def head(self) -> dict[str, Any]:
         """Return the identifiers of the case for its ``run.json``."""
-        keys = ("id", "controller", "label", "scenario", "seed", "sandbox")
+        keys = ("id", "problem", "controller", "label", "scenario", "seed", "sandbox")
         return {key: getattr(self, key) for key in keys}
 
 
 def cases_of(
     resolved: "ResolvedStudy", plant: PlantSpec, seeds: Sequence[int] = (), only: str = "*"
 ) -> list[Case]:
-    """Return the cases of a study: controllers x scenarios x seeds.
+    """Return the cases of a study of one problem: controllers x scenarios x seeds.
 
     Parameters
     ----------
@@ -164,26 +168,41 @@ def cases_of(
     seeds : sequence of int
         In place of the study's; empty: the study's.
     only : str
-        Glob pattern that the readable name of a case must match.
+        Glob pattern that the name or the label of a case, its controller or its scenario must match.
 
     Raises
     ------
     ConfigError
         No case matches.
     """
-    cases = list(_all_cases(resolved, plant, seeds or resolved.study.seeds))
-    chosen = [case for case in cases if fnmatch(case.name, only) or fnmatch(case.controller, only)]
+    return cases_of_problems({"": (resolved, plant)}, seeds, only)
+
+
+def cases_of_problems(
+    problems: Mapping[str, tuple["ResolvedStudy", PlantSpec]], seeds: Sequence[int] = (), only: str = "*"
+) -> list[Case]:
+    """Return the cases of problems, by name; parameters and errors as of :func:`cases_of`."""
+    chosen = [
+        replace(case, id=identifier)
+        for problem, (resolved, plant) in problems.items()
+        for case, identifier in _identified(
+            list(_all_cases(resolved, plant, problem, seeds, only)), resolved.recording
+        )
+    ]
     if not chosen:
+        cases = [case for name, pair in problems.items() for case in _all_cases(*pair, name, seeds)]
         listed = ", ".join(case.name for case in cases[:_MOST_LISTED])
         more = f" and {len(cases) - _MOST_LISTED} more" if len(cases) > _MOST_LISTED else ""
         raise ConfigError(f"--only {only}: no case matches; there are {listed}{more}")
-    by_controller = {case.controller: case for case in chosen}
-    recording = _hash_of_recording(resolved.recording) if resolved.recording else None
-    contents = {name: _code_and_files(case) for name, case in by_controller.items()}
-    return [
-        replace(case, id=_identifier(case, {**contents[case.controller], "recording": recording}))
-        for case in chosen
-    ]
+    return chosen
+
+
+def _identified(cases: Sequence[Case], recording: Recording | None) -> Iterator[tuple[Case, str]]:
+    """Yield the cases of one problem with their ids."""
+    shared = {"recording": _hash_of_recording(recording) if recording else None}
+    contents = {name: _code_and_files(case) for name, case in {c.controller: c for c in cases}.items()}
+    for case in cases:
+        yield case, _identifier(case, contents[case.controller] | shared)
 
 
 def _code_and_files(case: Case) -> dict[str, Any]:
@@ -231,7 +250,7 @@ def _identifier(case: Case, content: Mapping[str, Any]) -> str:
     decisive = {one.name: getattr(case, one.name) for one in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
     decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements", "undriven")}
-    for key in ("label", "id", "step_timeout", "memory_limit", "late", "metrics", "sandbox"):
+    for key in ("label", "id", "step_timeout", "memory_limit", "late", "metrics", "sandbox", "problem"):
         del decisive[key]
     text = json.dumps(decisive, sort_keys=True, default=repr)
     return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
@@ -368,15 +387,27 @@ def _outcome_of(case: Case, error: CosimError) -> Outcome:
     return Outcome.FMU_ERROR if is_plants else Outcome.CONTROLLER_ERROR
 
 
-def _all_cases(resolved: "ResolvedStudy", plant: PlantSpec, seeds: Sequence[int]) -> Iterator[Case]:
+def _all_cases(
+    resolved: "ResolvedStudy", plant: PlantSpec, problem: str, seeds: Sequence[int], only: str = "*"
+) -> Iterator[Case]:
+    """Yield the cases that a pattern matches, by their name or what they are made of."""
     study = resolved.study
     stabiliser = study.recording.controller if study.recording is not None else None
     events = {name: _events(scenario, study.loop) for name, scenario in study.scenarios.items()}
     for controller, section in study.controllers.items():
         for name, scenario in study.scenarios.items():
-            for seed in seeds:
+            words = (
+                controller,
+                section.label,
+                name,
+                scenario.label,
+                *((problem, study.title) if problem else ()),
+            )
+            matches = any(fnmatch(word, only) for word in words)
+            for seed in seeds or study.seeds:
                 excitation = resolved.excitations[name]
-                yield Case(
+                case = Case(
+                    problem=problem,
                     controller=controller,
                     scenario=name,
                     seed=seed,
@@ -406,6 +437,8 @@ def _all_cases(resolved: "ResolvedStudy", plant: PlantSpec, seeds: Sequence[int]
                     metrics=resolved.metrics,
                     late=resolved.late.get(controller, ""),
                 )
+                if matches or fnmatch(case.name, only):
+                    yield case
 
 
 def _type_and_settings(section: "ControllerSection | StabiliserSection") -> dict[str, Any]:

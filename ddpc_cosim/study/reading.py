@@ -2,21 +2,63 @@
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 from ddpc_cosim.errors import ConfigError, Place, PluginError, dotted
 from ddpc_cosim.plugins import find_modules_in, load_plugin
-from ddpc_cosim.study.resolve import ResolvedStudy, resolve
-from ddpc_cosim.study.sections import Study
-from ddpc_cosim.study.validation_errors import ValidationErrors, parse
+from ddpc_cosim.study.problems import PROBLEMS, FlatStudy, Taken, flat_studies, has_key
+from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy, resolve
+from ddpc_cosim.study.sections import Study, StudyHead
+from ddpc_cosim.study.validation_errors import ValidationErrors, in_folder, parse
 
 _MAY_END = re.compile(r"""[\]}]|"{3}|'{3}""")  # a value over several lines
 
 
-def read_study(name: str) -> ResolvedStudy:
+class StudyFile(NamedTuple):
+    """The tables of a study file, or of a study that was made otherwise.
+
+    Parameters
+    ----------
+    label : str
+        Its name in messages.
+    folder : Path
+        Paths in it are relative to this.
+    tables : dict
+        Its content.
+    text : str
+        From which the lines of errors are told; empty: they are not.
+    """
+
+    label: str
+    folder: Path
+    tables: dict[str, Any]
+    text: str = ""
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a TOML file.
+
+        Raises
+        ------
+        ConfigError
+            It cannot be read, or is not TOML.
+        """
+        try:
+            # Some editors put a byte order mark in front, which TOML does not know.
+            text = path.read_text(encoding="utf-8-sig")
+            tables = tomllib.loads(text)
+        except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are no TOML errors
+            raise ConfigError(f"{path.name}: not a TOML file: {error}") from error
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+        tables.setdefault("name", _as_name(path.stem))
+        return cls(path.name, path.parent, tables, text)
+
+
+def read_study(name: str) -> ResolvedProblems:
     """Read a study file, or a built-in or plug-in study by name, and resolve it.
 
     Raises
@@ -27,31 +69,69 @@ def read_study(name: str) -> ResolvedStudy:
     path = find_study(name)
     if path == Path(name):
         find_modules_in(path.parent)
-    try:
-        # Some editors put a byte order mark in front, which TOML does not know.
-        text = path.read_text(encoding="utf-8-sig")
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are no TOML errors
-        raise ConfigError(f"{path.name}: not a TOML file: {error}") from error
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    data.setdefault("name", _as_name(path.stem))
-    errors = ValidationErrors()
-    study = parse(Study, data, path.parent, errors)
-    resolved = resolve(study, path.parent, errors)
-    if resolved is None:
-        raise ConfigError(_with_lines(path.name, errors, key_lines(text)))
-    return resolved
+    return resolve_file(StudyFile.read(path))
 
 
-def _with_lines(file: str, errors: ValidationErrors, lines: Mapping[Place, int]) -> list[str]:
-    """Return the errors in the order of their lines; what is missing has the line of its table."""
+def resolve_file(file: StudyFile) -> ResolvedProblems:
+    """Resolve each problem of a study.
+
+    Raises
+    ------
+    ConfigError
+        It has errors: all of them, each with file, line, key and what to do.
+    """
+    tables, common, read_files = file.tables, ValidationErrors(), dict[str, StudyFile]()
+
+    def read(named: str) -> Taken:
+        beside = in_folder(file.folder, named)
+        taken = StudyFile.read(beside if beside.is_file() else find_study(named))
+        read_files[taken.label] = taken
+        return Taken(taken.label, taken.folder, taken.tables)
+
+    parts = [FlatStudy(tables["name"], tables, lambda place: ("", place))]
+    head = None
+    if PROBLEMS in tables:
+        parts = list(flat_studies(tables, file.folder, read, common))
+        own = {key: tables[key] for key in StudyHead.model_fields if key in tables}
+        head = parse(StudyHead, own, file.folder, common)
+    # Where each error stands, and in which problems: one in what they share is told once.
+    found: dict[tuple[str, Place, str], list[str]] = {}
+    problems = dict[str, ResolvedStudy]()
+    for part in parts:
+        errors = ValidationErrors()
+        resolved = resolve(parse(Study, part.tables, file.folder, errors), file.folder, errors)
+        for place, messages in errors.found.items():
+            for message in messages:
+                found.setdefault((*part.origin(place), message), []).append(part.name)
+        if resolved is not None:
+            problems[part.name] = resolved
+    for place, messages in common.found.items():
+        found |= {("", place, message): [] for message in messages}
+    if found:
+        raise ConfigError(_with_lines(found, parts, {"": file, **read_files}))
+    return ResolvedProblems(head or next(iter(problems.values())).study, problems)
+
+
+def _with_lines(
+    found: Mapping[tuple[str, Place, str], list[str]],
+    parts: Sequence[FlatStudy],
+    files: Mapping[str, StudyFile],
+) -> list[str]:
+    """Return the errors in the order of their lines; what is missing has the line of its table.
+
+    An error in what several problems share names those that have it, unless it is in all that share it.
+    """
+    lines = {label: key_lines(file.text) for label, file in files.items()}
     located = []
-    for place, messages in errors.found.items():
-        line = next((lines[place[:n]] for n in range(len(place), 0, -1) if place[:n] in lines), 0)
-        where = f"{file}:{line}" if line else file
-        located += [(line, f"{where}: {dotted(place)}: {message}") for message in messages]
-    return [text for _, text in sorted(located, key=itemgetter(0))]
+    for (label, place, message), within in found.items():
+        known = lines[label]
+        line = next((known[place[:n]] for n in range(len(place), 0, -1) if place[:n] in known), 0)
+        where = f"{files[label].label}:{line}" if line else files[label].label
+        shared = [part for part in parts if place[0] != "controllers" or has_key(part.tables, place[:2])]
+        is_of_some = place[0] != PROBLEMS and PROBLEMS not in place[2:3] and 0 < len(within) < len(shared)
+        which = f" (problem {', '.join(within)})" if is_of_some else ""
+        located.append((label, line, f"{where}: {dotted(place)}: {message}{which}"))
+    return [text for *_, text in sorted(located, key=itemgetter(0, 1))]
 
 
 def find_study(name: str) -> Path:

@@ -24,8 +24,9 @@ from ddpc_cosim.study.controllers import (
     time_limit,
 )
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables
+from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.scenarios import Scenarios
-from ddpc_cosim.study.sections import BoundsSection, RecordingSection, Study
+from ddpc_cosim.study.sections import BoundsSection, RecordingSection, Study, StudyHead
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters
 from ddpc_cosim.study.validation_errors import Section, ValidationErrors, independent
 from ddpc_cosim.variables import Variable
@@ -39,7 +40,7 @@ _RECORDING: Place = ("recording",)
 
 @dataclass(frozen=True, slots=True)
 class ResolvedStudy:
-    """A study that fits its plant and its controllers, ready to become cases.
+    """A study of one problem that fits its plant and its controllers, ready to become cases.
 
     Parameters
     ----------
@@ -80,6 +81,33 @@ class ResolvedStudy:
     metrics: MetricSettings
     recording: Recording | None
     late: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class ResolvedProblems:
+    """All problems of a study, each ready to become cases.
+
+    Parameters
+    ----------
+    head : StudyHead
+        What the study says of itself; of a flat study that study.
+    problems : dict of str to ResolvedStudy
+        Each problem as a study of its own.
+    """
+
+    head: StudyHead
+    problems: dict[str, ResolvedStudy]
+
+    @property
+    def whole(self) -> WholeStudy:
+        """The study as it is written."""
+        return WholeStudy(self.head, {name: one.study for name, one in self.problems.items()})
+
+    @property
+    def problem(self) -> ResolvedStudy:
+        """The only problem; ValueError where there are several."""
+        (only,) = self.problems.values()
+        return only
 
 
 def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStudy | None:

@@ -23,6 +23,7 @@ from ddpc_cosim.texts import encodable
 from fmu_plants.files import write_atomically
 
 if TYPE_CHECKING:
+    from ddpc_cosim.study.problems import WholeStudy
     from ddpc_cosim.study.sections import Study
 
 STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
@@ -43,21 +44,58 @@ class StudyResults:
     ----------
     folder : Path
         The folder of results.
-    study : Study
-        The resolved study.
+    whole : WholeStudy
+        The resolved study, with all its problems.
     cases : tuple of CaseResult
-        In the study's order: controllers x scenarios x seeds.
+        In the study's order: problems x controllers x scenarios x seeds.
     provenance : dict of str to str
-        Versions, machine, plant, command, date.
+        Versions, machine, plant, command, date; where there are several problems, what is of one begins with
+        its name.
     damaged : dict of str to str
         Cases whose files are not what the run wrote, by id, and what is wrong: they are not among the cases.
     """
 
     folder: Path
-    study: "Study"
+    whole: "WholeStudy"
     cases: tuple[CaseResult, ...]
     provenance: dict[str, str]
     damaged: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def study(self) -> "Study":
+        """The study of the only problem.
+
+        Raises
+        ------
+        ConfigError
+            There are several problems.
+        """
+        if len(self.whole.problems) > 1:
+            several = ", ".join(self.whole.problems)
+            raise ConfigError(
+                f"{self.folder}: several problems: {several}; use problems() to have each of them"
+            )
+        return next(iter(self.whole.problems.values()))
+
+    def problems(self) -> tuple["StudyResults", ...]:
+        """Return the results of each problem that has cases, each as those of a study of its own."""
+        if self.whole.is_flat:
+            return (self,)
+        longest_first = sorted(self.whole.problems, key=len, reverse=True)
+        of_damaged = {id: next(name for name in longest_first if id.startswith(name)) for id in self.damaged}
+        views = []
+        for name, study in self.whole.problems.items():
+            cases = tuple(case for case in self.cases if case.problem == name)
+            damaged = {id: why for id, why in self.damaged.items() if of_damaged[id] == name}
+            if cases or damaged:
+                of_others = tuple(provenance_of(other, "") for other in self.whole.problems if other != name)
+                provenance = {
+                    key.removeprefix(provenance_of(name, "")): fact
+                    for key, fact in self.provenance.items()
+                    if not key.startswith(of_others)
+                }
+                views.append(StudyResults(self.folder, self.whole.of(study), cases, provenance, damaged))
+        return tuple(views)
 
     def warnings(self) -> dict[tuple[str, str], tuple[CaseResult, ...]]:
         """Return the cases of every warning, by controller and text.
@@ -71,6 +109,11 @@ class StudyResults:
                 first = words.setdefault((case.controller, _NUMBER.sub("#", text)), text)
                 found.setdefault((case.controller, first), {})[case.id] = case
         return {key: tuple(cases.values()) for key, cases in found.items()}
+
+
+def provenance_of(problem: str, key: str) -> str:
+    """Return the key of what the provenance says of one problem among several."""
+    return f"{problem}: {key}"
 
 
 def load_results(folder: str | Path) -> StudyResults:
@@ -98,35 +141,42 @@ def load_results(folder: str | Path) -> StudyResults:
 
 
 def load_cases(
-    folder: Path, study: "Study", case_ids: Iterable[str]
+    folder: Path, study: "WholeStudy", case_ids: Iterable[str]
 ) -> tuple[tuple[CaseResult, ...], dict[str, str]]:
     """Return the cases of a study that are sound, and by id what is wrong with the others.
 
     They are labelled as the study labels them now: a label does not decide a result.
     """
-    labels = {name: section.label or name for name, section in study.controllers.items()}
+    labels = {
+        (problem, name): section.label or name
+        for problem, flat in study.problems.items()
+        for name, section in flat.controllers.items()
+    }
+    own_name = study.head.name if study.is_flat else ""
     cases, damaged = [], {}
     for case_id in case_ids:
         try:
             case = load_case(folder / CASES_FOLDER / case_id)
-            cases.append(replace(case, label=labels.get(case.controller, case.label)))
+            problem = own_name or case.problem
+            label = labels.get((problem, case.controller), case.label)
+            cases.append(replace(case, problem=problem, label=label))
         except ConfigError as error:
             damaged[case_id] = str(error)
     return tuple(cases), damaged
 
 
-def _toml(study: "Study") -> bytes:
+def _toml(study: "WholeStudy") -> bytes:
     import tomli_w
 
-    return encodable(tomli_w.dumps(study.model_dump(mode="python", exclude_none=True))).encode()
+    return encodable(tomli_w.dumps(study.tables())).encode()
 
 
-def _study(content: bytes) -> "Study":
+def _study(content: bytes) -> "WholeStudy":
     import tomllib
 
-    from ddpc_cosim.study.sections import Study  # a worker, which writes cases, does without
+    from ddpc_cosim.study.problems import WholeStudy  # a worker, which writes cases, does without
 
-    return Study.model_validate(tomllib.loads(content.decode()))
+    return WholeStudy.of_tables(tomllib.loads(content.decode()))
 
 
 def write_results(results: StudyResults) -> StudyResults:
@@ -142,15 +192,15 @@ def write_results(results: StudyResults) -> StudyResults:
     CosimError
         They cannot be written, and why.
     """
-    folder, content = results.folder, _toml(results.study)
+    folder, content = results.folder, _toml(results.whole)
     provenance = {**results.provenance, _STUDY_CHECKSUM: checksum(content)}
     facts = {**provenance, "cases": [*(case.id for case in results.cases), *results.damaged]}
-    results = replace(results, study=_study(content), provenance=provenance)
+    results = replace(results, whole=_study(content), provenance=provenance)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(folder / STUDY_FILE, content)
         write_atomically(folder / PROVENANCE_FILE, sealed_json(facts))
-        table = encodable(_metrics_table(results.study, results.cases))
+        table = encodable(_metrics_table(results.whole, results.cases))
         write_atomically(folder / METRICS_FILE, table.encode())
     except OSError as error:
         reason = error.strerror or str(error)
@@ -158,16 +208,18 @@ def write_results(results: StudyResults) -> StudyResults:
     return results
 
 
-def _metrics_table(study: "Study", cases: Sequence[CaseResult]) -> str:
+def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
     """Return ``metrics.csv``."""
     keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
-    plant = study.plant.name or Path(study.plant.fmu).name
+    plants = {name: one.plant.name or Path(one.plant.fmu).name for name, one in study.problems.items()}
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(["study", "plant", "controller", "scenario", "seed", "outcome", "holds", *keys])
+    writer.writerow(
+        ["study", "problem", "plant", "controller", "scenario", "seed", "outcome", "holds", *keys]
+    )
     for case in cases:
         values = [case.metrics.get(key, math.nan) for key in keys]
         cells = ["" if math.isnan(value) else repr(value) for value in values]
-        head = [study.name, plant, case.controller, case.scenario, case.seed, case.outcome]
-        writer.writerow([*head, "true" if case.holds else "false", *cells])
+        head = [study.head.name, case.problem, plants.get(case.problem, ""), case.controller, case.scenario]
+        writer.writerow([*head, case.seed, case.outcome, "true" if case.holds else "false", *cells])
     return file.getvalue()

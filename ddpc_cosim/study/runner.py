@@ -56,7 +56,7 @@ from ddpc_cosim.study.case_files import (
 )
 from ddpc_cosim.study.cases import (
     Case,
-    cases_of,
+    cases_of_problems,
     files_read,
     no_samples,
     partial_trace,
@@ -65,13 +65,13 @@ from ddpc_cosim.study.cases import (
     run_case,
 )
 from ddpc_cosim.study.plants import PlantSpec
-from ddpc_cosim.study.results import CASES_FOLDER, StudyResults, load_cases, write_results
+from ddpc_cosim.study.results import CASES_FOLDER, StudyResults, load_cases, provenance_of, write_results
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome
 from fmu_plants.files import cache_dir
 
 if TYPE_CHECKING:
-    from ddpc_cosim.study.resolve import ResolvedStudy
+    from ddpc_cosim.study.resolve import ResolvedProblems
 
 _POLL_SECONDS = 0.1
 _REPLY_SECONDS = 5.0
@@ -141,7 +141,7 @@ class Selection:
 
 
 def run_study(
-    resolved: "ResolvedStudy", folder: Path, selection: Selection, progress: Progress
+    resolved: "ResolvedProblems", folder: Path, selection: Selection, progress: Progress
 ) -> StudyResults:
     """Run a study's cases into a folder and return the results.
 
@@ -155,10 +155,10 @@ def run_study(
     """
     if selection.sandboxed:
         require_sandbox()  # before anything is built
-    if resolved.plant.fmu:
-        _compile_ahead([Path(resolved.plant.fmu)], progress)
-    plant = resolved.plant.built()
-    cases = cases_of(resolved, plant, selection.seeds, selection.only)
+    plants = _built(resolved, progress)
+    is_flat = resolved.whole.is_flat
+    problems = {"" if is_flat else name: (one, plants[name]) for name, one in resolved.problems.items()}
+    cases = cases_of_problems(problems, selection.seeds, selection.only)
     cases_folder = folder / CASES_FOLDER
     try:
         cases_folder.mkdir(parents=True, exist_ok=True)
@@ -177,10 +177,29 @@ def run_study(
     for case in cases:
         if case.id not in new:
             judge_again(cases_folder / case.id, case.metrics)
-    study = resolved.study.model_copy(update={"seeds": selection.seeds or resolved.study.seeds})
+    study = resolved.whole.with_seeds(selection.seeds)
     results, damaged = load_cases(folder, study, [case.id for case in cases])
-    provenance = _provenance(results, plant, selection, resolved.metrics.preview)
+    provenance = dict[str, str]()
+    for name, one in resolved.problems.items():
+        own = [result for result in results if result.problem == name]
+        facts = _provenance_of_problem(own, plants[name], one.metrics.preview)
+        provenance |= {key if is_flat else provenance_of(name, key): fact for key, fact in facts.items()}
+    provenance |= _provenance(results, selection)
     return write_results(StudyResults(folder, study, results, provenance, damaged))
+
+
+def _built(resolved: "ResolvedProblems", progress: Progress) -> dict[str, PlantSpec]:
+    """Return each problem's plant, ready to run; one that several problems have is built once."""
+    _compile_ahead((Path(one.plant.fmu) for one in resolved.problems.values()), progress)
+    built = list[tuple[PlantSpec, PlantSpec]]()
+    plants = {}
+    for name, one in resolved.problems.items():
+        ready = next((ready for spec, ready in built if spec == one.plant), None)
+        if ready is None:
+            ready = one.plant.built()
+            built.append((one.plant, ready))
+        plants[name] = ready
+    return plants
 
 
 def _compile_ahead(paths: Iterable[Path], progress: Progress) -> None:
@@ -200,18 +219,22 @@ def _is_there(folder: Path) -> bool:
         return False
 
 
-def _provenance(
-    results: Sequence[CaseResult], spec: PlantSpec, selection: Selection, preview: int
-) -> dict[str, str]:
+def _provenance_of_problem(results: Sequence[CaseResult], spec: PlantSpec, preview: int) -> dict[str, str]:
     # A case that failed before its first sample does not know its plant.
     known: Iterator[dict[str, str]] = (read_run(result.folder)["provenance"] for result in results)
     plant = next(filter(None, known), {})
-    versions = {f"{name.lower()} version": metadata.version(name) for name in _VERSIONS_OF}
     facts = {
         **{key.replace("_", " "): value for key, value in plant.items()},
         "plant content": spec.content,
-        "sandbox": _sandboxes(results),
         "largest preview": f"{preview} samples",
+    }
+    return {name: recorded(fact) for name, fact in facts.items()}
+
+
+def _provenance(results: Sequence[CaseResult], selection: Selection) -> dict[str, str]:
+    versions = {f"{name.lower()} version": metadata.version(name) for name in _VERSIONS_OF}
+    facts = {
+        "sandbox": _sandboxes(results),
         "ddpc-cosim version": package_version(),
         "python version": platform.python_version(),
         **versions,

@@ -374,14 +374,22 @@ class ReportSection(Section):
     reproduction: Reproduction | None = None
 
 
-class Study(Section):
-    """A study file: one plant, controllers, conditions and seeds."""
+class StudyHead(Section):
+    """What a study says of itself, however many problems it has."""
 
     name: Name = Field("study", description="short name; the folder of results is called after it")
     title: Text = ""
     summary: Text = ""
     source: Text = Field("", description="publication that the study follows")
     seeds: Annotated[Seeds, Field(min_length=1)] = Field([0])
+
+
+class Study(StudyHead):
+    """A study of one problem, as a flat file says it: one plant, controllers, conditions and seeds.
+
+    Of a file with several problems each is such a study, which has the problem's name.
+    """
+
     plant: PlantSection
     loop: LoopSection
     reference: Annotated[dict[str, ReferenceSection], Field(min_length=1)]

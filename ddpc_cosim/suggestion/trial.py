@@ -17,6 +17,7 @@ from ddpc_cosim.responses import Actuation, Response, Stretch
 from ddpc_cosim.study.case_files import CaseResult, judge_again
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.following import FOLLOWS, WHY, following_lines, left_by, none_follows
+from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, load_cases
@@ -160,7 +161,7 @@ def _attempt(
             done.append(tried.id)
     except _TimeUpError:
         attempt.untried |= dict.fromkeys((case.label for case in cases[len(done) + 1 :]), _NOT_BEGUN)
-    results, _ = load_cases(folder, resolved.study, done)
+    results, _ = load_cases(folder, WholeStudy.of(resolved.study), done)
     for case in results:
         if case.outcome is not Outcome.COMPLETED:
             attempt.drop(case.controller, f"{case.outcome}: {case.reason}")
@@ -180,7 +181,9 @@ def _attempt(
         if resolved is not None:
             for case in attempt.cases:
                 judge_again(case.folder, resolved.metrics)
-            attempt.cases, _ = load_cases(folder, resolved.study, [case.id for case in attempt.cases])
+            attempt.cases, _ = load_cases(
+                folder, WholeStudy.of(resolved.study), [case.id for case in attempt.cases]
+            )
     if resolved is not None and attempt.cases:
         attempt.preview = resolved.metrics.preview
         attempt.line = next(iter(following_lines(resolved.study, attempt.cases)), "")
@@ -195,7 +198,7 @@ def _resolved(attempt: _Attempt, fmu: Path, folder: Path) -> ResolvedStudy | Non
     def read(proposal: Proposal) -> ResolvedStudy:
         path = folder / "study.toml"
         path.write_text(study_text(proposal, fmu.resolve().as_posix()), encoding="utf-8")
-        return read_study(str(path))
+        return read_study(str(path)).problem
 
     try:
         return read(attempt.proposal)

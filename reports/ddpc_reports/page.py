@@ -92,8 +92,10 @@ def render_page(results: Sequence[StudyResults]) -> str:
     if not results:
         raise ValueError("a report needs the results of at least one study")
     data: dict[str, dict[str, Packed]] = {}
+    problems = [problem for one in results for problem in one.problems()]
     with np.errstate(over="ignore", invalid="ignore"):  # a run can have values of any size
-        return set_page([_study_part(one, number, data) for number, one in enumerate(results, start=1)], data)
+        parts = [_study_part(one, number, data) for number, one in enumerate(problems, start=1)]
+    return set_page(parts, data)
 
 
 def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -> str:

@@ -249,7 +249,7 @@ def test_a_reference_from_a_file(tmp_path: Path) -> None:
 
     def reference(keys: str) -> object:
         study.write_text(STUDY.format(keys), encoding="utf-8")
-        return read_study(str(study)).reference["angle"]
+        return read_study(str(study)).problem.reference["angle"]
 
     assert reference('file = "data/wanted.csv"') == Steps((0.0, 0.5), (0.0, np.pi / 2))
     linear = reference('file = "data/wanted.csv", interpolation = "linear", column = "other", unit = "deg"')

@@ -289,7 +289,7 @@ def test_a_study_records_about_its_stabiliser(tmp_path: Path) -> None:
     assert case.outcome == "completed"
     assert read_run(case.folder)["diagnostics"]["stabiliser_fallbacks"] == 0.0
     # The resolved study has every default of the stabiliser too, and can be run again.
-    again = read_study(str(tmp_path / "out" / "study.toml")).study
+    again = read_study(str(tmp_path / "out" / "study.toml")).problem.study
     assert again.recording is not None
     assert again.recording.controller is not None
     assert again.recording.controller.settings["lambda_u"] == 0.5
@@ -301,7 +301,7 @@ def test_other_settings_of_the_stabiliser_are_another_case(tmp_path: Path) -> No
     for weight in ("0.5", "0.6"):
         path = tmp_path / "about.toml"
         path.write_text(STUDY.replace("lambda_u = 0.5", f"lambda_u = {weight}"), encoding="utf-8")
-        checked = read_study(str(path))
+        checked = read_study(str(path)).problem
         ids |= {case.id for case in cases_of(checked, checked.plant.built())}
     assert len(ids) == 2
 

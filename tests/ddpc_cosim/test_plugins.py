@@ -327,7 +327,7 @@ def only_case(folder: Path, gain: str = "lag:Gain") -> Case:
     forget_versions()
     study = folder / "study.toml"
     study.write_text(LAG_STUDY.format(gain=gain), encoding="utf-8")
-    resolved = read_study(str(study))
+    resolved = read_study(str(study)).problem
     (case,) = cases_of(resolved, resolved.plant.built())
     return case
 

@@ -13,7 +13,7 @@ from ddpc_cosim.study.reading import read_study
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_about_the_equilibrium_the_reactor_is_held_closer_than_with_the_ridge(seed: int) -> None:
-    resolved = read_study("reactor")
+    resolved = read_study("reactor").problem
     (case, *_) = cases_of(resolved, resolved.plant.built(), [seed], "deepc")
 
     def off(**settings: Any) -> float:

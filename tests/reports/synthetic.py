@@ -10,6 +10,7 @@ import numpy as np
 from ddpc_cosim import Bounds, CaseResult, DisplayUnit, Outcome, StudyResults, Trace, Variable
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.case_files import load_case, write_case
+from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.sections import Study
 
 SAMPLING_TIME = 0.1
@@ -99,7 +100,7 @@ def make_results_in(
         for seed in study.seeds
     ]
     return StudyResults(
-        folder, study, tuple(cases), provenance or {"date": "2020-01-01", "fmu sha256": "abc"}
+        folder, WholeStudy.of(study), tuple(cases), provenance or {"date": "2020-01-01", "fmu sha256": "abc"}
     )
 
 

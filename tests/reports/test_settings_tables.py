@@ -12,6 +12,7 @@ from markupsafe import Markup
 from pydantic import BaseModel, ValidationError
 
 from ddpc_cosim import StudyResults, Trace
+from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.sections import ReportSection, Study
 from ddpc_reports import figures, settings_tables as settings_module
 from ddpc_reports.comparison import conditions
@@ -268,7 +269,7 @@ def with_study(results: StudyResults, content: dict[str, Any]) -> StudyResults:
         )
         for case in results.cases
     )
-    return replace(results, study=study, cases=cases)
+    return replace(results, whole=WholeStudy.of(study), cases=cases)
 
 
 def text(results: StudyResults) -> str:
@@ -410,7 +411,7 @@ def test_what_is_left_at_its_default_takes_no_room(make_results: MakeResults) ->
     told = loop_rows(make_results())
     assert not any(name.startswith(("plant: ", "loop: ")) for name in told)
     study = make_study({"quick": {"type": "a"}, "slow": {"type": "b"}}, bounds=CONTENT["bounds"])
-    told = loop_rows(replace(make_results(), study=study))
+    told = loop_rows(replace(make_results(), whole=WholeStudy.of(study)))
     assert told["limits of angle"] == "max 70 (values in °)"
 
 

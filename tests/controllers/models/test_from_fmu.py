@@ -264,7 +264,7 @@ parameters = {{ mass = 1.1 }}
 """,
         encoding="utf-8",
     )
-    section = read_study(str(study)).study.controllers["mpc"]
+    section = read_study(str(study)).problem.study.controllers["mpc"]
     assert section.settings["model"]["fmu"] == path
     with FMUPlant(path, outputs=["angle"]) as plant:
         trace = cosimulate(

@@ -10,6 +10,7 @@ from rich.console import Console
 from ddpc_cosim import CaseResult, Outcome, StudyResults
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS
+from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.sections import Study
 
 COST = "mean_abs_error.angle [deg]"
@@ -46,7 +47,7 @@ def results(variants: int, lost: str = "") -> StudyResults:
             outcome = Outcome.DIVERGED if key == lost else Outcome.COMPLETED
             head = (f"{key}_{seed}", key, label, "nominal", seed, outcome, "", key != lost)
             cases.append(CaseResult(*head, figures, {}, {}, (), Path()))
-    return StudyResults(Path("out"), told, tuple(cases), {})
+    return StudyResults(Path("out"), WholeStudy.of(told), tuple(cases), {})
 
 
 def printed(some: StudyResults, width: int = 1000) -> list[str]:

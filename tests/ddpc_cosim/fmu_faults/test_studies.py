@@ -55,7 +55,7 @@ def run(tmp_path: Path, faulty_fmus: dict[int, Path]) -> Run:
         )
         path = tmp_path / "study.toml"
         path.write_text(text + more, encoding="utf-8")
-        resolved = read_study(str(path))
+        resolved = read_study(str(path)).problem
         cases = cases_of(resolved, resolved.plant.built())
 
         def watch(update: Update) -> None:

@@ -208,7 +208,7 @@ class Probe(Controller):
 def case_of(folder: Path, plant: str = "") -> Case:
     path = folder / "study.toml"
     path.write_text(NOMINAL_STUDY.format(plant=plant), encoding="utf-8")
-    resolved = read_study(str(path))
+    resolved = read_study(str(path)).problem
     (case,) = cases_of(resolved, resolved.plant.built())
     return case
 

@@ -53,7 +53,7 @@ ONE = 'controllers.deepc.type = "deepc"\n'
 def cases(folder: Path, text: str) -> dict[str, Case]:
     study = folder / "study.toml"
     study.write_text(text, encoding="utf-8")
-    resolved = read_study(str(study))
+    resolved = read_study(str(study)).problem
     return {case.controller: case for case in cases_of(resolved, resolved.plant.built())}
 
 
@@ -244,7 +244,7 @@ controllers.mfapc.type = "mfapc"
 def excitation(folder: Path, text: str, seed: int = 3) -> FloatArray:
     study = folder / "study.toml"
     study.write_text(TANKS + text, encoding="utf-8")
-    resolved = read_study(str(study))
+    resolved = read_study(str(study)).problem
     case = next(case for case in cases_of(resolved, resolved.plant.built()) if case.seed == seed)
     assert case.excitation is not None
     return case.excitation.draw(len(resolved.inputs))
@@ -328,7 +328,7 @@ recording.excitation.pump_2 = { kind = "prbs", low = 2.5, high = 3.5 }
 """
     )
     study.write_text(text, encoding="utf-8")
-    resolved = read_study(str(study))
+    resolved = read_study(str(study)).problem
     drawn = {
         case.scenario: case.excitation.draw(2)
         for case in cases_of(resolved, resolved.plant.built())

@@ -279,9 +279,9 @@ def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
 def test_damaged_results_are_named(
     tmp_path: Path, paper_text: str, file: str, damage: Callable[[bytes], bytes | None]
 ) -> None:
-    study = read_study("paper").study
+    study = read_study("paper").whole
     write_results(StudyResults(tmp_path, study, (), {"date": "2020"}))
-    assert load_results(tmp_path).study == study
+    assert load_results(tmp_path).whole == study
     path = tmp_path / file
     content = damage(path.read_bytes())
     path.unlink()

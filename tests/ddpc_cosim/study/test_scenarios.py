@@ -108,7 +108,7 @@ def test_a_case_without_conditions_has_no_further_columns(tmp_path: Path) -> Non
 
 
 def conditions_of(folder: Path, text: str) -> Conditions:
-    resolved = read_study(study_file(folder, text))
+    resolved = read_study(study_file(folder, text)).problem
     return resolved.conditions[list(resolved.study.scenarios)[-1]]
 
 
@@ -147,12 +147,12 @@ def test_what_is_added_converts_without_the_offset_of_its_unit(
 
 
 def test_cases_of_scenarios_differ_by_their_conditions_alone(tmp_path: Path) -> None:
-    resolved = read_study(study_file(tmp_path, TANK + HARD))
+    resolved = read_study(study_file(tmp_path, TANK + HARD)).problem
     calm, hard = cases_of(resolved, resolved.plant.built())
     assert calm.conditions == Conditions()
     assert calm.id.split("_")[-1] != hard.id.split("_")[-1]
     text = (TANK + HARD).replace("loss = { level_1 = 0.3 }", "loss = { level_1 = 0.4 }")
-    resolved = read_study(study_file(tmp_path, text))
+    resolved = read_study(study_file(tmp_path, text)).problem
     again = cases_of(resolved, resolved.plant.built())
     assert [case.id == old.id for case, old in zip(again, (calm, hard), strict=True)] == [True, False]
 
@@ -248,7 +248,7 @@ def test_a_delay_leaves_something_to_record(tmp_path: Path) -> None:
             f"delay.pump_1: {delay} s is too long: the experiment ends after 40 s; choose a shorter delay"
         )
     text = TANK.replace("samples = 60", "samples = 9")
-    assert read_study(study_file(tmp_path, f"{text}[scenarios.x]\ndelay = {{ pump_1 = 35.0 }}"))
+    assert read_study(study_file(tmp_path, f"{text}[scenarios.x]\ndelay = {{ pump_1 = 35.0 }}")).problem
 
 
 def test_a_delay_leaves_something_to_record_in_the_scenario_s_own_experiment(tmp_path: Path) -> None:

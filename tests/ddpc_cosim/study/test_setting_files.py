@@ -86,7 +86,7 @@ def case_of(folder: Path, settings: str = "", plant: str = "pendulum") -> Case:
     path.write_text(
         STUDY.format(plant=plant, input=inputs, output=outputs, settings=settings), encoding="utf-8"
     )
-    resolved = read_study(str(path))
+    resolved = read_study(str(path)).problem
     (case,) = cases_of(resolved, resolved.plant.built())
     return case
 

@@ -43,7 +43,7 @@ def small(tmp_path: Path) -> Path:
 def cases(text: str, folder: Path) -> list[Case]:
     path = folder / "study.toml"
     path.write_text(text, encoding="utf-8")
-    return cases_of(read_study(str(path)), TARGET)
+    return cases_of(read_study(str(path)).problem, TARGET)
 
 
 def test_a_scenario_s_preview_stands_in_place_of_the_loop_s(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_a_scenario_s_preview_stands_in_place_of_the_loop_s(tmp_path: Path) -> N
 
 
 def test_the_study_of_the_paper_is_in_order() -> None:
-    resolved = read_study("paper")
+    resolved = read_study("paper").problem
     assert resolved.study.name == "paper"
     assert resolved.study.seeds == [5489, *range(30)]
     assert (names(resolved.inputs), names(resolved.outputs)) == (("torque",), ("angle",))
@@ -64,7 +64,7 @@ def test_the_study_of_the_paper_is_in_order() -> None:
 
 
 def test_the_paper_s_values_arrive_in_the_plant_s_units() -> None:
-    deepc = next(case for case in cases_of(read_study("paper"), TARGET) if case.controller == "deepc")
+    deepc = next(case for case in cases_of(read_study("paper").problem, TARGET) if case.controller == "deepc")
     reference = deepc.reference["angle"].at(np.array([0.0, 10.0, 20.0, 30.0, 40.0]))
     assert np.allclose(reference, np.radians([20, -10, 10, -20, -20]), rtol=1e-15)
     assert deepc.bounds["angle"] == pytest.approx((-math.radians(70), math.radians(70)), rel=1e-15)
@@ -74,13 +74,13 @@ def test_the_paper_s_values_arrive_in_the_plant_s_units() -> None:
 
 
 def test_a_controller_may_have_limits_of_its_own() -> None:
-    wkpc = next(case for case in cases_of(read_study("paper"), TARGET) if case.controller == "wkpc")
+    wkpc = next(case for case in cases_of(read_study("paper").problem, TARGET) if case.controller == "wkpc")
     assert wkpc.bounds["angle"][1] == pytest.approx(math.radians(170))
     assert wkpc.bounds["torque"] == (-3.5, 3.5)
 
 
 def test_what_is_left_out_has_defaults(small: Path) -> None:
-    resolved = read_study(str(small))
+    resolved = read_study(str(small)).problem
     assert resolved.study.name == "my-study"
     assert names(resolved.inputs) == ("torque",)
     assert names(resolved.measurements) == names(resolved.outputs) == ("angle",)
@@ -92,7 +92,7 @@ def test_what_is_left_out_has_defaults(small: Path) -> None:
 
 def test_a_byte_order_mark_does_no_harm(small: Path) -> None:
     small.write_bytes(b"\xef\xbb\xbf" + small.read_bytes())
-    assert read_study(str(small)).study.controllers
+    assert read_study(str(small)).problem.study.controllers
 
 
 def test_scenarios_give_parameters_noise_and_events(tmp_path: Path) -> None:
@@ -163,7 +163,7 @@ def test_what_is_neither_a_seed_nor_a_range_is_refused(given: object) -> None:
 
 
 def test_only_some_cases_can_be_chosen() -> None:
-    resolved = read_study("paper")
+    resolved = read_study("paper").problem
     assert {case.controller for case in cases_of(resolved, TARGET, [1], "deepc*")} == {
         "deepc",
         "deepc-published-code",
@@ -192,7 +192,8 @@ def test_a_case_is_named_after_what_decides_its_result(tmp_path: Path) -> None:
 
     (labelled,) = cases(SMALL + 'label = "ours"\nsettings = { lambda_u = 0.37 }', tmp_path)
     assert labelled.id == original.id
-    (other_plant,) = cases_of(read_study(str(tmp_path / "study.toml")), PlantSpec("", "p", content="1"))
+    resolved = read_study(str(tmp_path / "study.toml")).problem
+    (other_plant,) = cases_of(resolved, PlantSpec("", "p", content="1"))
     assert other_plant.id != original.id
 
 

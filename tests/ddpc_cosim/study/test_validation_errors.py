@@ -660,7 +660,7 @@ def test_variants_of_a_sweep_were_not_tuned(tmp_path: Path) -> None:
     study["controllers"]["deepc"]["sweep"] = {"lambda_g": [5.0]}
     path = tmp_path / "study.toml"
     path.write_text(tomli_w.dumps(study), encoding="utf-8")
-    controllers = read_study(str(path)).study.controllers
+    controllers = read_study(str(path)).problem.study.controllers
     assert controllers["deepc"].tuned is not None
     assert controllers["deepc-lambda_g-5"].tuned is None
 

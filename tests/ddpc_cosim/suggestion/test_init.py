@@ -154,7 +154,8 @@ def test_a_plant_without_a_time_scale_gets_a_guess_that_says_so(name, study_of, 
     study_of(name)
     text = (tmp_path / f"{name}.toml").read_text(encoding="utf-8").replace("\n# ", " ")
     assert "the sampling time is a guess" in text
-    assert read_study(str(tmp_path / f"{name}.toml")).study.loop.sampling_time == pytest.approx(0.05, rel=2)
+    loop = read_study(str(tmp_path / f"{name}.toml")).problem.study.loop
+    assert loop.sampling_time == pytest.approx(0.05, rel=2)
 
 
 def test_an_fmu_that_does_not_respond_is_refused(model_fmu) -> None:
@@ -194,7 +195,7 @@ def test_a_file_that_is_there_is_kept(pendulum_fmu, tmp_path) -> None:
     assert "--force" in refused.stderr
     assert out.read_text(encoding="utf-8") == "precious"
     assert ddpc("init", pendulum_fmu, "--out", out, "--force").exit_code == 0
-    assert names(read_study(str(out)).inputs) == ("torque",)
+    assert names(read_study(str(out)).problem.inputs) == ("torque",)
 
 
 def test_the_fmu_is_named_relative_to_the_study(pendulum_fmu, tmp_path) -> None:
