@@ -41,7 +41,7 @@ def diff_command(folders: Sequence[Path], absolute: float, relative: float) -> i
     return 1 if lines else 0
 
 
-def _cases(results: StudyResults) -> dict[tuple[str, str, int], CaseResult]:
+def _cases(results: StudyResults) -> dict[tuple[str, str, str, int], CaseResult]:
     """Return the cases by what they are, whatever settings or code they ran with.
 
     Raises
@@ -51,7 +51,11 @@ def _cases(results: StudyResults) -> dict[tuple[str, str, int], CaseResult]:
     """
     if results.damaged:
         raise ConfigError(list(results.damaged.values()))
-    return {(case.controller, case.scenario, case.seed): case for case in results.cases}
+    # The problem of a flat study has the study's name, by which two of them may differ.
+    problems = {name: "" if results.whole.is_flat else name for name in results.whole.problems}
+    return {
+        (problems[case.problem], case.controller, case.scenario, case.seed): case for case in results.cases
+    }
 
 
 def _difference(one: CaseResult, other: CaseResult, absolute: float, relative: float) -> str:

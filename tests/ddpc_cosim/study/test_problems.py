@@ -124,7 +124,7 @@ def test_a_problem_takes_the_tables_of_another_file_and_replaces_keys_of_them(tm
     assert Path(windy.file) == tmp_path / "below" / "wind.csv"  # type: ignore[union-attr]
     assert (longer.loop.duration, longer.loop.sampling_time) == (3.0, 0.1)
     assert (longer.plant.name, longer.plant.parameters) == ("pendulum", {"mass": 0.5})
-    # Another plant is another table: nothing of the pendulum's is left in it, but what names its signals is told.
+    # Another plant is another table: nothing of the pendulum's is left in it; what names its signals is told.
     told = "\n".join(faults(tmp_path, text))
     assert 'study.toml:11: problems.other.reference: no controlled output "angle"' in told
     assert "problems.other.plant" not in told
