@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 
 from ddpc_cosim import ConfigError, StudyResults
-from ddpc_cosim.cli.run import LineProgress
+from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedProblems
