@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.signals import Reference
+from ddpc_cosim.signals import Reference, type_faults
 from ddpc_cosim.variables import FloatArray
 
 # The stages whose sum modulo 2 is fed back, for registers of 2, 3, ... stages: their polynomials are
@@ -90,7 +90,7 @@ class _Ranged(Excitation):
             faults.append(f"low ({self.low}) and high ({self.high}) need the same length")
         elif not np.all(np.asarray(self.low) < np.asarray(self.high)):
             faults.append(f"low ({self.low}) must be below high ({self.high})")
-        faults += self._faults()
+        faults += type_faults(self, float) or self._faults()
         if faults:
             raise ConfigError([f"{self.kind} excitation: {fault}" for fault in faults])
 

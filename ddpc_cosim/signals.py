@@ -2,8 +2,10 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +15,39 @@ from ddpc_cosim.variables import FloatArray
 
 # A sample time k*Ts can lie one rounding error before the instant it stands for.
 _RELATIVE_TIME_TOLERANCE = 1e-12
+
+
+def are_numbers(values: object) -> bool:
+    """Whether something is a sequence of numbers."""
+    try:
+        array = np.asarray(values)
+    except ValueError:  # of lists of different lengths
+        return False
+    return array.ndim == 1 and array.dtype.kind in "biuf"
+
+
+# What fields of these types need.
+_NEEDED: dict[object, tuple[str, Callable[[object], bool]]] = {
+    float: ("a number", lambda value: isinstance(value, Real)),
+    int: ("an integer", lambda value: isinstance(value, Integral)),
+    Sequence[float]: ("a sequence of numbers", are_numbers),
+}
+
+
+def type_faults(signal: Any, *kinds: object) -> list[str]:
+    """Return what is wrong with the types of a signal's numbers, perhaps of fields of some types only."""
+    return [
+        f"{one.name} = {getattr(signal, one.name)!r} is not possible; needed: {words}"
+        for one in fields(signal)
+        if one.type in (kinds or _NEEDED)
+        for words, fits in (_NEEDED[one.type],)
+        if not fits(getattr(signal, one.name))
+    ]
+
+
+def _check_types(signal: Any) -> None:
+    if faults := type_faults(signal):
+        raise ConfigError([f"{type(signal).__name__}: {fault}" for fault in faults])
 
 
 class Reference(ABC):
@@ -53,6 +88,9 @@ class Constant(Reference):
 
     value: float = 0.0
 
+    def __post_init__(self) -> None:
+        _check_types(self)
+
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at the given times [s]; same shape as ``time``."""
         return np.full(time.shape, self.value)
@@ -79,8 +117,9 @@ class Steps(Reference):
     values: Sequence[float]
 
     def __post_init__(self) -> None:
+        _check_types(self)
         faults = []
-        if len(self.times) != len(self.values) or not self.times:
+        if len(self.times) != len(self.values) or not len(self.times):
             lengths = f"times ({len(self.times)}) and values ({len(self.values)})"
             faults.append(f"steps: {lengths} must have the same length, at least 1")
         if not np.all(np.diff(self.times) > 0):
@@ -117,6 +156,7 @@ class Ramp(Reference):
     stop_time: float
 
     def __post_init__(self) -> None:
+        _check_types(self)
         if not self.start_time < self.stop_time:
             raise ConfigError(
                 f"ramp: it must end after it starts, got {self.start_time:g} s to {self.stop_time:g} s"
@@ -135,6 +175,9 @@ class Sine(Reference):
     frequency: float
     offset: float = 0.0
     phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_types(self)
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the values at the given times [s]; same shape as ``time``."""
@@ -160,6 +203,7 @@ class WhiteNoise(Reference):
     seed: int = 0
 
     def __post_init__(self) -> None:
+        _check_types(self)
         if not 0 <= self.standard_deviation < math.inf:
             what = f"standard deviation = {self.standard_deviation}"
             raise ConfigError(f"noise: {what} is not possible; allowed: a finite number >= 0")
@@ -190,7 +234,7 @@ class GaussianNoise:
         faults = [
             f"noise: standard deviation of {name} = {value} is not possible; allowed: >= 0"
             for name, value in self.standard_deviation.items()
-            if not (np.isfinite(value) and value >= 0)
+            if not (isinstance(value, Real) and 0 <= float(value) < math.inf)
         ]
         if faults:
             raise ConfigError(faults)
@@ -202,3 +246,6 @@ class ParameterChange:
 
     time: float
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _check_types(self)

@@ -5,15 +5,16 @@ to sample, outputs are those at the end of each interval.
 """
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ddpc_cosim.csv_files import CSVFile, split_unit, write_table
-from ddpc_cosim.errors import CosimError, CosimWarning
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
@@ -182,6 +183,27 @@ def simulate(
     >>> list(frame.columns)
     ['time [s]', 'angle [rad]', 'rate [rad/s]']
     """
+    faults = [
+        f"{name} = {value!r} is not possible; needed: {words}"
+        for name, value, fits, words in (
+            ("plant", plant, isinstance(plant, str | Path), "a file or the name of a plant"),
+            ("inputs", inputs, _are_signals(inputs), "a DataFrame, or the name of a CSV file"),
+            (
+                "parameters",
+                parameters,
+                isinstance(parameters, Mapping | None),
+                "a mapping of names to values",
+            ),
+            ("stop", stop, isinstance(stop, Real | None), "a number of seconds"),
+            ("step", step, isinstance(step, Real | None), "a number of seconds"),
+            ("outputs", outputs, _are_names(outputs), 'a list of names, such as ["y"]'),
+            ("step_timeout", step_timeout, isinstance(step_timeout, Real), "a number of seconds"),
+            ("trace_calls", trace_calls, isinstance(trace_calls, str | Path | None), "the name of a file"),
+        )
+        if not fits
+    ]
+    if faults:
+        raise ConfigError(faults)
     request = Request(
         plant=str(plant),
         inputs=None if inputs is None else _input_file(inputs),
@@ -202,6 +224,16 @@ def simulate(
         text = f"{simulation.plant}: {simulation.outcome}: {simulation.reason}"
         warnings.warn(text, CosimWarning, stacklevel=2)
     return simulation.frame()
+
+
+def _are_signals(inputs: object) -> bool:
+    return isinstance(inputs, str | Path | None) or hasattr(inputs, "to_csv")
+
+
+def _are_names(outputs: Any) -> bool:
+    """Whether something is a list of names, or nothing; a text is not one of letters."""
+    is_list = isinstance(outputs, Iterable) and not isinstance(outputs, str)
+    return outputs is None or (is_list and all(isinstance(name, str) for name in outputs))
 
 
 def _input_file(inputs: "pd.DataFrame | str | Path") -> CSVFile:

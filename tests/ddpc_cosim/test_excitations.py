@@ -289,3 +289,25 @@ def test_inputs_can_be_excited_in_different_ways() -> None:
 def test_impossible_excitations(make: Any, fault: str) -> None:
     with pytest.raises(ConfigError, match=fault):
         make()
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: PRBS("a", None, "10", clock_period="2"), ["samples = 10", "low (a)", "clock_period = 2"]),
+        (
+            lambda: Multisine(-1, 1, 10, sampling_time="x", min_frequency=None, max_frequency=1.0),
+            ["sampling_time = 'x' is not possible; needed: a number", "min_frequency = None is not possible"],
+        ),
+        (
+            lambda: Chirp(-1, 1, 10, sampling_time=0.1, from_frequency="1", to_frequency=[]),
+            ["from_frequency = '1' is not possible; needed: a number", "to_frequency = [] is not possible"],
+        ),
+    ],
+)
+def test_what_is_not_a_number_is_named_all_at_once(make: Any, words: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make()
+    assert len(caught.value.faults) == len(words)
+    for fault, part in zip(caught.value.faults, words, strict=True):
+        assert part in fault

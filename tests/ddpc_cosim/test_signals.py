@@ -1,5 +1,6 @@
 """References, excitations and noise against the formulas that define them."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,13 @@ from ddpc_cosim import (
     Excitation,
     FloatArray,
     GaussianNoise,
+    Interpolated,
+    ParameterChange,
     Ramp,
     Sine,
     Steps,
     UniformRandom,
+    WhiteNoise,
 )
 
 DATA = Path(__file__).parents[1] / "data"
@@ -107,3 +111,38 @@ def test_impossible_signals_are_refused(make: "type[Steps]", faults: list[str]) 
         make()  # type: ignore[call-arg]
     for found, expected in zip(caught.value.faults, faults, strict=True):
         assert expected in found
+
+
+@pytest.mark.parametrize(
+    ("make", "faults"),
+    [
+        (lambda: Constant("a"), ["Constant: value = 'a' is not possible; needed: a number"]),
+        (
+            lambda: Steps("ab", [1, "x"]),
+            [
+                "Steps: times = 'ab' is not possible; needed: a sequence of numbers",
+                "Steps: values = [1, 'x'] is not possible; needed: a sequence of numbers",
+            ],
+        ),
+        (lambda: Interpolated(None, 3), ["Interpolated: times = None", "Interpolated: values = 3 is not"]),
+        (lambda: Ramp(0, 1, "0", None), ["Ramp: start_time = '0'", "Ramp: stop_time = None is not possible"]),
+        (lambda: Sine("1", []), ["Sine: amplitude = '1'", "Sine: frequency = [] is not possible"]),
+        (
+            lambda: WhiteNoise("1", seed=0.5),
+            ["standard_deviation = '1'", "seed = 0.5 is not possible; needed: an"],
+        ),
+        (lambda: GaussianNoise({"y": "x"}), ["standard deviation of y = x is not possible"]),
+        (lambda: ParameterChange("now"), ["ParameterChange: time = 'now' is not possible; needed: a number"]),
+    ],
+)
+def test_what_is_not_a_number_is_named_all_at_once(make: Callable[[], object], faults: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make()
+    assert len(caught.value.faults) == len(faults)
+    for fault, words in zip(caught.value.faults, faults, strict=True):
+        assert words in fault
+
+
+def test_signals_take_the_numbers_of_numpy() -> None:
+    assert Steps(np.array([0.0, 1.0]), np.array([1, 2])).at(np.array([1.5]))[0] == 2.0
+    assert Constant(np.float32(1.5)).at(np.zeros(1))[0] == 1.5

@@ -1,6 +1,7 @@
 """Simulation in open loop, against formulas, another importer, and another solver."""
 
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -258,3 +259,21 @@ def test_what_cannot_be_opened_is_told(tmp_path: Path) -> None:
         simulate(tmp_path / "broken.fmu")
     with pytest.raises(CosimError, match="did you mean"):
         simulate("pendulumm")
+
+
+def test_arguments_of_wrong_types_are_named_all_at_once() -> None:
+    wrong: dict[str, Any] = {
+        "inputs": 3,
+        "parameters": ["mass"],
+        "stop": "3",
+        "step": "x",
+        "outputs": "y",
+        "step_timeout": None,
+        "trace_calls": 1,
+    }
+    with pytest.raises(ConfigError) as caught:
+        simulate("pendulum", **wrong)
+    told = [f"{name} = {value!r} is not possible; needed: " for name, value in wrong.items()]
+    assert [fault[: len(words)] for fault, words in zip(caught.value.faults, told, strict=True)] == told
+    with pytest.raises(ConfigError, match=r"outputs = \[1\] is not possible; needed: a list of names"):
+        simulate("pendulum", outputs=[1])  # type: ignore[list-item]
