@@ -405,8 +405,14 @@ class StartValues:
 def _number(variable: FMUVariable, value: Value) -> float:
     """Return a value as a number; values of enumerations by their name too."""
     if not isinstance(value, str):
-        with suppress(TypeError):  # it is anything but a number
-            return float(value)
+        with suppress(TypeError, OverflowError):  # it is anything but a number, or one too large
+            number = float(value)
+            if isinstance(value, int) and variable.values == "integer" and int(number) != value:
+                raise ValueError(
+                    f"parameter {variable.name} = {value} is not a number of double precision, in which "
+                    f"integers are set; the nearest is {int(number)}"
+                )
+            return number
     elif value in variable.items:
         return float(variable.items[value])
     elif variable.values == "boolean" and value.lower() in ("true", "false"):

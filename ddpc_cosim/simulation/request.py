@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _INTERVALS, _DURATION, _MOST_SAMPLES = 500, 10.0, 1_000_000
 _MOST_LOCALS = 50
 _ROUNDING = 1e-9
+_INTEGER = re.compile(r"\s*[+-]?\d{1,30}\s*")
 # A number, and a unit behind it, in brackets or not.
 _QUANTITY = re.compile(r"\s*(?P<number>[^\s\[]+)\s*(?P<bracket>\[)?(?P<unit>.*?)(?(bracket)\])\s*")
 
@@ -192,6 +193,8 @@ class _Subject:
             number = float(match["number"]) if match else math.nan
         except ValueError:
             return value  # the name of an enumeration's value, or a boolean: what it can be, is checked later
+        if self.is_whole(name) and _INTEGER.fullmatch(value):
+            return int(value)  # to the last digit
         if match is None or math.isnan(number):
             raise ConfigError(f"{self.label}: {name} = {value!r} is not a number")
         variable = signal.variable if signal else self.variables.parameters.get(name, Variable(name))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from fmus.builder import CO_SIMULATION, GAINED, LAG, V, describe, model_fmu, model_library, write_fmu
 
+from ddpc_cosim import simulate
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.fmu.description.reader import read_description
@@ -419,3 +420,17 @@ def test_defaults_that_follow_the_causality(tmp_path: Path) -> None:
     assert kinds["n"] == ("discrete", "calculated")
     assert kinds["u"] == ("continuous", "exact")
     assert not description.warnings
+
+
+def test_an_integer_that_would_be_rounded_is_an_error(tmp_path: Path) -> None:
+    path = feedthrough(tmp_path)
+    words = r"long in = 9007199254740993 is not a number of double precision.* nearest is 9007199254740992"
+    with FMUPlant(path, inputs=[], outputs=["long out"]) as plant:
+        plant.reset({"long in": 2**53})
+        assert plant.step(np.empty(0), 0.1)[0] == 2.0**53
+        with pytest.raises(ConfigError, match=words):
+            plant.reset({"long in": 2**53 + 1})
+        with pytest.raises(ConfigError, match="must be a number"):
+            plant.reset({"long in": 10**400})
+    with pytest.raises(ConfigError, match=words):
+        simulate(path, parameters={"long in": str(2**53 + 1)}, stop=0.1)
