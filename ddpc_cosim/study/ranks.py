@@ -214,7 +214,8 @@ def ranks_frame(frame: "pd.DataFrame", metric: str) -> AverageRanks:
     """Return the average ranks of the controllers over all problems.
 
     In a problem, the controller with fewer runs that do not stay near their reference comes first, of equal
-    ones that with the better median of the others; those without any run that does share the last ranks.
+    ones that with the better average rank over the problem's conditions (scenario and variant), in each of
+    which the medians over the seeds are ranked: no median is over values of different size or unit.
 
     Parameters
     ----------
@@ -235,10 +236,11 @@ def ranks_frame(frame: "pd.DataFrame", metric: str) -> AverageRanks:
     table, left_out = _shared_runs(frame, metric)
     rows = []
     for _, part in table.groupby(level="problem", sort=False):
-        medians = (-1 if better == "high" else 1) * part.median()
+        medians = part.groupby(level=["scenario", "variant"]).median() * (-1 if better == "high" else 1)
         # Nine digits: what differs by rounding alone is a tie.
-        keys = [(lost, float(f"{value:.9g}")) for lost, value in zip(part.isna().sum(), medians, strict=True)]
-        keys = [(lost, 0.0 if math.isnan(value) else value) for lost, value in keys]
+        scores = medians.fillna(math.inf).map(lambda value: float(f"{value:.9g}"))
+        ranks = rankdata(scores.to_numpy(dtype=float), axis=1).sum(axis=0)
+        keys = [*zip(part.isna().sum(), ranks, strict=True)]
         order = sorted(set(keys))
         rows.append([order.index(key) for key in keys])
     found = average_ranks([*map(str, table.columns)], np.array(rows, dtype=float))

@@ -90,6 +90,18 @@ def test_ranks_of_a_study() -> None:
     assert found.problems == 2
 
 
+def test_medians_are_compared_within_a_condition_only() -> None:
+    """b is the best in two of three scenarios; in the third all values are far larger, and a is."""
+    values = {"calm": {"a": 2.0, "b": 1.0, "c": 3.0}, "noise": {"a": 2.0, "b": 1.0, "c": 3.0}}
+    values["windy"] = {"a": 100.0, "b": 200.0, "c": 300.0}
+    table = pd.concat(
+        frame({"p": {name: [value] for name, value in of.items()}}).assign(scenario=scenario)
+        for scenario, of in values.items()
+    )
+    assert ranks_frame(table, METRIC).ranks == {"b": 1.0, "a": 2.0, "c": 3.0}
+    assert table.groupby("controller")[METRIC].mean().idxmin() == "a"
+
+
 def test_who_did_not_run_in_every_problem_is_named_and_not_ranked() -> None:
     table = {"p": {"a": [1.0], "b": [2.0], "some": [0.1]}, "q": {"a": [1.0], "b": [2.0]}}
     assert ranks_frame(frame(table), METRIC).left_out == ("some",)
