@@ -119,8 +119,19 @@ def _entry_points(kind: str) -> list[EntryPoint]:
     if kind not in KINDS:
         raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
     # An editable installation next to a wheel lists an entry point twice.
-    found = entry_points(group=f"ddpc_cosim.{kind}")
+    found = _every_entry_point(tuple(sys.path)).select(group=f"ddpc_cosim.{kind}")
     return list({(entry.name, entry.value): entry for entry in found}.values())
+
+
+def look_up() -> None:
+    """Find what is installed, which takes a while: the workers that are forked from here know it then."""
+    _every_entry_point(tuple(sys.path))
+
+
+@cache
+def _every_entry_point(path: tuple[str, ...]) -> Any:
+    """Return what is installed on an import path; its class depends on the version of Python."""
+    return entry_points()
 
 
 def _package(entry: EntryPoint) -> str:

@@ -257,9 +257,12 @@ class Server:
         self._control.sendall(json.dumps({"number": request["number"], **answer}).encode() + b"\n")
 
     def _fork(self, preload: Sequence[str], memory: int, connection: int) -> int:
-        for module in preload:
+        for entry in preload:
+            module, _, function = entry.partition(":")
             with contextlib.suppress(Exception):  # the worker will say what is wrong with it
-                importlib.import_module(module)
+                imported = importlib.import_module(module)
+                if function:
+                    getattr(imported, function)()
         gc.freeze()  # what is shared with the workers stays shared
         output, printing = os.pipe()
         server, pid = os.getpid(), os.fork()

@@ -225,7 +225,7 @@ class Worker:
     folder : Path
         Where temporary files of the worker go.
     preload : sequence of str
-        Modules to be imported before workers are forked, once for all.
+        Modules to be imported, and functions (``module:function``) to be called, before workers are forked.
     sandbox : Sandbox, optional
         What it enters before it runs anything; default: none, it has the user's rights.
     memory : int, optional

@@ -83,7 +83,13 @@ _HEADER_BYTES, _ROW_BYTES, _NUMBER_BYTES = 100_000, 10_000, 32
 _STAGING = ".staging-"
 _AT_THE_END = ("diagnostics", "close")
 # What most controllers compute with is not loaded by reading a study.
-_PRELOAD = (__name__, "ddpc_cosim.fmu.plant", "scipy.linalg", "scipy.special")
+_PRELOAD = (
+    __name__,
+    "ddpc_cosim.fmu.plant",
+    "ddpc_cosim.plugins:look_up",
+    "scipy.linalg",
+    "scipy.special",
+)
 _VERSIONS_OF = ("numpy", "scipy", "FMPy", "piqp", "sympy")
 
 
