@@ -408,7 +408,7 @@ def hints(about: Circumstances, room: FloatArray) -> Iterator[str]:
         yield f"with constant inputs the plant itself fails after {tested.time[-1]:.3g} s: {tested.fault}"
     for i in inputs:
         name, first = about.inputs[i].name, SHARE * room[i]
-        if any((j, i) in tested.switched for j in about.choice.outputs):
+        if any((j, i) in tested.switched for j in about.choice.outputs) and not about.unstable:
             yield f"{name} acts like a switch: a thousandth of the step does as much"
         elif abs(tested.steps[i]) > abs(first):
             enough = tested.steps[i]
