@@ -8,10 +8,12 @@ import struct
 import sys
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, TypeVar
+from xml.etree.ElementTree import Element
 
 from lxml import etree  # type: ignore[import-untyped]
 
@@ -37,9 +39,9 @@ _CHUNK = 1 << 20
 # The end of an archive: a mark, numbers of disks and files, size and place of the list of files, a comment.
 _END, _END_MARK, _LONGEST_END = struct.Struct("<4s4H2LH"), b"PK\5\6", 22 + 0xFFFF
 _LONGEST_ENTRY = 1000  # bytes of a file in that list, on average
-# So that reading takes less than 1 GB: a variable has about ten tags and attributes.
-_LARGEST_XML = 100_000_000  # bytes
-_MOST_MARKUP = 2_100_000  # tags and attributes
+# So that reading takes about 1 GB at most: a variable has about a dozen tags and attributes.
+_LARGEST_XML = 400_000_000  # bytes
+_MOST_MARKUP = 14_000_000  # tags and attributes
 _BEYOND_LIMITS = re.compile("PARSE_HUGE|too big|too long")  # what libxml2 says of its own limits
 _ENCRYPTED = 0x1
 _UNIX, _DARWIN = 3, 19
@@ -49,6 +51,10 @@ _DEVICE_NAME = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 _LONGEST_SHOWN = 200
 _LONGEST_NAME = 240  # bytes; file systems take 255, extension included
 _FORBIDDEN_IN_NAMES = re.compile(r'[/\\:<>"|?*\x00-\x1f]')
+_DOCUMENT_TYPE = (
+    "declares a document type (DOCTYPE), which may hide entity bombs or external entities and "
+    "has no place in an FMU; remove the declaration"
+)
 # What stands before the root element, up to the letter after the name of a document type.
 _DOCTYPE = re.compile(rb"(?:\s++|<\?.*?\?>|<!--.*?-->)*+<!DOCTYPE\s+[^\s>\[]+\s*(?P<after>.)", re.DOTALL)
 
@@ -103,8 +109,52 @@ def unpack(path: Path, folder: Path, limits: UnpackLimits | None = None) -> None
         raise FMUImportError(f"{path.name}: cannot be unpacked: {_reason(error)}") from error
 
 
-def read_xml(path: Path, label: str) -> tuple[Any, tuple[str, ...]]:
-    """Parse an XML file of an FMU of unknown origin.
+class XMLTree:
+    """The elements of an XML file, built while it is parsed; comments are left out.
+
+    Whoever has no use for an element, or wants it in a smaller form, takes it when it ends (see ``end``).
+    """
+
+    def __init__(self) -> None:
+        self.open: list[Element] = []
+        self.root = Element("")
+        self.overlooked: list[str] = []
+        self.has_namespaces = self.may_have_doctype = False
+
+    def start(self, tag: str, attributes: Mapping[str, str]) -> None:
+        """Open an element; where the root has a namespace, they are left out: FMI knows none."""
+        if not self.open:
+            self.has_namespaces = tag.startswith("{")
+        if self.has_namespaces:
+            tag = tag.rpartition("}")[2]
+        self.open.append(Element(tag, attributes if isinstance(attributes, dict) else {}))
+
+    def end(self, _: str) -> None:
+        """Close the innermost element, which becomes part of the one around it."""
+        element = self.open.pop()
+        if self.open:
+            self.open[-1].append(element)
+        else:
+            self.root = element
+
+    def doctype(self, *_: str | None) -> None:
+        """Refuse a document type, unless it is known to be a mere name; what it declares comes later."""
+        if not self.may_have_doctype:
+            raise RefusedError(_DOCUMENT_TYPE)
+
+    def close(self) -> None:
+        """Finish, as lxml wants it."""
+
+
+class RefusedError(Exception):
+    """Why an XML file is not read further; raised while a tree is built."""
+
+
+_Tree = TypeVar("_Tree", bound=XMLTree)
+
+
+def read_xml(path: Path, label: str, make: Callable[[], _Tree]) -> _Tree:
+    """Parse an XML file of an FMU of unknown origin, in one go and without a copy of it in memory.
 
     Nothing is loaded from elsewhere, no entity is expanded, and libxml2's limits of depth and size hold. FMI
     knows no document types; entities can make a small file huge, or read other files: they are refused.
@@ -115,72 +165,69 @@ def read_xml(path: Path, label: str) -> tuple[Any, tuple[str, ...]]:
         The file.
     label : str
         What it is called in errors.
+    make : callable
+        Makes an empty tree; one more if the file is not in the encoding that it claims to be in.
 
     Returns
     -------
-    root : lxml element
-        The root element, without comments.
-    overlooked : tuple of str
-        What is wrong with the file as XML but was understood.
+    XMLTree
+        What was made, filled; ``overlooked`` says what is wrong with the file as XML but was understood.
 
     Raises
     ------
     FMUImportError
-        It is not XML, or declares entities or a document type that is elsewhere.
+        It is not XML, is too large, or declares entities or a document type that is elsewhere.
     """
+    _check_size(path, label)
+    with path.open("rb") as file:
+        head = file.read(_CHUNK)
+        blanks = len(head) - len(head.lstrip())
+        # In two-byte encodings too; what cannot be seen here is refused where the parser meets it.
+        doctype = _DOCTYPE.match(head.replace(b"\0", b"").lstrip().lstrip(b"\xef\xbb\xbf\xff\xfe"))
+        if doctype is not None and doctype["after"] != b">":
+            raise FMUImportError(f"{label}: {_DOCUMENT_TYPE}")
+
+        def parse(**settings: Any) -> _Tree:
+            tree = make()
+            tree.may_have_doctype = doctype is not None
+            # Entities are those of XML itself, as any others would have to be declared.
+            parser = etree.XMLParser(
+                target=tree, resolve_entities="internal", no_network=True, load_dtd=False, **settings
+            )
+            file.seek(blanks)
+            etree.parse(SimpleNamespace(read=file.read), parser)  # nameless: else some errors are an OSError
+            return tree
+
+        try:
+            tree = parse()
+        except etree.XMLSyntaxError as error:
+            if _BEYOND_LIMITS.search(error.msg):
+                limits = "allowed: 10 MB for one text or attribute, 256 elements within each other"
+                raise FMUImportError(f"{label} cannot be read: {error.msg.strip()}; {limits}") from error
+            # Some tools write the letters of their locale into a file that claims to be UTF-8.
+            try:
+                tree = parse(encoding="cp1252")
+            except etree.XMLSyntaxError:
+                raise FMUImportError(f"{label} cannot be read: {error.msg}") from error
+            tree.overlooked.append(
+                "it is not in the encoding that it claims to be in; Windows-1252 was assumed"
+            )
+        except RefusedError as error:
+            raise FMUImportError(f"{label}: {error}") from None
+    if blanks:
+        tree.overlooked.insert(0, "blanks before the XML declaration")
+    return tree
+
+
+def _check_size(path: Path, label: str) -> None:
+    """Refuse what would take too much memory, before any is taken."""
     size = path.stat().st_size
     if size > _LARGEST_XML:
         raise FMUImportError(f"{label} has {size} bytes; allowed: {_LARGEST_XML}")
-    content = path.read_bytes()
-    markup = content.count(b"<") + content.count(b"=")
+    with path.open("rb") as file:
+        markup = sum(chunk.count(b"<") + chunk.count(b"=") for chunk in iter(lambda: file.read(_CHUNK), b""))
     if markup > _MOST_MARKUP:
         raise FMUImportError(f"{label} has {markup} tags and attributes; allowed: {_MOST_MARKUP}")
-    overlooked = ["blanks before the XML declaration"] if content[:1].isspace() else []
-    content = content.lstrip()
-    # In two-byte encodings too; in others the parser itself declines to expand.
-    doctype = _DOCTYPE.match(content.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe"))
-    if doctype is not None and doctype["after"] != b">":
-        raise _document_type(label)
-    try:
-        root = _parse(content)
-    except etree.XMLSyntaxError as error:
-        if _BEYOND_LIMITS.search(error.msg):
-            limits = "allowed: 10 MB for one text or attribute, 256 elements within each other"
-            raise FMUImportError(f"{label} cannot be read: {error.msg.strip()}; {limits}") from error
-        # Some tools write the letters of their locale into a file that claims to be UTF-8.
-        try:
-            root = _parse(content, encoding="cp1252")
-        except etree.XMLSyntaxError:
-            raise FMUImportError(f"{label} cannot be read: {error.msg}") from error
-        overlooked.append("it is not in the encoding that it claims to be in; Windows-1252 was assumed")
-    document = root.getroottree().docinfo
-    if document.system_url or document.public_id or _entities(document.internalDTD):
-        raise _document_type(label)
-    return root, tuple(overlooked)
-
-
-def _parse(content: bytes, **settings: Any) -> Any:
-    parser = etree.XMLParser(
-        resolve_entities=False,
-        no_network=True,
-        load_dtd=False,
-        huge_tree=False,
-        remove_comments=True,
-        remove_pis=True,
-        **settings,
-    )
-    return etree.fromstring(content, parser)
-
-
-def _entities(declared: Any) -> list[Any]:
-    return list(declared.iterentities()) if declared is not None else []
-
-
-def _document_type(label: str) -> FMUImportError:
-    return FMUImportError(
-        f"{label}: declares a document type (DOCTYPE), which may hide entity bombs or external entities and "
-        "has no place in an FMU; remove the declaration"
-    )
 
 
 def is_file_name(name: str) -> bool:

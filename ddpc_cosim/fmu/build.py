@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ddpc_cosim.errors import FMUImportError
-from ddpc_cosim.fmu.archive import read_xml
+from ddpc_cosim.fmu.archive import XMLTree, read_xml
 from ddpc_cosim.fmu.description import FMUDescription
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def described_sources(folder: Path, description: FMUDescription, label: str) -> 
     path = folder / BUILD_DESCRIPTION
     if description.major < 3 or not path.is_file():
         return [SourceSet(files, name) for name, files in description.source_files.items()]
-    root, _ = read_xml(path, f"{label}: {BUILD_DESCRIPTION}")
+    root = read_xml(path, f"{label}: {BUILD_DESCRIPTION}", XMLTree).root
     return [
         SourceSet(
             files=tuple(file.get("name", "") for file in element.iterfind("SourceFile")),

@@ -1,7 +1,6 @@
 """Checks of a model description that was read: what it says is possible, but may not be what was meant."""
 
 import re
-from collections import defaultdict
 
 from ddpc_cosim.fmu.archive import is_file_name
 from ddpc_cosim.fmu.description import INTERFACES, FMUDescription, FMUVariable
@@ -96,13 +95,18 @@ def _check_experiment(description: FMUDescription, findings: Findings) -> None:
 
 def _check_references(description: FMUDescription, findings: Findings) -> None:
     # References are per type in FMI 1.0 and 2.0 (enumerations are integers), and unique in FMI 3.0.
-    groups: dict[tuple[str, int], list[FMUVariable]] = defaultdict(list)
+    groups: dict[tuple[str, int], FMUVariable | list[FMUVariable]] = {}
     for variable in description.variables.values():
-        if not variable.alias_of:
-            values = "" if description.major >= 3 else variable.values
-            groups[values, variable.reference].append(variable)
+        if variable.alias_of:
+            continue
+        key = ("" if description.major >= 3 else variable.values, variable.reference)
+        known = groups.setdefault(key, variable)  # mostly the only one
+        if isinstance(known, list):
+            known.append(variable)
+        elif known is not variable:
+            groups[key] = [known, variable]
     for (_, reference), members in groups.items():
-        if len(members) == 1:
+        if not isinstance(members, list):
             continue
         settable = [v.name for v in members if v.causality in ("input", "parameter", "structuralParameter")]
         if len(settable) > 1:

@@ -9,11 +9,13 @@ import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree.ElementTree import Element
 
 from ddpc_cosim.errors import FMUImportError
-from ddpc_cosim.fmu.archive import MODEL_DESCRIPTION, read_xml
+from ddpc_cosim.fmu.archive import MODEL_DESCRIPTION, RefusedError, XMLTree, read_xml
 from ddpc_cosim.fmu.description import (
     INTERFACES,
     Clock,
@@ -26,14 +28,16 @@ from ddpc_cosim.fmu.description import (
 )
 from ddpc_cosim.fmu.description.defects import Findings, Severity
 from ddpc_cosim.fmu.description.variables import (
-    Element,
     VariableReader,
+    WrittenVariables,
     integer,
     is_number,
     is_true,
     noted_number,
 )
 from ddpc_cosim.variables import DisplayUnit
+
+_MOST_ENTRIES = 2_500_000  # each takes up to half a kilobyte
 
 
 def read_description(folder: Path, label: str) -> FMUDescription:
@@ -97,19 +101,18 @@ def read_tolerantly(folder: Path, label: str, findings: Findings) -> FMUDescript
     """
     if not (folder / MODEL_DESCRIPTION).is_file():
         raise FMUImportError(f"{label}: not an FMU: the archive has no {MODEL_DESCRIPTION}")
-    root, overlooked = read_xml(folder / MODEL_DESCRIPTION, f"{label}: {MODEL_DESCRIPTION}")
-    for what in overlooked:
+    document = read_xml(folder / MODEL_DESCRIPTION, f"{label}: {MODEL_DESCRIPTION}", _Document)
+    for what in document.overlooked:
         findings.add(defects.REPAIRED, what)
-    if root.tag.startswith("{"):  # FMI knows no namespaces, some tools do
+    if document.has_namespaces:  # FMI knows none, some tools do
         findings.add(defects.REPAIRED, "XML namespaces were left out")
-        for element in root.iter():
-            element.tag = element.tag.rpartition("}")[2]
+    root = document.root
     if "fmiVersion" not in root.attrib:
         raise FMUImportError(
             f"{label}: {MODEL_DESCRIPTION} cannot be read: <{root.tag[:100]}> has no fmiVersion"
         )
-    version = _version(root.get("fmiVersion"), findings)
-    return _Reading(root, version, findings).description() if version else None
+    version = _version(root.attrib["fmiVersion"], findings)
+    return _Reading(document, version, findings).description() if version else None
 
 
 def _version(text: str, findings: Findings) -> str:
@@ -124,6 +127,54 @@ def _version(text: str, findings: Findings) -> str:
     return version
 
 
+class _Unknown(NamedTuple):
+    """An entry of the model structure as written."""
+
+    list: str
+    variable: str
+    dependencies: str | None
+
+
+class _Document(XMLTree):
+    """A description as written, its long lists in a form that takes little memory."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.variables = WrittenVariables()
+        self.unknowns: list[_Unknown] = []
+        self.entries = 0
+
+    def end(self, tag: str) -> None:
+        """Close an element; those of the long lists go there, and not into the tree."""
+        depth = len(self.open)
+        section = self.open[1].tag if depth > 2 else ""
+        if section == "ModelVariables":
+            if depth > 3:
+                super().end(tag)  # becomes part of the variable
+                return
+            element = self.open.pop()
+            if element.tag == "Clock":  # of which more is read
+                self.open[1].append(element)
+            self.variables.add(element, self.major)
+        elif section == "ModelStructure" and depth == (3 if self.major == 3 else 4):
+            element, around = self.open.pop(), self.open[-1]
+            where, which = (element, "valueReference") if self.major == 3 else (around, "index")
+            written = _Unknown(where.tag, element.get(which, ""), element.get("dependencies"))
+            self.unknowns.append(written)
+        else:
+            super().end(tag)
+        self.entries += 1
+        if self.entries > _MOST_ENTRIES:
+            what = "variables, entries of the model structure and other elements"
+            raise RefusedError(f"has more than {_MOST_ENTRIES} {what}")
+
+    @cached_property
+    def major(self) -> int:
+        """The FMI version; 2 for one that is not known."""
+        first = self.open[0].get("fmiVersion", "").strip()[:1]
+        return int(first) if first in ("1", "3") else 2
+
+
 class _Structure(NamedTuple):
     """The model structure, by names of variables."""
 
@@ -135,13 +186,14 @@ class _Structure(NamedTuple):
 class _Reading:
     """The reading of one description, whose parts refer to each other."""
 
-    def __init__(self, root: Element, version: str, findings: Findings) -> None:
-        self.root, self.version, self.note = root, version, findings.add
+    def __init__(self, document: _Document, version: str, findings: Findings) -> None:
+        self.root, self.version, self.note = document.root, version, findings.add
         self.major = int(version[0])
         self.units = dict(self._units())
-        reader = VariableReader(root, self.major, self.units, self.note)
+        reader = VariableReader(self.root, self.major, document.variables, self.units, self.note)
         self.variables = reader.variables()
-        self.names = reader.names(self.variables)
+        self.targets = reader.targets
+        self.unknowns = document.unknowns
 
     def description(self) -> FMUDescription:
         """Return what has been read."""
@@ -295,33 +347,36 @@ class _Reading:
 
     def _structure(self) -> _Structure:
         structure = _Structure({}, [], [])
-        for part in self.root.iterfind("ModelStructure/*"):
-            for unknown in [part] if self.major == 3 else part.iterfind("Unknown"):
-                written = unknown.get("valueReference" if self.major == 3 else "index", "")
-                name = self.names.get(integer(written))
-                if name is None:
-                    self.note(defects.BAD_STRUCTURE, f'{part.tag}: "{written}"')
-                    continue
-                dependencies = self._dependencies(f"{part.tag} {written}", unknown)
-                if part.tag in ("Outputs", "Output"):
-                    structure.dependencies[name] = dependencies
-                elif part.tag in ("Derivatives", "ContinuousStateDerivative"):
-                    structure.derivatives.append(name)
-                elif part.tag == "EventIndicator":
-                    structure.event_indicators.append(name)
+        for unknown in self.unknowns:
+            name = self._name(unknown.variable)
+            if name is None:
+                self.note(defects.BAD_STRUCTURE, f'{unknown.list}: "{unknown.variable}"')
+                continue
+            dependencies = self._dependencies(unknown)
+            if unknown.list in ("Outputs", "Output"):
+                structure.dependencies[name] = dependencies
+            elif unknown.list in ("Derivatives", "ContinuousStateDerivative"):
+                structure.derivatives.append(name)
+            elif unknown.list == "EventIndicator":
+                structure.event_indicators.append(name)
         return structure
 
-    def _dependencies(self, where: str, unknown: Element) -> tuple[str, ...] | None:
+    def _name(self, written: str) -> str | None:
+        """Return the name of a variable by what the model structure calls it."""
+        name = self.targets.get(integer(written))
+        return name if name in self.variables else None
+
+    def _dependencies(self, unknown: _Unknown) -> tuple[str, ...] | None:
         """Return the variables that one depends on; None where that is not known."""
-        written = unknown.get("dependencies")
-        if written is None:
+        if unknown.dependencies is None:
             return None
-        found = {text: self.names.get(integer(text)) for text in written.split()}
-        wrong = [text for text, name in found.items() if name is None]
-        if wrong:
-            self.note(defects.BAD_DEPENDENCY, f"{where}: {', '.join(wrong)}")
+        found = {text: self._name(text) for text in unknown.dependencies.split()}
+        names = tuple(name for name in found.values() if name is not None)
+        if len(names) < len(found):
+            wrong = ", ".join(text for text, name in found.items() if name is None)
+            self.note(defects.BAD_DEPENDENCY, f"{unknown.list} {unknown.variable}: {wrong}")
             return None
-        return tuple(name for name in found.values() if name is not None)
+        return names
 
     def _integer(self, attribute: str) -> int:
         """Return a number of the root element, 0 for none."""

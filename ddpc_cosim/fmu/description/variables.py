@@ -3,16 +3,14 @@
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
+from xml.etree.ElementTree import Element
 
 from ddpc_cosim.fmu.description import FMUVariable, defects, number
-from ddpc_cosim.fmu.description.variable_types import TYPES
+from ddpc_cosim.fmu.description.variable_types import TYPES, VariableType
 from ddpc_cosim.variables import DisplayUnit, Variable
-
-Element = Any
-"""An element of lxml, which has no type information."""
 
 Note = Callable[[defects.Kind, str], None]
 """Notes a defect, and where it is."""
@@ -43,8 +41,11 @@ _FMI1_VARIABILITIES = ("continuous", "discrete", "constant", "parameter")
 
 _LARGEST_REFERENCE = 2**32 - 1
 _MOST_ELEMENTS = 1_000_000
-_INTEGER = re.compile(r"\s*[+-]?\d{1,20}\s*")  # more digits are no reference or size, and take long
+_MOST_DIGITS = 20  # more are no reference or size, and take long
+_INTEGER = re.compile(rf"\s*[+-]?\d{{1,{_MOST_DIGITS}}}\s*")
 _AS_GOOD_AS_INFINITE = 1e30
+_TEXTS_KEPT = 10_000
+_Text = TypeVar("_Text", str, str | None)
 
 
 class _Type(NamedTuple):
@@ -57,20 +58,105 @@ class _Type(NamedTuple):
 _UNDECLARED = _Type({}, {})
 
 
+class _Traits(NamedTuple):
+    """What many variables of a description have in common, as written."""
+
+    type: str
+    declared: str | None
+    causality: str | None
+    variability: str | None
+    initial: str | None
+    unit: str | None
+    display_unit: str | None
+    alias: str | None
+
+
 class _Entry(NamedTuple):
-    """A variable as written."""
+    """A variable as written, in little memory."""
 
     name: str
-    reference: int
-    type: str
+    reference: int | str
+    traits: _Traits
     start: str | None
-    own: Mapping[str, str]
-    inherited: _Type
-    element: Element
+    min: str | None
+    max: str | None
+    nominal: str | None
+    derivative: str | None
+    description: str
+    parts: Sequence[Element]
 
-    def get(self, attribute: str) -> str | None:
-        """Return an attribute of the variable, or of its declared type."""
-        return self.own.get(attribute, self.inherited.attributes.get(attribute))
+
+class _Meaning(NamedTuple):
+    """What the traits of variables mean, and what is wrong with them."""
+
+    causality: str
+    variability: str
+    initial: str
+    type: VariableType
+    unit: str
+    display_unit: DisplayUnit | None
+    inherited: _Type
+    needs_start: bool
+    faults: tuple[tuple[defects.Kind, str], ...]
+
+
+class WrittenVariables(list[_Entry | None]):
+    """The variables of a description as written; equal texts are kept once."""
+
+    def __init__(self) -> None:
+        self._traits: dict[tuple[str | None, ...], _Traits] = {}
+        self._texts: dict[Any, Any] = {}
+
+    def add(self, element: Element, major: int) -> None:
+        """Add a variable of a description for an FMI version."""
+        types, own, inner = TYPES[major], element.attrib, None
+        if major == 3:  # where the element is the type; in FMI 1.0 and 2.0 there is one inside
+            inner = element
+        else:
+            for part in element:
+                if part.tag in types:
+                    inner, own = part, {**part.attrib, **own}
+                    break
+        get = own.get
+        start = get("start")
+        if major == 3 and element.tag in types and not types[element.tag].is_number:
+            first = element.find("Start")  # texts and bytes have an element for it
+            start = None if first is None else first.get("value", "")
+        key = (
+            "" if inner is None else inner.tag,
+            get("declaredType"),
+            get("causality"),
+            get("variability"),
+            get("initial"),
+            get("unit"),
+            get("displayUnit"),
+            get("alias"),
+        )
+        traits = self._traits.get(key)
+        if traits is None:
+            traits = self._traits[key] = _Traits(*key)
+        written = get("valueReference", "")
+        reference = integer(written)
+        self.append(
+            _Entry(
+                get("name", ""),
+                written if reference is None or not 0 <= reference <= _LARGEST_REFERENCE else reference,
+                traits,
+                self._share(start),
+                get("min"),
+                get("max"),
+                get("nominal"),
+                get("derivative"),
+                self._share(get("description", "")),
+                tuple(element) if major == 3 else (),
+            )
+        )
+
+    def _share(self, text: _Text) -> _Text:
+        shared: _Text = self._texts.get(text, text)
+        if len(self._texts) < _TEXTS_KEPT:
+            self._texts[text] = shared
+        return shared
 
 
 class VariableReader:
@@ -78,10 +164,12 @@ class VariableReader:
 
     Parameters
     ----------
-    root : lxml element
+    root : Element
         The description.
     major : int
         Its FMI version.
+    written : WrittenVariables
+        Its variables, which are used up.
     units : mapping of str to tuple of DisplayUnit
         The units that it defines, each with its display units.
     note : callable
@@ -89,32 +177,41 @@ class VariableReader:
     """
 
     def __init__(
-        self, root: Element, major: int, units: Mapping[str, tuple[DisplayUnit, ...]], note: Note
+        self,
+        root: Element,
+        major: int,
+        written: WrittenVariables,
+        units: Mapping[str, tuple[DisplayUnit, ...]],
+        note: Note,
     ) -> None:
         self.root, self.major, self.units, self.note = root, major, units, note
         self.display_units = {unit: {one.name: one for one in known} for unit, known in units.items()}
         self.elements = 0  # of all arrays
         self.types = dict(self._types())
-        self.entries = self._entries()
+        self.meanings: dict[tuple[_Traits, bool], _Meaning] = {}
+        self.entries = written
+        self._drop_unusable()
         # What can be referred to: places in the list of variables (FMI 2.0), value references (FMI 3.0).
-        self.targets: dict[int | None, _Entry] = {}
+        self.targets: Mapping[int | str | None, str] = {}
         if major > 1:
-            self.targets = {e.reference if major == 3 else i: e for i, e in enumerate(self.entries, 1) if e}
+            self.targets = {e.reference if major == 3 else i: e.name for i, e in enumerate(written, 1) if e}
+        sizes = {integer(part.get("valueReference")) for e in written if e for part in e.parts}
+        self.sizes = {e.reference: e for e in written if e and e.reference in sizes} if sizes else {}
 
     def variables(self) -> dict[str, FMUVariable]:
         """Return the variables that can be used by name, other names of them at the end."""
         variables: dict[str, FMUVariable] = {}
         aliases: dict[str, FMUVariable] = {}
-        for entry in self.entries:
+        self.entries.reverse()
+        while self.entries:  # gives back their memory on the way
+            entry = self.entries.pop()
             variable = self._variable(entry) if entry else None
             if entry and variable:
                 variables[entry.name] = variable
-                aliases.update(self._aliases(variable, entry.element))
-        return variables | aliases
-
-    def names(self, variables: Mapping[str, FMUVariable]) -> dict[int | None, str]:
-        """Return the names of variables by what the model structure calls them."""
-        return {target: e.name for target, e in self.targets.items() if e.name in variables}
+                if entry.parts:
+                    aliases.update(self._aliases(variable, entry.parts))
+        variables.update(aliases)
+        return variables
 
     def _types(self) -> Iterator[tuple[str, _Type]]:
         """Yield the type definitions by name."""
@@ -127,94 +224,108 @@ class VariableReader:
             }
             yield definition.get("name", ""), _Type(described.attrib, items)
 
-    def _entries(self) -> list[_Entry | None]:
-        """Return the variables as written, with None in the place of those that cannot be used."""
-        elements = self.root.find("ModelVariables")
-        if elements is None:
+    def _drop_unusable(self) -> None:
+        """Put None in the place of the variables that cannot be used."""
+        if self.root.find("ModelVariables") is None:
             self.note(defects.REPAIRED, "there are no ModelVariables")
-            return []
-        entries = [self._entry(element) for element in elements]
+        entries = self.entries
+        nameless = sum(not entry.name for entry in entries if entry)
+        for i, entry in enumerate(entries):
+            if entry and not self._is_usable(entry):
+                entries[i] = None
         if entries and not any(entries):
             self.note(defects.NO_VARIABLES, f"in the terms of FMI {self.major}.0")
-        nameless = sum(not element.get("name") for element in elements)
         if nameless:
             self.note(defects.NO_NAME, f"{nameless} of them")
-        for name, times in Counter(entry.name for entry in entries if entry).items():
-            if times > 1:
-                self.note(defects.DUPLICATE_NAME, f"{name} ({times} times)")
-        return entries
+        if len({entry.name for entry in entries if entry}) < len(entries) - entries.count(None):
+            for name, times in Counter(entry.name for entry in entries if entry).items():
+                if times > 1:
+                    self.note(defects.DUPLICATE_NAME, f"{name} ({times} times)")
 
-    def _entry(self, element: Element) -> _Entry | None:
-        name, types = element.get("name"), TYPES[self.major]
-        # In FMI 3.0 the element is the type, in FMI 1.0 and 2.0 there is one inside.
-        inner = element if self.major == 3 else next((e for e in element if e.tag in types), None)
+    def _is_usable(self, entry: _Entry) -> bool:
+        name, declared = entry.name, entry.traits.declared
         if not name:
-            return None
-        if inner is None or inner.tag not in types:
+            return False
+        if entry.traits.type not in TYPES[self.major]:
             self.note(defects.NO_TYPE, name)
-            return None
-        written = element.get("valueReference", "")
-        reference = integer(written)
-        if reference is None or not 0 <= reference <= _LARGEST_REFERENCE:
-            self.note(defects.BAD_REFERENCE, f'{name}: "{written}"')
-            return None
-        own = {**inner.attrib, **element.attrib}
-        declared = own.get("declaredType", "")
-        if "declaredType" in own and declared not in self.types:
+            return False
+        if isinstance(entry.reference, str):
+            self.note(defects.BAD_REFERENCE, f'{name}: "{entry.reference}"')
+            return False
+        if declared is not None and declared not in self.types:
             self.note(defects.UNKNOWN_TYPE, f'{name}: "{declared}"')
-        start = own.get("start")
-        if self.major == 3 and not types[inner.tag].is_number:  # texts and bytes have an element for it
-            first = inner.find("Start")
-            start = None if first is None else first.get("value", "")
-        return _Entry(name, reference, inner.tag, start, own, self.types.get(declared, _UNDECLARED), element)
+        return True
 
     def _variable(self, entry: _Entry) -> FMUVariable | None:
         """Return a variable with everything resolved; None for an array that cannot be used."""
-        row = TYPES[self.major][entry.type]
-        dimensions, shape = self._sizes(entry)
+        name, traits = entry.name, entry.traits
+        dimensions, shape = self._sizes(entry) if entry.parts else ((), ())
         if shape is None:
             return None
-        causality, variability, initial = self._kind(entry, is_real=row.values == "real")
-        unit = entry.get("unit") or ""
+        key = (traits, entry.start is not None)
+        meaning = self.meanings.get(key) or self.meanings.setdefault(key, self._meaning(*key))
+        for kind, what in meaning.faults:
+            self.note(kind, f"{name}: {what}")
+        inherited = meaning.inherited.attributes
+        nominal = entry.nominal if entry.nominal is not None else inherited.get("nominal")
         return FMUVariable(
             variable=Variable(
-                name=entry.name,
-                unit=unit,
-                min=self._bound(entry, "min", row.min),
-                max=self._bound(entry, "max", row.max),
-                nominal=noted_number(self.note, entry.name, "nominal", entry.get("nominal"), 1.0),
-                start=self._start(entry, causality),
-                description=entry.own.get("description", ""),
-                display_unit=self._display_unit(entry.name, unit, entry.get("displayUnit")),
+                name=name,
+                unit=meaning.unit,
+                min=self._bound(entry, "min", entry.min, meaning),
+                max=self._bound(entry, "max", entry.max, meaning),
+                nominal=1.0 if nominal is None else noted_number(self.note, name, "nominal", nominal, 1.0),
+                start=self._start(entry, meaning),
+                description=entry.description,
+                display_unit=meaning.display_unit,
             ),
-            reference=entry.reference,
-            type=entry.type,
-            causality=causality,
-            variability=variability,
-            initial=initial,
+            reference=int(entry.reference),
+            type=traits.type,
+            causality=meaning.causality,
+            variability=meaning.variability,
+            initial=meaning.initial,
             shape=shape,
             dimensions=dimensions,
             start_text=entry.start,
-            items=entry.inherited.items,
-            derivative_of=self._state(entry),
-            negated=self.major == 1 and entry.own.get("alias") == "negatedAlias",
+            items=meaning.inherited.items,
+            derivative_of=self._state(entry) if entry.derivative is not None else "",
+            negated=self.major == 1 and traits.alias == "negatedAlias",
         )
 
-    def _kind(self, entry: _Entry, *, is_real: bool) -> tuple[str, str, str]:
+    def _meaning(self, traits: _Traits, has_start: bool) -> _Meaning:
+        """Return what is the same for all variables with some traits."""
+        type_ = TYPES[self.major][traits.type]
+        inherited = self.types.get(traits.declared or "", _UNDECLARED)
+        faults: list[tuple[defects.Kind, str]] = []
+        kind = self._kind(traits, has_start, faults, is_real=type_.values == "real")
+        unit, shown = (
+            inherited.attributes.get(attribute) if own is None else own
+            for attribute, own in (("unit", traits.unit), ("displayUnit", traits.display_unit))
+        )
+        display_unit = self._display_unit(unit or "", shown, faults)
+        needed = kind[0] in ("input", "parameter", "structuralParameter") and traits.initial != "calculated"
+        needs_start = type_.values != "none" and (needed or traits.initial in ("exact", "approx"))
+        return _Meaning(
+            *kind, type_, unit or "", display_unit, inherited, needs_start and not has_start, tuple(faults)
+        )
+
+    def _kind(
+        self, traits: _Traits, has_start: bool, faults: list[tuple[defects.Kind, str]], *, is_real: bool
+    ) -> tuple[str, str, str]:
         """Return causality, variability and initial, made to fit each other: the causality counts."""
-        name, causality, variability = entry.name, entry.own.get("causality"), entry.own.get("variability")
+        causality, variability = traits.causality, traits.variability
         if causality is not None and causality not in _CAUSALITIES[self.major]:
-            self.note(defects.UNKNOWN_CAUSALITY, f'{name}: "{causality}"')
+            faults.append((defects.UNKNOWN_CAUSALITY, f'"{causality}"'))
             causality = None
         if variability is not None and variability not in self._known_variabilities():
-            self.note(defects.UNKNOWN_VARIABILITY, f'{name}: "{variability}"')
+            faults.append((defects.UNKNOWN_VARIABILITY, f'"{variability}"'))
             variability = None
-        has_start = "" if entry.start is None else "exact"
+        exact = "exact" if has_start else ""
         if self.major == 1:  # whose parameters have no causality of their own
             if variability == "parameter":
-                return "parameter", "fixed", has_start
+                return "parameter", "fixed", exact
             kept = causality if causality in ("input", "output") else "local"
-            return kept, variability or "continuous", has_start
+            return kept, variability or "continuous", exact
         causality = causality or "local"
         allowed = _VARIABILITIES[causality]
         # FMI 2.0 has one default for all, FMI 3.0 has one that fits.
@@ -223,9 +334,9 @@ class VariableReader:
         if wanted not in allowed:
             first = next(iter(allowed))
             if variability or self.major == 2:
-                self.note(defects.BAD_COMBINATION, f"{name}: {causality}, {wanted}; read as {first}")
+                faults.append((defects.BAD_COMBINATION, f"{causality}, {wanted}; read as {first}"))
             wanted = first
-        return causality, wanted, entry.own.get("initial") or allowed[wanted] or has_start
+        return causality, wanted, traits.initial or allowed[wanted] or exact
 
     def _known_variabilities(self) -> Iterable[str]:
         return _FMI1_VARIABILITIES if self.major == 1 else _VARIABILITIES["local"]
@@ -234,11 +345,11 @@ class VariableReader:
         """Return an array's dimensions, and its shape at the start; None where it cannot be used."""
         dimensions: list[int | str] = []
         shape: list[int] = []
-        for dimension in entry.element.iterfind("Dimension") if self.major == 3 else ():
+        for dimension in (part for part in entry.parts if part.tag == "Dimension"):
             fixed = dimension.get("start")
             parameter = None
             if fixed is None:
-                parameter = self.targets.get(integer(dimension.get("valueReference")))
+                parameter = self.sizes.get(integer(dimension.get("valueReference")) or 0)
             size = integer(fixed if parameter is None else parameter.start)
             if size is None or size < 0:
                 self.note(defects.BAD_DIMENSION, entry.name)
@@ -257,50 +368,57 @@ class VariableReader:
             return (), None
         return tuple(dimensions), tuple(shape)
 
-    def _start(self, entry: _Entry, causality: str) -> float:
+    def _start(self, entry: _Entry, meaning: _Meaning) -> float:
         """Return the start value; for an array that of its first element, for none 0."""
-        row = TYPES[self.major][entry.type]
-        if entry.start is None and row.values != "none":
-            needed = causality in ("input", "parameter", "structuralParameter")
-            initial = entry.own.get("initial")
-            if initial in ("exact", "approx") or (needed and initial != "calculated"):
+        if entry.start is None:
+            if meaning.needs_start:
                 self.note(defects.NO_START, entry.name)
-        values = (entry.start or "").split()
-        if len(values) == 1 and row.is_number:
+            return 0.0
+        values = entry.start.split()
+        if len(values) == 1 and meaning.type.is_number:
             return noted_number(self.note, entry.name, "start", values[0], 0.0)
         return number(values[0] if values else None, 0.0)
 
-    def _bound(self, entry: _Entry, which: str, none: float) -> float:
+    def _bound(self, entry: _Entry, which: str, own: str | None, meaning: _Meaning) -> float:
         """Return a limit; many tools write the largest number that they know where there is none."""
-        if TYPES[self.major][entry.type].values not in ("real", "integer"):  # which have no limits to write
+        none: float = getattr(meaning.type, which)
+        if own is None and not meaning.inherited.attributes:
             return none
-        bound = noted_number(self.note, entry.name, which, entry.get(which), none)
+        written = own if own is not None else meaning.inherited.attributes.get(which)
+        # Some types have no limits to write.
+        if written is None or meaning.type.values not in ("real", "integer"):
+            return none
+        bound = noted_number(self.note, entry.name, which, written, none)
         return none if abs(bound) >= _AS_GOOD_AS_INFINITE else bound
 
-    def _display_unit(self, name: str, unit: str, wanted: str | None) -> DisplayUnit | None:
+    def _display_unit(
+        self, unit: str, wanted: str | None, faults: list[tuple[defects.Kind, str]]
+    ) -> DisplayUnit | None:
         found = self.display_units.get(unit, {}).get(wanted or "")
         if wanted and found is None and wanted != unit and unit in self.units:
-            self.note(defects.UNKNOWN_DISPLAY_UNIT, f"{name}: {wanted} for {unit}")
+            faults.append((defects.UNKNOWN_DISPLAY_UNIT, f"{wanted} for {unit}"))
         return found
 
     def _state(self, entry: _Entry) -> str:
         """Return the name of the state that a variable is the derivative of; empty for none."""
-        written = entry.own.get("derivative")
-        if written is None or self.major == 1:
+        if self.major == 1:
             return ""
-        state = self.targets.get(integer(written))
+        state = self.targets.get(integer(entry.derivative))
         if state is None:
-            self.note(defects.BAD_DERIVATIVE, f'{entry.name}: "{written}"')
-        return state.name if state is not None else ""
+            self.note(defects.BAD_DERIVATIVE, f'{entry.name}: "{entry.derivative}"')
+        return state or ""
 
-    def _aliases(self, variable: FMUVariable, element: Element) -> Iterator[tuple[str, FMUVariable]]:
+    def _aliases(self, variable: FMUVariable, parts: Iterable[Element]) -> Iterator[tuple[str, FMUVariable]]:
         """Yield the other names of a variable (FMI 3.0)."""
-        for alias in element.iterfind("Alias") if self.major == 3 else ():
+        for alias in (part for part in parts if part.tag == "Alias"):
             name, own = alias.get("name"), variable.variable
             if not name:
                 self.note(defects.NO_NAME, f"an alias of {variable.name}")
                 continue
-            shown = self._display_unit(name, own.unit, alias.get("displayUnit")) or own.display_unit
+            faults: list[tuple[defects.Kind, str]] = []
+            shown = self._display_unit(own.unit, alias.get("displayUnit"), faults) or own.display_unit
+            for kind, what in faults:
+                self.note(kind, f"{name}: {what}")
             text = alias.get("description") or own.description
             named = replace(own, name=name, description=text, display_unit=shown)
             yield name, replace(variable, variable=named, alias_of=variable.name)
@@ -308,14 +426,23 @@ class VariableReader:
 
 def noted_number(note: Note, where: str, attribute: str, written: str | None, default: float) -> float:
     """Return the number that an attribute stands for; a text that is not one is a defect, and ignored."""
-    if written is not None and not is_number(written):
-        note(defects.NOT_A_NUMBER, f'{where}: {attribute} = "{written}"')
-    return number(written, default)
+    if written is None:
+        return default
+    try:
+        value = float(written)
+    except ValueError:
+        if not is_number(written):
+            note(defects.NOT_A_NUMBER, f'{where}: {attribute} = "{written}"')
+        return number(written, default)
+    return default if math.isnan(value) else value
 
 
 def integer(text: str | None) -> int | None:
     """Return the integer that a text stands for; None if it does not stand for one."""
-    return int(text) if text is not None and _INTEGER.fullmatch(text) else None
+    if text is None:
+        return None
+    is_plain = text.isdecimal() and len(text) <= _MOST_DIGITS  # as nearly all are
+    return int(text) if is_plain or _INTEGER.fullmatch(text) else None
 
 
 def is_true(text: str | None) -> bool:

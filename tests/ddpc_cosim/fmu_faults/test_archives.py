@@ -11,7 +11,7 @@ import pytest
 from fmus.builder import IDENTIFIER, integrator_description, write_archive
 
 from ddpc_cosim import FMUImportError, FMUPlant
-from ddpc_cosim.fmu.archive import UnpackLimits, is_file_name, read_xml, unpack
+from ddpc_cosim.fmu.archive import UnpackLimits, XMLTree, is_file_name, read_xml, unpack
 from ddpc_cosim.inspection import inspect_fmu
 
 Files = Mapping[str, bytes]
@@ -188,11 +188,18 @@ class TestLimits:
         with pytest.raises(FMUImportError, match=rf"modelDescription\.xml {words}; allowed: 50"):
             FMUPlant(pendulum_fmu)
 
+    def test_too_many_variables(self, pendulum_fmu: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("ddpc_cosim.fmu.description.reader._MOST_ENTRIES", 20)
+        with pytest.raises(
+            FMUImportError, match=r"modelDescription\.xml: has more than 20 variables, entries"
+        ):
+            FMUPlant(pendulum_fmu)
+
     def test_a_text_beyond_measure(self, tmp_path: Path) -> None:
         path = tmp_path / "modelDescription.xml"
         path.write_text(f'<fmiModelDescription modelName="{"x" * 10_100_000}"/>', encoding="utf-8")
         with pytest.raises(FMUImportError, match="; allowed: 10 MB for one text or attribute, 256 elements"):
-            read_xml(path, "x")
+            read_xml(path, "x", XMLTree)
 
     @pytest.mark.usefixtures("nothing_left")
     def test_limits_of_a_plant(self, faulty_fmus: dict[int, Path]) -> None:
@@ -214,6 +221,16 @@ DOCUMENT_TYPES = {
     "external subset": b'<!DOCTYPE fmiModelDescription SYSTEM "http://localhost/x.dtd">',
     "parameter entity": b'<!DOCTYPE fmiModelDescription [<!ENTITY % x SYSTEM "file:///x">%x;]>',
 }
+
+
+def test_what_xml_writes_as_an_entity(tmp_path: Path) -> None:
+    path = tmp_path / "x.xml"
+    path.write_text(
+        '<x a="R&amp;D &lt;1&gt; &quot;&apos; &#228;&#x20ac;"><y z="&amp;lt;"/></x>', encoding="utf-8"
+    )
+    root = read_xml(path, "x", XMLTree).root
+    assert root.get("a") == "R&D <1> \"' \u00e4\u20ac"
+    assert root[0].get("z") == "&lt;"
 
 
 class TestDocumentTypes:

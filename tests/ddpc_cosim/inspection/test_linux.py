@@ -1,6 +1,8 @@
-"""Defects that show in ELF files and in mount flags."""
+"""Defects that show in ELF files and in mount flags, and the peak of memory in the units of Linux."""
 
 import os
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 
@@ -41,3 +43,30 @@ def test_a_temporary_folder_that_forbids_execution(
     monkeypatch.setattr(os, "statvfs", lambda path: Mounted)
     (defect,) = (found := inspect_fmu(pendulum_fmu)).defects
     assert (defect.kind.name, found.can_run) == ("no-execution", False)
+
+
+MEMORY = """
+import resource, sys
+from pathlib import Path
+from ddpc_cosim.inspection import inspect_fmu
+def peak(fmu):
+    inspect_fmu(Path(fmu))
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(*map(peak, sys.argv[1:]))
+"""
+
+
+def test_a_million_variables_take_less_than_a_gigabyte(pendulum_fmu, mutate) -> None:
+    """Between a small and a large FMU, the memory that is used grows by less than 1 kB per variable."""
+    end = "</ModelVariables>"
+    variable = (
+        '<ScalarVariable name="wall[{0}].T" valueReference="{1}" causality="local" variability="continuous" '
+        'initial="exact" description="Temperature {0}"><Real start="{0}" unit="K"/></ScalarVariable>'
+    )
+    text = "".join(variable.format(i, i + 1000) for i in range(50_000))
+    many = mutate(pendulum_fmu, (end, text + end))
+    found = subprocess.run(
+        [sys.executable, "-c", MEMORY, pendulum_fmu, many], capture_output=True, text=True, check=True
+    )
+    small, large = map(int, found.stdout.split())
+    assert large - small < 50_000  # kB
