@@ -422,7 +422,7 @@ def _all_cases(
                     start_time=study.loop.start_time,
                     continue_recording=study.loop.start == "recording-end",
                     reference=resolved.reference,
-                    bounds=resolved.bounds[controller],
+                    bounds=resolved.bounds[controller] | resolved.scenario_bounds[name],
                     excitation=None if excitation is None else excitation.with_seed(seed),
                     recording=resolved.recording,
                     stabiliser=None if stabiliser is None else _type_and_settings(stabiliser),

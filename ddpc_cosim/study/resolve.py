@@ -54,6 +54,8 @@ class ResolvedStudy:
         Of each controlled output, in its own unit.
     bounds : dict of str to dict of str to (float, float)
         For each controller the limits of inputs and controlled outputs, in their own units.
+    scenario_bounds : dict of str to dict of str to (float, float)
+        What each scenario puts in place of them.
     excitations : dict of str to (Excitation or None)
         The experiment of each scenario; each case draws it with its own seed.
     conditions : dict of str to Conditions
@@ -75,6 +77,7 @@ class ResolvedStudy:
     measurements: tuple[Variable, ...]
     reference: dict[str, Reference]
     bounds: dict[str, Limits]
+    scenario_bounds: dict[str, Limits]
     excitations: dict[str, Excitation | None]
     conditions: dict[str, Conditions]
     undriven: dict[str, tuple[Variable, ...]]
@@ -168,6 +171,7 @@ class _Resolution:
         self._check_cost()
         self.references = self._references()
         self.bounds = self._bounds()
+        self.scenario_bounds = {name: self._scenario_bounds(name) or {} for name in study.scenarios}
         self.excitation = self._excitation()
         self.excitations = {
             name: self.scenarios.excitation(name, self.excitation) for name in study.scenarios
@@ -186,6 +190,7 @@ class _Resolution:
             measurements=self.measurements.variables,
             reference=self.references,
             bounds={controller.name: self.bounds[controller.of] for controller in self.controllers},
+            scenario_bounds=self.scenario_bounds,
             excitations=self.excitations,
             conditions={name: conditions or Conditions() for name, conditions in self.conditions.items()},
             undriven={name: self.scenarios.undriven(name) for name in self.study.scenarios},
@@ -386,6 +391,10 @@ class _Resolution:
             name: common | self._limits(("controllers", name, "bounds"), section.bounds)
             for name, section in self.study.controllers.items()
         }
+
+    @independent
+    def _scenario_bounds(self, name: str) -> Limits:
+        return self._limits(("scenarios", name, "bounds"), self.study.scenarios[name].bounds)
 
     def _limits(self, place: Place, bounds: Mapping[str, BoundsSection]) -> Limits:
         """Return the limits of a table in the variables' own units; a side left out is the plant's."""

@@ -254,6 +254,9 @@ class ScenarioSection(Section):
         str, Annotated[list[DisturbanceSection], BeforeValidator(_as_list), Field(min_length=1)]
     ] = Field({}, description="what is added to each input or output: a signal, or several that are added up")
     inputs: dict[str, InputSection] = Field({}, description="signals of inputs that no controller drives")
+    bounds: dict[str, BoundsSection] = Field(
+        {}, description="limits in place of the study's, and of those that a controller has of its own"
+    )
     rate_limit: dict[str, Positive] = Field(
         {}, description="largest rate of change of each input, in its unit per second"
     )

@@ -366,7 +366,7 @@ def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list
 
     disturbances = [(name, part) for name, parts in section.disturbances.items() for part in parts]
     said = {"parameters", "noise", "events", "drifts", "disturbances", "inputs"}
-    said |= {"label", "rate_limit", "delay", "quantum", "loss", "recording"}
+    said |= {"label", "bounds", "rate_limit", "delay", "quantum", "loss", "recording"}
     return [
         *([Effect(f"parameters {mapping_text(section.parameters)}")] if section.parameters else []),
         *values(section.noise, "noise of {}, standard deviation"),
@@ -382,6 +382,10 @@ def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list
         *(
             _signal_effect(f"input {_plain(name)}", one, units.get(name, ""), first=1)
             for name, one in section.inputs.items()
+        ),
+        *(
+            Effect(f"limits of {_plain(name)}: {_signal(one, units.get(name, ''))}")
+            for name, one in section.bounds.items()
         ),
         *values(section.rate_limit, "rate limit of {}", " per second"),
         *(Effect(f"delay of {_plain(name)} {as_given(delay)} s") for name, delay in section.delay.items()),

@@ -166,6 +166,7 @@ CONTENT: dict[str, Any] = {
                 ]
             },
             "inputs": {"wind": {"kind": "steps", "times": [0.0, 2.0], "values": [1.0, 2.0], "unit": "m/s"}},
+            "bounds": {"torque": {"min": -2.0, "max": 2.5, "unit": "N.m"}},
             "rate_limit": {"torque": 2.0},
             "delay": {"torque": 0.2, "angle": 0.1},
             "quantum": {"angle": 0.01},

@@ -157,6 +157,20 @@ def test_cases_of_scenarios_differ_by_their_conditions_alone(tmp_path: Path) -> 
     assert [case.id == old.id for case, old in zip(again, (calm, hard), strict=True)] == [True, False]
 
 
+def test_limits_of_a_scenario_come_before_all_others(tmp_path: Path) -> None:
+    """A side left out is the plant's."""
+    own = "bounds.pump_1 = { min = 1.0, max = 9.0 }\n[scenarios.calm]"
+    tight = "[scenarios.tight]\nbounds.pump_1 = { max = 2900, unit = 'mV' }\n"
+    results = results_of(tmp_path, TANK.replace("[scenarios.calm]", own) + tight)
+    runs = [results[name].trace() for name in ("calm", "tight")]
+    assert [(run.bounds.u_min.tolist(), run.bounds.u_max.tolist()) for run in runs] == [
+        ([1.0], [9.0]),
+        ([0.0], [2.9]),
+    ]
+    assert np.array_equal(runs[0].bounds.y_max, runs[1].bounds.y_max)
+    assert runs[1].u.max() <= 2.9 < runs[0].u.max()
+
+
 def faults_of(folder: Path, scenario: str, **changes: str) -> list[str]:
     text = TANK
     for old, new in changes.items():
@@ -261,6 +275,8 @@ def test_all_faults_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
         tmp_path,
         """
         delay = { level_1 = 7.0 }
+        bounds.level_1 = { min = 3.0, max = 2.0 }
+        bounds.valve = { min = 3.0 }
         loss = { level_2 = 2.0 }
         disturbances.pump_1 = { kind = "constant", value = 1.0, unit = "s" }
         inputs.pump_1 = { kind = "constant", value = 1.0 }
@@ -269,6 +285,8 @@ def test_all_faults_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
     )
     assert [fault.partition(":")[0] for fault in faults] == [
         "delay.level_1",
+        "bounds.level_1",
+        "bounds",
         "loss.level_2",
         "disturbances.pump_1[0].unit",
         "inputs.pump_1",
