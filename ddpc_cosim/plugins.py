@@ -134,6 +134,7 @@ def _every_entry_point(path: tuple[str, ...]) -> Any:
     return entry_points()
 
 
+@cache  # its metadata are parsed for it, and a study may name 1000 controllers
 def _package(entry: EntryPoint) -> str:
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "unknown package"
 

@@ -132,9 +132,10 @@ _STEP_TIMEOUT = click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of results [runs/STUDY]."
 )
 @click.option("--jobs", type=click.IntRange(min=1), help="Worker processes [one per processor].")
-@click.option("--only", default="*", metavar="GLOB", help="Only cases or controllers of this name.")
+@click.option("--only", default="*", metavar="GLOB", help="Only cases of this name or label.")
 @click.option("--seeds", metavar="0:30", help="Seeds in place of the study's: 7, 0:30 or 5489,0:30.")
 @click.option("--fresh", is_flag=True, help="Run cases again that already exist.")
+@click.option("--dry-run", is_flag=True, help="Run nothing: say how many cases, how long, how many bytes.")
 @_SANDBOX
 @click.option("--no-report", is_flag=True, help="Write no report.")
 def run(
@@ -144,6 +145,7 @@ def run(
     only: str,
     seeds: str | None,
     fresh: bool,
+    dry_run: bool,
     sandbox: bool,
     no_report: bool,
 ) -> None:
@@ -151,7 +153,8 @@ def run(
     with orderly_end():
         from ddpc_cosim.cli.run import run_command
 
-        sys.exit(run_command(study, out, jobs, only, seeds, fresh, sandbox=sandbox, report=not no_report))
+        how = {"sandbox": sandbox, "report": not no_report, "dry_run": dry_run}
+        sys.exit(run_command(study, out, jobs, only, seeds, fresh, **how))
 
 
 @main.command()

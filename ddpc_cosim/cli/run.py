@@ -14,6 +14,7 @@ from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.dry_run import expected
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults, load_results
@@ -37,8 +38,12 @@ def run_command(
     *,
     sandbox: bool,
     report: bool,
+    dry_run: bool,
 ) -> int:
-    """Run a study, print the result table and the report's path, and return the exit code."""
+    """Run a study, print the result table and the report's path, and return the exit code.
+
+    If dry, nothing is run: what would be is printed.
+    """
     chosen = _parse_seeds(seeds)
     with shown(f"reading {name}") as progress:
         # What a controller prints when it is tried here is not a result; a case keeps what it prints there.
@@ -46,6 +51,9 @@ def run_command(
             resolved = read_study(name)
         folder = out or Path("runs") / resolved.head.name
         selection = Selection(jobs or os.cpu_count() or 1, chosen, only, fresh, sandbox)
+        if dry_run:
+            print(expected(resolved, folder, selection, progress))
+            return 0
         with _warnings_in_one_line():
             results = run_study(resolved, folder, selection, progress)
     # Where no window limits it, the table takes the width it needs.

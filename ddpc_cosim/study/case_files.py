@@ -4,6 +4,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 import os
 import shutil
 import stat
@@ -23,7 +24,7 @@ from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
 from fmu_plants.files import write_atomically
 
-_RUN_FILE, _SIGNALS_FILE = "run.json", "signals.csv"
+RUN_FILE, _SIGNALS_FILE = "run.json", "signals.csv"
 # A JSON file ends with the checksum of all that stands before it.
 _SEAL = b',\n "sha256": "%s"\n}\n'
 
@@ -190,7 +191,7 @@ def stage_case(
     """
     settings = settings or MetricSettings(trace.preview)
     run = (
-        {"printed": "", "sandbox": "", "problem": ""}
+        {"printed": "", "sandbox": "", "problem": "", "wall_time": math.nan}
         | head
         | {
             "outcome": trace.outcome.value,
@@ -219,7 +220,7 @@ def stage_case(
     staged.mkdir(parents=True, exist_ok=True)
     trace.write_csv(staged / _SIGNALS_FILE)
     signals = {"rows": len(trace), "sha256": checksum((staged / _SIGNALS_FILE).read_bytes())}
-    (staged / _RUN_FILE).write_bytes(sealed_json(run | {"signals": signals}))
+    (staged / RUN_FILE).write_bytes(sealed_json(run | {"signals": signals}))
 
 
 def accept_case(staged: Path, folder: Path, head: dict[str, Any], printed: str, longest: int) -> None:
@@ -243,15 +244,15 @@ def accept_case(staged: Path, folder: Path, head: dict[str, Any], printed: str, 
     CosimError
         It cannot be moved, and why.
     """
-    _check_staged(staged, {_RUN_FILE: _LONGEST_RUN, _SIGNALS_FILE: longest})
+    _check_staged(staged, {RUN_FILE: _LONGEST_RUN, _SIGNALS_FILE: longest})
     load_case(staged)
     run = read_run(staged)
     for key, value in head.items():
         if run[key] != value:
-            raise ConfigError(f"{_RUN_FILE} is of {key} {str(run[key])[:100]}")
+            raise ConfigError(f"{RUN_FILE} is of {key} {str(run[key])[:100]}")
     try:
         if printed:
-            (staged / _RUN_FILE).write_bytes(sealed_json(run | {"printed": printed}))
+            (staged / RUN_FILE).write_bytes(sealed_json(run | {"printed": printed}))
         _move_into_place(staged, folder)
     except OSError as error:
         raise _not_written(folder, error) from error
@@ -290,7 +291,7 @@ def judge_again(folder: Path, settings: MetricSettings) -> None:
         if run["metric_settings"] == asdict(settings):
             return
         run |= _judged(read_trace(folder), settings)
-        write_atomically(folder / _RUN_FILE, sealed_json(run))
+        write_atomically(folder / RUN_FILE, sealed_json(run))
     except DAMAGED as error:
         raise CosimError(f"{folder}: metrics cannot be computed again: {error}") from error
 
@@ -357,7 +358,7 @@ def _move_into_place(staged: Path, folder: Path) -> None:
     try:
         staged.replace(folder)
     except OSError:
-        if not (folder / _RUN_FILE).is_file():
+        if not (folder / RUN_FILE).is_file():
             with suppress(FileNotFoundError):
                 older.replace(folder)
             raise
@@ -367,7 +368,7 @@ def _move_into_place(staged: Path, folder: Path) -> None:
 
 def read_run(folder: Path) -> dict[str, Any]:
     """Return ``run.json`` of a case."""
-    run = read_sealed(folder / _RUN_FILE)
+    run = read_sealed(folder / RUN_FILE)
     run["metrics"] = {name: float(value) for name, value in run["metrics"].items()}
     run["diagnostics"] = {name: float(value) for name, value in run["diagnostics"].items()}
     return run

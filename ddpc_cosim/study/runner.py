@@ -161,10 +161,8 @@ def run_study(
     """
     if selection.sandboxed:
         require_sandbox()  # before anything is built
-    plants = _built(resolved, progress)
+    plants, cases = selected_cases(resolved, selection, progress)
     is_flat = resolved.whole.is_flat
-    problems = {"" if is_flat else name: (one, plants[name]) for name, one in resolved.problems.items()}
-    cases = cases_of_problems(problems, selection.seeds, selection.only)
     cases_folder = folder / CASES_FOLDER
     try:
         cases_folder.mkdir(parents=True, exist_ok=True)
@@ -192,6 +190,22 @@ def run_study(
         provenance |= {key if is_flat else provenance_of(name, key): fact for key, fact in facts.items()}
     provenance |= _provenance(results, selection)
     return write_results(StudyResults(folder, study, results, provenance, damaged))
+
+
+def selected_cases(
+    resolved: "ResolvedProblems", selection: Selection, progress: Progress
+) -> tuple[dict[str, PlantSpec], list[Case]]:
+    """Return each problem's plant, ready to run, and the cases that are selected.
+
+    Raises
+    ------
+    ConfigError
+        No case is selected.
+    """
+    plants = _built(resolved, progress)
+    is_flat = resolved.whole.is_flat
+    problems = {"" if is_flat else name: (one, plants[name]) for name, one in resolved.problems.items()}
+    return plants, cases_of_problems(problems, selection.seeds, selection.only)
 
 
 def _built(resolved: "ResolvedProblems", progress: Progress) -> dict[str, PlantSpec]:
@@ -484,4 +498,6 @@ def run_and_stage(case: Case, rows: Path, staged: Path, modules: str, values: Ma
     """Run a case, in a worker, and write its files where they do not count yet."""
     find_modules_in(modules)
     keep_values(values)
-    stage_case(staged, run_case(case, row_store(case, rows)), case.head(), case.metrics)
+    began = monotonic()
+    trace = run_case(case, row_store(case, rows))
+    stage_case(staged, trace, case.head() | {"wall_time": monotonic() - began}, case.metrics)

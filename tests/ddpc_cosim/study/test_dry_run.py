@@ -1,0 +1,62 @@
+"""What a run would take: cases, time by those already run, bytes."""
+
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+from ddpc_cosim.cli.progress import LineProgress
+from ddpc_cosim.study.case_files import load_case, write_case
+from ddpc_cosim.study.dry_run import expected
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.runner import Selection, run_study, selected_cases
+
+SWEPT = """
+seeds = ["0:2"]
+plant = { name = "pendulum", inputs = ["torque"], outputs = ["angle"] }
+loop = { sampling_time = 0.1, duration = 20.0 }
+reference.angle = { kind = "constant", value = 0.1 }
+controllers.mfapc = { type = "mfapc", sweep = { lambda_u = [0.1, 0.2, 0.3] } }
+controllers.pid = { type = "pid", settings = { proportional = 1.0 } }
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> str:
+    path = tmp_path / "study.toml"
+    path.write_text(SWEPT, encoding="utf-8")
+    return str(path)
+
+
+def told(study: str, folder: Path, selection: Selection) -> list[str]:
+    return expected(read_study(study), folder, selection, LineProgress(io.StringIO())).splitlines()
+
+
+def test_without_any_case_the_time_is_not_known_and_nothing_is_written(study: str, tmp_path: Path) -> None:
+    cases, time, _ = told(study, tmp_path / "out", Selection())
+    assert cases.startswith("10 cases: 10 to run, 0 already there")
+    assert time == "time: not known, as none of them has been run"
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_time_is_that_of_the_same_controller_with_whatever_settings(study: str, tmp_path: Path) -> None:
+    resolved, quiet = read_study(study), LineProgress(io.StringIO())
+    _, cases = selected_cases(resolved, Selection(), quiet)
+    run_study(resolved, tmp_path / "out", Selection(seeds=[0], only="mfapc"), quiet)
+    # As if it had taken 60 s: the seven others of MFAPC take as long, and of PID nothing is known but that.
+    first = load_case(tmp_path / "out" / "cases" / cases[0].id)
+    write_case(first.folder, first.trace(), cases[0].head() | {"wall_time": 60.0})
+    kept, time, _ = told(study, tmp_path / "out", Selection(jobs=2))
+    assert kept.startswith("10 cases: 9 to run, 1 already there")
+    assert time == "time: about 4 min with 2 workers, by the cases already run"  # 9 x 60 s / 2
+    assert told(study, tmp_path / "out", Selection(seeds=[0], only="mfapc"))[1:] == []
+
+
+def test_the_size_is_about_that_of_the_files(study: str, tmp_path: Path) -> None:
+    *_, size = told(study, tmp_path / "out", Selection())
+    run_study(read_study(study), tmp_path / "out", Selection(), LineProgress(io.StringIO()))
+    found = re.fullmatch(r"size: about ([0-9.]+) kB", size)
+    assert found
+    written = sum(file.stat().st_size for file in (tmp_path / "out" / "cases").glob("*/*"))
+    assert float(found[1]) * 1e3 == pytest.approx(written, rel=0.5)
