@@ -92,7 +92,7 @@ def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
 
 
 def _told_apart(results: StudyResults, key: str) -> tuple[dict[tuple[str, str], str], str]:
-    """Return the letters of controllers that the seeds do not tell apart, or a line if they tell none apart.
+    """Return the letters of controllers that the seeds do not tell apart, and a line if these are too few.
 
     They are of controllers and scenarios; controllers that lose a run, and variants of sweeps, have none.
     """
@@ -109,12 +109,16 @@ def _told_apart(results: StudyResults, key: str) -> tuple[dict[tuple[str, str], 
                 own = runs.setdefault(case.controller, {})
                 own[scenario, case.seed] = case.metrics.get(key, math.nan)
         found[scenario] = compare_all(runs, metric_of(key).better)
+    tested = [one for one in found.values() if one.tests]
+    seeds, needed = (
+        len({case.seed for case in results.cases}),
+        max((one.seeds_needed for one in tested), default=0),
+    )
+    few = f"{seeds} seeds are too few to tell so many controllers apart: it takes {needed}"
+    line = few if needed > seeds else ""
     if any(len(one.groups) > 1 for one in found.values()):
-        return {(name, here): text for here, one in found.items() for name, text in one.letters.items()}, ""
-    seeds = len({case.seed for case in results.cases})
-    needed = max((one.seeds_needed for one in found.values() if one.tests), default=0)
-    few = f": it takes at least {needed}" if needed > seeds else ""
-    return {}, f"{seeds} seeds tell no two controllers apart{few}" if needed else ""
+        return {(name, here): text for here, one in found.items() for name, text in one.letters.items()}, line
+    return {}, line or (f"{seeds} seeds tell no two controllers apart" if tested else "")
 
 
 def _rows(results: StudyResults, key: str) -> list[_Row]:

@@ -126,10 +126,8 @@ class Comparisons:
 
     @cached_property
     def letters(self) -> dict[str, str]:
-        """The groups of each controller as letters, from a on: two that are not told apart share one."""
-        names = [*ascii_lowercase, *(str(number) for number in range(27, len(self.groups) + 1))]
-        named = [*zip(names, self.groups, strict=False)]
-        return {one: " ".join(name for name, group in named if one in group) for one in self.order}
+        """The groups of each controller as letters: two that are not told apart share one."""
+        return letters(self.groups)
 
     @property
     def tests(self) -> int:
@@ -275,6 +273,16 @@ def groups(order: Sequence[str], told_apart: Collection[tuple[str, str]]) -> tup
         found = [part for part in parts if not any(part < other for other in parts)]
     places = sorted(sorted(map(order.index, group)) for group in found)
     return tuple(tuple(order[i] for i in group) for group in places)
+
+
+def letters(groups: Sequence[Sequence[str]]) -> dict[str, str]:
+    """Return the groups that each member is in as letters, from a on, separated by spaces."""
+    names = [*ascii_lowercase, *(str(number) for number in range(27, len(groups) + 1))]
+    table: dict[str, list[str]] = {}
+    for name, group in zip(names, groups, strict=False):
+        for one in group:
+            table.setdefault(one, []).append(name)
+    return {one: " ".join(own) for one, own in table.items()}
 
 
 def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.DataFrame":

@@ -8,7 +8,7 @@ a layer of marks, each with its data, what is done to them (``transform``) and w
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ddpc_reports.samples import Signal
@@ -318,6 +318,48 @@ def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Spec:
         _layer(points, {"x": x, "y": y, "color": hue, "shape": shape}, None, _NOT_HIDDEN),
     ]
     return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})
+
+
+def rank_chart(rows: list[dict[str, Any]]) -> Spec:
+    """Return the average rank of each controller, with a bar as long as the critical difference.
+
+    Parameters
+    ----------
+    rows : list of dict
+        ``label``, ``key``, ``value`` (average rank), ``low`` and ``high`` (ends of the bar), the best first.
+    """
+    labels, hue, y = _rows(rows)
+    x = _field("value", "average rank")
+    x |= {"scale": {"zero": False, "nice": False}, "axis": {"tickCount": 8, "labelExpr": LABELS}}
+    ends = {"x": x | {"field": "low"}, "x2": {"field": "high"}, "y": y, "color": hue}
+    bar = {"type": "rule", "strokeWidth": 7, "opacity": 0.35}
+    layers = [
+        _layer(bar, ends),
+        _layer({"type": "circle", "size": 70, "opacity": 1}, {"x": x, "y": y, "color": hue}),
+    ]
+    return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})
+
+
+def profile_chart(rows: list[dict[str, Any]], dashes: Mapping[str, Sequence[float]], widest: float) -> Spec:
+    """Return a step line for each controller: which share of the runs comes within a factor of the best.
+
+    Parameters
+    ----------
+    rows : list of dict
+        ``key``, ``ratio`` (from 1 on) and ``share`` (of 1), by controller and rising.
+    dashes : mapping of str to sequence of float
+        Dash pattern of every controller.
+    widest : float
+        The largest ratio that is drawn.
+    """
+    x = _field("ratio", "ratio to the best")
+    axis = {"values": log_ticks(1.0, widest), "labelExpr": LABELS}
+    x |= {"scale": {"type": "log", "domain": [1.0, widest], "nice": False}, "axis": axis}
+    y = _field("share", "share of the runs") | {"scale": {"domain": [0, 1]}, "axis": {"format": "%"}}
+    dash = _chosen_by("key", [*dashes], [list(pattern) for pattern in dashes.values()])
+    line = {"type": "line", "strokeWidth": 1.8, "interpolate": "step-after", "clip": True}
+    encoding = {"x": x, "y": y, "color": _colours([*dashes]), "strokeDash": dash}
+    return _chart_of_rows(rows, [_layer(line, encoding, None, _NOT_HIDDEN)], 300)
 
 
 def _logarithmic(values: Sequence[float], labels: str) -> Spec:

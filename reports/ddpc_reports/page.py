@@ -13,6 +13,7 @@ from ddpc_cosim import Outcome, StudyResults
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.sections import Reproduction
 from ddpc_cosim.texts import printable
+from ddpc_reports.across_problems import overall, overall_figures, overall_statements, overall_table
 from ddpc_reports.case_tables import (
     cases_table,
     diagnostics_table,
@@ -92,13 +93,17 @@ def render_page(results: Sequence[StudyResults]) -> str:
     if not results:
         raise ValueError("a report needs the results of at least one study")
     data: dict[str, dict[str, Packed]] = {}
-    problems = [problem for one in results for problem in one.problems()]
+    parts: list[StudyPart] = []
     with np.errstate(over="ignore", invalid="ignore"):  # a run can have values of any size
-        parts = [_study_part(one, number, data) for number, one in enumerate(problems, start=1)]
-    return set_page(parts, data)
+        for one in results:
+            if len(problems := one.problems()) > 1:
+                parts.append(_overall_part(one, problems, len(parts) + 1))
+            parts += [_study_part(part, len(parts) + n, data) for n, part in enumerate(problems, start=1)]
+    head = results[0].whole.head
+    return set_page(parts, data, (head.title or head.name) if len(results) == 1 else "")
 
 
-def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -> str:
+def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]], title: str = "") -> str:
     """Return the page of studies, or of what is set like one, with the samples that their figures draw."""
     scripts = [chart_library(), page_script()]
     environment = Environment(
@@ -112,7 +117,7 @@ def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]
     )
     return environment.get_template("page.html.jinja").render(
         studies=studies,
-        title=studies[0].title if len(studies) == 1 else f"{len(studies)} studies compared",
+        title=title or (studies[0].title if len(studies) == 1 else f"{len(studies)} studies compared"),
         style=Markup(stylesheet()),
         scripts=[Markup(script) for script in scripts],
         policy=content_policy(scripts),
@@ -124,6 +129,26 @@ def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]
 def _shown(value: Any) -> Any:
     """Return what the page shows of a value: a name that turns the direction of a line is written out."""
     return printable(value, keep="\n") if type(value) is str else value
+
+
+def _overall_part(results: StudyResults, problems: Sequence[StudyResults], number: int) -> StudyPart:
+    """Return what is to be said over all problems of a study."""
+    prefix, head = f"s{number}-", results.whole.head
+
+    def blocks() -> list[Block]:
+        found = overall(problems)
+        if found is None:
+            return [
+                ("notes", ["Fewer than two problems have controllers in common that follow their reference."])
+            ]
+        figures = _figures(overall_figures(found, prefix), prefix)
+        return [*_statements(overall_statements(found)), *_tables(overall_table(found, prefix)), *figures]
+
+    what = "Ranks and profiles"
+    sections = [Section("problems", what, _in_their_place(what, blocks))]
+    facts = {"Problems": str(len(problems))} | _counts(results)
+    title = f"{head.title or head.name}: all problems"
+    return StudyPart(prefix, number, title, [], facts, sections, head.summary.strip())
 
 
 def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Packed]]) -> StudyPart:
@@ -276,21 +301,30 @@ def _reproduction_blocks(
 
 def _facts(results: StudyResults) -> dict[str, str]:
     """Return the strip of key facts under the title."""
-    study, total = results.study, len(results.cases)
-    done = sum(case.outcome is Outcome.COMPLETED for case in results.cases)
-    held = sum(case.holds for case in results.cases)
+    study = results.study
     facts = {
         "Plant": study.plant.name or study.plant.fmu,
         "Sampling time": with_unit(as_given(study.loop.sampling_time), "s"),
         "Duration": with_unit(as_given(study.loop.duration), "s"),
         "Controllers": _controllers_words(results),
         "Scenarios": str(len({case.scenario for case in results.cases})),
+        **_counts(results),
+    }
+    if facts["Scenarios"] == "1":
+        del facts["Scenarios"]
+    return facts
+
+
+def _counts(results: StudyResults) -> dict[str, str]:
+    """Return the seeds, and how many cases there are and came to something."""
+    total = len(results.cases)
+    done = sum(case.outcome is Outcome.COMPLETED for case in results.cases)
+    held = sum(case.holds for case in results.cases)
+    facts = {
         "Seeds": compact_seeds(list(dict.fromkeys(case.seed for case in results.cases))),
         "Cases completed": f"{done} of {total}",
         "Near the reference": f"{held} of {total}",
     }
-    if facts["Scenarios"] == "1":
-        del facts["Scenarios"]
     if held == total:
         del facts["Near the reference"]
     return facts

@@ -1,0 +1,213 @@
+"""Over all problems of a study: average ranks, performance profiles, and whom they tell apart."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from ddpc_cosim import StudyResults
+from ddpc_cosim.study.ranks import AverageRanks, Profile, profile_frame, ranks_frame
+from ddpc_cosim.study.statistics import LEVEL, letters
+from ddpc_reports.charts import COLOURS, DASHES, profile_chart, rank_chart
+from ddpc_reports.comparison import Condition, ControllerResults, conditions
+from ddpc_reports.figures import Entry, Figure, dash_numbers, one_chart
+from ddpc_reports.numbers import significant
+from ddpc_reports.samples import column_name
+from ddpc_reports.table import Cell, Heading, Table, controller_table, number_cells
+from ddpc_reports.verdict import Statement, join_words, names, p_words
+
+_METRIC = "mean_abs_error"
+"""Stands for what a problem ranks by, its own cost or mean errors: of both, lower values are better."""
+_FACTOR, _WIDEST = 2.0, 20.0
+"""The ratio that the table shows, and the largest that is drawn."""
+
+
+@dataclass(frozen=True)
+class Overall:
+    """What a study of several problems says of its controllers over all of them.
+
+    Parameters
+    ----------
+    problems : int
+        How many problems are compared.
+    left_out : list of str
+        Problems in which no controller follows its reference, so that nothing is ranked.
+    controllers : dict of str to ControllerResults
+        The controllers that ran in every problem, as they are in the first, the best rank first.
+    held : dict of str to (int, int)
+        By controller, the runs that stay near their reference, and all runs.
+    ranks, profile
+        Average ranks and performance profile.
+    """
+
+    problems: int
+    left_out: list[str]
+    controllers: dict[str, ControllerResults]
+    held: dict[str, tuple[int, int]]
+    ranks: AverageRanks
+    profile: Profile
+
+
+def overall(problems: Sequence[StudyResults]) -> Overall | None:
+    """Compare the controllers over all problems; None where fewer than two of either can be compared."""
+    import pandas as pd
+
+    rows: list[dict[str, Any]] = []
+    found: dict[str, ControllerResults] = {}
+    held: dict[str, tuple[int, int]] = {}
+    left_out = []
+    for number, results in enumerate(problems):
+        seen = [condition for condition in conditions(results) if not condition.none_follows]
+        if not seen:
+            left_out.append(results.study.title or results.study.name)
+        for condition in seen:
+            rows += _rows_of(condition, number)
+            for one in condition.controllers:
+                found.setdefault(one.key, one)
+                near, runs = held.get(one.key, (0, 0))
+                held[one.key] = near + len(one.holding), runs + len(one.cases)
+    if len({row["problem"] for row in rows}) < 2:
+        return None
+    frame = pd.DataFrame(rows)
+    ranks = ranks_frame(frame, _METRIC)
+    if len(ranks.ranks) < 2:
+        return None
+    shown = {key: found[key] for key in ranks.ranks}
+    return Overall(ranks.problems, left_out, shown, held, ranks, profile_frame(frame, _METRIC))
+
+
+def _rows_of(condition: Condition, number: int) -> list[dict[str, Any]]:
+    """Return a row per run and signal that it is ranked by; each signal is a condition of its own."""
+    return [
+        {
+            "problem": number,
+            "controller": one.key,
+            "scenario": condition.scenario,
+            "variant": key,
+            "seed": case.seed,
+            "holds": case.holds,
+            _METRIC: case.metrics.get(key, math.nan),
+        }
+        for key in condition.headline
+        for one in condition.controllers
+        for case in one.cases
+    ]
+
+
+def overall_statements(found: Overall) -> list[Statement]:
+    """Say who has the best average rank, from whom it is told apart, and who is left out."""
+    ranks, order = found.ranks, [*found.controllers.values()]
+    first = order[0]
+    unsure = {name for group in ranks.groups if first.key in group for name in group} - {first.key}
+    alike = [one for one in order if one.key in unsure]
+    text = Markup("Over {} problems, {} has the best average rank, {}").format(
+        found.problems,
+        (Markup("<i>{}</i>") if alike else Markup("<b>{}</b>")).format(first.label),
+        significant(ranks.ranks[first.key], 3),
+    )
+    if alike:
+        text += Markup("; the problems do not tell it apart from {}").format(join_words(names(alike)))
+    if math.isnan(ranks.p):
+        test = Markup(" It takes three controllers for a test.")
+    else:
+        differ = f"ranks that are {significant(ranks.critical_difference, 3)} or more apart differ"
+        what = differ if ranks.p <= LEVEL else "none is found to differ"
+        test = Markup(" Friedman's test: p {}; {}.").format(p_words(ranks.p, "= "), what)
+    statements = [Statement("Ranks", text + "." + test)]
+    if found.left_out:
+        where = join_words([Markup("<i>{}</i>").format(name) for name in found.left_out])
+        nothing = Markup("In {} no controller follows the reference: nothing is ranked there.").format(where)
+        statements.append(Statement("Left out", nothing))
+    if ranks.left_out:
+        who = join_words([Markup("<i>{}</i>").format(name) for name in ranks.left_out])
+        some = Markup("{}: not in every problem, so not ranked over all.").format(who)
+        statements.append(Statement("Not ranked", some))
+    return statements
+
+
+def overall_table(found: Overall, prefix: str) -> Table:
+    """Return average ranks, shares of the runs near the best, and the runs that stay near their reference."""
+    profile, order = found.profile, [*found.controllers]
+    reached = {
+        factor: [
+            100 * float(profile.shares[key][np.searchsorted(profile.ratios, factor, side="right") - 1])
+            for key in order
+        ]
+        for factor in (1.0, _FACTOR)
+    }
+    groups = letters(found.ranks.groups)
+    near = [f"{near} of {runs}" for near, runs in map(found.held.__getitem__, order)]
+    columns = [
+        (Heading("average rank"), number_cells([found.ranks.ranks[key] for key in order], digits=3)),
+        (Heading("group"), [Cell(groups[key]) for key in order]),
+        (Heading("best", "%", group="share of runs"), number_cells(reached[1.0], digits=3)),
+        (Heading("within twice", "%", group="share of runs"), number_cells(reached[_FACTOR], digits=3)),
+        (Heading("near the reference", "runs"), [Cell(text) for text in near]),
+    ]
+    notes = (
+        "Ranks by mean absolute error or the problem's own cost: first comes the controller with fewer runs "
+        "that do not stay near their reference, of equal ones that with the better average rank "
+        "over scenarios and signals. Group: controllers that share a letter are not told apart by Nemenyi's "
+        "test at 5\u00a0%.",
+        "Shares of runs: the best of the same problem, scenario and seed, or within twice its value, each "
+        "problem with the same weight; a run that does not stay near its reference is not.",
+    )
+    caption = f"Controllers over {found.problems} problems"
+    everyone = [*found.controllers.values()]
+    return controller_table(f"{prefix}overall", caption, everyone, columns, notes, "ranks.csv")
+
+
+def overall_figures(found: Overall, prefix: str) -> list[Figure]:
+    """Return the critical-difference display of the ranks, and the performance profile."""
+    return [_rank_figure(found, f"{prefix}ranks"), _profile_figure(found, f"{prefix}profile")]
+
+
+def _rank_figure(found: Overall, identifier: str) -> Figure:
+    half = found.ranks.critical_difference / 2
+    rows = [
+        {
+            "label": one.label,
+            "key": column_name(one),
+            "value": rank,
+            "low": rank - half,
+            "high": rank + half,
+            "text": f"{one.label}: average rank {significant(rank, 3)}",
+        }
+        for one, rank in zip(found.controllers.values(), found.ranks.ranks.values(), strict=True)
+    ]
+    caption = (
+        f"Average ranks over {found.problems} problems, 1 being the best. Bars are as long as the critical "
+        "difference of Nemenyi's test at 5 %: controllers whose bars do not overlap are told apart"
+    )
+    none = "" if found.ranks.p <= LEVEL else "; as Friedman's test finds none to differ, here none is"
+    return one_chart(identifier, "Average ranks", f"{caption}{none}.", rank_chart(rows))
+
+
+def _profile_figure(found: Overall, identifier: str) -> Figure:
+    controllers = [*found.controllers.values()]
+    columns = [column_name(one) for one in controllers]
+    numbers = dash_numbers([columns], columns)
+    dashes = {column: DASHES[number % len(DASHES)] for column, number in numbers.items()}
+    drawn = found.profile.ratios <= _WIDEST
+    rows = [
+        {"key": column, "ratio": float(f"{ratio:.6g}"), "share": float(f"{share:.6g}")}
+        for column, one in zip(columns, controllers, strict=True)
+        for ratio, share in [
+            *zip(found.profile.ratios[drawn], found.profile.shares[one.key][drawn], strict=True),
+            (_WIDEST, found.profile.shares[one.key][drawn][-1]),
+        ]
+    ]
+    caption = (
+        "Performance profile: share of the runs that come within a factor of the best of the same problem, "
+        f"scenario and seed, each problem with the same weight. Logarithmic axis, up to {_WIDEST:g}."
+    )
+    legend = tuple(
+        Entry(column, one.label, one.index % COLOURS, " ".join(map("{:g}".format, dashes[column])), "")
+        for column, one in zip(columns, controllers, strict=True)
+    )
+    chart = profile_chart(rows, dashes, _WIDEST)
+    (view,) = one_chart(identifier, "", caption, chart).views
+    return Figure(identifier, "Performance profile", caption, (replace(view, names=tuple(columns)),), legend)

@@ -1,0 +1,107 @@
+"""What the page says over several problems follows from their cases."""
+
+import math
+import re
+
+import pytest
+from scipy.stats import friedmanchisquare
+
+from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_reports.across_problems import (
+    Overall,
+    overall,
+    overall_figures,
+    overall_statements,
+    overall_table,
+)
+
+from .synthetic import FORCE, SPEED, MakeResults, make_trace
+
+THREE = {key: {"type": key, "label": key.capitalize()} for key in ("quick", "middle", "slow")}
+LAGS = {"quick": 0.3, "middle": 0.5, "slow": 1.0}
+
+
+def found_in(results: list[StudyResults]) -> Overall:
+    found = overall(results)
+    assert found
+    return found
+
+
+def said(found: Overall) -> dict[str, str]:
+    return {topic: re.sub("<[^>]*>", "", str(text)) for topic, text in overall_statements(found)}
+
+
+@pytest.fixture
+def alike(make_results: MakeResults) -> list[StudyResults]:
+    """Return eight problems in which the controllers have the same order."""
+    return [
+        make_results(lambda key, seed, n=n: make_trace(LAGS[key] * (1 + n / 10), noise_seed=seed), THREE)
+        for n in range(8)
+    ]
+
+
+def test_the_same_order_in_every_problem(alike: list[StudyResults]) -> None:
+    """Of three that differ by two ranks, the outer ones are further apart than 2.343 sqrt(3 4 / (6 8))."""
+    found = found_in(alike)
+    assert found.ranks.ranks == {"quick": 1.0, "middle": 2.0, "slow": 3.0}
+    assert found.ranks.critical_difference == pytest.approx(2.343 * 0.5, abs=1e-3)
+    assert found.ranks.statistic == pytest.approx(friedmanchisquare([1] * 8, [2] * 8, [3] * 8).statistic)
+    table = overall_table(found, "")
+    assert [[cell.text.strip() for cell in row.cells] for row in table.rows] == [
+        ["1", "a", "100", "100", "8 of 8"],
+        ["2", "a b", "0", "100", "8 of 8"],
+        ["3", "b", "0", "0", "8 of 8"],
+    ]
+    assert said(found) == {
+        "Ranks": "Over 8 problems, Quick has the best average rank, 1.00; the problems do not tell it apart "
+        "from Middle. Friedman's test: p &lt; 0.001; ranks that are 1.17 or more apart differ."
+    }
+
+
+def test_the_figures_draw_what_the_table_says(alike: list[StudyResults]) -> None:
+    ranks, profile = overall_figures(found_in(alike), "")
+    (bars,) = ranks.views
+    assert [row["value"] for row in bars.spec["data"]["values"]] == [1.0, 2.0, 3.0]
+    assert all(
+        row["high"] - row["low"] == pytest.approx(1.1715, abs=1e-3) for row in bars.spec["data"]["values"]
+    )
+    (lines,) = profile.views
+    assert lines.names == ("c0", "c1", "c2")
+    rows = lines.spec["data"]["values"]
+    assert (1.0, 1.0) in [(row["ratio"], row["share"]) for row in rows if row["key"] == "c0"]
+    slow = [(row["ratio"], row["share"]) for row in rows if row["key"] == "c2"]
+    assert slow == sorted(slow)
+    assert slow[0] == (1.0, 0.0)
+    assert slow[-1] == (20.0, 1.0)
+    assert "bars do not overlap are told apart." in ranks.caption
+
+
+def test_lost_runs_problems_without_a_follower_and_absent_controllers_are_told(
+    make_results: MakeResults,
+) -> None:
+    def fallen(key: str, seed: int) -> Trace:
+        lost = (key, seed) == ("quick", 0)
+        return make_trace(0.1, outcome=Outcome.DIVERGED, reason="NaN") if lost else make_trace(LAGS[key])
+
+    def stuck(key: str, seed: int) -> Trace:
+        return make_trace(4.0)
+
+    two = {key: THREE[key] for key in ("quick", "slow")}
+    results = [
+        make_results(fallen, THREE, seeds=[7, 0]),
+        make_results(lambda key, seed: make_trace(LAGS[key], outputs=(SPEED, FORCE)), two, seeds=[7]),
+        make_results(stuck, THREE, title="Out of reach"),
+    ]
+    found = found_in(results)
+    assert found.problems == 2
+    assert found.ranks.ranks == {"quick": 1.5, "slow": 1.5}
+    assert found.held == {"quick": (2, 3), "middle": (2, 2), "slow": (3, 3)}
+    assert math.isnan(found.ranks.p)
+    told = said(found)
+    assert told["Left out"] == "In Out of reach no controller follows the reference: nothing is ranked there."
+    assert told["Not ranked"] == "middle: not in every problem, so not ranked over all."
+    assert "It takes three controllers for a test." in told["Ranks"]
+
+
+def test_one_problem_is_none_to_compare_over(make_results: MakeResults) -> None:
+    assert overall([make_results(lambda key, seed: make_trace(0.5))]) is None
