@@ -13,6 +13,7 @@ not told what acts on the plant besides: the weather, say, or parameters that ch
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,6 +31,12 @@ from ddpc_cosim import OK, Action, Controller, FloatArray, Loop, Sample, Weight,
 
 _EXCEEDED = 1e4
 """Weight of what predicted outputs exceed their bounds by, in parts of their nominal values."""
+
+
+def preload() -> None:
+    """Import what takes a second, once for all workers of a study."""
+    casadi()
+    import_module("sympy")
 
 
 @dataclass(kw_only=True)

@@ -372,9 +372,13 @@ def _writable() -> Iterator[None]:
 
 
 def _plugin_modules(cases: Sequence[Case]) -> list[str]:
-    """Return the modules of the installed controllers; those beside a study may change between two runs."""
+    """Return the modules of the installed controllers, and their functions ``preload`` where they have one.
+
+    Those beside a study may change between two runs.
+    """
     installed = {kind for case in cases if (kind := case.section["type"]) and ":" not in kind}
-    return sorted({load_plugin("controllers", name).__module__ for name in installed})
+    modules = sorted({load_plugin("controllers", name).__module__ for name in installed})
+    return [f"{name}:preload" if hasattr(sys.modules[name], "preload") else name for name in modules]
 
 
 class _Run:

@@ -1,5 +1,6 @@
 """Nonlinear MPC on the plant's equations: its optimum, its observer, its fallbacks; and idle."""
 
+import subprocess
 import sys
 from dataclasses import replace
 from typing import Any
@@ -230,6 +231,17 @@ def test_without_casadi_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(ConfigError, match=r'pip install "ddpc-cosim\[nmpc\]"'):
         NMPC(model="pendulum")
+
+
+def test_what_is_large_is_imported_once_for_all_workers_and_not_to_list_it() -> None:
+    program = """
+import sys
+from ddpc_controllers.nmpc import NMPC, preload
+assert not {"casadi", "sympy"} & set(sys.modules)
+preload()
+assert {"casadi", "sympy"} <= set(sys.modules)
+"""
+    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_the_plant_is_found_by_name_or_by_its_fmu(tmp_path: Any) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from ddpc_cosim import ConfigError, FloatArray, Loop, Variable
 from ddpc_cosim.plugins import installed, load_plugin
 
-_STEP_TIMES_POLE = 1.5
+_STEP_TIMES_POLE = 2.0
 """Runge-Kutta steps of fourth order are stable up to 2.78."""
 _MOST_STEPS = 200
 _STATE_NOISE = 1e-4
