@@ -26,9 +26,7 @@ def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
     if longest is not None and len(text) > longest:
         cut = f" ... ({len(text)} characters)"
         text = text[: max(longest - len(cut), 0)] + cut
-    if text.isprintable():
-        return text
-    return "".join(c if c in keep or _is_seen(c) else repr(c)[1:-1] for c in text)
+    return text.translate({ord(c): repr(c)[1:-1] for c in set(text) if c not in keep and not _is_seen(c)})
 
 
 def encodable(text: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.texts import encodable
+from ddpc_cosim.texts import encodable, printable
 from fmu_plants.spelling import did_you_mean
 from fmu_plants.units import DisplayUnit as DisplayUnit, display_unit, usual_display_units
 
@@ -54,7 +54,7 @@ class Variable:
     @property
     def header(self) -> str:
         """The variable's column header in files: name and unit."""
-        return encodable(f"{self.name} [{self.unit or '1'}]")
+        return printable(encodable(f"{self.name} [{self.unit or '1'}]"))
 
 
 def names(variables: Sequence[Variable]) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from ddpc_cosim.study.case_files import (
     read_sealed,
     sealed_json,
 )
-from ddpc_cosim.texts import encodable
+from ddpc_cosim.texts import encodable, printable
 from fmu_plants.files import write_atomically
 
 if TYPE_CHECKING:
@@ -211,11 +211,23 @@ def write_results(results: StudyResults) -> StudyResults:
 def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
     """Return ``metrics.csv``."""
     keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
-    plants = {name: one.plant.name or Path(one.plant.fmu).name for name, one in study.problems.items()}
+    plants = {
+        name: printable(one.plant.name or Path(one.plant.fmu).name) for name, one in study.problems.items()
+    }
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(
-        ["study", "problem", "plant", "controller", "scenario", "seed", "outcome", "holds", *keys]
+        [
+            "study",
+            "problem",
+            "plant",
+            "controller",
+            "scenario",
+            "seed",
+            "outcome",
+            "holds",
+            *map(printable, keys),
+        ]
     )
     for case in cases:
         values = [case.metrics.get(key, math.nan) for key in keys]

@@ -145,7 +145,7 @@ def static_svg(
 
 
 def drawable(value: Any) -> Any:
-    """Return a specification without characters that XML does not have: of one of them the renderer dies."""
+    """Return a specification in whose texts nothing acts unseen: of some characters the renderer dies."""
     if isinstance(value, Mapping):
         return {drawable(key): drawable(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

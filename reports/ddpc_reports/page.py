@@ -38,6 +38,7 @@ from ddpc_reports.embedding import (
     Packed,
     chart_library,
     content_policy,
+    drawable,
     json_for_script,
     pack,
     page_script,
@@ -119,16 +120,20 @@ def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]
         studies=studies,
         title=title or (studies[0].title if len(studies) == 1 else f"{len(studies)} studies compared"),
         style=Markup(stylesheet()),
-        scripts=[Markup(script) for script in scripts],
+        scripts=[_Script(script) for script in scripts],
         policy=content_policy(scripts),
         data=Markup(json_for_script(_data(studies, data))),
         colours=COLOURS,
     )
 
 
+class _Script(Markup):
+    """A script: the page's policy has a hash of it, so that it must stay as it is."""
+
+
 def _shown(value: Any) -> Any:
-    """Return what the page shows of a value: a name that turns the direction of a line is written out."""
-    return printable(value, keep="\n") if type(value) is str else value
+    """Return what the page has of a value: in texts, sentences and drawings nothing acts unseen."""
+    return value if not isinstance(value, str) or isinstance(value, _Script) else printable(value, keep="\n")
 
 
 def _overall_part(results: StudyResults, problems: Sequence[StudyResults], number: int) -> StudyPart:
@@ -356,4 +361,4 @@ def _data(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -
                 "scaled": list(view.scaled_by),
                 "limits": list(view.limits),
             }
-    return {"config": CONFIG, "colours": COLOURS, "data": data, "views": views}
+    return {"config": CONFIG, "colours": COLOURS, "data": data, "views": drawable(views)}

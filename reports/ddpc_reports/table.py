@@ -114,7 +114,7 @@ class Table:
         buffer = io.StringIO(newline="")
         writer = csv.writer(buffer, lineterminator="\n")
         grouped = any(row.group for row in self.rows)
-        heads = [heading.words for heading in self.headings]
+        heads = [_csv_text(heading.words) for heading in self.headings]
         writer.writerow(["group", *heads] if grouped else heads)
         for row in self.rows:
             texts = [row.group] * grouped + [row.header]

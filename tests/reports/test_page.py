@@ -16,8 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 import vl_convert
+from rich.console import Console
 
 from ddpc_cosim import CosimWarning, Outcome, StudyResults, Trace
+from ddpc_cosim.cli.summary import summary_table
+from ddpc_cosim.study.following import following_lines
+from ddpc_cosim.study.results import write_results
+from ddpc_cosim.texts import printable
 from ddpc_reports import drawing, figures, page as page_module, write_report
 from ddpc_reports.embedding import chart_library
 
@@ -147,6 +152,67 @@ def test_hostile_names_stay_text(make_results: MakeResults, tmp_path: Path) -> N
     assert not reader.all("img")
     assert len(reader.all("script")) == 3
     assert HOSTILE in json.dumps(json.loads(reader.json), ensure_ascii=False).replace('\\"', '"')
+
+
+def test_nothing_acts_unseen_in_page_data_tables_and_terminal(
+    make_results: MakeResults, tmp_path: Path
+) -> None:
+    acting = "\u202e\u200b\u2066\x9b\x1b\r\x07"
+    evil = f"a{acting}b\n{HOSTILE}"
+    signal, drive = replace(ANGLE, name=f"angle{acting}"), replace(TORQUE, name=f"torque{acting}", unit=evil)
+
+    def trace_of(key: str, seed: int) -> Trace:
+        said = {
+            "settings": {evil: evil},
+            "diagnostics": {evil: 1.0},
+            "outputs": (signal,),
+            "inputs": (drive,),
+        }
+        if key == "lost":
+            return make_trace(0.5, outcome=Outcome.FMU_ERROR, reason=evil, **said)
+        return make_trace(0.5 if key == "evil" else 0.3, noise_seed=seed, **said)
+
+    controllers = {
+        key: {"type": "x", "label": f"{key}{evil}", "note": evil} for key in ("evil", "good", "lost")
+    }
+    results = make_results(
+        trace_of,
+        controllers,
+        provenance={evil: evil},
+        title=evil,
+        summary=evil,
+        reference={signal.name: {"kind": "constant", "value": 20.0, "unit": "deg"}},
+        plant={"name": evil, "inputs": [drive.name], "outputs": [signal.name]},
+        report={"panels": [{"title": evil, "controllers": ["evil"]}], "limitations": [evil]},
+        seeds=["0:6"],
+        scenarios={"calm": {}, "other": {"label": evil}},
+    )
+    # What a study file says is made printable when it is read; what plug-ins and other programs say is not.
+    results = replace(
+        results, cases=tuple(replace(c, label=f"{c.controller}{acting}") for c in results.cases)
+    )
+    page = written(tmp_path, results)
+    reader = Reader(page)
+    links = [str(link["href"]) for link in reader.all("a") if "download" in link]
+    tables = [base64.b64decode(link.partition(",")[2]).decode() for link in links]
+    screen = Console(file=io.StringIO(), width=500)
+    screen.print(summary_table(results, screen))
+    for line in following_lines(results.study, results.cases):
+        screen.print(printable(line))
+    assert isinstance(screen.file, io.StringIO)
+    write_results(results)
+    shown = {
+        "page": page.replace(chart_library(), ""),
+        "data": json.dumps(json.loads(reader.json), ensure_ascii=False),
+        "tables": "".join(tables),
+        "terminal": screen.file.getvalue(),
+        "metrics": (results.folder / "metrics.csv").read_text(encoding="utf-8"),
+    }
+    assert "\\u202e" in shown["page"]
+    assert "\\u202e" in shown["tables"]
+    assert {what: found for what, text in shown.items() if (found := set(acting) & set(text))} == {}
+    assert "<script>alert" not in page
+    assert not reader.all("img")
 
 
 def test_a_reason_for_failure_is_shown(make_results: MakeResults, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import errno
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -158,6 +159,17 @@ def test_the_files_can_be_read_without_this_program(tmp_path: Path, trace: Trace
     assert run["outcome"] == "completed"
     assert run["bounds"]["u_max"] == ["inf"]
     assert run["metrics"]["sum_abs_error.y [m]"] == 0.1
+
+
+def test_names_and_units_of_any_characters_cost_no_case(tmp_path: Path, trace: Trace) -> None:
+    signal = Variable('y\r\n\u202e\x9b"', "m\r")
+    trace = replace(trace, outputs=(signal,), measurements=(signal,))
+    write_case(tmp_path / "case", trace, HEAD)
+    again = read_trace(tmp_path / "case")
+    assert again.outputs == (signal,)
+    assert_same(again.y, trace.y)
+    header = (tmp_path / "case" / "signals.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert '"y\\r\\n\\u202e\\x9b"" [m\\r]"' in header
 
 
 def test_a_case_replaces_an_older_one_whole(tmp_path: Path, trace: Trace) -> None:
