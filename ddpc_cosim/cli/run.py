@@ -12,18 +12,22 @@ from rich.console import Console
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
-from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.dry_run import expected
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.results import METRICS_FILE, StudyResults, load_results
+from ddpc_cosim.study.results import (
+    METRICS_FILE,
+    REPORT_FILE,
+    StudyResults,
+    load_results,
+    write_report,
+)
 from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_cosim.study.sections import expand_seeds
 from ddpc_cosim.texts import printable
 from ddpc_cosim.trace import Outcome
 
-REPORT_FILE = "report.html"
 _WIDE = 1000
 _MOST_LISTED = 20
 
@@ -64,7 +68,7 @@ def run_command(
         if problem.cases:
             screen.print(summary_table(problem, screen))
     if report:
-        print(write_report([results], folder / REPORT_FILE))
+        print(_write_report([results], folder / REPORT_FILE))
     _print_warnings(results)
     failed = [
         f"{case.id}: {case.outcome}: {case.reason}"
@@ -126,17 +130,11 @@ def report_command(folders: Sequence[Path], out: Path | None) -> int:
     """Write one report on several folders of results, print its path, and return the exit code."""
     with shown("reading results"):
         results = [load_results(folder) for folder in folders]
-    print(write_report(results, out or folders[0] / REPORT_FILE))
+    print(_write_report(results, out or folders[0] / REPORT_FILE))
     damaged = [_damaged(one) for one in results]
     return int(any(damaged))
 
 
-def write_report(results: Sequence[StudyResults], path: Path) -> Path:
-    """Write the report with the installed report generator and return its path."""
-    generator = load_plugin("reports", "html")
-    try:
-        with shown(f"writing {path}"), _warnings_in_one_line():
-            written: Path = generator(results, path)
-    except OSError as error:
-        raise ConfigError(f"{path}: the report cannot be written: {error.strerror}") from error
-    return written
+def _write_report(results: Sequence[StudyResults], path: Path) -> Path:
+    with shown(f"writing {path}"), _warnings_in_one_line():
+        return write_report(results, path)

@@ -254,11 +254,19 @@ def _taken(
     if PROBLEMS in taken.tables:
         errors.add(place, f"{taken.file} has problems itself; needed: a study with [plant], [loop], ...")
         return None
-    return taken if taken.folder == folder else taken._replace(tables=_absolute(taken.tables, taken.folder))
+    return (
+        taken
+        if taken.folder == folder
+        else taken._replace(
+            tables=absolute_paths(
+                {key: taken.tables[key] for key in _TAKEN if key in taken.tables}, taken.folder
+            )
+        )
+    )
 
 
-def _absolute(tables: Table, folder: Path) -> Table:
-    """Return tables in which files are named by absolute paths."""
+def absolute_paths(tables: Table, folder: Path) -> Table:
+    """Return the tables of a study, or of a problem, in which files are named by absolute paths."""
 
     def walk(value: Any, key: str = "") -> Any:
         if isinstance(value, dict):
@@ -267,17 +275,42 @@ def _absolute(tables: Table, folder: Path) -> Table:
             return [walk(item, key) for item in value]
         return str(in_folder(folder, value)) if key == "file" and isinstance(value, str) and value else value
 
-    found: Table = walk({key: tables[key] for key in _TAKEN if key in tables})
+    found: Table = {key: walk(table) if key in _TAKEN else table for key, table in tables.items()}
     with suppress(KeyError, TypeError):
         found["plant"]["fmu"] = str(in_folder(folder, found["plant"]["fmu"]))
-    with suppress(KeyError, TypeError, AttributeError, CosimError):  # its own check says what is wrong
-        stabiliser = found["recording"]["controller"]
-        stabiliser["settings"] = map_files(
-            controller_class(stabiliser["type"]),
-            stabiliser["settings"],
-            lambda path: path if path == PLANT else str(in_folder(folder, path)),
-        )
+    with suppress(KeyError, TypeError, AttributeError):
+        found["recording"]["controller"] = _absolute_settings(found["recording"]["controller"], folder)
+    with suppress(KeyError, TypeError, AttributeError):
+        sections = found["controllers"].items()
+        found["controllers"] = {key: _absolute_settings(one, folder) for key, one in sections}
+    with suppress(KeyError, TypeError, AttributeError):
+        found[PROBLEMS] = {key: absolute_paths(one, folder) for key, one in found[PROBLEMS].items()}
+    with suppress(KeyError, TypeError):
+        beside = in_folder(folder, found["study"])
+        found["study"] = str(beside) if beside.is_file() else found["study"]
     return found
+
+
+def _absolute_settings(section: Table, folder: Path) -> Table:
+    """Return a controller's section in which settings name files by absolute paths."""
+    found, kind = dict(section), section.get("type")
+
+    def absolute(table: Table, kind: Any) -> Table:
+        with suppress(KeyError, TypeError, AttributeError, CosimError):  # its own check says what is wrong
+            settings = map_files(
+                controller_class(kind),
+                table["settings"],
+                lambda path: path if path == PLANT else str(in_folder(folder, path)),
+            )
+            return table | {"settings": settings}
+        return table
+
+    if isinstance(section.get(PROBLEMS), dict):
+        found[PROBLEMS] = {
+            name: absolute(one, one.get("type", kind)) if isinstance(one, dict) else one
+            for name, one in section[PROBLEMS].items()
+        }
+    return absolute(found, kind)
 
 
 def _origin(tables: Table, problem: str, taken: Taken, place: Place) -> tuple[str, Place]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.study.case_files import (
     DAMAGED,
     CaseResult,
@@ -19,13 +20,18 @@ from ddpc_cosim.study.case_files import (
     read_sealed,
     sealed_json,
 )
-from ddpc_cosim.texts import encodable, printable
+from ddpc_cosim.texts import encodable, html_table, printable
+from ddpc_cosim.trace import Trace
 from fmu_plants.files import write_atomically
+from fmu_plants.spelling import did_you_mean
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from ddpc_cosim.study.problems import WholeStudy
     from ddpc_cosim.study.sections import Study
 
+REPORT_FILE = "report.html"
 STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "study.toml",
     "provenance.json",
@@ -33,10 +39,11 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "cases",
 )
 _STUDY_CHECKSUM = "study sha256"
+_MOST_LISTED = 8
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class StudyResults:
     """The results of one study.
 
@@ -97,6 +104,125 @@ class StudyResults:
                 views.append(StudyResults(self.folder, self.whole.of(study), cases, provenance, damaged))
         return tuple(views)
 
+    def __repr__(self) -> str:
+        held, failed = sum(case.holds for case in self.cases), len(self.damaged)
+        controllers = ", ".join(dict.fromkeys(case.label for case in self.cases))
+        damaged = f", {failed} damaged" if failed else ""
+        words = f"{len(self.cases)} cases, {held} near their reference{damaged}; {controllers}"
+        return printable(f"StudyResults({self.folder}: {words})", 500)
+
+    def _repr_html_(self) -> str:
+        groups: dict[tuple[str, str, str], list[CaseResult]] = {}
+        for case in self.cases:
+            groups.setdefault((case.problem, case.label, case.scenario), []).append(case)
+        rows = [(*key, len(cases), sum(case.holds for case in cases)) for key, cases in groups.items()]
+        header = ("problem", "controller", "scenario", "cases", "near the reference")
+        return html_table(repr(self), header, rows)
+
+    def frame(self) -> "pd.DataFrame":
+        """Return one row per case: what it was, how it ended, and its metrics, a column each, as metrics.csv.
+
+        ``variant`` tells variants of a sweep apart whose controllers have one name.
+        """
+        import pandas as pd
+
+        rows = [
+            {
+                "study": self.whole.head.name,
+                "problem": case.problem,
+                "controller": case.controller,
+                "label": case.label,
+                "scenario": case.scenario,
+                "variant": "",
+                "seed": case.seed,
+                "outcome": str(case.outcome),
+                "reason": case.reason,
+                "holds": case.holds,
+                **case.metrics,
+            }
+            for case in self.cases
+        ]
+        return pd.DataFrame(rows)
+
+    def compare(self, metric: str, *, baseline: str) -> "pd.DataFrame":
+        """Compare each controller with one, over the same seeds, scenarios and problems.
+
+        Parameters
+        ----------
+        metric : str
+            A column of :meth:`frame`, its unit may be left out: ``"rmse.angle"``.
+        baseline : str
+            The controller, by name or label.
+
+        Returns
+        -------
+        table : pandas.DataFrame
+            One row per problem and controller: see :func:`ddpc_cosim.study.statistics.compare_frame`.
+
+        Raises
+        ------
+        ConfigError
+            There is no such metric or controller.
+        """
+        from ddpc_cosim.study.statistics import compare_frame
+
+        keys = list(dict.fromkeys(key for case in self.cases for key in case.metrics))
+        chosen = [key for key in keys if metric in (key, key.partition(" [")[0])]
+        if not chosen:
+            shown = [key.partition(" [")[0] for key in keys]
+            raise ConfigError(f'no metric "{metric}"; {did_you_mean(metric, shown)}')
+        names = {case.label: case.controller for case in self.cases}
+        return compare_frame(self.frame(), chosen[0], names.get(baseline, baseline))
+
+    def trace(
+        self, controller: str, *, problem: str = "", scenario: str = "", seed: int | None = None
+    ) -> Trace:
+        """Read the samples of one run.
+
+        Parameters
+        ----------
+        controller : str
+            By name or label.
+        problem, scenario : str
+            Not needed where there is one.
+        seed : int, optional
+            Default: the first one.
+
+        Raises
+        ------
+        ConfigError
+            No run is such a one, or several are; or its files are damaged.
+        """
+        asked = {"problem": problem, "scenario": scenario, "seed": "" if seed is None else seed}
+        of_controller = [case for case in self.cases if controller in (case.controller, case.label)]
+        if not of_controller:
+            known = dict.fromkeys(case.label for case in self.cases)
+            raise ConfigError(f'no controller "{controller}"; {did_you_mean(controller, known)}')
+        found = [
+            case
+            for case in of_controller
+            if all(value in ("", getattr(case, key)) for key, value in asked.items())
+        ]
+        words = ", ".join(f"{key} = {value}" for key, value in asked.items() if value != "")
+        if not found:
+            there = ", ".join(case.id for case in of_controller[:_MOST_LISTED])
+            raise ConfigError(f"{controller}: no run with {words}; there are {there}")
+        for key in ("problem", "scenario"):
+            several = dict.fromkeys(getattr(case, key) for case in found)
+            if len(several) > 1:
+                raise ConfigError(f"{controller}: several {key}s: {', '.join(several)}; say which {key}")
+        return found[0].trace()
+
+    def report(self, path: str | Path | None = None) -> Path:
+        """Write the report, by default as ``report.html`` beside the results, and return its path.
+
+        Raises
+        ------
+        ConfigError
+            It cannot be written.
+        """
+        return write_report([self], self.folder / REPORT_FILE if path is None else Path(path))
+
     def warnings(self) -> dict[tuple[str, str], tuple[CaseResult, ...]]:
         """Return the cases of every warning, by controller and text.
 
@@ -114,6 +240,22 @@ class StudyResults:
 def provenance_of(problem: str, key: str) -> str:
     """Return the key of what the provenance says of one problem among several."""
     return f"{problem}: {key}"
+
+
+def write_report(results: Sequence[StudyResults], path: Path) -> Path:
+    """Write a report on several studies with the installed generator and return its path.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be written.
+    """
+    generator = load_plugin("reports", "html")
+    try:
+        written: Path = generator(results, path)
+    except OSError as error:
+        raise ConfigError(f"{path}: the report cannot be written: {error.strerror}") from error
+    return written
 
 
 def load_results(folder: str | Path) -> StudyResults:

@@ -83,6 +83,22 @@ class StepsReference(StepsSection):
         return self.steps(convert)
 
 
+class InterpolatedReference(_Signal):
+    """Linear between points, over the time of the run."""
+
+    kind: Literal["interpolated"]
+    times: Annotated[list[Finite], Field(min_length=1)] = Field(description="instants [s]")
+    values: Annotated[list[Finite], Field(min_length=1)]
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield how times and values do not fit."""
+        yield from faults_of(Interpolated, self.times, self.values)
+
+    def build(self, variable: Variable, convert: Any) -> Reference:
+        """Return the signal in the variable's own unit."""
+        return Interpolated(tuple(self.times), tuple(float(convert(value)) for value in self.values))
+
+
 class RampReference(_Signal, LinearSection):
     """Linear between two instants."""
 
@@ -165,6 +181,7 @@ def _kind(reference: Any) -> Any:
 _Formula = (
     Annotated[ConstantReference, Tag("constant")]
     | Annotated[StepsReference, Tag("steps")]
+    | Annotated[InterpolatedReference, Tag("interpolated")]
     | Annotated[RampReference, Tag("ramp")]
     | Annotated[SineReference, Tag("sine")]
 )
