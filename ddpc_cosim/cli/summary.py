@@ -109,16 +109,14 @@ def _told_apart(results: StudyResults, key: str) -> tuple[dict[tuple[str, str], 
                 own = runs.setdefault(case.controller, {})
                 own[scenario, case.seed] = case.metrics.get(key, math.nan)
         found[scenario] = compare_all(runs, metric_of(key).better)
-    tested = [one for one in found.values() if one.tests]
-    seeds, needed = (
-        len({case.seed for case in results.cases}),
-        max((one.seeds_needed for one in tested), default=0),
-    )
-    few = f"{seeds} seeds are too few to tell so many controllers apart: it takes {needed}"
-    line = few if needed > seeds else ""
-    if any(len(one.groups) > 1 for one in found.values()):
-        return {(name, here): text for here, one in found.items() for name, text in one.letters.items()}, line
-    return {}, line or (f"{seeds} seeds tell no two controllers apart" if tested else "")
+    seeds, tested = len({case.seed for case in results.cases}), [one for one in found.values() if one.tests]
+    needed = max((one.seeds_needed for one in tested if one.too_few_seeds), default=0)
+    few = f"{seeds} seeds are too few to test so many controllers against each other: it takes {needed}"
+    sure = {here: one for here, one in found.items() if not one.too_few_seeds}
+    if any(len(one.groups) > 1 for one in sure.values()):
+        letters = {(name, here): text for here, one in sure.items() for name, text in one.letters.items()}
+        return letters, few if needed else ""
+    return {}, few if needed else f"{seeds} seeds tell no two controllers apart" if tested else ""
 
 
 def _rows(results: StudyResults, key: str) -> list[_Row]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.stats import friedmanchisquare, kruskal, rankdata, spearmanr, studentized_range
+import scipy  # whose parts are imported when they are first used
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import metric_of
@@ -137,13 +137,15 @@ def average_ranks(names: Sequence[str], scores: FloatArray) -> AverageRanks:
         The lower the better, shape (problems, controllers); infinite of one that is behind all others.
     """
     n, k = scores.shape
-    ranks = rankdata(scores, axis=1).mean(axis=0)
-    distance = float(studentized_range.ppf(1 - LEVEL, k, math.inf)) / math.sqrt(2) if k > 1 else math.nan
+    ranks = scipy.stats.rankdata(scores, axis=1).mean(axis=0)
+    distance = (
+        float(scipy.stats.studentized_range.ppf(1 - LEVEL, k, math.inf)) / math.sqrt(2) if k > 1 else math.nan
+    )
     distance *= math.sqrt(k * (k + 1) / (6 * n))
     statistic, p = math.nan, math.nan
     if k > 2 and n > 1:
         alike = (scores == scores[:, :1]).all()
-        statistic, p = (0.0, 1.0) if alike else map(float, friedmanchisquare(*scores.T))
+        statistic, p = (0.0, 1.0) if alike else map(float, scipy.stats.friedmanchisquare(*scores.T))
     order = sorted(range(k), key=lambda i: ranks[i])
     apart = {
         (names[i], names[j])
@@ -175,13 +177,13 @@ def setting_effect(settings: Sequence[object], values: FloatArray, better: Bette
         settings, values = [one for one, kept in zip(settings, known, strict=True) if kept], values[known]
     levels = list(dict.fromkeys(map(repr, settings)))
     place = np.array([levels.index(repr(one)) for one in settings])
-    ranks = rankdata(values)
+    ranks = scipy.stats.rankdata(values)
     correlation, share = math.nan, math.nan
     if len(levels) > 1 and np.ptp(ranks):
         if all(isinstance(one, int | float) and not isinstance(one, bool) for one in settings):
-            correlation = float(spearmanr(np.array(settings, dtype=float), ranks).statistic)
+            correlation = float(scipy.stats.spearmanr(np.array(settings, dtype=float), ranks).statistic)
         if len(ranks) > len(levels):
-            statistic = float(kruskal(*(ranks[place == i] for i in range(len(levels)))).statistic)
+            statistic = float(scipy.stats.kruskal(*(ranks[place == i] for i in range(len(levels)))).statistic)
             share = max(0.0, (statistic - len(levels) + 1) / (len(ranks) - len(levels)))
     return SettingEffect(runs, int(known.sum()), len(levels), correlation, share)
 
@@ -239,7 +241,7 @@ def ranks_frame(frame: "pd.DataFrame", metric: str) -> AverageRanks:
         medians = part.groupby(level=["scenario", "variant"]).median() * (-1 if better == "high" else 1)
         # Nine digits: what differs by rounding alone is a tie.
         scores = medians.fillna(math.inf).map(lambda value: float(f"{value:.9g}"))
-        ranks = rankdata(scores.to_numpy(dtype=float), axis=1).sum(axis=0)
+        ranks = scipy.stats.rankdata(scores.to_numpy(dtype=float), axis=1).sum(axis=0)
         keys = [*zip(part.isna().sum(), ranks, strict=True)]
         order = sorted(set(keys))
         rows.append([order.index(key) for key in keys])

@@ -14,7 +14,7 @@ from string import ascii_lowercase
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-from scipy.special import bdtr, gammaln
+import scipy  # whose parts are imported when they are first used
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import metric_of
@@ -139,6 +139,12 @@ class Comparisons:
         """Seeds from which on a controller that is ahead on each is told apart, whatever the others do."""
         return 1 + math.ceil(math.log2(max(self.tests, 1) / LEVEL))
 
+    @property
+    def too_few_seeds(self) -> bool:
+        """Whether no test can tell any two apart, even if one of them is ahead on every seed."""
+        seeds = max((one.seeds for one in self.differences.values()), default=0)
+        return self.tests > 0 and seeds < self.seeds_needed
+
 
 def describe(runs: Runs) -> Sample:
     """Sum up the runs of one controller."""
@@ -204,9 +210,7 @@ def signed_rank(differences: FloatArray) -> float:
     if not differences.any():
         return 1.0 if differences.size else math.nan
     if differences.size > _EXACT:
-        from scipy.stats import wilcoxon  # takes longer to import than all that is computed here
-
-        return float(wilcoxon(differences.tolist(), zero_method="pratt").pvalue)
+        return float(scipy.stats.wilcoxon(differences.tolist(), zero_method="pratt").pvalue)
     _, place, counts = np.unique(abs(differences), return_inverse=True, return_counts=True)
     twice = (2 * np.cumsum(counts) - counts + 1)[place]  # twice the shared ranks: whole numbers
     ways = _ways(tuple(sorted(twice[differences != 0].tolist())))
@@ -247,7 +251,7 @@ def _resampled_medians(n: int) -> tuple[FloatArray, _Places, _Places]:
     """Return the probability of each pair of places between whose values a resample's median can lie."""
     half, place = (n - 1) // 2, np.arange(1, n + 1)
     # Probability that the middle value of a resample, of an even number the lower one, is the i-th of all.
-    weights = np.diff(1 - bdtr(half, n, np.arange(n + 1) / n))
+    weights = np.diff(1 - scipy.special.bdtr(half, n, np.arange(n + 1) / n))
     if n % 2:
         return weights, place - 1, place - 1
     likely = np.flatnonzero(np.maximum(weights, weights[::-1]) > 1e-12)
@@ -255,7 +259,7 @@ def _resampled_medians(n: int) -> tuple[FloatArray, _Places, _Places]:
     # Half of the draws are at most the i-th, one of them is it; the others, mirrored, at least the j-th.
     below = half * np.log(place / n) + np.log1p(-(((place - 1) / place) ** half))
     table = np.add.outer(below, below[::-1])[np.ix_(likely, likely)]
-    table = np.triu(np.exp(table + gammaln(n + 1) - 2 * gammaln(half + 1)), 1)
+    table = np.triu(np.exp(table + scipy.special.gammaln(n + 1) - 2 * scipy.special.gammaln(half + 1)), 1)
     np.fill_diagonal(table, weights[likely] - table.sum(axis=1))
     lower, upper = np.meshgrid(likely, likely, indexing="ij")
     return table.ravel(), lower.ravel(), upper.ravel()

@@ -48,11 +48,14 @@ def certainty_statements(condition: Condition) -> list[Statement]:
     """Return for each metric which controllers the seeds do not tell apart; nothing for one seed."""
     if len(condition.seeds) < 2:
         return []
-    return [
-        Statement(_title(key), _groups(condition, key))
-        for key in _keys(condition)
-        if len(condition.compared(key).order) > 1
+    keys = _keys(condition)
+    tested = [
+        key for key in keys if (found := condition.compared(key)).differences and not found.too_few_seeds
     ]
+    few = seeds_needed([condition], keys)
+    return [Statement(_title(key), _groups(condition, key)) for key in tested] + (
+        [Statement("Seeds", few.strip())] if few else []
+    )
 
 
 def _keys(condition: Condition) -> list[str]:
@@ -79,7 +82,7 @@ def _groups(condition: Condition, key: str) -> Markup:
     text = Markup("Not told apart: {}").format(Markup("; ").join(alike))
     if alone:
         text += Markup(". Told apart from all others: {}").format(join_words(names(alone)))
-    return text + "." + seeds_needed(condition, key)
+    return text + "."
 
 
 def _rows(condition: Condition, key: str) -> list[Row]:
@@ -91,6 +94,7 @@ def _rows(condition: Condition, key: str) -> list[Row]:
     samples = [describe(one.runs(key)) for one in order]
     best = order[0] if compared.order else None
     found = [_to_best(condition, key, one, best) for one in order]
+    letters = {} if compared.too_few_seeds else compared.letters
     unit = metric_unit(key)
     cells = [
         [Cell(f"{s.known} of {s.runs}", s.known, failed=s.known < s.runs) for s in samples],
@@ -100,7 +104,7 @@ def _rows(condition: Condition, key: str) -> list[Row]:
         _intervals(found),
         [_p(one) for one in found],
         [_ahead(one) for one in found],
-        [Cell(compared.letters.get(one.key, MISSING)) for one in order],
+        [Cell(letters.get(one.key, MISSING)) for one in order],
     ]
     group = " / ".join(filter(None, (_title(key), unit)))
     return [

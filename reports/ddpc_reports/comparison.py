@@ -203,9 +203,9 @@ class Condition:
         return self._compared[key]
 
     def not_told_apart(self, key: str) -> list[ControllerResults]:
-        """Return those of a ranking that the seeds do not tell from its first; none with one seed."""
+        """Return those of a ranking that the seeds do not tell from its first; none if too few."""
         compared = self.compared(key)
-        if len(self.seeds) < 2:
+        if len(self.seeds) < 2 or compared.too_few_seeds:
             return []
         first = compared.order[0] if compared.order else ""
         alike = {

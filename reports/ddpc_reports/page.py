@@ -47,7 +47,7 @@ from ddpc_reports.embedding import (
 from ddpc_reports.fairness import fairness_statements
 from ddpc_reports.figures import Figure, in_its_place, spread_figures, step_time_figure, time_figures
 from ddpc_reports.numbers import as_given, with_unit
-from ddpc_reports.sensitivity import sensitivity_figures, sweep_statements
+from ddpc_reports.sensitivity import effects_table, sensitivity_figures, sweep_statements
 from ddpc_reports.settings_tables import compact_seeds, family_tables, settings_tables
 from ddpc_reports.table import Table
 from ddpc_reports.verdict import Statement, across_statements, limitations, verdict
@@ -206,7 +206,8 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Pa
             title, lambda *one: _figures(spread_figures(*one), one[1])
         ),
         ("sensitivity", "Sensitivity"): lambda title: each(
-            title, lambda *one: _figures(sensitivity_figures(*one), one[1])
+            title,
+            lambda *one: [*_figures(sensitivity_figures(*one), one[1]), *_tables(effects_table(*one))],
         ),
         ("time", "Computation time"): lambda title: each(title, _step_time_blocks),
         ("data", "Data diagnostics"): lambda title: each(

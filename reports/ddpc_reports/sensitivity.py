@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim.metrics import metric_of
+from ddpc_cosim.study.ranks import setting_effect
 from ddpc_reports.charts import heat_chart
 from ddpc_reports.comparison import (
     Condition,
@@ -20,6 +22,7 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.figures import Figure, one_chart
 from ddpc_reports.numbers import as_given, significant, with_unit
+from ddpc_reports.table import Cell, Heading, Row, Table
 from ddpc_reports.verdict import Statement, by_signal, formatter
 
 _LOST_SHOWN = 3
@@ -47,7 +50,7 @@ class Sweep:
 
     def words(self, controller: str, setting: str) -> str:
         """Return a controller's value of a setting; of an object, what distinguishes it in this sweep."""
-        value = self._value(controller, setting)
+        value = self.value(controller, setting)
         if value is None:
             return ""
         if not isinstance(value, dict):
@@ -59,12 +62,13 @@ class Sweep:
         """Return the settings of a variant in words."""
         return ", ".join(f"{name} = {self.words(one.key, name)}" for name in self.settings)
 
-    def _value(self, controller: str, setting: str) -> Any:
+    def value(self, controller: str, setting: str) -> Any:
+        """Return a controller's value of a setting; None where it has none of its own."""
         section = self.condition.results.study.controllers.get(controller)
         return section.settings.get(setting) if section else None
 
     def _entries(self, setting: str, key: str) -> set[str]:
-        values = [self._value(one.key, setting) for one in self.variants]
+        values = [self.value(one.key, setting) for one in self.variants]
         return {repr(value.get(key)) for value in values if isinstance(value, dict)}
 
     @cached_property
@@ -134,6 +138,51 @@ def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
     )
 
 
+def effects_table(condition: Condition, prefix: str) -> Table | None:
+    """Return how much each swept setting decides the metrics of the ranking; None without sweeps."""
+    rows = [
+        Row(f"{sweep.label}: {name}", _effect_cells(sweep, name, key), group=_title(key))
+        for key in condition.headline
+        for sweep in sweeps(condition)
+        for name in sweep.settings
+    ]
+    if not rows:
+        return None
+    headings = (
+        Heading("Setting", numeric=False),
+        Heading("values"),
+        Heading("runs near the reference"),
+        Heading("rank correlation"),
+        Heading("share explained", "%"),
+    )
+    notes = (
+        "Rank correlation (Spearman): 1 where the larger setting always gives the larger value, "
+        "\N{MINUS SIGN}1 the reverse; of numbers only. Share explained: of the variance of the ranks, by the "
+        "values of this setting (epsilon squared), also where the best lies between two worse ones; a dash "
+        "where no value was run twice. Runs that do not stay near their reference rank last.",
+    )
+    caption = "Which settings matter"
+    return Table(
+        f"{prefix}effects", caption, headings, tuple(rows), notes, kind="grouped", download="effects.csv"
+    )
+
+
+def _effect_cells(sweep: Sweep, setting: str, key: str) -> tuple[Cell, ...]:
+    runs = [(one, value) for one in sweep.variants for value in one.runs(key).values()]
+    settings = [sweep.value(one.key, setting) for one, _ in runs]
+    found = setting_effect(settings, np.array([value for _, value in runs]), metric_of(key).better)
+    return (
+        Cell(str(found.levels), found.levels),
+        Cell(f"{found.known} of {found.runs}", found.known, failed=found.known < found.runs),
+        Cell(significant(found.correlation, 2), found.correlation),
+        Cell(significant(100 * found.share, 2), 100 * found.share),
+    )
+
+
+def _title(key: str) -> str:
+    return " of ".join(filter(None, (metric_label(key), metric_signal(key))))
+
+
 def sensitivity_figures(condition: Condition, prefix: str) -> list[Figure]:
     """Return one map for each sweep and controlled output; none without sweeps."""
     pairs = [(sweep, key) for sweep in sweeps(condition) for key in condition.headline]
@@ -143,7 +192,7 @@ def sensitivity_figures(condition: Condition, prefix: str) -> list[Figure]:
 
 
 def _figure(sweep: Sweep, key: str, identifier: str) -> Figure:
-    what = " of ".join(filter(None, (metric_label(key), metric_signal(key))))
+    what = _title(key)
     unit = f" in {metric_unit(key)}" if metric_unit(key) else ""
     caption = (
         f"{sweep.label}: {what.lower()}{unit} over {' and '.join(sweep.axes)}; "

@@ -197,7 +197,8 @@ def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> State
     seeds = len(condition.seeds)
     over = f", medians over {seeds} seeds and ranges" if seeds > 1 else ""
     lines = [(metric_signal(key), _in_short(condition, key)) for key in keys]
-    return Statement(topic, Markup("{}{}:").format(metric_label(keys[0]), over) + by_signal(lines))
+    text = Markup("{}{}:").format(metric_label(keys[0]), over) + by_signal(lines)
+    return Statement(topic, text + seeds_needed([condition], keys))
 
 
 def _in_short(condition: Condition, key: str) -> Markup:
@@ -348,7 +349,8 @@ def _seed_by_seed(winner: ControllerResults, second: ControllerResults, key: str
 
 def _first(condition: Condition, key: str, one: ControllerResults) -> Markup:
     """Set the name of the first of a ranking: in bold only if the seeds tell it apart from all others."""
-    unsure = condition.not_told_apart(key)
+    several = len(condition.seeds) > 1
+    unsure = several and (condition.compared(key).too_few_seeds or condition.not_told_apart(key))
     return (Markup("<i>{}</i>") if unsure else Markup("<b>{}</b>")).format(one.label)
 
 
@@ -362,24 +364,28 @@ def _told_apart(condition: Condition, key: str) -> Markup:
     """Say from which others the seeds tell the first of a ranking apart, and how sure that is."""
     compared, unsure = condition.compared(key), condition.not_told_apart(key)
     others = {b: found for (a, b), found in compared.differences.items() if a == compared.order[0]}
+    if compared.too_few_seeds:
+        words = _difference(next(iter(others.values())), key)
+        return Markup(" To the next: {}.").format(words) + seeds_needed([condition], [key])
     if not unsure:
         tested = [found.corrected for found in others.values() if not found.constant]
         sure = f" (corrected p {p_words(max(tested), 'at most ')})" if tested else ""
         among = " that stays near its reference on each" if condition.not_ranked else ""
         return Markup(" The seeds tell it apart from every other controller{}{}.").format(among, sure)
-    named = [Markup("<i>{}</i> ({})").format(one.label, _difference(others[one.key], key)) for one in unsure]
-    few = seeds_needed(condition, key)
-    return Markup(" The seeds do not tell it apart from {}.").format(_some(named)) + few
+    named = [
+        Markup("<i>{}</i> ({}, corrected p {})").format(
+            one.label, _difference(others[one.key], key), p_words(others[one.key].corrected, "= ")
+        )
+        for one in unsure
+    ]
+    return Markup(" The seeds do not tell it apart from {}.").format(_some(named))
 
 
 def _difference(found: Difference, key: str) -> str:
-    """Write the difference of another to the first of a ranking, with its interval and p."""
+    """Write the median difference of another to the first of a ranking, with its interval."""
     show = formatter(key, 3)
-    if found.constant:
-        return "no difference"
-    interval = f"95\u00a0% interval {show(-found.high)} … {show(-found.low)}, "
-    known = "" if math.isnan(found.low) else interval
-    return f"median difference {show(-found.median)}, {known}corrected p {p_words(found.corrected, '= ')}"
+    interval = f", 95\u00a0% interval {show(-found.high)} … {show(-found.low)}"
+    return f"median difference {show(-found.median)}" + ("" if math.isnan(found.low) else interval)
 
 
 def p_words(p: float, sign: str = "") -> str:
@@ -387,14 +393,17 @@ def p_words(p: float, sign: str = "") -> str:
     return "< 0.001" if p < _SMALLEST_P else sign + significant(p, 2)
 
 
-def seeds_needed(condition: Condition, key: str) -> Markup:
-    """Say how many seeds it takes to tell so many controllers apart, where there are fewer."""
-    compared = condition.compared(key)
-    if len(condition.seeds) >= compared.seeds_needed or not compared.tests:
+def seeds_needed(conditions: Sequence[Condition], keys: Sequence[str]) -> Markup:
+    """Say that the seeds are too few to test so many controllers, and how many it takes; empty if not."""
+    seeds = max((len(one.seeds) for one in conditions), default=0)
+    found = [compared for one in conditions for key in keys if (compared := one.compared(key)).too_few_seeds]
+    if seeds < 2 or not found:
         return Markup("")
-    return Markup(
-        " {} seeds are too few to tell {} controllers apart, whatever they do: it takes {}."
-    ).format(len(condition.seeds), len(compared.order), compared.seeds_needed)
+    most = max(len(compared.order) for compared in found)
+    needed = max(compared.seeds_needed for compared in found)
+    return Markup(" {} seeds are too few to test {} controllers against each other: it takes {}.").format(
+        seeds, most, needed
+    )
 
 
 def _constant(order: Sequence[ControllerResults], key: str) -> Markup:
@@ -508,9 +517,8 @@ def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
         for condition in conditions
         if (unsure := condition.not_told_apart(key))
     ]
-    if not where:
-        return Markup("")
-    return Markup(" The seeds do not tell the first apart in {}.").format(join_words(where))
+    text = Markup(" The seeds do not tell the first apart in {}.").format(join_words(where)) if where else ""
+    return text + seeds_needed(conditions, [key])
 
 
 def limitations(conditions: tuple[Condition, ...], drawn: int) -> list[str]:

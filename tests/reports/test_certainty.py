@@ -118,6 +118,19 @@ def test_a_controller_that_lost_a_run_is_last_and_not_tested(make_results: MakeR
     assert "quick" not in plain(certainty_statements(conditions(results)[0]))["Mean absolute error of angle"]
 
 
+def test_too_few_seeds_are_said_to_be_and_nothing_is_tested(make_results: MakeResults) -> None:
+    """Of three pairs, Holm multiplies the smallest p by three: 3 / 2^5 is more than 5 %, 3 / 2^6 is not."""
+    condition = conditions(make_results(trace_of, THREE, seeds=SEEDS[:6]))[0]
+    few = "6 seeds are too few to test 3 controllers against each other: it takes 7."
+    assert plain(certainty_statements(condition)) == {"Seeds": few}
+    spread = next(str(text) for topic, text in verdict(condition) if topic == "Spread")
+    assert few in spread
+    assert "<b>" not in spread
+    assert "apart" not in spread
+    enough = conditions(make_results(trace_of, THREE, seeds=SEEDS[:7]))[0]
+    assert "Seeds" not in plain(certainty_statements(enough))
+
+
 def test_what_the_seed_does_not_change_is_exact(make_results: MakeResults) -> None:
     results = make_results(lambda key, seed: make_trace(0.5 if key == "quick" else 1.0), seeds=[0, 1])
     slow = rows(table_of(results))["slow"]

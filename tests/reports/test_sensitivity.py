@@ -6,12 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_reports.comparison import conditions
+from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.page import render_page
-from ddpc_reports.sensitivity import sensitivity_figures, sweep_statements
+from ddpc_reports.sensitivity import effects_table, sensitivity_figures, sweep_statements
 
 from .synthetic import make_results_in, make_trace
 
@@ -153,3 +155,17 @@ def test_three_settings_are_drawn_over_two(tmp_path: Path) -> None:
     assert len(rows_of(results, 0)) == 4
     assert "Median over the values of c." in figure.caption
     assert all(math.isfinite(row["value"]) for row in rows_of(results, 0))
+
+
+def test_which_settings_matter_is_computed_of_all_runs(results: StudyResults) -> None:
+    """Lags of 0.3 and 0.6 (a = 1) rank 1 to 6, of 0.9 (a = 2) 7 to 9; three lost runs share 10 to 12."""
+    table = effects_table(conditions(results)[0], "")
+    assert table
+    rows = {row.header: [cell.text for cell in row.cells] for row in table.rows}
+    assert list(rows) == ["Slow: a", "Slow: b", "Slow: c"]
+    ranks = [1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 11, 11]
+    correlation = np.corrcoef([1] * 6 + [2] * 6, ranks)[0, 1]
+    share = 1 - (1 - correlation**2) * 11 / 10
+    assert rows["Slow: a"] == ["2", "9 of 12", significant(correlation, 2), significant(100 * share, 2)]
+    assert rows["Slow: c"][2] == MISSING
+    assert effects_table(replace(conditions(results)[0], variants=()), "") is None

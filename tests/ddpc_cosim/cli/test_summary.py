@@ -121,7 +121,7 @@ def test_what_the_seeds_tell_apart_has_letters_of_its_own() -> None:
     ("seeds", "words"),
     [
         (12, "12 seeds tell no two controllers apart"),
-        (5, "5 seeds are too few to tell so many controllers apart: it takes 6"),
+        (5, "5 seeds are too few to test so many controllers against each other: it takes 6"),
     ],
 )
 def test_where_the_seeds_tell_none_apart_a_line_says_so(seeds: int, words: str) -> None:
