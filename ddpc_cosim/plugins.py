@@ -115,12 +115,17 @@ def load_plugin(kind: str, name: str) -> Any:
     return plugin.value
 
 
-def _entry_points(kind: str) -> list[EntryPoint]:
+def _entry_points(kind: str) -> tuple[EntryPoint, ...]:
     if kind not in KINDS:
         raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
+    return _entry_points_of(kind, tuple(sys.path))
+
+
+@cache
+def _entry_points_of(kind: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
     # An editable installation next to a wheel lists an entry point twice.
-    found = _every_entry_point(tuple(sys.path)).select(group=f"ddpc_cosim.{kind}")
-    return list({(entry.name, entry.value): entry for entry in found}.values())
+    found = _every_entry_point(path).select(group=f"ddpc_cosim.{kind}")
+    return tuple({(entry.name, entry.value): entry for entry in found}.values())
 
 
 def look_up() -> None:

@@ -394,6 +394,10 @@ def _all_cases(
     study = resolved.study
     stabiliser = study.recording.controller if study.recording is not None else None
     events = {name: _events(scenario, study.loop) for name, scenario in study.scenarios.items()}
+    excitations = {
+        name: {seed: excitation and excitation.with_seed(seed) for seed in seeds or study.seeds}
+        for name, excitation in resolved.excitations.items()
+    }
     for controller, section in study.controllers.items():
         for name, scenario in study.scenarios.items():
             words = (
@@ -405,7 +409,6 @@ def _all_cases(
             )
             matches = any(fnmatch(word, only) for word in words)
             for seed in seeds or study.seeds:
-                excitation = resolved.excitations[name]
                 case = Case(
                     problem=problem,
                     controller=controller,
@@ -423,7 +426,7 @@ def _all_cases(
                     continue_recording=study.loop.start == "recording-end",
                     reference=resolved.reference,
                     bounds=resolved.bounds[controller] | resolved.scenario_bounds[name],
-                    excitation=None if excitation is None else excitation.with_seed(seed),
+                    excitation=excitations[name][seed],
                     recording=resolved.recording,
                     stabiliser=None if stabiliser is None else _type_and_settings(stabiliser),
                     parameters={**study.plant.parameters, **scenario.parameters},

@@ -1,8 +1,6 @@
 """From the controller sections of a study to controllers: sweeps written out, each one built once."""
 
-import re
-from collections.abc import Iterator, Mapping
-from itertools import product
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,9 +25,8 @@ from ddpc_cosim.study.sections import (
     StabiliserSection,
     Study,
 )
+from ddpc_cosim.study.sweeps import combinations, variant_label, variant_name
 from ddpc_cosim.study.validation_errors import InvalidFieldError, ValidationErrors, in_folder, independent
-
-_LONGEST_NAME = 60
 
 
 class StudyController(NamedTuple):
@@ -71,8 +68,7 @@ class StudyController(NamedTuple):
         """Return its section in a study without sweeps, with all its settings."""
         changes: dict[str, Any] = {"settings": self.settings, "label": section.label or self.of, "sweep": []}
         if self.varied:
-            words = (f"{setting} = {_words(value)}" for setting, value in self.varied.items())
-            changes["label"] = ", ".join([changes["label"], *words])
+            changes["label"] = variant_label(changes["label"], self.varied)
             changes |= {"variant_of": self.of, "varied": list(self.varied), "tuned": None}
         return section.model_copy(update=changes)
 
@@ -132,13 +128,13 @@ def _variants(
 ) -> Iterator[tuple[str, dict[str, Any], Place]]:
     """Yield the name of a section, then each variant's (``deepc-lambda_g-5``), what it varies, and where."""
     yield name, {}, ()
-    combinations = (
-        (("controllers", name, "sweep", i), dict(zip(table, values, strict=True)))
+    variants = (
+        (("controllers", name, "sweep", i), varied)
         for i, table in enumerate(section.sweep if with_sweeps else ())
-        for values in product(*table.values())
+        for varied in combinations(table)
     )
-    for number, (place, varied) in enumerate(combinations, start=1):
-        yield _name(name, varied, number), varied, place
+    for number, (place, varied) in enumerate(variants, start=1):
+        yield variant_name(name, varied, number), varied, place
 
 
 @independent
@@ -204,16 +200,3 @@ def _build(
     except ControllerError as error:
         errors.add(place, str(error))
     return None
-
-
-def _name(name: str, varied: Mapping[str, Any], number: int) -> str:
-    """Return a readable name; a number where the values make it too long for a file's name."""
-    values = {setting: re.sub(r"[^A-Za-z0-9._-]+", "", _words(value)) for setting, value in varied.items()}
-    readable = "-".join([name, *(f"{setting}-{value}" for setting, value in values.items())])
-    return readable if len(readable) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 5]}-{number}"
-
-
-def _words(value: Any) -> str:
-    if isinstance(value, dict):
-        return " ".join(f"{key} {_words(entry)}" for key, entry in value.items())
-    return f"{value:g}" if isinstance(value, float) else str(value)

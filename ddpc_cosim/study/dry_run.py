@@ -45,7 +45,7 @@ def expected(resolved: "ResolvedProblems", folder: Path, selection: "Selection",
     ]
     if missing:
         base = {
-            ("" if resolved.whole.is_flat else name, key): section.variant_of or key
+            ("" if name == resolved.head.name else name, key): section.variant_of or key
             for name, one in resolved.problems.items()
             for key, section in one.study.controllers.items()
         }

@@ -16,11 +16,11 @@ from fmu_plants.spelling import did_you_mean
 
 Table = dict[str, Any]
 PROBLEMS = "problems"
-_OF_HEAD = tuple(StudyHead.model_fields)
+OF_HEAD = tuple(StudyHead.model_fields)
 _TAKEN = ("plant", "loop", "reference", "bounds", "recording", "scenarios", "metrics")
 """What a problem takes from a study file."""
 _WORDS = ("title", "summary", "source")
-_OF_PROBLEM = (*_WORDS, *_TAKEN, "report")
+_OF_PROBLEM = (*_WORDS, "variant_of", "varied", *_TAKEN, "report")
 # Of each table, keys of which one excludes the other.
 _ALTERNATIVES = {"plant": {"name", "fmu"}, "recording": {"samples", "file"}}
 
@@ -55,15 +55,18 @@ class WholeStudy:
         """Return the study that :meth:`tables` returned the tables of."""
         if PROBLEMS not in tables:
             return cls.of(Study.model_validate(tables))
-        head = StudyHead.model_validate({key: tables[key] for key in _OF_HEAD if key in tables})
+        head = StudyHead.model_validate({key: tables[key] for key in OF_HEAD if key in tables})
         parts = flat_studies(tables, Path(), _nothing, ValidationErrors())
-        return cls(head, {part.name: Study.model_validate(part.tables) for part in parts})
+        return cls(head, {part.problem: Study.model_validate(part.tables) for part in parts})
 
     def tables(self) -> Table:
         """Return the study as a file says it."""
         written = {
             name: one.model_dump(mode="python", exclude_none=True) for name, one in self.problems.items()
         }
+        for one in written.values():
+            if not one["variant_of"]:
+                del one["variant_of"], one["varied"]
         if self.is_flat:
             return written[self.head.name]
         controllers = {
@@ -71,7 +74,7 @@ class WholeStudy:
             for key in dict.fromkeys(key for one in written.values() for key in one["controllers"])
         }
         return {
-            **{key: getattr(self.head, key) for key in _OF_HEAD},
+            **{key: getattr(self.head, key) for key in OF_HEAD},
             PROBLEMS: {
                 name: {key: one[key] for key in _OF_PROBLEM if key in one} for name, one in written.items()
             },
@@ -110,15 +113,15 @@ class FlatStudy(NamedTuple):
 
     Parameters
     ----------
-    name : str
-        The problem's name.
+    problem : str
+        The problem's name; of a variant that of the problem that it is a variant of.
     tables : dict
-        Its tables.
+        Its tables; their ``name`` is its own.
     origin : callable
         Of a place in the tables, the file in which it stands (empty: the study's own) and its place there.
     """
 
-    name: str
+    problem: str
     tables: Table
     origin: Callable[[Place], tuple[str, Place]]
 
@@ -139,7 +142,7 @@ def flat_studies(
     errors : ValidationErrors
         What is found is added.
     """
-    allowed = (*_OF_HEAD, PROBLEMS, "controllers", "report")
+    allowed = (*OF_HEAD, PROBLEMS, "controllers", "report", "sweep")
     for key in tables:
         if key in _TAKEN:
             errors.add((key,), f"each problem has its own: {PROBLEMS}.NAME.{key}")

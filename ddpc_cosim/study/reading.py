@@ -13,7 +13,9 @@ from ddpc_cosim.study.problems import PROBLEMS, FlatStudy, Taken, flat_studies, 
 from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy, resolve
 from ddpc_cosim.study.sections import Study, StudyHead
 from ddpc_cosim.study.validation_errors import ValidationErrors, in_folder, parse
+from ddpc_cosim.study.variants import SWEEP, with_variants
 
+_MOST_LISTED = 4
 _MAY_END = re.compile(r"""[\]}]|"{3}|'{3}""")  # a value over several lines
 
 
@@ -85,15 +87,18 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
     def read(named: str) -> Taken:
         beside = in_folder(file.folder, named)
         taken = StudyFile.read(beside if beside.is_file() else find_study(named))
-        read_files[taken.label] = taken
-        return Taken(taken.label, taken.folder, taken.tables)
+        read_files[named] = taken._replace(label=named)
+        return Taken(named, taken.folder, taken.tables)
 
-    parts = [FlatStudy(tables["name"], tables, lambda place: ("", place))]
+    flat = {key: value for key, value in tables.items() if key != SWEEP}
+    parts = [FlatStudy(tables["name"], flat, lambda place: ("", place))]
     head = None
     if PROBLEMS in tables:
         parts = list(flat_studies(tables, file.folder, read, common))
         own = {key: tables[key] for key in StudyHead.model_fields if key in tables}
         head = parse(StudyHead, own, file.folder, common)
+    if SWEEP in tables:
+        parts = list(with_variants(parts, tables[SWEEP], common))
     # Where each error stands, and in which problems: one in what they share is told once.
     found: dict[tuple[str, Place, str], list[str]] = {}
     problems = dict[str, ResolvedStudy]()
@@ -102,14 +107,18 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
         resolved = resolve(parse(Study, part.tables, file.folder, errors), file.folder, errors)
         for place, messages in errors.found.items():
             for message in messages:
-                found.setdefault((*part.origin(place), message), []).append(part.name)
+                within = found.setdefault((*part.origin(place), message), [])
+                within += [str(part.tables["name"])] if part.problem not in within else []
         if resolved is not None:
-            problems[part.name] = resolved
+            problems[resolved.study.name] = resolved
     for place, messages in common.found.items():
         found |= {("", place, message): [] for message in messages}
     if found:
         raise ConfigError(_with_lines(found, parts, {"": file, **read_files}))
-    return ResolvedProblems(head or next(iter(problems.values())).study, problems)
+    first = next(iter(problems.values())).study
+    if head is None and len(problems) > 1:  # a flat file with variants
+        head = StudyHead.model_validate({key: getattr(first, key) for key in StudyHead.model_fields})
+    return ResolvedProblems(head or first, problems)
 
 
 def _with_lines(
@@ -127,9 +136,12 @@ def _with_lines(
         known = lines[label]
         line = next((known[place[:n]] for n in range(len(place), 0, -1) if place[:n] in known), 0)
         where = f"{files[label].label}:{line}" if line else files[label].label
-        shared = [part for part in parts if place[0] != "controllers" or has_key(part.tables, place[:2])]
-        is_of_some = place[0] != PROBLEMS and PROBLEMS not in place[2:3] and 0 < len(within) < len(shared)
-        which = f" (problem {', '.join(within)})" if is_of_some else ""
+        shared = {
+            part.problem for part in parts if place[0] != "controllers" or has_key(part.tables, place[:2])
+        }
+        is_of_some = place[0] not in (PROBLEMS, SWEEP) and PROBLEMS not in place[2:3]
+        named = ", ".join(within[:_MOST_LISTED]) + (", ..." if within[_MOST_LISTED:] else "")
+        which = f" (problem {named})" if within and is_of_some and not shared <= set(within) else ""
         located.append((label, line, f"{where}: {dotted(place)}: {message}{which}"))
     return [text for *_, text in sorted(located, key=itemgetter(0, 1))]
 

@@ -20,6 +20,7 @@ from ddpc_cosim.study.case_files import (
     read_sealed,
     sealed_json,
 )
+from ddpc_cosim.study.sweeps import variant_words
 from ddpc_cosim.texts import encodable, html_table, printable
 from ddpc_cosim.trace import Trace
 from fmu_plants.files import write_atomically
@@ -86,10 +87,13 @@ class StudyResults:
 
     def problems(self) -> tuple["StudyResults", ...]:
         """Return the results of each problem that has cases, each as those of a study of its own."""
-        if self.whole.is_flat:
+        if len(self.whole.problems) == 1:
             return (self,)
         longest_first = sorted(self.whole.problems, key=len, reverse=True)
-        of_damaged = {id: next(name for name in longest_first if id.startswith(name)) for id in self.damaged}
+        of_damaged = {
+            id: next((name for name in longest_first if id.startswith(f"{name}_")), self.whole.head.name)
+            for id in self.damaged
+        }
         views = []
         for name, study in self.whole.problems.items():
             cases = tuple(case for case in self.cases if case.problem == name)
@@ -122,18 +126,18 @@ class StudyResults:
     def frame(self) -> "pd.DataFrame":
         """Return one row per case: what it was, how it ended, and its metrics, a column each, as metrics.csv.
 
-        ``variant`` tells variants of a sweep apart whose controllers have one name.
+        ``variant`` tells variants of a problem by the study's sweep apart.
         """
         import pandas as pd
 
         rows = [
             {
                 "study": self.whole.head.name,
-                "problem": case.problem,
+                "problem": self.whole.problems[case.problem].variant_of or case.problem,
                 "controller": case.controller,
                 "label": case.label,
                 "scenario": case.scenario,
-                "variant": "",
+                "variant": variant_words(self.whole.problems[case.problem].varied),
                 "seed": case.seed,
                 "outcome": str(case.outcome),
                 "reason": case.reason,
@@ -294,12 +298,11 @@ def load_cases(
         for problem, flat in study.problems.items()
         for name, section in flat.controllers.items()
     }
-    own_name = study.head.name if study.is_flat else ""
     cases, damaged = [], {}
     for case_id in case_ids:
         try:
             case = load_case(folder / CASES_FOLDER / case_id)
-            problem = own_name or case.problem
+            problem = case.problem or study.head.name
             label = labels.get((problem, case.controller), case.label)
             cases.append(replace(case, problem=problem, label=label))
         except ConfigError as error:
@@ -353,27 +356,18 @@ def write_results(results: StudyResults) -> StudyResults:
 def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
     """Return ``metrics.csv``."""
     keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
-    plants = {
-        name: printable(one.plant.name or Path(one.plant.fmu).name) for name, one in study.problems.items()
-    }
+    has_variants = any(one.variant_of for one in study.problems.values())
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(
-        [
-            "study",
-            "problem",
-            "plant",
-            "controller",
-            "scenario",
-            "seed",
-            "outcome",
-            "holds",
-            *map(printable, keys),
-        ]
-    )
+    head = ["study", "problem", *(["variant"] if has_variants else []), "plant", "controller", "scenario"]
+    writer.writerow([*head, "seed", "outcome", "holds", *map(printable, keys)])
     for case in cases:
         values = [case.metrics.get(key, math.nan) for key in keys]
         cells = ["" if math.isnan(value) else repr(value) for value in values]
-        head = [study.head.name, case.problem, plants.get(case.problem, ""), case.controller, case.scenario]
-        writer.writerow([*head, case.seed, case.outcome, "true" if case.holds else "false", *cells])
+        one = study.problems[case.problem]
+        variant = [printable(variant_words(one.varied))] if has_variants else []
+        plant = printable(one.plant.name or Path(one.plant.fmu).name)
+        what = [study.head.name, one.variant_of or case.problem, *variant, plant, case.controller]
+        holds = "true" if case.holds else "false"
+        writer.writerow([*what, case.scenario, case.seed, case.outcome, holds, *cells])
     return file.getvalue()

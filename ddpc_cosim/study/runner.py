@@ -162,7 +162,6 @@ def run_study(
     if selection.sandboxed:
         require_sandbox()  # before anything is built
     plants, cases = selected_cases(resolved, selection, progress)
-    is_flat = resolved.whole.is_flat
     cases_folder = folder / CASES_FOLDER
     try:
         cases_folder.mkdir(parents=True, exist_ok=True)
@@ -187,7 +186,9 @@ def run_study(
     for name, one in resolved.problems.items():
         own = [result for result in results if result.problem == name]
         facts = _provenance_of_problem(own, plants[name], one.metrics.preview)
-        provenance |= {key if is_flat else provenance_of(name, key): fact for key, fact in facts.items()}
+        provenance |= {
+            provenance_of(name, key) if len(plants) > 1 else key: fact for key, fact in facts.items()
+        }
     provenance |= _provenance(results, selection)
     return write_results(StudyResults(folder, study, results, provenance, damaged))
 
@@ -203,8 +204,8 @@ def selected_cases(
         No case is selected.
     """
     plants = _built(resolved, progress)
-    is_flat = resolved.whole.is_flat
-    problems = {"" if is_flat else name: (one, plants[name]) for name, one in resolved.problems.items()}
+    own = resolved.head.name  # which is not written twice: a problem that has it is in no case's name
+    problems = {"" if name == own else name: (one, plants[name]) for name, one in resolved.problems.items()}
     return plants, cases_of_problems(problems, selection.seeds, selection.only)
 
 

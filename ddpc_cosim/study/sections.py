@@ -1,7 +1,6 @@
 """The study file: its sections, keys and ranges. Read by :mod:`ddpc_cosim.study.reading`."""
 
 import itertools
-import math
 import reprlib
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -23,6 +22,7 @@ from ddpc_cosim.study.signal_sections import (
     ReferenceSection,
     faults_of,
 )
+from ddpc_cosim.study.sweeps import MOST_VARIANTS, count, sweep_errors, swept_values
 from ddpc_cosim.study.validation_errors import FilePath, Section
 from ddpc_cosim.texts import printable
 
@@ -33,7 +33,6 @@ Preview = Annotated[int, Field(ge=0)] | Literal["horizon"]
 Value = bool | int | Finite | str
 
 
-_MOST_VARIANTS = 1000
 _SEEDS = 2**32
 _MOST_SEEDS = 1_000_000
 _LONGEST_SEED = 40
@@ -322,20 +321,19 @@ class ControllerSection(Section):
     bounds: dict[str, BoundsSection] = Field(
         {}, description="limits that replace the study's for this controller"
     )
-    sweep: Annotated[list[dict[str, list[Any]]], BeforeValidator(_as_list)] = Field(
-        [], description="tables of settings and values to try; of each table, all combinations are run"
-    )
+    sweep: Annotated[
+        list[dict[str, Annotated[Any, BeforeValidator(swept_values)]]], BeforeValidator(_as_list)
+    ] = Field([], description="tables of settings and values to try; of each table, all combinations are run")
     tuned: TunedSection | None = Field(None, description="how settings were found; none: as the study says")
     variant_of: str = Field("", description="the controller whose sweep this one is part of")
     varied: list[str] = Field([], description="settings in which it differs from that controller")
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong with the sweep."""
-        empty = [name for table in self.sweep for name, values in table.items() if not values]
-        yield from (("sweep", f"{name}: no values") for name in empty)
-        variants = sum(math.prod(map(len, table.values())) for table in self.sweep)
-        if variants > _MOST_VARIANTS:
-            yield "sweep", f"{variants} variants; allowed: {_MOST_VARIANTS}"
+        for table in self.sweep:
+            yield from (("sweep", f"{key}: {fault}" if key else fault) for key, fault in sweep_errors(table))
+        if (variants := count(self.sweep)) > MOST_VARIANTS:
+            yield "sweep", f"{variants} variants; allowed: {MOST_VARIANTS}"
 
 
 class PublishedMethod(Section):
@@ -393,6 +391,8 @@ class Study(StudyHead):
     Of a file with several problems each is such a study, which has the problem's name.
     """
 
+    variant_of: str = Field("", description="the problem whose variant this one is by the study's sweep")
+    varied: dict[str, Any] = Field({}, description="what differs from that problem, by its path")
     plant: PlantSection
     loop: LoopSection
     reference: Annotated[dict[str, ReferenceSection], Field(min_length=1)]
