@@ -10,6 +10,7 @@ from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import combinations
+from statistics import median
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -149,9 +150,9 @@ class Comparisons:
 def describe(runs: Runs) -> Sample:
     """Sum up the runs of one controller."""
     values = np.array([*_by_seed(runs).values()])
-    lower, median, upper = np.percentile(values, [25, 50, 75]).tolist() if values.size else [math.nan] * 3
+    lower, middle, upper = np.percentile(values, [25, 50, 75]).tolist() if values.size else [math.nan] * 3
     known = sum(map(math.isfinite, runs.values()))
-    return Sample(len(runs), known, values.size, median, lower, upper, *median_interval(values))
+    return Sample(len(runs), known, values.size, middle, lower, upper, *median_interval(values))
 
 
 def compare(own: Runs, other: Runs, better: Better = "low") -> Difference:
@@ -373,7 +374,7 @@ def _by_seed(runs: Runs) -> dict[int, float]:
     for (_, seed), value in runs.items():
         if math.isfinite(value):
             values.setdefault(seed, []).append(value)
-    return {seed: float(np.median(own)) for seed, own in values.items()}
+    return {seed: median(own) for seed, own in values.items()}
 
 
 def _difference(a: float, b: float) -> float:
