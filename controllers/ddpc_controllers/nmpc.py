@@ -63,10 +63,10 @@ class NMPC(Controller):
     output_weight: Weight = setting(1.0, low=0.0, doc="Q: outputs off the reference, in nominal values")
     change_weight: Weight = setting(1e-3, above=0.0, doc="R: changes of the inputs, in nominal values")
     process_noise: float = setting(
-        1.0, above=0.0, doc="filter: standard deviation of what adds to the inputs, in nominal values"
+        0.3, above=0.0, doc="filter: standard deviation of what adds to the inputs, in nominal values"
     )
     disturbance_noise: float = setting(
-        1.0, above=0.0, doc="filter: standard deviation of the disturbance's change per sample"
+        0.3, above=0.0, doc="filter: standard deviation of the disturbance's change per sample"
     )
     measurement_noise: float = setting(0.1, above=0.0, doc="filter: standard deviation of the measurements")
     iterations: int = setting(100, low=1, doc="most iterations of IPOPT in a sample")
