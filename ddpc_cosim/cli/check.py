@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError
 from ddpc_cosim.plant import Plant
@@ -182,22 +183,23 @@ def check_command(
     find_modules_in(Path.cwd())
     if sandboxed:
         require()
-    found = find_subject(subject, settings, timeout)
-    step = sampling_time or _natural_step(found)
-    if isinstance(found, FMUSubject):
-        from ddpc_cosim.fmu.library import compile_ahead
+    with shown(f"check {subject}") as progress:
+        found = find_subject(subject, settings, timeout)
+        step = sampling_time or _natural_step(found)
+        if isinstance(found, FMUSubject):
+            from ddpc_cosim.fmu.library import compile_ahead
 
-        # Part of no check's time.
-        compile_ahead(Path(found.path), lambda line: click.echo(printable(line), err=True))
-    read = (Path(found.path), cache_dir()) if isinstance(found, FMUSubject) else (cache_dir(),)
-    with ScratchFolder() as folder:
-        worker = _CheckWorker(folder, Sandbox((folder,), read) if sandboxed else None)
-        with worker:
+            compile_ahead(Path(found.path), progress.prepare)  # part of no check's time
+        read = (Path(found.path), cache_dir()) if isinstance(found, FMUSubject) else (cache_dir(),)
+        with ScratchFolder() as folder, _CheckWorker(folder, read if sandboxed else None) as worker:
             results = []
             if isinstance(found, FMUSubject):  # one that does not open fails once, and not in every check
                 results = [worker.check(found, _OPENS, step, timeout)]
             if not results or results[0].status is CheckStatus.PASSED:
-                results = [worker.check(found, name, step, timeout) for name in found.check_names()]
+                results = []
+                for name in found.check_names():
+                    progress(f"{subject}: {name}")
+                    results.append(worker.check(found, name, step, timeout))
     _print(f"{subject}, steps of {step:g} s", results)
     return 1 if any(result.status is CheckStatus.FAILED for result in results) else 0
 
@@ -223,12 +225,12 @@ class _CheckWorker:
     ----------
     folder : Path
         Where temporary files go.
-    sandbox : Sandbox or None
-        What it runs in.
+    read : tuple of Path or None
+        What it may read in a sandbox; None: it runs in none.
     """
 
-    def __init__(self, folder: Path, sandbox: Sandbox | None) -> None:
-        self._folder, self._sandbox = folder, sandbox
+    def __init__(self, folder: Path, read: tuple[Path, ...] | None) -> None:
+        self._folder, self._sandbox = folder, None if read is None else Sandbox((folder,), read)
         self._worker: Worker | None = None
 
     def __enter__(self) -> Self:

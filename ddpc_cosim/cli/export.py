@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.errors import ConfigError, CosimError, PluginError
 from ddpc_cosim.plugins import find_modules_in, load_plugin
 
@@ -39,7 +40,8 @@ def export_command(target: str, fmi_version: str, out: Path | None, platforms: s
     """
     from fmu_plants import ExportError, ModelError, PlantModel, export_fmu
 
-    model = _load(target)
+    with shown(f"loading {target}"):
+        model = _load(target)
     if not isinstance(model, PlantModel) and not all(hasattr(model, matrix) for matrix in _MATRICES):
         raise ConfigError(
             f'plant "{target}" is not given by equations (a PlantModel or a state-space model), '

@@ -198,6 +198,7 @@ def list_(kind: str | None) -> None:
     from rich.table import Table
     from rich.text import Text
 
+    from ddpc_cosim.cli.progress import shown
     from ddpc_cosim.metrics import METRICS, describe_metric
     from ddpc_cosim.plugins import describe, installed, package_version
     from ddpc_cosim.texts import printable
@@ -210,8 +211,12 @@ def list_(kind: str | None) -> None:
         built_in = METRICS if each == "metrics" else {}
         for name, metric in built_in.items():
             table.add_row(name, Text(str(metric)), f"ddpc-cosim {package_version()}")
-        for plugin in installed(each):
-            what, works = describe_metric(plugin) if each == "metrics" else describe(plugin)
+        with shown(f"loading {each}"):
+            plugins = [
+                (plugin, *(describe_metric(plugin) if each == "metrics" else describe(plugin)))
+                for plugin in installed(each)
+            ]
+        for plugin, what, works in plugins:
             broken = broken or not works
             cells = (plugin.name, what, f"{plugin.package} ({plugin.target})")
             named, about, origin = (Text(printable(cell)) for cell in cells)

@@ -1,6 +1,11 @@
 """What is shown of long work: in place on a terminal, elsewhere lines; at first every other second."""
 
+import ctypes
+import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
+from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
 from types import TracebackType
@@ -15,6 +20,7 @@ if TYPE_CHECKING:  # which take a while to import themselves
 
 # Between two lines, and as a part of the time that has passed: a log of a day is not one of 50 000 lines.
 _SECONDS_BETWEEN_LINES, _PART = 1.5, 0.01
+_STDOUT = 1
 
 
 class LineProgress:
@@ -154,6 +160,40 @@ class TerminalProgress:
             self._progress.console.print(line, markup=False)
 
 
-def shown(text: str) -> LineProgress | TerminalProgress:
-    """Return what shows long work on stderr, which begins with what a text says."""
-    return TerminalProgress(text) if sys.stderr.isatty() else LineProgress(sys.stderr, text)
+@contextmanager
+def shown(text: str) -> Iterator[LineProgress | TerminalProgress]:
+    """Show long work on stderr, at first what a text says; what it prints to stdout itself is dropped."""
+    with (
+        TerminalProgress(text) if sys.stderr.isatty() else LineProgress(sys.stderr, text) as progress,
+        _without_output(),
+    ):
+        yield progress
+
+
+@contextmanager
+def _without_output() -> Iterator[None]:
+    """Drop what goes to stdout, from Python or from C."""
+    _flush()
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        try:
+            own = os.dup(_STDOUT)
+        except OSError:  # closed by whoever started this process
+            own = -1
+        os.dup2(nowhere.fileno(), _STDOUT)
+        try:
+            with redirect_stdout(nowhere):
+                yield
+        finally:
+            with suppress(OSError, ValueError):  # whatever was done to them
+                _flush()
+            if own >= 0:
+                os.dup2(own, _STDOUT)
+            os.close(own if own >= 0 else _STDOUT)
+
+
+def _flush() -> None:
+    """Write out what Python and C hold back of stdout."""
+    for stream in (sys.stdout, sys.__stdout__):
+        if stream is not None:
+            stream.flush()
+    ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None).fflush(None)

@@ -4,7 +4,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
@@ -50,8 +50,7 @@ def run_command(
     """
     chosen = _parse_seeds(seeds)
     with shown(f"reading {name}") as progress:
-        # What a controller prints when it is tried here is not a result; a case keeps what it prints there.
-        with _warnings_in_one_line(), Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
+        with _warnings_in_one_line():
             resolved = read_study(name)
         folder = out or Path("runs") / resolved.head.name
         selection = Selection(jobs or os.cpu_count() or 1, chosen, only, fresh, sandbox)

@@ -2,6 +2,9 @@
 
 import io
 import itertools
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
+from ddpc_cosim import plugins
 from ddpc_cosim.cli import progress
 from ddpc_cosim.cli.main import main
 
@@ -69,3 +73,96 @@ def test_commands_say_what_they_do_before_and_after_their_cases(
         assert f" s: {what}\n" in result.stderr
     result = CliRunner().invoke(main, ["simulate", "pendulum", "--stop", "0.1"])
     assert " s: simulate pendulum\n" in result.stderr
+
+
+LOUD = """
+import ctypes, os, sys
+from ddpc_cosim import Controller, Plant, Variable
+
+def shout(what):
+    print(what)
+    if sys.__stdout__ is not None:
+        sys.__stdout__.write(what)
+    os.write(1, what.encode())
+    ctypes.CDLL(None).printf(what.encode())
+
+shout("LOUD")
+
+class Mine(Controller):
+    def __init__(self):
+        shout("LOUD")
+
+    def start(self, loop):
+        pass
+
+    def step(self, sample):
+        return [0.5]
+
+class Tank(Plant):
+    def __init__(self):
+        shout("LOUD")
+        self.inputs, self.outputs, self.level = (Variable("u"),), (Variable("y"),), 0.0
+
+    def plan(self, sampling_time, stop_time):
+        pass
+
+    def reset(self, parameters=None, t0=0.0):
+        self.level = 0.0
+        return [self.level]
+
+    def step(self, u, h):
+        self.level += h * (u[0] - self.level)
+        return [self.level]
+"""
+
+
+@pytest.fixture
+def loud(write_study: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Write a study whose controller and its module print, and return the name of their module."""
+    name = f"loud_{tmp_path.name}"
+    write_study(f"{name}:Mine")
+    (tmp_path / f"{name}.py").write_text(LOUD, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(plugins, "_own_folder", tmp_path)
+    return name
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="prints as C does on POSIX")
+@pytest.mark.parametrize(
+    ("command", "found"),
+    [
+        ("run study.toml --jobs 1 --no-report", "mine"),
+        ("check {}:Mine", "passed\t"),
+        ("simulate {}:Tank --stop 1", "501 of 501 samples"),
+        ("export {}:Tank", ""),
+    ],
+)
+def test_stdout_has_results_only(
+    command: str, found: str, loud: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    stdout = CliRunner().invoke(main, command.format(loud).split()).stdout
+    assert found in stdout
+    assert "LOUD" not in stdout
+    print("own words")
+    assert capfd.readouterr().out == "own words\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="descriptors of POSIX")
+def test_a_closed_stdout_costs_nothing_and_stays_closed(program: str, loud: str) -> None:
+    close = 'exec "$0" simulate "$1:Tank" --stop 1 --out out.csv >&-'
+    done = subprocess.run(["sh", "-c", close, program, loud], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+    assert len(Path("out.csv").read_text(encoding="utf-8").splitlines()) == 502
+
+
+def test_stdout_is_back_after_an_error(capfd: pytest.CaptureFixture[str]) -> None:
+    def work() -> None:
+        with progress.shown("work"):
+            os.write(1, b"lost")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    os.write(1, b"found")
+    print("too")
+    assert capfd.readouterr().out == "foundtoo\n"
