@@ -66,6 +66,11 @@ def run_command(
             screen.print(printable(f"{line}."), markup=False, highlight=False, style="bold")
         if problem.cases:
             screen.print(summary_table(problem, screen))
+        if several := len(results.variants(problem.study.name)):
+            noun = "variant" if several == 1 else "variants"
+            screen.print(
+                printable(f"{several} {noun} by the study's sweep: {folder / METRICS_FILE}"), markup=False
+            )
     if report:
         print(_write_report([results], folder / REPORT_FILE))
     _print_warnings(results)

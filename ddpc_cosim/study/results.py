@@ -39,6 +39,7 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "metrics.csv",
     "cases",
 )
+_OF_PROBLEM = ": "
 _STUDY_CHECKSUM = "study sha256"
 _MOST_LISTED = 8
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
@@ -86,27 +87,45 @@ class StudyResults:
         return next(iter(self.whole.problems.values()))
 
     def problems(self) -> tuple["StudyResults", ...]:
-        """Return the results of each problem that has cases, each as those of a study of its own."""
+        """Return the results of each problem that has cases, each as those of a study of its own.
+
+        Variants by the study's sweep are not among them, unless there is nothing else: see :meth:`variants`.
+        """
         if len(self.whole.problems) == 1:
             return (self,)
+        names = self.whole.problems
+        own = self._views([name for name in names if not names[name].variant_of])
+        return own or self._views(list(names))
+
+    def variants(self, problem: str) -> tuple["StudyResults", ...]:
+        """Return the results of each variant of a problem by the study's sweep, as those of a study."""
+        return self._views([name for name, one in self.whole.problems.items() if one.variant_of == problem])
+
+    def _views(self, names: Sequence[str]) -> tuple["StudyResults", ...]:
+        cases: dict[str, list[CaseResult]] = {name: [] for name in self.whole.problems}
+        for case in self.cases:
+            cases[case.problem].append(case)
+        damaged: dict[str, dict[str, str]] = {name: {} for name in self.whole.problems}
         longest_first = sorted(self.whole.problems, key=len, reverse=True)
-        of_damaged = {
-            id: next((name for name in longest_first if id.startswith(f"{name}_")), self.whole.head.name)
-            for id in self.damaged
-        }
-        views = []
-        for name, study in self.whole.problems.items():
-            cases = tuple(case for case in self.cases if case.problem == name)
-            damaged = {id: why for id, why in self.damaged.items() if of_damaged[id] == name}
-            if cases or damaged:
-                of_others = tuple(provenance_of(other, "") for other in self.whole.problems if other != name)
-                provenance = {
-                    key.removeprefix(provenance_of(name, "")): fact
-                    for key, fact in self.provenance.items()
-                    if not key.startswith(of_others)
-                }
-                views.append(StudyResults(self.folder, self.whole.of(study), cases, provenance, damaged))
-        return tuple(views)
+        for id, why in self.damaged.items():
+            found = (name for name in longest_first if id.startswith(f"{name}_"))
+            damaged[next(found, self.whole.head.name)][id] = why
+        facts: dict[str, dict[str, str]] = {}
+        for key, fact in self.provenance.items():
+            problem, _, own = key.partition(_OF_PROBLEM)
+            of_one = problem if own and problem in self.whole.problems else ""
+            facts.setdefault(of_one, {})[own if of_one else key] = fact
+        return tuple(
+            StudyResults(
+                self.folder,
+                self.whole.of(self.whole.problems[name]),
+                tuple(cases[name]),
+                facts.get(name, {}) | facts.get("", {}),
+                damaged[name],
+            )
+            for name in names
+            if cases[name] or damaged[name]
+        )
 
     def __repr__(self) -> str:
         held, failed = sum(case.holds for case in self.cases), len(self.damaged)
@@ -243,7 +262,7 @@ class StudyResults:
 
 def provenance_of(problem: str, key: str) -> str:
     """Return the key of what the provenance says of one problem among several."""
-    return f"{problem}: {key}"
+    return f"{problem}{_OF_PROBLEM}{key}"
 
 
 def write_report(results: Sequence[StudyResults], path: Path) -> Path:

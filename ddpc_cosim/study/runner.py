@@ -182,10 +182,11 @@ def run_study(
             judge_again(cases_folder / case.id, case.metrics)
     study = resolved.whole.with_seeds(selection.seeds)
     results, damaged = load_cases(folder, study, [case.id for case in cases])
-    provenance = dict[str, str]()
+    provenance, of_problem = dict[str, str](), dict[str, list[CaseResult]]()
+    for result in results:
+        of_problem.setdefault(result.problem, []).append(result)
     for name, one in resolved.problems.items():
-        own = [result for result in results if result.problem == name]
-        facts = _provenance_of_problem(own, plants[name], one.metrics.preview)
+        facts = _provenance_of_problem(of_problem.get(name, []), plants[name], one.metrics.preview)
         provenance |= {
             provenance_of(name, key) if len(plants) > 1 else key: fact for key, fact in facts.items()
         }
@@ -400,6 +401,7 @@ class _Run:
     def __init__(
         self, case: Case, make: Callable[..., Worker], folder: Path, staging: Path, temporary: Path
     ) -> None:
+        began = monotonic()
         self.case, self._folder, self._staging = case, folder, staging
         self._staged, self._place = (Path(tempfile.mkdtemp(dir=within)) for within in (staging, temporary))
         sandbox = None
@@ -413,7 +415,7 @@ class _Run:
         self._call, self._since = 0, monotonic()
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
             values = values_of(plugins_in(case))
-            ask(self.worker.channel, run_and_stage, case, rows, self._staged, own_folder(), values)
+            ask(self.worker.channel, run_and_stage, case, rows, self._staged, own_folder(), values, began)
 
     @property
     def progress(self) -> Update:
@@ -499,10 +501,14 @@ class _Run:
         write_case(self._folder, trace, head, self._staging, self.case.metrics)
 
 
-def run_and_stage(case: Case, rows: Path, staged: Path, modules: str, values: Mapping[str, Any]) -> None:
-    """Run a case, in a worker, and write its files where they do not count yet."""
+def run_and_stage(
+    case: Case, rows: Path, staged: Path, modules: str, values: Mapping[str, Any], began: float
+) -> None:
+    """Run a case, in a worker, and write its files where they do not count yet.
+
+    ``began`` is when its worker was asked for, which is part of what it takes.
+    """
     find_modules_in(modules)
     keep_values(values)
-    began = monotonic()
     trace = run_case(case, row_store(case, rows))
     stage_case(staged, trace, case.head() | {"wall_time": monotonic() - began}, case.metrics)

@@ -47,7 +47,7 @@ from ddpc_reports.embedding import (
 from ddpc_reports.fairness import fairness_statements
 from ddpc_reports.figures import Figure, in_its_place, spread_figures, step_time_figure, time_figures
 from ddpc_reports.numbers import as_given, with_unit
-from ddpc_reports.sensitivity import effects_table, sensitivity_figures, sweep_statements
+from ddpc_reports.sensitivity import effects_table, sensitivity_figures, sweep_statements, variants_table
 from ddpc_reports.settings_tables import compact_seeds, family_tables, settings_tables
 from ddpc_reports.table import Table
 from ddpc_reports.verdict import Statement, across_statements, limitations, verdict
@@ -99,7 +99,9 @@ def render_page(results: Sequence[StudyResults]) -> str:
         for one in results:
             if len(problems := one.problems()) > 1:
                 parts.append(_overall_part(one, problems, len(parts) + 1))
-            parts += [_study_part(part, len(parts) + n, data) for n, part in enumerate(problems, start=1)]
+            for part in problems:
+                variants = one.variants(part.study.name)
+                parts.append(_study_part(part, len(parts) + 1, data, variants))
     head = results[0].whole.head
     return set_page(parts, data, (head.title or head.name) if len(results) == 1 else "")
 
@@ -156,7 +158,12 @@ def _overall_part(results: StudyResults, problems: Sequence[StudyResults], numbe
     return StudyPart(prefix, number, title, [], facts, sections, head.summary.strip())
 
 
-def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Packed]]) -> StudyPart:
+def _study_part(
+    results: StudyResults,
+    number: int,
+    data: dict[str, dict[str, Packed]],
+    variants: Sequence[StudyResults] = (),
+) -> StudyPart:
     prefix = f"s{number}-"
     seen = conditions(results)
     first = seen[0] if seen else None
@@ -208,6 +215,9 @@ def _study_part(results: StudyResults, number: int, data: dict[str, dict[str, Pa
         ("sensitivity", "Sensitivity"): lambda title: each(
             title,
             lambda *one: [*_figures(sensitivity_figures(*one), one[1]), *_tables(effects_table(*one))],
+        ),
+        ("sweep", "Sweep of the study"): lambda title: each(
+            title, lambda condition, place: _tables(variants_table(condition, variants, place))
         ),
         ("time", "Computation time"): lambda title: each(title, _step_time_blocks),
         ("data", "Data diagnostics"): lambda title: each(

@@ -2,19 +2,22 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
+from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.ranks import setting_effect
+from ddpc_cosim.study.sweeps import variant_words
 from ddpc_reports.charts import heat_chart
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
+    conditions,
     metric_label,
     metric_signal,
     metric_unit,
@@ -22,7 +25,7 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.figures import Figure, one_chart
 from ddpc_reports.numbers import as_given, significant, with_unit
-from ddpc_reports.table import Cell, Heading, Row, Table
+from ddpc_reports.table import Cell, Heading, Row, Table, number_cells
 from ddpc_reports.verdict import Statement, by_signal, formatter
 
 _LOST_SHOWN = 3
@@ -242,3 +245,44 @@ def _lost_words(members: Sequence[ControllerResults]) -> str:
 
 def _median(members: Sequence[ControllerResults], key: str) -> float:
     return summed_up(case.metrics.get(key, math.nan) for one in members for case in one.holding).median
+
+
+def variants_table(condition: Condition, variants: Sequence[StudyResults], prefix: str) -> Table | None:
+    """Return what a study by its own sweep comes to: a row per variant, a column per controller."""
+    key = next(iter(condition.headline), "")
+    seen = [
+        (results.study.varied, {one.key: one for one in other.controllers})
+        for results in variants
+        for other in conditions(results)
+        if other.scenario == condition.scenario
+    ]
+    if not seen or not key:
+        return None
+    rows = [("as it is", {one.key: one for one in condition.controllers})]
+    rows += [(variant_words(varied), members) for varied, members in seen]
+    columns = [
+        _variant_cells([members.get(one.key) for _, members in rows], key) for one in condition.controllers
+    ]
+    signal = " of ".join(filter(None, (metric_label(key), metric_signal(key))))
+    return Table(
+        f"{prefix}sweep",
+        f"Variants of the study: {signal}",
+        (
+            Heading("Variant", numeric=False),
+            *(Heading(one.label, metric_unit(key)) for one in condition.controllers),
+        ),
+        tuple(Row(words, tuple(column[i] for column in columns)) for i, (words, _) in enumerate(rows)),
+        ("Medians over the seeds; in brackets how many runs stay near their reference, where not all do.",),
+        sortable=True,
+        download="variants.csv",
+    )
+
+
+def _variant_cells(members: Sequence[ControllerResults | None], key: str) -> list[Cell]:
+    cells = number_cells([one.summed(key) if one else math.nan for one in members])
+    return [
+        cell
+        if one is None or one.holds_all
+        else replace(cell, text=f"{cell.text} ({len(one.holding)} of {len(one.cases)})")
+        for cell, one in zip(cells, members, strict=True)
+    ]

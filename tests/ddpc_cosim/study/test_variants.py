@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from ddpc_cosim.study.resolve import ResolvedProblems
 from ddpc_cosim.study.results import load_results
 from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_cosim.study.sweeps import combinations, swept_values
+from ddpc_reports.page import render_page
 
 FLAT = """
 name = "swing"
@@ -165,3 +167,25 @@ def test_a_controller_s_sweep_has_ranges_and_values_together_too(tmp_path: Path)
     text = FLAT.replace("{ proportional = 1.0 } }", "{ proportional = 1.0 }, " + sweep)
     settings = [one.settings for one in read(tmp_path, text).problem.study.controllers.values() if one.varied]
     assert [(one["proportional"], one["integral"]) for one in settings] == [(1, 0.1), (10, 0.2), (100, 0.3)]
+
+
+def test_the_report_has_a_row_for_each_variant_and_a_part_for_the_study_itself(tmp_path: Path) -> None:
+    resolved = read(tmp_path, FLAT + '[[sweep]]\n"plant.parameters.mass" = [0.3, 0.4]\n')
+    results = run_study(resolved, tmp_path / "out", Selection(), LineProgress(io.StringIO()))
+    (own,) = results.problems()
+    assert (own.study.name, {case.problem for case in own.cases}) == ("swing", {"swing"})
+    assert [one.study.plant.parameters for one in results.variants("swing")] == [{"mass": 0.3}, {"mass": 0.4}]
+    page = render_page([results])
+    assert page.count('<article class="study"') == 1
+    assert re.findall(r"<th[^>]*>((?:as it is|plant.par)[^<]*)</th>", page) == [
+        "as it is",
+        "plant.parameters.mass = 0.3",
+        "plant.parameters.mass = 0.4",
+    ]
+    frame = results.frame()
+    assert list(frame["problem"].unique()) == ["swing"]
+    assert list(frame["variant"].unique()) == [
+        "",
+        "plant.parameters.mass = 0.3",
+        "plant.parameters.mass = 0.4",
+    ]
