@@ -47,7 +47,7 @@ def test_studies_run(text: str, empty_folder: Path) -> None:
     study.write_text(text, encoding="utf-8")
     for name in re.findall(r'^fmu = "(\w+)\.fmu"', text, re.MULTILINE):
         assert CliRunner().invoke(main, ["export", name.replace("_", "-")]).exit_code == 0
-    assert read_study(str(study)).problem.study.controllers
+    assert read_study(str(study)).problems
     result = CliRunner().invoke(main, ["run", str(study), "--jobs", "1", "--no-report", "--seeds", "0"])
     assert result.exit_code == 0, result.output
 

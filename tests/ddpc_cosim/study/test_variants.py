@@ -177,7 +177,7 @@ def test_the_report_has_a_row_for_each_variant_and_a_part_for_the_study_itself(t
     assert [one.study.plant.parameters for one in results.variants("swing")] == [{"mass": 0.3}, {"mass": 0.4}]
     page = render_page([results])
     assert page.count('<article class="study"') == 1
-    assert re.findall(r"<th[^>]*>((?:as it is|plant.par)[^<]*)</th>", page) == [
+    assert re.findall(r"<th[^>]*>((?:as it is|plant\.par)[^<]*)</th>", page) == [
         "as it is",
         "plant.parameters.mass = 0.3",
         "plant.parameters.mass = 0.4",
