@@ -38,6 +38,11 @@ from .master import cosimulate as cosimulate, record as record
 from .metrics import Metric as Metric, MetricSettings as MetricSettings
 from .plant import ParameterValue as ParameterValue, Plant as Plant
 from .settings import (
+    Choice as Choice,
+    Factor as Factor,
+    Integer as Integer,
+    Linear as Linear,
+    Log as Log,
     SettingInfo as SettingInfo,
     Weight as Weight,
     check_settings as check_settings,

@@ -10,7 +10,7 @@ from datetime import date, datetime, time
 from functools import lru_cache
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
@@ -45,6 +45,54 @@ class SettingsError(ConfigError):
 
 
 @dataclass(frozen=True, slots=True)
+class Linear:
+    """A search space: the numbers from low to high."""
+
+    low: float
+    high: float
+    above: ClassVar[float] = -math.inf
+
+    def __post_init__(self) -> None:
+        if not self.above < self.low < self.high < math.inf:
+            positive = "" if self.above else ", both above 0"
+            what = f"from {self.low:g} to {self.high:g} is not a range; needed: two numbers, the lower first"
+            raise ConfigError(f"{what}{positive}")
+
+
+@dataclass(frozen=True, slots=True)
+class Log(Linear):
+    """A search space: the numbers from low to high, each power of ten as likely as the next."""
+
+    above: ClassVar[float] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Factor(Log):
+    """A search space: what the study says, times a number from low to high as in :class:`Log`.
+
+    For settings whose size depends on the plant's units. Of a list every entry is multiplied.
+    """
+
+
+@dataclass(frozen=True, slots=True)
+class Integer(Linear):
+    """A search space: the integers from low to high, both included."""
+
+    low: int
+    high: int
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A search space: a few values, in plain values as a study file writes them."""
+
+    values: Sequence[Any]
+
+
+Search = Linear | Choice
+
+
+@dataclass(frozen=True, slots=True)
 class SettingInfo:
     """What a setting is and which values it takes.
 
@@ -65,6 +113,11 @@ class SettingInfo:
     file : bool
         Whether the value is the path of a file: in a study, it is relative to the study, ``"{plant}"`` is the
         FMU of the plant, and the file's content is part of what decides a result.
+    search : Linear, Log, Factor, Integer, Choice or None
+        Where ``ddpc-cosim tune`` looks for a better value; None: it does not.
+    predicts : bool
+        Whether it is searched by the prediction error as well, which it has to change without changing how
+        far ahead is predicted.
     """
 
     doc: str
@@ -75,6 +128,8 @@ class SettingInfo:
     unit: str = ""
     kind: type[Any] | None = None
     file: bool = False
+    search: Search | None = None
+    predicts: bool = False
 
     @property
     def allowed(self) -> str:
@@ -101,6 +156,8 @@ def setting(
     unit: str = "",
     kind: type[Any] | None = None,
     file: bool = False,
+    search: Search | None = None,
+    predicts: bool = False,
     default_factory: Any = dataclasses.MISSING,
 ) -> Any:
     """Declare a setting of a plug-in: a dataclass field that knows its range and its meaning.
@@ -109,10 +166,10 @@ def setting(
     ----------
     default, default_factory
         As in :func:`dataclasses.field`; without either the setting is required.
-    doc, low, high, above, choices, unit, kind, file
+    doc, low, high, above, choices, unit, kind, file, search, predicts
         See :class:`SettingInfo`.
     """
-    info = SettingInfo(doc, low, high, above, tuple(choices), unit, kind, file)
+    info = SettingInfo(doc, low, high, above, tuple(choices), unit, kind, file, search, predicts)
     return dataclasses.field(default=default, default_factory=default_factory, metadata={"setting": info})
 
 

@@ -40,7 +40,19 @@ from ddpc_controllers.optimisation.qp import NOTHING_TOLD, Law, action, make_law
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.optimisation.uncondensed import UncondensedLaw
 from ddpc_controllers.scaling import ScaledSignals
-from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, Weight, setting
+from ddpc_cosim import (
+    Action,
+    Choice,
+    Factor,
+    FloatArray,
+    Integer,
+    Log,
+    Loop,
+    Recording,
+    Sample,
+    Weight,
+    setting,
+)
 
 Regulariser = Literal["ridge", "equilibrium", "projection", "l1"]
 
@@ -55,19 +67,33 @@ class BehavioralTracking(ScaledSignals):
     uses_recording: ClassVar[bool] = True
     accepts_missing: ClassVar[bool] = True
 
-    initial_length: int = setting(3, low=1, doc="samples of the past that fix the initial condition, Tini")
+    initial_length: int = setting(
+        3,
+        low=1,
+        doc="samples of the past that fix the initial condition, Tini",
+        search=Integer(1, 8),
+        predicts=True,
+    )
     horizon: int = setting(
-        5, low=1, doc="prediction horizon N, samples; with terminal_equality longer than initial_length"
+        5,
+        low=1,
+        doc="prediction horizon N, samples; with terminal_equality longer than initial_length",
+        search=Integer(3, 20),
     )
     output_weight: Weight = setting(
         100.0, low=0.0, doc="Q: predicted outputs off the artificial setpoint, or off the reference"
     )
     setpoint_weight: Weight = setting(300.0, low=0.0, doc="S: artificial setpoint off the reference")
     input_weight: Weight = setting(
-        10.0, low=0.0, doc="R: inputs off the artificial setpoint, or off their values at rest"
+        10.0,
+        low=0.0,
+        doc="R: inputs off the artificial setpoint, or off their values at rest",
+        search=Factor(1e-4, 1e2),
     )
     artificial_setpoint: bool = setting(
-        True, doc="optimise a setpoint (u_s, y_s) online, (8); otherwise track the reference itself"
+        True,
+        doc="optimise a setpoint (u_s, y_s) online, (8); otherwise track the reference itself",
+        search=Choice((False, True)),
     )
     terminal_equality: bool = setting(
         False, doc="the last initial_length predicted samples equal the artificial setpoint"
@@ -336,9 +362,13 @@ class DeePC(OnlineSettings, BehavioralTracking):
     regulariser: Regulariser = setting(
         "projection", choices=get_args(Regulariser), doc="what lambda_g weighs of g: see the class"
     )
-    lambda_g: float = setting(50.0, above=0.0, doc="weight of the regulariser, of |g|^2 with the ridge")
+    lambda_g: float = setting(
+        50.0, above=0.0, doc="weight of the regulariser, of |g|^2 with the ridge", search=Log(1e-2, 1e4)
+    )
     slack: bool = setting(True, doc="past outputs may be missed by sigma_y; otherwise they are met exactly")
-    lambda_sigma: float = setting(1e7, above=0.0, doc="weight of |sigma_y|^2, the misfit of the past outputs")
+    lambda_sigma: float = setting(
+        1e7, above=0.0, doc="weight of |sigma_y|^2, the misfit of the past outputs", search=Log(1e2, 1e8)
+    )
     future_slack: bool = setting(
         False, doc="sigma_y on the predicted outputs too, as in the robust scheme; needs slack"
     )

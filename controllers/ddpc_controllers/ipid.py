@@ -26,7 +26,18 @@ import numpy as np
 from ddpc_controllers.checks import check_settings_and, knowing, per_signal
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.optimisation.limits import AT_REST, EXPECTED, HELD_WITHOUT_REFERENCE
-from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, Weight, setting
+from ddpc_cosim import (
+    Action,
+    ConfigError,
+    Controller,
+    Factor,
+    FloatArray,
+    Integer,
+    Loop,
+    Sample,
+    Weight,
+    setting,
+)
 
 
 class UltraLocalModel:
@@ -107,12 +118,16 @@ class IPID(Controller):
 
     order: int = setting(1, choices=(1, 2), doc="nu, order of the ultra-local model")
     alpha: Weight = setting(
-        1.0, doc="how the inputs act on the outputs' derivative of that order: a number, a list, or p x m"
+        1.0,
+        doc="how the inputs act on the outputs' derivative of that order: a number, a list, or p x m",
+        search=Factor(0.1, 10.0),
     )
-    kp: float = setting(1.0, low=0.0, doc="proportional gain [1/s^nu]")
-    ki: float = setting(0.0, low=0.0, doc="integral gain [1/s^(nu+1)]")
-    kd: float = setting(0.0, low=0.0, doc="derivative gain [1/s^(nu-1)]")
-    window: int = setting(4, low=1, doc="sampling intervals over which F is estimated, at least nu")
+    kp: float = setting(1.0, low=0.0, doc="proportional gain [1/s^nu]", search=Factor(0.1, 10.0))
+    ki: float = setting(0.0, low=0.0, doc="integral gain [1/s^(nu+1)]", search=Factor(0.1, 10.0))
+    kd: float = setting(0.0, low=0.0, doc="derivative gain [1/s^(nu-1)]", search=Factor(0.1, 10.0))
+    window: int = setting(
+        4, low=1, doc="sampling intervals over which F is estimated, at least nu", search=Integer(2, 12)
+    )
 
     def __post_init__(self) -> None:
         check_settings_and(self, self._faults)

@@ -41,7 +41,18 @@ from ddpc_controllers.optimisation.limits import PREDICTED
 from ddpc_controllers.optimisation.qp import action
 from ddpc_controllers.optimisation.tracking import TrackingSettings
 from ddpc_controllers.scaling import ScaledSignals
-from ddpc_cosim import Action, DataError, FloatArray, Loop, Recording, Sample, setting
+from ddpc_cosim import (
+    Action,
+    DataError,
+    FloatArray,
+    Integer,
+    Linear,
+    Log,
+    Loop,
+    Recording,
+    Sample,
+    setting,
+)
 
 StateKind = Literal["measured", "delays"]
 STATE_KINDS = ("measured", "delays")
@@ -214,13 +225,25 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         choices=STATE_KINDS,
         doc="state that is lifted: all measured, or outputs and inputs with past",
     )
-    delays: int = setting(2, low=1, doc='past samples in the state, with state = "delays"')
+    delays: int = setting(
+        2, low=1, doc='past samples in the state, with state = "delays"', search=Integer(1, 8), predicts=True
+    )
     dictionary: Dictionary = setting(
         default_factory=ThinPlate, doc="observables that lift the state; with Identity the model is DMD's"
     )
-    ridge: float = setting(1e-8, low=0.0, doc="weight of the squared coefficients in the least squares")
+    ridge: float = setting(
+        1e-8,
+        low=0.0,
+        doc="weight of the squared coefficients in the least squares",
+        search=Log(1e-10, 1e-1),
+        predicts=True,
+    )
     disturbance_gain: float = setting(
-        0.5, low=0.0, high=1.0, doc="share of a new one-step error that counts as a disturbance; 0: none"
+        0.5,
+        low=0.0,
+        high=1.0,
+        doc="share of a new one-step error that counts as a disturbance; 0: none",
+        search=Linear(0.0, 1.0),
     )
 
     def __post_init__(self) -> None:

@@ -16,7 +16,15 @@ from ddpc_controllers.checks import weight_matrices
 from ddpc_controllers.models.control_api import regulator_gain
 from ddpc_controllers.models.kalman import ModelBased
 from ddpc_controllers.optimisation.limits import SUM_HELD
-from ddpc_cosim import ConfigError, FloatArray, Loop, Sample, Weight, setting
+from ddpc_cosim import (
+    ConfigError,
+    Factor,
+    FloatArray,
+    Loop,
+    Sample,
+    Weight,
+    setting,
+)
 
 
 @dataclass(kw_only=True)
@@ -28,8 +36,12 @@ class LQR(ModelBased):
     """
 
     output_weight: Weight = setting(1.0, low=0.0, doc="Q: outputs off the operating point")
-    integral_weight: Weight = setting(1.0, above=0.0, doc="Qi: sums of the control errors")
-    input_weight: Weight = setting(0.1, above=0.0, doc="R: inputs off the operating point")
+    integral_weight: Weight = setting(
+        1.0, above=0.0, doc="Qi: sums of the control errors", search=Factor(1e-4, 1e2)
+    )
+    input_weight: Weight = setting(
+        0.1, above=0.0, doc="R: inputs off the operating point", search=Factor(1e-4, 1e2)
+    )
 
     def _start(self, loop: Loop) -> None:
         """Solve the two Riccati equations."""

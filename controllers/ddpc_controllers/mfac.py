@@ -41,7 +41,20 @@ from ddpc_controllers.optimisation.qp import (
     predicted_ends,
 )
 from ddpc_controllers.scaling import ScaledSignals
-from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, Weight, setting
+from ddpc_cosim import (
+    Action,
+    Choice,
+    ConfigError,
+    Factor,
+    FloatArray,
+    Integer,
+    Linear,
+    Log,
+    Loop,
+    Sample,
+    Weight,
+    setting,
+)
 
 
 @dataclass(kw_only=True)
@@ -56,7 +69,10 @@ class ModelFreeAdaptive(ScaledSignals):
     accepts_missing: ClassVar[bool] = True
 
     form: str = setting(
-        "cfdl", choices=("cfdl", "pfdl", "ffdl"), doc="data model: compact, partial or full form"
+        "cfdl",
+        choices=("cfdl", "pfdl", "ffdl"),
+        doc="data model: compact, partial or full form",
+        search=Choice(("cfdl", "pfdl", "ffdl")),
     )
     input_length: int = setting(3, low=1, doc="Lu: input changes in the partial and the full form, samples")
     output_length: int = setting(1, low=1, doc="Ly: output changes in the full form, samples")
@@ -65,9 +81,13 @@ class ModelFreeAdaptive(ScaledSignals):
         choices=("full", "diagonal"),
         doc="whether each output follows all inputs, or only its own (and its own past)",
     )
-    lambda_u: float = setting(0.37, above=0.0, doc="weight of the input changes, lambda in (19)")
-    eta: float = setting(1.0, above=0.0, high=2.0, doc="step factor of the estimation (16)")
-    mu: float = setting(1.0, above=0.0, doc="damping of the estimation (16)")
+    lambda_u: float = setting(
+        0.37, above=0.0, doc="weight of the input changes, lambda in (19)", search=Log(1e-3, 1e2)
+    )
+    eta: float = setting(
+        1.0, above=0.0, high=2.0, doc="step factor of the estimation (16)", search=Linear(0.1, 2.0)
+    )
+    mu: float = setting(1.0, above=0.0, doc="damping of the estimation (16)", search=Log(1e-3, 1e2))
     epsilon: float = setting(1e-5, above=0.0, doc="smallest change and gradient that are trusted (17)")
     assume_sign: bool = setting(
         True,
@@ -78,6 +98,7 @@ class ModelFreeAdaptive(ScaledSignals):
         0.1,
         doc="phi_1 with the sign of the control direction: a number or a list for the diagonal, p x m for "
         "the latest input changes, or p x (p Ly + m Lu) in the order of the data model",
+        search=Factor(1e-1, 1e1),
     )
     rate_bounds: Weight = setting(
         (), above=0.0, doc="largest change of each input per sample, in its unit; empty: none"
@@ -188,8 +209,12 @@ class MFAC(ModelFreeAdaptive):
     exactly, so that channels that do not act on each other do not slow each other down.
     """
 
-    lambda_u: float = setting(0.1, above=0.0, doc="weight of the input changes, lambda in (19)")
-    step_factor: float = setting(1.0, above=0.0, high=1.0, doc="step factor rho of the control law")
+    lambda_u: float = setting(
+        0.1, above=0.0, doc="weight of the input changes, lambda in (19)", search=Log(1e-3, 1e2)
+    )
+    step_factor: float = setting(
+        1.0, above=0.0, high=1.0, doc="step factor rho of the control law", search=Linear(0.05, 1.0)
+    )
 
     def _start(self, loop: Loop) -> None:
         self._begin(loop, steps=1, optimise=False)
@@ -216,7 +241,7 @@ class MFAPC(ModelFreeAdaptive):
     estimation, and a channel that does not move leaves the others as if they were alone.
     """
 
-    horizon: int = setting(5, low=1, doc="prediction horizon N, samples")
+    horizon: int = setting(5, low=1, doc="prediction horizon N, samples", search=Integer(2, 20))
     control_horizon: int = setting(0, low=0, doc="control horizon Nu <= N, samples; 0: as the prediction")
     delta: float = setting(0.5, above=0.0, high=1.0, doc="damping of the forecast coefficients (18)")
     initial_forecast: float = setting(0.175, doc="theta_0, every forecast coefficient at the start (18)")

@@ -23,7 +23,14 @@ from ddpc_controllers.optimisation.problem import ParameterVector
 from ddpc_controllers.optimisation.qp import NOTHING_TOLD, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.scaling import Scales
-from ddpc_cosim import Bounds, FloatArray, Loop, Sample, setting
+from ddpc_cosim import (
+    Bounds,
+    FloatArray,
+    Log,
+    Loop,
+    Sample,
+    setting,
+)
 
 
 def trajectories(a: FloatArray, b: FloatArray, c: FloatArray, horizon: int) -> FloatArray:
@@ -144,7 +151,10 @@ class MPC(TrackingSettings, ModelBased):
         "that integrates, or is too slow to tell",
     )
     disturbance_noise: float = setting(
-        1.0, above=0.0, doc="filter: standard deviation of the disturbance's change per sample"
+        1.0,
+        above=0.0,
+        doc="filter: standard deviation of the disturbance's change per sample",
+        search=Log(1e-2, 1e2),
     )
 
     def _start(self, loop: Loop) -> None:

@@ -37,7 +37,9 @@ from ddpc_cosim import (
     ConfigError,
     Controller,
     DataError,
+    Factor,
     FloatArray,
+    Linear,
     Loop,
     Recording,
     Sample,
@@ -327,12 +329,16 @@ class PID(Controller):
     tuning: Tuning = setting(
         "manual", choices=("manual", "step-test"), doc="gains as given, or by SIMC from the recording"
     )
-    proportional: Weight = setting(1.0, doc="K_p")
-    integral: Weight = setting(0.0, doc="K_i [1/s]")
-    derivative: Weight = setting(0.0, doc="K_d [s]")
+    proportional: Weight = setting(1.0, doc="K_p", search=Factor(0.1, 10.0))
+    integral: Weight = setting(0.0, doc="K_i [1/s]", search=Factor(0.1, 10.0))
+    derivative: Weight = setting(0.0, doc="K_d [s]", search=Factor(0.1, 10.0))
     filter_time: float = setting(0.0, low=0.0, unit="s", doc="T_f of the derivative filter; 0: none")
     setpoint_share: float = setting(
-        1.0, low=0.0, high=1.0, doc="b: share of the reference in the proportional part"
+        1.0,
+        low=0.0,
+        high=1.0,
+        doc="b: share of the reference in the proportional part",
+        search=Linear(0.0, 1.0),
     )
     anti_windup: AntiWindup = setting(
         "back-calculation", choices=("back-calculation", "clamping"), doc="what holds the integral at a limit"
@@ -346,6 +352,7 @@ class PID(Controller):
         unit="s",
         doc="step-test: time constant asked of the closed loop; 0: SIMC's, or four samples, or what "
         "keeps a maximum sensitivity of 1.7",
+        search=Factor(0.2, 5.0),
     )
     pairing: Sequence[int] = setting((), doc="number of the input for each output; empty: in their order")
 

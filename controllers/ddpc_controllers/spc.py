@@ -20,7 +20,11 @@ import numpy as np
 
 from ddpc_controllers.deepc import BehavioralTracking
 from ddpc_controllers.optimisation.problem import Problem
-from ddpc_cosim import Loop, setting
+from ddpc_cosim import (
+    Log,
+    Loop,
+    setting,
+)
 
 
 @dataclass(kw_only=True)
@@ -59,7 +63,9 @@ class GammaDDPC(SPC):
     """
 
     beta_2: float = setting(0.0, low=0.0, doc="weight of |gamma_2|^2: inputs unlike those of the recording")
-    beta_3: float = setting(5.0, above=0.0, doc="weight of |gamma_3|^2: outputs off their prediction")
+    beta_3: float = setting(
+        5.0, above=0.0, doc="weight of |gamma_3|^2: outputs off their prediction", search=Log(1e-1, 1e4)
+    )
 
     def _weights(self) -> tuple[float, float]:
         # The factor of the data as they are has the coordinates gamma / sqrt(windows).

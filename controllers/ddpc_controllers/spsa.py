@@ -23,7 +23,18 @@ import numpy as np
 from ddpc_controllers.checks import knowing
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.optimisation.limits import HELD
-from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Sample, setting
+from ddpc_cosim import (
+    Action,
+    ConfigError,
+    Controller,
+    Factor,
+    FloatArray,
+    Linear,
+    Log,
+    Loop,
+    Sample,
+    setting,
+)
 
 _STEP_DECAY, _PERTURBATION_DECAY = 0.602, 0.101  # the values that Spall recommends
 
@@ -43,16 +54,28 @@ class SPSA(Controller):
 
     accepts_missing: ClassVar[bool] = True
 
-    kp: float = setting(1.0, doc="initial proportional gain, with the sign of the control direction")
-    kd: float = setting(0.0, doc="initial derivative gain [s]")
+    kp: float = setting(
+        1.0, doc="initial proportional gain, with the sign of the control direction", search=Factor(0.1, 10.0)
+    )
+    kd: float = setting(0.0, doc="initial derivative gain [s]", search=Factor(0.1, 10.0))
     integral_time: float = setting(
-        0.0, low=0.0, unit="s", doc="kp / ki, which is not tuned; 0: no integral action"
+        0.0,
+        low=0.0,
+        unit="s",
+        doc="kp / ki, which is not tuned; 0: no integral action",
+        search=Factor(0.1, 10.0),
     )
     window: int = setting(10, low=2, doc="samples for which a perturbation is tried")
-    step_size: float = setting(1.0, low=0.0, doc="a: step size of the gains, in parts of the initial ones")
+    step_size: float = setting(
+        1.0, low=0.0, doc="a: step size of the gains, in parts of the initial ones", search=Log(1e-2, 10.0)
+    )
     stability: float = setting(0.0, low=0.0, doc="A: steps before the step size decays")
     perturbation: float = setting(
-        0.2, above=0.0, high=1.0, doc="c: perturbation, in parts of the initial gains"
+        0.2,
+        above=0.0,
+        high=1.0,
+        doc="c: perturbation, in parts of the initial gains",
+        search=Linear(0.01, 0.5),
     )
     largest_step: float = setting(0.2, above=0.0, doc="longest step of a gain, in parts of the initial one")
     resolution: float = setting(1e-3, above=0.0, doc="error that is too small to learn from, in output units")

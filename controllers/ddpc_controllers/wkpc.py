@@ -29,7 +29,18 @@ from ddpc_controllers.optimisation.problem import ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import NOTHING_TOLD, action, make_law, predicted_ends
 from ddpc_controllers.optimisation.tracking import TrackingSettings, tracking_problem
 from ddpc_controllers.scaling import ScaledSignals
-from ddpc_cosim import Action, FloatArray, Loop, Recording, Sample, Weight, setting
+from ddpc_cosim import (
+    Action,
+    Factor,
+    FloatArray,
+    Integer,
+    Log,
+    Loop,
+    Recording,
+    Sample,
+    Weight,
+    setting,
+)
 
 # Observables nearly repeat each other, and leave directions that the past hardly fixes: they cost this share.
 _KEPT_SMALL = 1e-3
@@ -52,16 +63,26 @@ class WKPC(OnlineSettings, ScaledSignals):
         ("zero_padding", "double_shift"), "that is what wkpc-published does"
     )
 
-    initial_length: int = setting(2, low=1, doc="samples of the past that fix the initial condition, Tini")
-    horizon: int = setting(5, low=1, doc="prediction horizon N, samples")
+    initial_length: int = setting(
+        2,
+        low=1,
+        doc="samples of the past that fix the initial condition, Tini",
+        search=Integer(1, 8),
+        predicts=True,
+    )
+    horizon: int = setting(5, low=1, doc="prediction horizon N, samples", search=Integer(3, 20))
     output_weight: Weight = setting(1.0, low=0.0, doc="Q: predicted outputs off the reference")
-    input_weight: Weight = setting(0.1, above=0.0, doc="R: inputs off the artificial setpoint")
+    input_weight: Weight = setting(
+        0.1, above=0.0, doc="R: inputs off the artificial setpoint", search=Factor(1e-4, 1e2)
+    )
     regulariser: Literal["ridge", "projection"] = setting(
         "projection",
         choices=("ridge", "projection"),
         doc="what lambda_g weighs of g: all of it (11), or what goes beyond the least-squares prediction",
     )
-    lambda_g: float = setting(0.1, above=0.0, doc="weight of the regulariser, of |g|^2 with the ridge")
+    lambda_g: float = setting(
+        0.1, above=0.0, doc="weight of the regulariser, of |g|^2 with the ridge", search=Log(1e-3, 1e3)
+    )
     setpoint_margin: float = setting(
         0.99, above=0.0, high=1.0, doc="share of the limits open to the setpoint"
     )

@@ -158,6 +158,42 @@ def run(
 
 
 @main.command()
+@click.argument("study")
+@click.option(
+    "--trials", type=click.IntRange(min=1), default=50, show_default=True, help="For each controller."
+)
+@click.option("--jobs", type=click.IntRange(min=1), help="Worker processes [one per processor].")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of results [runs/STUDY-tuning]."
+)
+@click.option(
+    "--objective",
+    "objectives",
+    multiple=True,
+    default=["rmse"],
+    show_default=True,
+    metavar="METRIC[.SIGNAL][:OVER]",
+    help="What to compare by; OVER: median, mean, worst or a quantile. Or `prediction`. May be repeated.",
+)
+@click.option("--seeds", metavar="100:103", help="Seeds of the trials [three that the study does not have].")
+@_SANDBOX
+def tune(
+    study: str,
+    trials: int,
+    jobs: int | None,
+    out: Path | None,
+    objectives: tuple[str, ...],
+    seeds: str | None,
+    sandbox: bool,
+) -> None:
+    """Tune STUDY's controllers, with as many trials for each, and compare with the settings given."""
+    with orderly_end():
+        from ddpc_cosim.cli.tune import tune_command
+
+        sys.exit(tune_command(study, out, trials, jobs, objectives, seeds, sandbox=sandbox))
+
+
+@main.command()
 @click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="DIR [DIR ...]")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The report [DIR/report.html].")
 def report(folders: tuple[Path, ...], out: Path | None) -> None:

@@ -65,6 +65,7 @@ class LineProgress:
     def start(self, total: int, kept: int) -> None:
         """Say how many cases there are."""
         self._total, self._began = total, monotonic()
+        self._done, self._simulated = 0, 0.0
         noun = "case" if total == 1 else "cases"
         self._text = f"{total} {noun} to run" + (f", {kept} kept" if kept else "")
         self._say(self._text)
@@ -141,7 +142,7 @@ class TerminalProgress:
 
     def start(self, total: int, kept: int) -> None:
         """Show how many cases there are."""
-        self._progress.columns = self._of_cases
+        self._progress.columns, self._simulated = self._of_cases, 0.0
         self._progress.reset(self._task, total=total)
         self(f"{kept} finished cases are kept" if kept else "starting")
 

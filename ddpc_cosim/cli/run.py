@@ -48,17 +48,23 @@ def run_command(
 
     If dry, nothing is run: what would be is printed.
     """
-    chosen = _parse_seeds(seeds)
+    chosen = parse_seeds(seeds)
     with shown(f"reading {name}") as progress:
-        with _warnings_in_one_line():
+        with warnings_in_one_line():
             resolved = read_study(name)
         folder = out or Path("runs") / resolved.head.name
         selection = Selection(jobs or os.cpu_count() or 1, chosen, only, fresh, sandbox)
         if dry_run:
             print(expected(resolved, folder, selection, progress))
             return 0
-        with _warnings_in_one_line():
+        with warnings_in_one_line():
             results = run_study(resolved, folder, selection, progress)
+    return show_results(results, report=report)
+
+
+def show_results(results: StudyResults, *, report: bool = True) -> int:
+    """Print the result table, the path of the report and what has failed, and return the exit code."""
+    folder = results.folder
     # Where no window limits it, the table takes the width it needs.
     screen = Console(width=None if sys.stdout.isatty() else _WIDE)
     for problem in results.problems():
@@ -112,7 +118,7 @@ def _print_warnings(results: StudyResults) -> None:
 
 
 @contextmanager
-def _warnings_in_one_line() -> Iterator[None]:
+def warnings_in_one_line() -> Iterator[None]:
     """Print what is not quite right with a plant in one line each."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CosimWarning)
@@ -121,7 +127,8 @@ def _warnings_in_one_line() -> Iterator[None]:
         print(printable(f"warning: {message}"), file=sys.stderr)
 
 
-def _parse_seeds(text: str | None) -> list[int]:
+def parse_seeds(text: str | None) -> list[int]:
+    """Return the seeds that ``--seeds`` gives."""
     if text is None:
         return []
     try:
@@ -140,5 +147,5 @@ def report_command(folders: Sequence[Path], out: Path | None) -> int:
 
 
 def _write_report(results: Sequence[StudyResults], path: Path) -> Path:
-    with shown(f"writing {path}"), _warnings_in_one_line():
+    with shown(f"writing {path}"), warnings_in_one_line():
         return write_report(results, path)

@@ -154,6 +154,7 @@ class _Resolution:
         self.stabiliser = resolve_stabiliser(study, folder, errors, in_time)
         self._check_report()
         for controller in self.controllers:
+            self._check_search(controller)
             self._check_tuned(controller)
         plant = self._plant(folder)
         self.is_complete = plant is not None
@@ -247,6 +248,14 @@ class _Resolution:
         # A controller whose section has errors is there all the same.
         known += [name for name in given if self.errors.in_doubt(("controllers", name))]
         self.errors.require_known((*place, key), "controller", filter(None, given), known)
+
+    @independent
+    def _check_search(self, controller: StudyController) -> None:
+        section = self.study.controllers[controller.of]
+        if controller.controller is not None and not controller.varied:
+            known = list(_dotted_names(controller.settings))
+            place = ("controllers", controller.name, "search")
+            self.errors.require_known(place, "setting", section.search, known)
 
     @independent
     def _check_tuned(self, controller: StudyController) -> None:

@@ -162,24 +162,7 @@ def run_study(
     if selection.sandboxed:
         require_sandbox()  # before anything is built
     plants, cases = selected_cases(resolved, selection, progress)
-    cases_folder = folder / CASES_FOLDER
-    try:
-        cases_folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
-    missing = [case for case in cases if selection.fresh or not _is_there(cases_folder / case.id)]
-    _compile_ahead({path: None for case in missing for path in files_read(case)}, progress)
-    progress.start(len(missing), len(cases) - len(missing))
-    if missing:
-        done = run_cases(
-            missing, cases_folder, selection.jobs, progress.update, sandboxed=selection.sandboxed
-        )
-        for case in done:
-            progress.finished(case, load_case(cases_folder / case.id))
-    new = {case.id for case in missing}
-    for case in cases:
-        if case.id not in new:
-            judge_again(cases_folder / case.id, case.metrics)
+    run_missing(cases, folder, selection, progress, begin=True)
     study = resolved.whole.with_seeds(selection.seeds)
     results, damaged = load_cases(folder, study, [case.id for case in cases])
     provenance, of_problem = dict[str, str](), dict[str, list[CaseResult]]()
@@ -204,14 +187,54 @@ def selected_cases(
     ConfigError
         No case is selected.
     """
-    plants = _built(resolved, progress)
+    plants = built_plants(resolved, progress)
     own = resolved.head.name  # which is not written twice: a problem that has it is in no case's name
     problems = {"" if name == own else name: (one, plants[name]) for name, one in resolved.problems.items()}
     return plants, cases_of_problems(problems, selection.seeds, selection.only)
 
 
-def _built(resolved: "ResolvedProblems", progress: Progress) -> dict[str, PlantSpec]:
-    """Return each problem's plant, ready to run; one that several problems have is built once."""
+def run_missing(
+    cases: Sequence[Case], folder: Path, selection: Selection, progress: Progress, *, begin: bool = False
+) -> None:
+    """Run the cases that are not there, and judge the others again where what they are judged by has changed.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        The cases.
+    folder : Path
+        The folder of results.
+    selection : Selection
+        How they are run.
+    progress : Progress
+        Follows the run.
+    begin : bool
+        Whether these are all cases; otherwise each counts as one of those that the progress knows of.
+    """
+    cases_folder = folder / CASES_FOLDER
+    try:
+        cases_folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
+    missing = {case.id: case for case in cases if selection.fresh or not _is_there(cases_folder / case.id)}
+    kept = [case for case in cases if case.id not in missing]
+    _compile_ahead({path: None for case in missing.values() for path in files_read(case)}, progress)
+    if begin:
+        progress.start(len(missing), len(kept))
+    for case in kept:
+        judge_again(cases_folder / case.id, case.metrics)
+        if not begin:
+            progress.finished(case, load_case(cases_folder / case.id))
+    if missing:
+        done = run_cases(
+            [*missing.values()], cases_folder, selection.jobs, progress.update, sandboxed=selection.sandboxed
+        )
+        for case in done:
+            progress.finished(case, load_case(cases_folder / case.id))
+
+
+def built_plants(resolved: "ResolvedProblems", progress: Progress) -> dict[str, PlantSpec]:
+    """Return each problem's plant, by name, ready to run; one that several problems have is built once."""
     _compile_ahead((Path(one.plant.fmu) for one in resolved.problems.values()), progress)
     built = list[tuple[PlantSpec, PlantSpec]]()
     plants = {}

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from ddpc_cosim.csv_files import TIME_TOLERANCE
 from ddpc_cosim.loop_setup import end_time, limits_error, whole_steps
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
+from ddpc_cosim.settings import Choice, Factor, Integer, Linear, Log, Search
 from ddpc_cosim.study.signal_sections import (
     DisturbanceSection,
     ExcitationSection,
@@ -311,6 +312,42 @@ class TunedSection(Section):
     source: Text = Field("", description="where the trials can be repeated from")
 
 
+_Ends = Annotated[list[Finite], Field(min_length=2, max_length=2)]
+
+
+class SearchSection(Section):
+    """Where ``ddpc-cosim tune`` looks for a value of a setting; exactly one key."""
+
+    linear: _Ends | None = Field(None, description="lowest and highest number")
+    log: _Ends | None = Field(None, description="the same, each power of ten as likely as the next")
+    factor: _Ends | None = Field(None, description="the same, of what the setting's value is multiplied by")
+    integer: Annotated[list[int], Field(min_length=2, max_length=2)] | None = Field(
+        None, description="lowest and highest integer"
+    )
+    choices: list[Any] | None = Field(None, description="values; empty, or `false` for the table: it is kept")
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong with the range."""
+        given = [key for key in type(self).model_fields if getattr(self, key) is not None]
+        if len(given) != 1 and not self._errors:
+            yield "", "needs exactly one of the keys linear, log, factor, integer and choices"
+        elif given:
+            yield from ((given[0], fault) for _, fault in faults_of(lambda: self.space))
+
+    @property
+    def space(self) -> Search | None:
+        """The search space; None if the setting is kept."""
+        ranges = {Linear: self.linear, Log: self.log, Factor: self.factor, Integer: self.integer}
+        for kind, ends in ranges.items():
+            if ends is not None:
+                return kind(*ends)
+        return Choice(self.choices) if self.choices else None
+
+
+def _none_for_false(table: Any) -> Any:
+    return {"choices": []} if table is False else table
+
+
 class ControllerSection(Section):
     """One controller of the study."""
 
@@ -324,6 +361,10 @@ class ControllerSection(Section):
     sweep: Annotated[
         list[dict[str, Annotated[Any, BeforeValidator(swept_values)]]], BeforeValidator(_as_list)
     ] = Field([], description="tables of settings and values to try; of each table, all combinations are run")
+    search: dict[str, Annotated[SearchSection, BeforeValidator(_none_for_false)]] = Field(
+        {},
+        description="for `ddpc-cosim tune`: where to look for settings, in place of what the type declares",
+    )
     tuned: TunedSection | None = Field(None, description="how settings were found; none: as the study says")
     variant_of: str = Field("", description="the controller whose sweep this one is part of")
     varied: list[str] = Field([], description="settings in which it differs from that controller")

@@ -25,7 +25,15 @@ from ddpc_controllers.models.linear import ModelSource, SampledModel
 from ddpc_controllers.optimisation.limits import PREDICTED
 from ddpc_controllers.optimisation.qp import NOTHING_TOLD, action
 from ddpc_controllers.scaling import ScaledSignals, Scales
-from ddpc_cosim import Action, ConfigError, FloatArray, Loop, Sample, setting
+from ddpc_cosim import (
+    Action,
+    ConfigError,
+    FloatArray,
+    Log,
+    Loop,
+    Sample,
+    setting,
+)
 
 Disturbance = Literal["auto", "output", "input", "none"]
 DISTURBANCES: tuple[str, ...] = get_args(Disturbance)
@@ -174,7 +182,9 @@ class ModelBased(ScaledSignals):
     process_noise: float = setting(
         1.0, above=0.0, doc="filter: standard deviation of what adds to the inputs"
     )
-    measurement_noise: float = setting(0.1, above=0.0, doc="filter: standard deviation of the measurements")
+    measurement_noise: float = setting(
+        0.1, above=0.0, doc="filter: standard deviation of the measurements", search=Log(1e-3, 1e2)
+    )
 
     def __post_init__(self) -> None:
         check_settings_and(self, self._faults_between_settings)

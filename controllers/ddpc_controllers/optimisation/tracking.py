@@ -9,7 +9,14 @@ import numpy as np
 from ddpc_controllers.checks import weight_matrices
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName
 from ddpc_controllers.optimisation.problem import Problem
-from ddpc_cosim import Bounds, FloatArray, Weight, setting
+from ddpc_cosim import (
+    Bounds,
+    Factor,
+    FloatArray,
+    Integer,
+    Weight,
+    setting,
+)
 
 Setpoint = Literal["input", "input-output", "none"]
 SETPOINTS = ("input", "input-output", "none")
@@ -23,12 +30,14 @@ _TERMINAL, _OUTPUTS = 1e2, 1e4
 class TrackingSettings:
     """What a predictive controller minimises, in the terms of (8) and (11)."""
 
-    horizon: int = setting(5, low=1, doc="prediction horizon N, samples")
+    horizon: int = setting(5, low=1, doc="prediction horizon N, samples", search=Integer(3, 20))
     setpoint: Setpoint = setting(
         "input", choices=SETPOINTS, doc="artificial setpoints: u_s (11), u_s and y_s (8), or none"
     )
     output_weight: Weight = setting(1.0, low=0.0, doc="Q: predicted outputs off the reference, or off y_s")
-    input_weight: Weight = setting(0.1, low=0.0, doc="R: inputs off u_s, or off their values at rest")
+    input_weight: Weight = setting(
+        0.1, low=0.0, doc="R: inputs off u_s, or off their values at rest", search=Factor(1e-4, 1e2)
+    )
     setpoint_weight: Weight = setting(1.0, low=0.0, doc="S: y_s off the reference")
     change_weight: Weight = setting(0.0, low=0.0, doc="weight of the changes of the inputs")
     setpoint_margin: float = setting(

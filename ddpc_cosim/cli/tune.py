@@ -1,0 +1,70 @@
+"""``ddpc-cosim tune``."""
+
+import os
+import shlex
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from ddpc_cosim.cli.progress import shown
+from ddpc_cosim.cli.run import parse_seeds, show_results, warnings_in_one_line
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.runner import Selection
+from ddpc_cosim.texts import printable
+from ddpc_cosim.tuning import TUNED_FILE, Request, Tuned, tune_study
+from ddpc_cosim.tuning.objectives import Objective
+from ddpc_cosim.tuning.search import best
+
+
+def tune_command(
+    name: str,
+    out: Path | None,
+    trials: int,
+    jobs: int | None,
+    objectives: Sequence[str],
+    seeds: str | None,
+    *,
+    sandbox: bool,
+) -> int:
+    """Tune a study, print what was found and the paths of study and report, and return the exit code.
+
+    Raises
+    ------
+    ConfigError
+        Optuna is not installed, or nothing can be tuned so.
+    """
+    if find_spec("optuna") is None:
+        raise ConfigError('tune needs Optuna: pip install "ddpc-cosim[tune]"')
+    said = ["ddpc-cosim", "tune", name, "--trials", str(trials)]
+    said += [word for objective in objectives for word in ("--objective", objective)]
+    said += ["--seeds", seeds] if seeds else []
+    request = Request(
+        tuple(map(Objective.parse, objectives)), trials, parse_seeds(seeds), command=shlex.join(said)
+    )
+    with shown(f"reading {name}") as progress, warnings_in_one_line():
+        resolved = read_study(name)
+        folder = out or Path("runs") / f"{resolved.head.name}-tuning"
+        selection = Selection(jobs or os.cpu_count() or 1, sandboxed=sandbox)
+        tuned = tune_study(resolved, folder, request, selection, progress)
+    _print_found(tuned, request, named=not resolved.whole.is_flat)
+    print(folder / TUNED_FILE)
+    return show_results(tuned.results)
+
+
+def _print_found(tuned: Tuned, request: Request, *, named: bool) -> None:
+    """Print the settings found, and how much better they are on the seeds of the trials."""
+    for (problem, controller), trials in tuned.trials.items():
+        number = best(trials)
+        found, given = trials[number], trials[0]
+        settings = ", ".join(f"{name} = {value!r}" for name, value in found.settings.items())
+        figures = ", ".join(
+            f"{objective.metric} {old:.4g} -> {new:.4g}"
+            for objective, old, new in zip(request.objectives, given.values, found.values, strict=True)
+        )
+        which = "as given" if not number else f"trial {number} of 0 to {len(trials) - 1}"
+        who = f"{problem}, {controller}" if named else controller
+        print(printable(f"{who}: {settings} ({which}; {figures}; runs lost {given.lost} -> {found.lost})"))
+    for problem, controller in tuned.kept:
+        who = f"{problem}, {controller}" if named else controller
+        print(printable(f"{who}: nothing to search, left as it is"))

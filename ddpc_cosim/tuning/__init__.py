@@ -1,0 +1,295 @@
+"""Tuning: every controller of a study is tried with as many settings, on seeds that no result is reported on.
+
+A trial's runs are cases in the folder of results, which no trial of the same settings runs again, and what is
+tried next follows from the trials before alone. A tuning that was interrupted goes on by going through its
+trials once more; there is no other record of it that could contradict the cases.
+"""
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import tomli_w
+
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.study.case_files import load_case
+from ddpc_cosim.study.cases import Case, cases_of_problems
+from ddpc_cosim.study.plants import PlantSpec
+from ddpc_cosim.study.problems import WholeStudy
+from ddpc_cosim.study.reading import StudyFile, resolve_file
+from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
+from ddpc_cosim.study.results import CASES_FOLDER, StudyResults
+from ddpc_cosim.study.runner import Progress, Selection, built_plants, run_missing, run_study
+from ddpc_cosim.study.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
+from ddpc_cosim.texts import encodable
+from ddpc_cosim.tuning.objectives import PREDICTION, Objective, reference_spans
+from ddpc_cosim.tuning.search import (
+    SettingsSearch,
+    Trial,
+    best,
+    dominates,
+    search_spaces,
+    space_faults,
+    with_settings,
+)
+from fmu_plants.files import write_atomically
+
+TUNED_FILE, TRIALS_FILE, HELD_OUT_FOLDER = "tuned.toml", "trials.csv", "held-out"
+_FIRST_SEED, _SEEDS = 10_000, 3
+_GIVEN = "-as-given"
+_LONGEST_NAME = 60
+_NO_SWEEPS = "a study is tuned without sweeps; remove it, or say under `search` where to look instead"
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """How to tune.
+
+    Parameters
+    ----------
+    objectives : tuple of Objective
+        What trials are compared by; the first chooses among those that none is better than in all.
+    trials : int
+        How many settings each controller is tried with, those of the study included.
+    seeds : list of int
+        Of the trials; empty: three that the study does not have.
+    command : str
+        How it can be repeated.
+    """
+
+    objectives: tuple[Objective, ...] = (Objective(),)
+    trials: int = 50
+    seeds: list[int] = field(default_factory=list)
+    command: str = ""
+
+    @property
+    def by_prediction(self) -> bool:
+        """Whether no loop is closed."""
+        return any(objective.metric == PREDICTION for objective in self.objectives)
+
+    @property
+    def by(self) -> str:
+        """What trials are compared by, in words."""
+        return "; ".join(map(str, self.objectives)) + ", of those with the fewest runs lost"
+
+    @property
+    def summary(self) -> str:
+        """What has been done, in a sentence."""
+        seeds = ", ".join(map(str, self.seeds[:8])) + (", ..." if self.seeds[8:] else "")
+        return f"Tuned with {self.trials} trials for each controller on the seeds {seeds}, by {self.by}."
+
+    def on_seeds_of_its_own(self, reported: Sequence[int]) -> Self:
+        """Return the request with seeds that a study does not report.
+
+        Raises
+        ------
+        ConfigError
+            It has given some that the study reports.
+        """
+        free = (seed for seed in range(_FIRST_SEED, 2**32) if seed not in reported)
+        own = [next(free) for _ in range(_SEEDS)]
+        if shared := [str(seed) for seed in self.seeds if seed in reported]:
+            listed = ", ".join(shared[:8]) + (", ..." if shared[8:] else "")
+            what = f"--seeds: {listed}: seeds of the study, on which default and tuned settings are compared"
+            raise ConfigError(f"{what}; needed: others, such as {own[0]}:{own[-1] + 1}")
+        return replace(self, seeds=self.seeds or own)
+
+
+class Tuned(NamedTuple):
+    """What has been found.
+
+    Parameters
+    ----------
+    trials : dict
+        The trials in their order, by problem and controller.
+    kept : list of (str, str)
+        Problem and controller of those that have no search space and are left as they are.
+    results : StudyResults
+        As given against tuned, on the study's own seeds.
+    """
+
+    trials: dict[tuple[str, str], list[Trial]]
+    kept: list[tuple[str, str]]
+    results: StudyResults
+
+
+def tune_study(
+    resolved: ResolvedProblems, folder: Path, request: Request, selection: Selection, progress: Progress
+) -> Tuned:
+    """Tune the controllers of a study, each problem for itself, and compare as given with tuned.
+
+    Written are the cases of all trials, ``trials.csv``, ``tuned.toml``, which is the study with the settings
+    found, and in ``held-out`` the results of both on the seeds of the study.
+
+    Parameters
+    ----------
+    resolved : ResolvedProblems
+        The study.
+    folder : Path
+        For all that is written.
+    request : Request
+        How to tune.
+    selection : Selection
+        How to run cases.
+    progress : Progress
+        Follows them.
+
+    Raises
+    ------
+    ConfigError
+        Nothing can be tuned, or not so: all reasons.
+    """
+    request = request.on_seeds_of_its_own(resolved.head.seeds)
+    searches, kept = _searches(resolved, request)
+    plants = built_plants(resolved, progress)
+    spans = {name: reference_spans(one) for name, one in resolved.problems.items()}
+    for number in range(request.trials):
+        tried = [(search, search.next_settings()) for search in searches]
+        runs = [
+            _cases(search, settings, resolved.problems[search.problem], plants[search.problem], request)
+            for search, settings in tried
+        ]
+        cases = [case for own in runs for case in own]
+        if not number:
+            progress.start(request.trials * len(cases), 0)
+        run_missing(cases, folder, selection, progress)
+        for (search, settings), own in zip(tried, runs, strict=True):
+            results = [load_case(folder / CASES_FOLDER / case.id) for case in own]
+            values = tuple(objective.of(results, spans[search.problem]) for objective in request.objectives)
+            lost = sum(request.objectives[0].is_lost(result) for result in results)
+            search.tell(Trial(lost, values, settings))
+    trials = {(search.problem, search.name): search.trials for search in searches}
+    write_atomically(folder / TRIALS_FILE, encodable(_trials_table(trials, request)).encode())
+    tuned = _tuned_study(resolved, trials, request)
+    text = tomli_w.dumps(tuned.tables())
+    write_atomically(folder / TUNED_FILE, encodable(text).encode())
+    both = StudyFile(TUNED_FILE, folder, _with_given(tuned, resolved, trials).tables())
+    progress.prepare("comparing on the seeds of the study")
+    return Tuned(trials, kept, run_study(resolve_file(both), folder / HELD_OUT_FOLDER, selection, progress))
+
+
+def _searches(
+    resolved: ResolvedProblems, request: Request
+) -> tuple[list[SettingsSearch], list[tuple[str, str]]]:
+    """Return what to search, and what is left as it is; all errors at once."""
+    searches, kept, faults = [], list[tuple[str, str]](), list[str]()
+    for problem, one in resolved.problems.items():
+        within = "" if resolved.whole.is_flat else f" (problem {problem})"
+        if one.study.variant_of:
+            faults.append(f"sweep: {_NO_SWEEPS}")
+        for objective in request.objectives:
+            try:
+                objective.check(one)
+            except ConfigError as error:
+                faults += error.faults
+        for name, section in one.study.controllers.items():
+            if section.variant_of:
+                faults.append(f"controllers.{section.variant_of}.sweep: {_NO_SWEEPS}")
+                continue
+            spaces = dict(search_spaces(section, by_prediction=request.by_prediction))
+            faults += [
+                f"controllers.{name}.search.{fault}{within}" for fault in space_faults(section, spaces)
+            ]
+            if spaces and not faults:
+                searches.append(
+                    SettingsSearch(problem, name, section.settings, spaces, len(request.objectives))
+                )
+            elif not spaces:
+                kept.append((problem, name))
+    if not faults and not searches:
+        which = " that the prediction depends on" if request.by_prediction else ""
+        example = "search = { lambda_g = { log = [1.0, 1e3] } }"
+        faults = [f"no controller has settings to search{which}; say so in the study, such as {example}"]
+    if faults:
+        raise ConfigError(list(dict.fromkeys(faults)))
+    return searches, kept
+
+
+def _cases(
+    search: SettingsSearch, settings: dict[str, Any], one: ResolvedStudy, plant: PlantSpec, request: Request
+) -> list[Case]:
+    """Return the runs of a trial."""
+    study = one.study
+    section = study.controllers[search.name]
+    section = section.model_copy(update={"settings": with_settings(section.settings, settings)})
+    changes: dict[str, Any] = {"controllers": {search.name: section}}
+    if request.by_prediction:  # which is known before the first sample
+        changes["loop"] = study.loop.model_copy(update={"duration": study.loop.sampling_time})
+    changed = replace(one, study=study.model_copy(update=changes))
+    return cases_of_problems({search.problem: (changed, plant)}, request.seeds)
+
+
+def _trials_table(trials: Mapping[tuple[str, str], Sequence[Trial]], request: Request) -> str:
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    named = [str(objective) for objective in request.objectives]
+    writer.writerow(["problem", "controller", "trial", "runs lost", *named, "not dominated", "settings"])
+    for (problem, controller), tried in trials.items():
+        for number, trial in enumerate(tried):
+            on_front = "false" if any(dominates(other, trial) for other in tried) else "true"
+            row = [problem, controller, number, trial.lost, *map(repr, trial.values), on_front]
+            writer.writerow([*row, json.dumps(trial.settings)])
+    return file.getvalue()
+
+
+def _tuned_study(
+    resolved: ResolvedProblems, trials: Mapping[tuple[str, str], Sequence[Trial]], request: Request
+) -> WholeStudy:
+    """Return the study with the best settings, which says how they came about."""
+    problems = {}
+    for problem, one in resolved.problems.items():
+        controllers = dict(one.study.controllers)
+        for (of, name), tried in trials.items():
+            if of == problem:
+                found = tried[best(tried)].settings
+                how = TunedSection(
+                    settings=list(found),
+                    trials=request.trials,
+                    seeds=request.seeds,
+                    by=request.by,
+                    source=request.command,
+                )
+                section = controllers[name]
+                changes = {"settings": with_settings(section.settings, found), "tuned": how}
+                controllers[name] = section.model_copy(update=changes)
+        problems[problem] = one.study.model_copy(update={"controllers": controllers})
+    return _whole(resolved, problems, request.summary)
+
+
+def _whole(resolved: ResolvedProblems, problems: dict[str, Study], summary: str) -> WholeStudy:
+    """Return a study whose summary says what it is now: what it said was of other settings."""
+    head, said = resolved.head, {"summary": summary}
+    if resolved.whole.is_flat:
+        return WholeStudy.of(problems[head.name].model_copy(update=said))
+    return WholeStudy(head.model_copy(update=said), problems)
+
+
+def _with_given(
+    tuned: WholeStudy, resolved: ResolvedProblems, trials: Mapping[tuple[str, str], Sequence[Trial]]
+) -> WholeStudy:
+    """Return a tuned study in which the controllers as given take part too, each beside its tuned self."""
+    problems = {}
+    for problem, study in tuned.problems.items():
+        controllers: dict[str, ControllerSection] = {}
+        panels = []
+        for name, section in study.controllers.items():
+            label = section.label or name
+            if (problem, name) in trials:
+                given = resolved.problems[problem].study.controllers[name]
+                key = name[: _LONGEST_NAME - len(_GIVEN)] + _GIVEN
+                controllers[key] = given.model_copy(update={"label": f"{label}, as given"})
+                controllers[name] = section.model_copy(update={"label": f"{label}, tuned"})
+                panels.append(Panel(title=label, controllers=[key, name]))
+            else:
+                controllers[name] = section
+                panels.append(Panel(title=label, controllers=[name]))
+        report = ReportSection(panels=panels, limitations=study.report.limitations)
+        problems[problem] = study.model_copy(update={"controllers": controllers, "report": report})
+    summary = (
+        f"Settings as given against tuned ones, on seeds that played no part in it. {tuned.head.summary}"
+    )
+    return _whole(resolved, problems, summary)

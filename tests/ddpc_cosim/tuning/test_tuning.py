@@ -1,0 +1,303 @@
+"""Tuning: a plant that follows its input, and a controller that commands gain x reference: 1 is best."""
+
+import csv
+import io
+import json
+import shutil
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ddpc_cosim import Choice, ConfigError, Factor, Integer, Linear, Log
+from ddpc_cosim.cli.main import main
+from ddpc_cosim.cli.progress import LineProgress
+from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.runner import Selection, run_missing
+from ddpc_cosim.trace import Outcome
+from ddpc_cosim.tuning import Request, Tuned, tune_study
+from ddpc_cosim.tuning.objectives import Objective
+from ddpc_cosim.tuning.search import Trial, best
+
+TOYS = """
+from dataclasses import dataclass
+import numpy as np
+from ddpc_cosim import Controller, Linear, Plant, Variable, check_settings, setting
+
+@dataclass(kw_only=True)
+class Gain(Controller):
+    gain: float = setting(3.0, low=0.0, high=10.0, doc="u = gain x reference", search=Linear(0.0, 4.0))
+    rough: bool = setting(False, doc="changes nothing")
+    def __post_init__(self):
+        check_settings(self)
+    def start(self, loop):
+        self.errors = {"prediction_error": abs(self.gain - 2.0)}
+    def diagnostics(self):
+        return self.errors
+    def step(self, sample):
+        return self.gain * sample.setpoint
+
+@dataclass(kw_only=True)
+class Rest(Controller):
+    def start(self, loop):
+        pass
+    def step(self, sample):
+        return np.zeros(1)
+
+class Follower(Plant):
+    inputs, outputs = (Variable("u"),), (Variable("y"),)
+    def reset(self, parameters=None, t0=0.0):
+        return np.zeros(1)
+    def step(self, u, h):
+        return u.copy()
+
+class Half(Follower):
+    def step(self, u, h):
+        return 0.5 * u
+"""
+STUDY = """
+seeds = [0]
+plant = { name = "tuning_toys:Follower" }
+loop = { sampling_time = 0.1, duration = 1.0 }
+reference.y = { kind = "constant", value = 1.0 }
+controllers.a = { type = "tuning_toys:Gain" }
+controllers.rest = { type = "tuning_toys:Rest" }
+[controllers.b]
+type = "tuning_toys:Gain"
+settings = { gain = 2.0 }
+search = { gain = { factor = [0.1, 4.0] } }
+"""
+DEFAULT = Request(trials=8)
+
+
+def tuned(folder: Path, text: str = STUDY, request: Request = DEFAULT, jobs: int = 2) -> Tuned:
+    folder.mkdir(exist_ok=True)
+    (folder / "tuning_toys.py").write_text(TOYS, encoding="utf-8")
+    (folder / "study.toml").write_text(text, encoding="utf-8")
+    resolved = read_study(str(folder / "study.toml"))
+    return tune_study(resolved, folder / "out", request, Selection(jobs), LineProgress(io.StringIO()))
+
+
+def trials_of(folder: Path) -> list[dict[str, str]]:
+    with (folder / "out" / "trials.csv").open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_controller_has_as_many_trials_and_the_best_settings_are_in_the_tuned_study(
+    tmp_path: Path,
+) -> None:
+    """At the first of the ten samples that count y = 0, and then the error is 1 - gain."""
+    found = tuned(tmp_path)
+    assert found.kept == [("study", "rest")]
+    rows = trials_of(tmp_path)
+    assert [row["controller"] for row in rows] == ["a"] * 8 + ["b"] * 8
+    for row in rows:
+        gain = json.loads(row["settings"])["gain"]
+        rmse = np.sqrt((1.0 + 9 * (1.0 - gain) ** 2) / 10)
+        assert float(row["rmse, median over the seeds, mean over the scenarios"]) == pytest.approx(
+            rmse, rel=1e-9
+        )
+    study = read_study(str(tmp_path / "out" / "tuned.toml")).problem.study
+    assert study.seeds == [0]
+    for name, given in (("a", 3.0), ("b", 2.0)):
+        gains = [json.loads(row["settings"])["gain"] for row in rows if row["controller"] == name]
+        assert gains[0] == given
+        closest = min(gains, key=lambda gain: abs(gain - 1.0))
+        section = study.controllers[name]
+        assert section.settings["gain"] == closest != given
+        how = section.tuned
+        assert how is not None
+        assert (how.settings, how.trials, how.seeds) == (["gain"], 8, [10_000, 10_001, 10_002])
+    assert study.controllers["rest"].tuned is None
+    compared = {case.controller: case for case in found.results.cases}
+    assert list(compared) == ["a-as-given", "a", "rest", "b-as-given", "b"]
+    assert {case.seed for case in found.results.cases} == {0}
+    assert compared["a-as-given"].settings["gain"] == 3.0
+    assert compared["a"].settings == study.controllers["a"].settings
+
+
+def test_an_interrupted_tuning_goes_on_to_the_same_end_on_any_number_of_workers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request = Request(trials=11, seeds=[5])
+    tuned(tmp_path / "whole", request=request, jobs=2)
+    rounds = 0
+
+    def ends(*arguments: object) -> None:
+        nonlocal rounds
+        rounds += 1
+        if rounds > 7:
+            raise KeyboardInterrupt
+        run_missing(*arguments)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patched:
+        patched.setattr("ddpc_cosim.tuning.run_missing", ends)
+        with pytest.raises(KeyboardInterrupt):
+            tuned(tmp_path / "parts", request=request, jobs=1)
+    there = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts").glob("out/cases/*/run.json")}
+    assert len(there) >= 7
+    tuned(tmp_path / "parts", request=request, jobs=1)
+    assert all(path.stat().st_mtime_ns == then for path, then in there.items())  # none is run again
+    for file in ("trials.csv", "tuned.toml"):
+        assert (tmp_path / "parts/out" / file).read_bytes() == (
+            tmp_path / "whole/out" / file
+        ).read_bytes().replace(bytes(tmp_path / "whole"), bytes(tmp_path / "parts"))
+
+
+def test_each_problem_is_tuned_for_itself(tmp_path: Path) -> None:
+    """Where the plant follows half the input, a gain of 2 is best."""
+    tmp_path.joinpath("full.toml").write_text(STUDY, encoding="utf-8")
+    tmp_path.joinpath("half.toml").write_text(STUDY.replace(":Follower", ":Half"), encoding="utf-8")
+    several = """
+problems = { full = { study = "full.toml" }, half = { study = "half.toml" } }
+controllers.a = { type = "tuning_toys:Gain" }
+controllers.rest = { type = "tuning_toys:Rest" }
+"""
+    found = tuned(tmp_path, several, Request(trials=6, seeds=[4]))
+    assert {key: len(trials) for key, trials in found.trials.items()} == {("full", "a"): 6, ("half", "a"): 6}
+    again = read_study(str(tmp_path / "out" / "tuned.toml"))
+    for problem, ideal in (("full", 1.0), ("half", 2.0)):
+        gains = [trial.settings["gain"] for trial in found.trials[problem, "a"]]
+        section = again.problems[problem].study.controllers["a"]
+        assert section.settings["gain"] == min(gains, key=lambda gain: abs(gain - ideal))
+        assert section.tuned is not None
+        assert section.tuned.trials == 6
+
+
+def test_the_prediction_alone_can_be_searched_without_a_loop(tmp_path: Path) -> None:
+    """Only what is declared to change the prediction is searched: the toy says that gain = 2 is best."""
+    with pytest.raises(
+        ConfigError, match="no controller has settings to search that the prediction depends on"
+    ):
+        tuned(tmp_path, request=Request((Objective.parse("prediction"),), trials=2))
+    shutil.rmtree(tmp_path)
+    tmp_path.mkdir()
+    text = STUDY.replace("tuning_toys", "predicting_toys")
+    (tmp_path / "predicting_toys.py").write_text(
+        TOYS.replace("4.0))", "4.0), predicts=True)"), encoding="utf-8"
+    )
+    found = tuned(tmp_path, text, Request((Objective.parse("prediction"),), trials=4, seeds=[7]))
+    for tried in found.trials.values():
+        assert [trial.values[0] for trial in tried] == [abs(trial.settings["gain"] - 2.0) for trial in tried]
+    assert best(found.trials["study", "b"]) == 0  # as given
+    lengths = {
+        case.name: len(case.read_text().splitlines()) for case in tmp_path.glob("out/cases/*/signals.csv")
+    }
+    assert set(lengths.values()) == {3}  # header and two samples
+
+
+def test_the_command_says_what_was_found_and_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tuning_toys.py").write_text(TOYS, encoding="utf-8")
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    run = partial(CliRunner().invoke, main)
+    done = run(["tune", "study.toml", "--trials", "2", "--jobs", "2", "--seeds", "7", "--out", "out"])
+    assert done.exit_code == 0, done.output
+    assert "a: gain = " in done.stdout
+    assert "rest: nothing to search, left as it is" in done.stdout
+    assert (tmp_path / "out" / "held-out" / "report.html").is_file()
+    how = read_study("out/tuned.toml").problem.study.controllers["a"].tuned
+    assert how is not None
+    assert how.source == "ddpc-cosim tune study.toml --trials 2 --objective rmse --seeds 7"
+    assert run(["tune", "study.toml", "--trials", "0"]).exit_code == 2
+    monkeypatch.setattr("ddpc_cosim.cli.tune.find_spec", lambda name: None)
+    lacking = run(["tune", "study.toml"])
+    assert lacking.exit_code == 2
+    assert 'tune needs Optuna: pip install "ddpc-cosim[tune]"' in lacking.stderr
+
+
+def result(scenario: str, seed: int, rmse: float, outcome: Outcome = Outcome.COMPLETED) -> CaseResult:
+    metrics = {"rmse.y [1]": rmse, "rmse.z [K]": 3 * rmse}
+    return CaseResult("", "a", "", scenario, seed, outcome, "", True, metrics, {}, {}, (), Path())
+
+
+def test_runs_are_summed_up_over_seeds_and_scenarios() -> None:
+    """Shares of the spans 2 and 3 are 0.5 r and r, whose mean is 0.75 r."""
+    runs = [result("quiet", seed, r) for seed, r in enumerate((1.0, 2.0, 6.0))]
+    runs += [result("loud", seed, r) for seed, r in enumerate((4.0, 5.0, 12.0))]
+    spans = {"y": 2.0, "z": 3.0}
+    expected = {"rmse": 3.5, "rmse:mean": 5.0, "rmse:worst": 12.0, "rmse:0.9": 9.0, "rmse:0": 2.5}
+    for text, r in expected.items():
+        assert Objective.parse(text).of(runs, spans) == pytest.approx(0.75 * r), text
+    assert Objective.parse("rmse.z:mean").of(runs, spans) == pytest.approx(15.0)
+    broken = [*runs[:-1], result("loud", 2, 0.1, Outcome.DIVERGED)]
+    assert Objective.parse("rmse:worst").of(broken, spans) == np.inf
+    assert Objective.parse("rmse").of(broken, spans) == pytest.approx(0.75 * 3.5)
+
+
+def test_whatever_loses_fewer_runs_is_better() -> None:
+    values = [Trial(0, (1e9,), {}), Trial(0, (np.inf,), {}), Trial(1, (-1e9,), {}), Trial(2, (0.0,), {})]
+    penalised = [trial.penalised[0] for trial in values]
+    assert penalised == sorted(penalised)
+    assert len(set(penalised)) == 4
+    assert best(values[::-1]) == 3
+
+
+def test_two_objectives_leave_a_front(tmp_path: Path) -> None:
+    """rmse draws the gain to 1, the largest input to 0: from 0 to 1 neither is better than the other."""
+    objectives = (Objective.parse("rmse"), Objective.parse("total_variation"))
+    tuned(tmp_path, request=Request(objectives, trials=12, seeds=[1]))
+    rows = trials_of(tmp_path)
+    assert {row["not dominated"] for row in rows} == {"true", "false"}
+
+
+FACTOR = "{ factor = [0.1, 4.0] }"
+FAULTS = [
+    ("4.0]", "40.0]", "search.gain: 80.0 is not possible; allowed"),
+    ("gain = 2.0", "gain = 0.0", "search.gain: 0.0 has no multiples; needed"),
+    (FACTOR, "{ integer = [0, 11] }", "search.gain: 11 is not possible"),
+    (FACTOR, "{ choices = [1.0, 'x'] }", "search.gain: 'x' is not possible"),
+    (FACTOR, "{ log = [4.0, 0.1] }", "search.gain.log: from 4 to 0.1 is not a range"),
+    (FACTOR, "{ log = [0.0, 1.0] }", "search.gain.log: from 0 to 1 is not a range; .*both above 0"),
+    (FACTOR, "{ log = [1, 2], linear = [1, 2] }", "search.gain: needs exactly one"),
+    ("gain = { factor", "gein = { factor", 'search: no setting "gein"; did you mean "gain"'),
+    (
+        "settings = { gain = 2.0 }",
+        "sweep = { gain = [1.0] }",
+        "sweep: a study is tuned without sweeps; remove it",
+    ),
+]
+
+
+@pytest.mark.parametrize(("said", "instead", "fault"), FAULTS)
+def test_what_cannot_be_searched_is_told_with_its_place(
+    said: str, instead: str, fault: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match=rf"controllers\.b\.{fault}"):
+        tuned(tmp_path, STUDY.replace(said, instead))
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_the_study_does_not_allow_is_told(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"--seeds: 0: seeds of the study.*such as 10000:10003"):
+        tuned(tmp_path, request=Request(seeds=[0, 1]))
+    with pytest.raises(ConfigError, match='rmse has no signal "x" in study'):
+        tuned(tmp_path, request=Request((Objective.parse("rmse.x"),)))
+
+
+def test_a_setting_is_kept_where_the_study_says_so(tmp_path: Path) -> None:
+    text = STUDY.replace("{ factor = [0.1, 4.0] }", "false").replace(
+        'type = "tuning_toys:Gain" }', 'type = "tuning_toys:Gain", search = { gain = false } }'
+    )
+    with pytest.raises(ConfigError, match="no controller has settings to search; say so in the study"):
+        tuned(tmp_path, text)
+
+
+@pytest.mark.parametrize("text", ["rmsee", "rmse:best", "rmse:2", "iae:", "prediction:x"])
+def test_objectives_that_are_none(text: str) -> None:
+    if text == "iae:":
+        assert Objective.parse(text).over == "median"
+        return
+    with pytest.raises(ConfigError, match=f"--objective {text}"):
+        Objective.parse(text)
+
+
+def test_spaces_are_ranges() -> None:
+    assert (Linear(-1.0, 1.0).low, Integer(1, 2).high, Factor(0.1, 2.0).high) == (-1.0, 2, 2.0)
+    assert Choice(("a", "b")).values == ("a", "b")
+    for kind, low in ((Linear, 2.0), (Log, 0.0), (Factor, -1.0), (Linear, np.nan)):
+        with pytest.raises(ConfigError, match="is not a range"):
+            kind(low, 1.0)
