@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +44,9 @@ def inspect_command(path: Path, *, as_json: bool, strict: bool, every: bool) -> 
     """Print what an FMU is; return 1 if a defect prevents it from running here."""
     inspection = inspect_fmu(path, strict=strict)
     if as_json:
-        click.echo(json.dumps(as_data(inspection), indent=2, allow_nan=False))
+        # Part by part: as one text it would take more memory than all that it tells.
+        sys.stdout.writelines(json.JSONEncoder(indent=2, allow_nan=False).iterencode(as_data(inspection)))
+        click.echo()
     elif (console := Console()).is_terminal:
         _print_tables(console, inspection, every=every)
     else:
