@@ -14,13 +14,64 @@ from typing import TYPE_CHECKING, Self, TextIO
 from ddpc_cosim.texts import printable
 
 if TYPE_CHECKING:  # which take a while to import themselves
+    from collections.abc import Iterator
+
+    from rich.console import RenderableType
+
     from ddpc_cosim.study.case_files import CaseResult
     from ddpc_cosim.study.cases import Case
     from ddpc_cosim.study.runner import Update
 
 # Between two lines, and as a part of the time that has passed: a log of a day is not one of 50 000 lines.
 _SECONDS_BETWEEN_LINES, _PART = 1.5, 0.01
+_MOST_LISTED, _MOST_LINES = 4, 16
 _STDOUT = 1
+
+
+class _Cases:
+    """How far the cases of a run are."""
+
+    def __init__(self) -> None:
+        self.total, self.done, self.simulated = 0, 0, 0.0
+        self._running: dict[str, int] = {}
+        self._began = 0.0
+
+    def start(self, total: int) -> None:
+        """So many are to be run, from now on."""
+        self.total, self.done, self.simulated, self._began = total, 0, 0.0, monotonic()
+        self._running.clear()
+
+    def update(self, update: "Update") -> None:
+        """Take note of how far a case is."""
+        self._running[update.case] = 100 * update.samples // max(update.planned, 1)
+
+    def finished(self, case: "Case") -> None:
+        """Count a case."""
+        self._running.pop(case.name, None)
+        self.done += 1
+        self.simulated += case.duration
+
+    @property
+    def rate(self) -> str:
+        """How many cases are done in a second or a minute; empty before the first one is."""
+        rate = self.done / max(monotonic() - self._began, 1e-3)
+        if not self.done:
+            return ""
+        return f"{rate:.3g} cases/s" if rate >= 1.0 else f"{60 * rate:.3g} cases/min"
+
+    @property
+    def counts(self) -> str:
+        """What is done, and how long the rest takes at this rate; empty before the first one is."""
+        if not self.done:
+            return ""
+        left = (monotonic() - self._began) / self.done * (self.total - self.done)
+        counts = f"{self.done}/{self.total} cases, {self.simulated:.0f} s simulated"
+        return f"{counts}, {self.rate}, about {left:.0f} s left, "
+
+    def running(self, most: int) -> list[str]:
+        """Return each case that is running, and how far it is."""
+        words = [f"{name}: {share} %" for name, share in self._running.items()]
+        return words if len(words) <= most else [*words[: most - 1], f"{len(words) - most + 1} more"]
 
 
 class LineProgress:
@@ -36,11 +87,8 @@ class LineProgress:
 
     def __init__(self, stream: TextIO, text: str = "preparing") -> None:
         self._stream, self._text = stream, text
-        self._began = monotonic()
         self._over, self._thread = Event(), Thread(target=self._go_on, daemon=True)
-        self._total = self._done = 0
-        self._simulated = 0.0
-        self._counts = ""
+        self._cases = _Cases()
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -64,25 +112,21 @@ class LineProgress:
 
     def start(self, total: int, kept: int) -> None:
         """Say how many cases there are."""
-        self._total, self._began = total, monotonic()
-        self._done, self._simulated = 0, 0.0
+        self._cases.start(total)
         noun = "case" if total == 1 else "cases"
         self._text = f"{total} {noun} to run" + (f", {kept} kept" if kept else "")
         self._say(self._text)
 
     def update(self, update: "Update") -> None:
         """Take note of how far a case is."""
-        self._text = f"{self._counts}{update.case}: {100 * update.samples // max(update.planned, 1)} %"
+        self._cases.update(update)
+        self._text = f"{self._cases.counts}{', '.join(self._cases.running(_MOST_LISTED))}"
 
     def finished(self, case: "Case", result: "CaseResult") -> None:
         """Count a case; say at the end how many are done."""
-        self._done += 1
-        self._simulated += case.duration
-        left = (monotonic() - self._began) / self._done * (self._total - self._done)
-        self._counts = f"{self._done}/{self._total} cases, {self._simulated:.0f} s simulated, "
-        self._counts += f"about {left:.0f} s left, "
-        self._text = f"{self._counts}last: {case.name}"
-        if self._done == self._total:
+        self._cases.finished(case)
+        self._text = f"{self._cases.counts}last: {case.name}"
+        if self._cases.done == self._cases.total:
             self._say(self._text)
 
     def _go_on(self) -> None:
@@ -95,7 +139,7 @@ class LineProgress:
 
 
 class TerminalProgress:
-    """What is being done, and since when; of cases also how many are done, simulated time and time left.
+    """What is being done, and since when; of cases how many are done, at which rate, and each running one.
 
     Parameters
     ----------
@@ -106,6 +150,7 @@ class TerminalProgress:
     def __init__(self, text: str) -> None:
         from rich import progress  # elsewhere it is not needed
         from rich.console import Console
+        from rich.text import Text
 
         what = progress.TextColumn("{task.description}", markup=False)
         since = progress.TimeElapsedColumn()
@@ -114,16 +159,21 @@ class TerminalProgress:
             progress.BarColumn(),
             progress.MofNCompleteColumn(),
             progress.TextColumn("cases"),
-            progress.TextColumn("{task.fields[simulated]:.0f} s simulated"),
+            progress.TextColumn("{task.fields[simulated]:.0f} s simulated {task.fields[rate]}"),
             since,
             progress.TimeRemainingColumn(),
         )
+        self._cases = cases = _Cases()
+
+        class WithCases(progress.Progress):
+            def get_renderables(self) -> "Iterator[RenderableType]":
+                yield from super().get_renderables()
+                for line in cases.running(_MOST_LINES):
+                    yield Text(printable(f"  {line}"), no_wrap=True, overflow="ellipsis")
+
         console = Console(stderr=True)
-        self._progress = progress.Progress(
-            progress.SpinnerColumn(), since, what, console=console, transient=True
-        )
-        self._task = self._progress.add_task(printable(text), total=None, simulated=0.0)
-        self._simulated = 0.0
+        self._progress = WithCases(progress.SpinnerColumn(), since, what, console=console, transient=True)
+        self._task = self._progress.add_task(printable(text), total=None, simulated=0.0, rate="")
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -142,20 +192,20 @@ class TerminalProgress:
 
     def start(self, total: int, kept: int) -> None:
         """Show how many cases there are."""
-        self._progress.columns, self._simulated = self._of_cases, 0.0
+        self._progress.columns = self._of_cases
         self._progress.reset(self._task, total=total)
+        self._cases.start(total)
         self(f"{kept} finished cases are kept" if kept else "starting")
 
     def update(self, update: "Update") -> None:
         """Show how far a running case is."""
-        self(f"{update.case} {100 * update.samples // max(update.planned, 1)} %")
+        self._cases.update(update)
 
     def finished(self, case: "Case", result: "CaseResult") -> None:
         """Count a case, and keep a line about one that failed."""
-        self._simulated += case.duration
-        self._progress.update(
-            self._task, advance=1, description=printable(case.name), simulated=self._simulated
-        )
+        self._cases.finished(case)
+        rate, simulated = self._cases.rate, self._cases.simulated
+        self._progress.update(self._task, advance=1, description="running", simulated=simulated, rate=rate)
         if result.reason:
             line = printable(f"{case.name}: {result.outcome}: {result.reason}")
             self._progress.console.print(line, markup=False)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -50,6 +51,23 @@ def test_what_is_being_done_is_said_again_and_again(ticks: Ticks, monkeypatch) -
     assert len(times) == 3
     assert times == sorted(times)
     assert ticks.waits == [1.5, *(max(1.5, 0.01 * (time + 150)) for time in times)], "1 % of what has passed"
+
+
+def test_each_running_case_the_rate_and_the_time_left_are_told(monkeypatch) -> None:
+    clock = iter(range(0, 1000, 10))
+    monkeypatch.setattr(progress, "monotonic", lambda: next(clock))
+    cases = progress._Cases()
+    cases.start(total=20)
+    assert (cases.counts, cases.running(4)) == ("", [])
+    for name, samples in {"a": 1, "b": 2, "c": 10, "d": 5}.items():
+        cases.update(SimpleNamespace(case=name, samples=samples, planned=10))
+    assert cases.running(4) == ["a: 10 %", "b: 20 %", "c: 100 %", "d: 50 %"]
+    assert cases.running(3) == ["a: 10 %", "b: 20 %", "2 more"]
+    cases.finished(SimpleNamespace(name="c", duration=40.0))
+    # The clock goes on by 10 s at each look: at 10 s, and for the counts at 20 s and 30 s.
+    assert cases.rate == "6 cases/min"
+    assert cases.counts == "1/20 cases, 40 s simulated, 2 cases/min, about 380 s left, "
+    assert cases.running(4) == ["a: 10 %", "b: 20 %", "d: 50 %"]
 
 
 def test_a_terminal_shows_what_is_being_done(monkeypatch) -> None:

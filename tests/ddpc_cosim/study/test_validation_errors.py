@@ -206,7 +206,10 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
     ({"reference__angle": None}, "reference: must not be empty"),
     ({"reference__angle__kind": None}, 'reference.angle: required key "kind" is missing'),
     ({"reference__angle": 3.0}, "reference.angle: must be a table, got 3.0"),
-    ({"reference__angle__kind": "stairs"}, "reference.angle: must be one of 'constant', 'steps', 'ramp'"),
+    (
+        {"reference__angle__kind": "stairs"},
+        "reference.angle: must be one of 'constant', 'steps', 'interpolated'",
+    ),
     ({"reference__angle__times": None}, "reference.angle.times: required key is missing"),
     ({"reference__angle__values": []}, "reference.angle.values: must not be empty"),
     ({"reference__angle__value": 3}, 'reference.angle.value: unknown key; did you mean "values"?'),
