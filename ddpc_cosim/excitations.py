@@ -1,9 +1,9 @@
 """What an experiment applies to a plant, or adds to the inputs of a controller that stabilises it."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Integral
+from numbers import Integral, Real
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -351,6 +351,17 @@ class SignalExcitation(Excitation):
     samples: int
     sampling_time: float
 
+    def __post_init__(self) -> None:
+        faults = type_faults(self)
+        if not (isinstance(self.signals, Collection) and all(isinstance(s, Reference) for s in self.signals)):
+            faults.append(f"signals = {self.signals!r} is not possible; needed: a sequence of signals")
+        if isinstance(self.samples, Integral) and self.samples < 1:
+            faults.append(f"samples = {self.samples} is not possible; allowed: an integer >= 1")
+        if isinstance(self.sampling_time, Real):
+            faults += _sampling_faults(self.sampling_time)
+        if faults:
+            raise ConfigError([f"excitation: {fault}" for fault in faults])
+
     def draw(self, inputs: int) -> FloatArray:
         """Return the excitation of all inputs, shape (samples, inputs), time along axis 0."""
         if len(self.signals) != inputs:
@@ -372,6 +383,23 @@ class MixedExcitation(Excitation):
     """
 
     parts: Sequence[tuple[Excitation, Sequence[int]]]
+
+    def __post_init__(self) -> None:
+        parts = self.parts if isinstance(self.parts, Sequence) else [self.parts]
+        needed = "an excitation and the numbers of the inputs that it serves"
+        faults = [
+            f"mixed excitation: {part!r} is not possible; needed: {needed}"
+            for part in parts
+            if not (
+                isinstance(part, Sequence)
+                and len(part) == 2
+                and isinstance(part[0], Excitation)
+                and isinstance(part[1], Collection)
+                and all(isinstance(number, Integral) for number in part[1])
+            )
+        ]
+        if faults:
+            raise ConfigError(faults)
 
     def with_seed(self, seed: int) -> "Excitation":
         """Return the excitation with the random numbers of another seed in every part."""

@@ -5,6 +5,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from numbers import Real
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -109,14 +110,17 @@ class FMUPlant(Plant):
         self.path = Path(path)
         if not self.path.is_file():
             raise FMUImportError(f"{self.path}: no such file")
-        if not 0 < step_timeout < math.inf:
-            raise ConfigError(f"step_timeout = {step_timeout} is not possible; allowed: a finite number > 0")
-        if memory_limit is not None and not 0 < memory_limit < math.inf:
-            raise ConfigError(f"memory_limit = {memory_limit} is not possible; allowed: a finite number > 0")
-        if tolerance is not None and not 0 < tolerance < math.inf:
-            raise ConfigError(f"tolerance = {tolerance} is not possible; allowed: a finite number > 0")
+        optional = {"memory_limit": memory_limit, "tolerance": tolerance}
+        given = {name: value for name, value in optional.items() if value is not None}
+        faults = [
+            f"{name} = {value!r} is not possible; allowed: a finite number > 0"
+            for name, value in {"step_timeout": step_timeout, **given}.items()
+            if not (isinstance(value, Real) and 0 < value < math.inf)
+        ]
         if sandbox and not isolated:
-            raise ConfigError("sandbox = True needs isolated = True: a process of its own enters it")
+            faults.append("sandbox = True needs isolated = True: a process of its own enters it")
+        if faults:
+            raise ConfigError(faults)
         self._sandbox = require() if sandbox else entered()
         self._sha256 = hashlib.sha256(self.path.read_bytes()).hexdigest()
         self._scratch = ScratchFolder()

@@ -243,6 +243,26 @@ def test_inputs_can_be_excited_in_different_ways() -> None:
         ramp.draw(1)
 
 
+def test_all_that_is_wrong_with_signals_and_parts_is_told_at_once() -> None:
+    with pytest.raises(ConfigError) as found:
+        SignalExcitation(3.0, "4", None)
+    assert list(found.value.faults) == [
+        "excitation: samples = '4' is not possible; needed: an integer",
+        "excitation: sampling_time = None is not possible; needed: a number",
+        "excitation: signals = 3.0 is not possible; needed: a sequence of signals",
+    ]
+    with pytest.raises(ConfigError) as found:
+        SignalExcitation([Steps((0.0,), (1.0,)), 5.0], 0, -0.1)
+    assert len(found.value.faults) == 3
+    part = (UniformRandom(-1.0, 1.0, 4), np.array([0]))
+    with pytest.raises(ConfigError) as found:
+        MixedExcitation([part, (part[0], ["u"]), part[0], (None, (0,)), 1])
+    assert len(found.value.faults) == 4
+    assert all("needed: an excitation and the numbers of the inputs" in fault for fault in found.value.faults)
+    with pytest.raises(ConfigError, match="mixed excitation: None is not possible"):
+        MixedExcitation(None)
+
+
 @pytest.mark.parametrize(
     ("make", "fault"),
     [

@@ -121,6 +121,18 @@ def test_a_type_that_the_fmu_does_not_have_is_refused(tmp_path: Path, fmi_type: 
         FMUPlant(path, fmi_type=fmi_type)  # type: ignore[arg-type]
 
 
+def test_numbers_that_are_none_are_refused_all_at_once(tmp_path: Path) -> None:
+    path = model_fmu(tmp_path, "2.0", "lag")
+    with pytest.raises(ConfigError) as found:
+        FMUPlant(path, tolerance="x", step_timeout=None, memory_limit=-1, sandbox=True)  # type: ignore[arg-type]
+    assert list(found.value.faults) == [
+        "step_timeout = None is not possible; allowed: a finite number > 0",
+        "memory_limit = -1 is not possible; allowed: a finite number > 0",
+        "tolerance = 'x' is not possible; allowed: a finite number > 0",
+        "sandbox = True needs isolated = True: a process of its own enters it",
+    ]
+
+
 def test_co_simulation_comes_first(tmp_path: Path) -> None:
     session = FMUPlant(model_fmu(tmp_path, "3.0", "lag"))
     assert session.provenance()["fmi_version"] == "3.0 Co-Simulation"
