@@ -128,6 +128,20 @@ def _entry_points_of(kind: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]
     return tuple({(entry.name, entry.value): entry for entry in found}.values())
 
 
+def origin(kind: str, name: str) -> str:
+    """Return a plug-in's package, its version and a hash of its code; or why it is not here.
+
+    A controller's hash covers the code of the master too.
+    """
+    packages = "".join(f"{_package(entry)}, " for entry in _entry_points(kind) if entry.name == name)
+    try:
+        value = load_plugin(kind, name)
+        code = code_version(name) if kind == "controllers" else hash_of_code(name, value)
+    except PluginError as error:
+        return f"missing ({error})"
+    return f"{packages}code {hashlib.sha256(code.encode()).hexdigest()[:10]}"
+
+
 def look_up() -> None:
     """Find what is installed, which takes a while: the workers that are forked from here know it then."""
     _every_entry_point(tuple(sys.path))
@@ -267,6 +281,14 @@ def values_of(targets: Iterable[str]) -> dict[str, Any]:
 def keep_values(values: Mapping[str, Any]) -> None:
     """Have names stand for what another process has sent."""
     _by_value.update(values)
+
+
+def own_files(targets: Iterable[str]) -> dict[str, Path]:
+    """Return the files of the study's folder that names (``module:attribute``) consist of, by path in it."""
+    modules = {target.partition(":")[0].partition(".")[0] for target in targets if ":" in target}
+    files = [file for name in modules & sys.modules.keys() for _, file in _source_files(sys.modules[name])]
+    folder = Path(own_folder())
+    return {f.relative_to(folder).as_posix(): f for f in files if f.is_relative_to(folder)}
 
 
 _CODE = (".py", *EXTENSION_SUFFIXES)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.master import EARLY, OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.plugins import code_version, own_folder, types_in
+from ddpc_cosim.plugins import code_version, own_folder, types_in, values_of
 from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference
@@ -225,11 +225,42 @@ def _files(case: Case) -> list[list[str]]:
     return [[path for path in paths if path != PLANT] for paths in named]
 
 
+def data_files(case: Case) -> list[str]:
+    """Return the paths of the files that a case reads: FMU and files that settings name."""
+    return [path for paths in ([case.plant.fmu], *_files(case)) for path in paths if path]
+
+
 def files_read(case: Case) -> list[Path]:
     """Return what a case reads besides what is installed: FMU, files of settings, modules of the study's."""
-    named = [path for paths in _files(case) for path in paths]
     modules = [own_folder()] if any(":" in kind for kind in types_in(_sections(case))) else []
-    return [Path(path) for path in (case.plant.fmu, *named, *modules) if path]
+    return [Path(path) for path in (*data_files(case), *modules)]
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a case finds around it where it is run.
+
+    Parameters
+    ----------
+    modules : str
+        The folder of the study's own modules.
+    values : bytes
+        What no other process can import, as :func:`ddpc_cosim.plugins.values_of` gives it, pickled.
+    read : tuple of Path
+        What it reads in a sandbox besides what is installed.
+    """
+
+    modules: str
+    values: bytes
+    read: tuple[Path, ...]
+
+    @classmethod
+    def of(cls, case: Case) -> Self:
+        """Return the surroundings of a case where its study has been read."""
+        import cloudpickle  # a class that the worker cannot import goes along by value
+
+        values = cloudpickle.dumps(values_of(plugins_in(case)))
+        return cls(own_folder(), values, tuple(files_read(case)) if case.sandbox else ())
 
 
 def plugins_in(case: Case) -> Iterator[str]:

@@ -6,12 +6,13 @@ leaves behind in its process (floating-point errors, random numbers, modules) ch
 
 import math
 import os
+import pickle
 import platform
 import shlex
 import sys
 import tempfile
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -20,7 +21,7 @@ from importlib import metadata
 from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.master import OUTCOME_OF
@@ -28,9 +29,7 @@ from ddpc_cosim.plugins import (
     find_modules_in,
     keep_values,
     load_plugin,
-    own_folder,
     package_version,
-    values_of,
 )
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.rows import Call, RowStore
@@ -56,11 +55,11 @@ from ddpc_cosim.study.case_files import (
 )
 from ddpc_cosim.study.cases import (
     Case,
+    Surroundings,
     cases_of_problems,
     files_read,
     no_samples,
     partial_trace,
-    plugins_in,
     row_store,
     run_case,
 )
@@ -317,6 +316,7 @@ def run_cases(
     watch: Watcher | None = None,
     *,
     sandboxed: bool = False,
+    surroundings: Surroundings | None = None,
 ) -> Iterator[Case]:
     """Run cases in ``jobs`` worker processes and yield each one when its files are written.
 
@@ -332,6 +332,8 @@ def run_cases(
         Called with the progress of running cases.
     sandboxed : bool
         Whether each case runs in a sandbox, in which it writes nothing but its own files.
+    surroundings : Surroundings, optional
+        What cases find around them; default: what is around this process.
 
     Raises
     ------
@@ -356,8 +358,9 @@ def run_cases(
                         yield case
                         continue
                     make = partial(Worker, serve_calls, preload=preload, memory=_memory(case, jobs))
+                    around = surroundings or Surroundings.of(case)
                     with _writable():
-                        running.append(_Run(case, make, folder / case.id, staging, temporary))
+                        running.append(_Run(case, make, folder / case.id, staging, temporary, around))
                     if watch is not None:
                         watch(running[-1].progress)
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
@@ -419,10 +422,18 @@ class _Run:
         The case's folder, and where it is to stand until it is complete.
     temporary : Path
         Where temporary files lie.
+    surroundings : Surroundings
+        What it finds around it.
     """
 
     def __init__(
-        self, case: Case, make: Callable[..., Worker], folder: Path, staging: Path, temporary: Path
+        self,
+        case: Case,
+        make: Callable[..., Worker],
+        folder: Path,
+        staging: Path,
+        temporary: Path,
+        surroundings: Surroundings,
     ) -> None:
         began = monotonic()
         self.case, self._folder, self._staging = case, folder, staging
@@ -430,15 +441,15 @@ class _Run:
         sandbox = None
         if case.sandbox:
             traced = [Path(case.plant.trace_calls)] if case.plant.trace_calls else []
-            written, read = (self._place, self._staged, *traced), (*files_read(case), cache_dir())
+            written, read = (self._place, self._staged, *traced), (*surroundings.read, cache_dir())
             sandbox = Sandbox(written, read)
         self.worker = make(folder=self._place, sandbox=sandbox)
         rows = self._place / "rows"
         self._store = row_store(case, rows, follow=True)
         self._call, self._since = 0, monotonic()
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
-            values = values_of(plugins_in(case))
-            ask(self.worker.channel, run_and_stage, case, rows, self._staged, own_folder(), values, began)
+            around = (surroundings.modules, surroundings.values)
+            ask(self.worker.channel, run_and_stage, case, rows, self._staged, *around, began)
 
     @property
     def progress(self) -> Update:
@@ -525,13 +536,13 @@ class _Run:
 
 
 def run_and_stage(
-    case: Case, rows: Path, staged: Path, modules: str, values: Mapping[str, Any], began: float
+    case: Case, rows: Path, staged: Path, modules: str, values: bytes, began: float
 ) -> None:
     """Run a case, in a worker, and write its files where they do not count yet.
 
     ``began`` is when its worker was asked for, which is part of what it takes.
     """
     find_modules_in(modules)
-    keep_values(values)
+    keep_values(pickle.loads(values))
     trace = run_case(case, row_store(case, rows))
     stage_case(staged, trace, case.head() | {"wall_time": monotonic() - began}, case.metrics)
