@@ -137,7 +137,7 @@ def origin(kind: str, name: str) -> str:
     try:
         value = load_plugin(kind, name)
         code = code_version(name) if kind == "controllers" else hash_of_code(name, value)
-    except PluginError as error:
+    except (PluginError, AttributeError) as error:
         return f"missing ({error})"
     return f"{packages}code {hashlib.sha256(code.encode()).hexdigest()[:10]}"
 

@@ -135,6 +135,11 @@ _STEP_TIMEOUT = click.option(
 @click.option("--only", default="*", metavar="GLOB", help="Only cases of this name or label.")
 @click.option("--seeds", metavar="0:30", help="Seeds in place of the study's: 7, 0:30 or 5489,0:30.")
 @click.option("--fresh", is_flag=True, help="Run cases again that already exist.")
+@click.option("--shard", default="1/1", metavar="I/N", help="Every N-th case from the I-th on; no report.")
+@click.option(
+    "--executor", type=click.Choice(["local", "dask"]), default="local", help="Where cases run [local]."
+)
+@click.option("--scheduler", default="", metavar="ADDRESS", help="The dask scheduler's: tcp://host:8786.")
 @click.option("--dry-run", is_flag=True, help="Run nothing: say how many cases, how long, how many bytes.")
 @_SANDBOX
 @click.option("--no-report", is_flag=True, help="Write no report.")
@@ -145,6 +150,9 @@ def run(
     only: str,
     seeds: str | None,
     fresh: bool,
+    shard: str,
+    executor: str,
+    scheduler: str,
     dry_run: bool,
     sandbox: bool,
     no_report: bool,
@@ -153,8 +161,9 @@ def run(
     with orderly_end():
         from ddpc_cosim.cli.run import run_command
 
-        how = {"sandbox": sandbox, "report": not no_report, "dry_run": dry_run}
-        sys.exit(run_command(study, out, jobs, only, seeds, fresh, **how))
+        how = {"sandboxed": sandbox, "executor": executor, "scheduler": scheduler, "shard": shard}
+        done = run_command(study, out, jobs, only, seeds, fresh, how, report=not no_report, dry_run=dry_run)
+        sys.exit(done)
 
 
 @main.command()

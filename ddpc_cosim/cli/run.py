@@ -3,9 +3,10 @@
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -39,27 +40,32 @@ def run_command(
     only: str,
     seeds: str | None,
     fresh: bool,
+    how: Mapping[str, Any],
     *,
-    sandbox: bool,
     report: bool,
     dry_run: bool,
 ) -> int:
     """Run a study, print the result table and the report's path, and return the exit code.
 
-    If dry, nothing is run: what would be is printed.
+    If dry, nothing is run: what would be is printed. ``how`` are other fields of :class:`Selection`.
     """
-    chosen = parse_seeds(seeds)
+    selection = Selection(jobs or os.cpu_count() or 1, parse_seeds(seeds), only, fresh, **how)
     with shown(f"reading {name}") as progress:
         with warnings_in_one_line():
             resolved = read_study(name)
         folder = out or Path("runs") / resolved.head.name
-        selection = Selection(jobs or os.cpu_count() or 1, chosen, only, fresh, sandbox)
-        if dry_run:
-            print(expected(resolved, folder, selection, progress))
-            return 0
         with warnings_in_one_line():
-            results = run_study(resolved, folder, selection, progress)
-    return show_results(results, report=report)
+            if dry_run:
+                would_be = expected(resolved, folder, selection, progress)
+            else:
+                results = run_study(resolved, folder, selection, progress)
+    if dry_run:  # what is printed while progress is shown is dropped
+        print(would_be)
+        return 0
+    if selection.is_part:
+        count = f"{len(results.cases)} {'case' if len(results.cases) == 1 else 'cases'}"
+        print(f"shard {selection.shard}: {count}; metrics.csv and report: run without --shard after the last")
+    return show_results(results, report=report and not selection.is_part)
 
 
 def show_results(results: StudyResults, *, report: bool = True) -> int:

@@ -35,7 +35,7 @@ def expected(resolved: "ResolvedProblems", folder: Path, selection: "Selection",
     """
     from ddpc_cosim.study.runner import selected_cases
 
-    _, cases = selected_cases(resolved, selection, progress)
+    cases = selection.part_of(selected_cases(resolved, selection, progress)[1])
     there = _names_in(folder / CASES_FOLDER)
     missing = [case for case in cases if selection.fresh or case.id not in there]
     kept = len(cases) - len(missing)

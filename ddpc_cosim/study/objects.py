@@ -405,6 +405,9 @@ class Study:
         seeds: Sequence[int] = (),
         fresh: bool = False,
         sandbox: bool = False,
+        executor: str = "local",
+        scheduler: str = "",
+        shard: str = "1/1",
     ) -> StudyResults:
         """Run all cases that are not there yet, and return the results.
 
@@ -416,7 +419,7 @@ class Study:
             Number of worker processes.
         progress : bool or Progress
             Whether to show how far it is, or what follows it instead.
-        only, seeds, fresh, sandbox
+        only, seeds, fresh, sandbox, executor, scheduler, shard
             As the options of ``ddpc-cosim run``.
 
         Raises
@@ -433,7 +436,7 @@ class Study:
             except OSError as error:
                 raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from error
             file = file._replace(folder=folder.resolve())
-        selection = Selection(jobs, list(seeds), only, fresh, sandbox)
+        selection = Selection(jobs, list(seeds), only, fresh, sandbox, executor, scheduler, shard)
         if progress is not True:
             return run_study(resolve_file(file), folder, selection, progress or _Silent())
         from ddpc_cosim.cli.progress import shown

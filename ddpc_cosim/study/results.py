@@ -343,8 +343,16 @@ def _study(content: bytes) -> "WholeStudy":
     return WholeStudy.of_tables(tomllib.loads(content.decode()))
 
 
-def write_results(results: StudyResults) -> StudyResults:
+def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> StudyResults:
     """Write ``study.toml``, ``metrics.csv`` and ``provenance.json`` next to the cases.
+
+    Parameters
+    ----------
+    results : StudyResults
+        The results.
+    whole : sequence of str, optional
+        The ids of all cases of the study, where the results are of some that were run apart from the others:
+        then ``metrics.csv`` is left to who has them all.
 
     Returns
     -------
@@ -358,14 +366,16 @@ def write_results(results: StudyResults) -> StudyResults:
     """
     folder, content = results.folder, _toml(results.whole)
     provenance = {**results.provenance, _STUDY_CHECKSUM: checksum(content)}
-    facts = {**provenance, "cases": [*(case.id for case in results.cases), *results.damaged]}
+    ids = [*(case.id for case in results.cases), *results.damaged] if whole is None else [*whole]
+    facts = {**provenance, "cases": ids}
     results = replace(results, whole=_study(content), provenance=provenance)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(folder / STUDY_FILE, content)
         write_atomically(folder / PROVENANCE_FILE, sealed_json(facts))
-        table = encodable(_metrics_table(results.whole, results.cases))
-        write_atomically(folder / METRICS_FILE, table.encode())
+        if whole is None:
+            table = encodable(_metrics_table(results.whole, results.cases))
+            write_atomically(folder / METRICS_FILE, table.encode())
     except OSError as error:
         reason = error.strerror or str(error)
         raise CosimError(f"{folder}: results cannot be written: {reason}; finished cases are kept") from error

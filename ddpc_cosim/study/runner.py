@@ -8,6 +8,7 @@ import math
 import os
 import pickle
 import platform
+import re
 import shlex
 import sys
 import tempfile
@@ -136,6 +137,18 @@ class Selection:
         Run cases again that already exist.
     sandboxed : bool
         Run each case in a sandbox; those that already exist are kept, and say whether they were.
+    executor : {"local", "dask"}
+        Where cases run: in workers on this machine, or on those of a dask scheduler.
+    scheduler : str
+        The address of the dask scheduler.
+    shard : str
+        ``I/N``: of the selected cases every N-th only, from the I-th on; a later run without it, over the
+        same folder, puts the parts together.
+
+    Raises
+    ------
+    ConfigError
+        An executor without what it needs, or a shard that there is not.
     """
 
     jobs: int = 1
@@ -143,6 +156,34 @@ class Selection:
     only: str = "*"
     fresh: bool = False
     sandboxed: bool = False
+    executor: str = "local"
+    scheduler: str = ""
+    shard: str = "1/1"
+
+    def __post_init__(self) -> None:
+        faults = []
+        if self.executor not in ("local", "dask"):
+            faults.append(f"--executor {self.executor}: must be local or dask")
+        if self.executor == "dask" and "://" not in self.scheduler:
+            given = f"--scheduler {self.scheduler}: is not an address" if self.scheduler else "no --scheduler"
+            faults.append(f"--executor dask: {given}; give one such as --scheduler tcp://host:8786")
+        if self.executor == "local" and self.scheduler:
+            faults.append(f"--scheduler {self.scheduler}: needs --executor dask")
+        shard = re.fullmatch(r"(\d+)/(\d+)", self.shard, re.ASCII)
+        if shard is None or not 1 <= int(shard[1]) <= int(shard[2]):
+            faults.append(f"--shard {self.shard}: must be I/N, I from 1 to N, such as 1/2 and 2/2")
+        if faults:
+            raise ConfigError(faults)
+
+    @property
+    def is_part(self) -> bool:
+        """Whether a shard is not the whole."""
+        return int(self.shard.split("/")[1]) > 1
+
+    def part_of(self, cases: Sequence[Case]) -> list[Case]:
+        """Return the cases of the shard: neighbours, which take about as long, are in different ones."""
+        first, count = map(int, self.shard.split("/"))
+        return list(cases[first - 1 :: count])
 
 
 def run_study(
@@ -158,9 +199,10 @@ def run_study(
     ConfigError
         No case is selected, or the folder cannot be written to.
     """
-    if selection.sandboxed:
+    if selection.sandboxed and selection.executor == "local":
         require_sandbox()  # before anything is built
-    plants, cases = selected_cases(resolved, selection, progress)
+    plants, every = selected_cases(resolved, selection, progress)
+    cases = selection.part_of(every)
     run_missing(cases, folder, selection, progress, begin=True)
     study = resolved.whole.with_seeds(selection.seeds)
     results, damaged = load_cases(folder, study, [case.id for case in cases])
@@ -173,7 +215,20 @@ def run_study(
             provenance_of(name, key) if len(plants) > 1 else key: fact for key, fact in facts.items()
         }
     provenance |= _provenance(results, selection)
-    return write_results(StudyResults(folder, study, results, provenance, damaged))
+    whole = [case.id for case in every] if selection.is_part else None
+    return write_results(StudyResults(folder, study, results, provenance, damaged), whole)
+
+
+def _done(cases: Sequence[Case], folder: Path, selection: Selection, progress: Progress) -> Iterator[Case]:
+    """Run cases where they are to run, and yield each one when its files are written."""
+    sandboxed = selection.sandboxed
+    if not cases:
+        return iter(())
+    if selection.executor == "local":
+        return run_cases(cases, folder, selection.jobs, progress.update, sandboxed=sandboxed)
+    from ddpc_cosim.study.cluster import run_on_cluster  # which few runs need
+
+    return run_on_cluster(cases, folder, selection.scheduler, run_cases, sandboxed=sandboxed)
 
 
 def selected_cases(
@@ -217,19 +272,16 @@ def run_missing(
         raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
     missing = {case.id: case for case in cases if selection.fresh or not _is_there(cases_folder / case.id)}
     kept = [case for case in cases if case.id not in missing]
-    _compile_ahead({path: None for case in missing.values() for path in files_read(case)}, progress)
+    if selection.executor == "local":
+        _compile_ahead({path: None for case in missing.values() for path in files_read(case)}, progress)
     if begin:
         progress.start(len(missing), len(kept))
     for case in kept:
         judge_again(cases_folder / case.id, case.metrics)
         if not begin:
             progress.finished(case, load_case(cases_folder / case.id))
-    if missing:
-        done = run_cases(
-            [*missing.values()], cases_folder, selection.jobs, progress.update, sandboxed=selection.sandboxed
-        )
-        for case in done:
-            progress.finished(case, load_case(cases_folder / case.id))
+    for case in _done([*missing.values()], cases_folder, selection, progress):
+        progress.finished(case, load_case(cases_folder / case.id))
 
 
 def built_plants(resolved: "ResolvedProblems", progress: Progress) -> dict[str, PlantSpec]:
@@ -276,6 +328,7 @@ def _provenance_of_problem(results: Sequence[CaseResult], spec: PlantSpec, previ
 
 
 def _provenance(results: Sequence[CaseResult], selection: Selection) -> dict[str, str]:
+    is_local = selection.executor == "local"
     versions = {f"{name.lower()} version": metadata.version(name) for name in _VERSIONS_OF}
     facts = {
         "sandbox": _sandboxes(results),
@@ -283,8 +336,8 @@ def _provenance(results: Sequence[CaseResult], selection: Selection) -> dict[str
         "python version": platform.python_version(),
         **versions,
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "cpu": _cpu(),
-        "workers": str(selection.jobs),
+        "cpu": _cpu() if is_local else "of dask workers, not recorded",
+        "workers": str(selection.jobs) if is_local else "dask",
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
@@ -535,9 +588,7 @@ class _Run:
         write_case(self._folder, trace, head, self._staging, self.case.metrics)
 
 
-def run_and_stage(
-    case: Case, rows: Path, staged: Path, modules: str, values: bytes, began: float
-) -> None:
+def run_and_stage(case: Case, rows: Path, staged: Path, modules: str, values: bytes, began: float) -> None:
     """Run a case, in a worker, and write its files where they do not count yet.
 
     ``began`` is when its worker was asked for, which is part of what it takes.

@@ -1,0 +1,241 @@
+"""Studies on a dask cluster: a scheduler and workers as processes on this machine."""
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ddpc_cosim import ConfigError
+from ddpc_cosim.cli.progress import LineProgress
+from ddpc_cosim.study import cluster as executor
+from ddpc_cosim.study.case_files import read_run
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.results import StudyResults
+from ddpc_cosim.study.runner import Selection, run_study
+
+pytestmark = [
+    pytest.mark.xdist_group("cluster"),
+    pytest.mark.skipif(sys.platform == "win32", reason="named pipes"),
+]
+WriteStudy = Callable[..., Path]
+
+SCHEDULER = """
+import asyncio
+from distributed import Scheduler
+async def serve():
+    async with Scheduler(host="127.0.0.1", port=0, dashboard=False) as scheduler:
+        print(scheduler.address, flush=True)
+        await scheduler.finished()
+asyncio.run(serve())
+"""
+WORKER = """
+import asyncio, sys
+from distributed import Worker
+async def serve():
+    async with Worker(sys.argv[1], nthreads=1, dashboard=False) as worker:
+        print(worker.address, flush=True)
+        await worker.finished()
+asyncio.run(serve())
+"""
+OWN = """
+import ctypes, os
+from dataclasses import dataclass
+from pathlib import Path
+import numpy as np
+from beside import GAIN
+from ddpc_cosim import Controller, setting
+
+@dataclass(kw_only=True)
+class Own(Controller):
+    offsets: str = setting("", doc="file of an offset", file=True)
+    def start(self, loop):
+        self.offset = float(Path(self.offsets).read_text())
+    def step(self, sample):
+        return GAIN * (sample.setpoint - sample.y) + self.offset
+
+class Segfaults(Own):
+    def step(self, sample):
+        return ctypes.string_at(0) if sample.k == 3 else super().step(sample)
+
+class Waits(Own):
+    def step(self, sample):
+        if sample.k == 3:
+            try:
+                Path("FOLDER/was-here").mkdir()
+            except FileExistsError:
+                pass
+            else:
+                Path("FOLDER/told").write_text(f"{os.environ['WORKER_NAME']} {os.getpid()}")
+                Path("FOLDER/never").read_text()
+        return super().step(sample)
+"""
+
+
+class Cluster:
+    """A scheduler and its workers, each with a cache and a working directory of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.processes: dict[str, subprocess.Popen[str]] = {}
+        self.address = self._start("scheduler", SCHEDULER, {})
+
+    def start_worker(self, name: str, environment: Mapping[str, str] | None = None) -> str:
+        return self._start(name, WORKER, {"WORKER_NAME": name, **(environment or {})}, self.address)
+
+    def _start(self, name: str, code: str, environment: Mapping[str, str], *arguments: str) -> str:
+        (place := self._folder / name).mkdir()
+        env = {**os.environ, "DDPC_COSIM_CACHE": str(place / "cache"), **environment}
+        command = [sys.executable, "-P", "-c", code, *arguments]
+        process = self.processes[name] = subprocess.Popen(
+            command, cwd=place, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        assert process.stdout is not None
+        return process.stdout.readline().strip()
+
+    def stop(self, name: str, number: int = signal.SIGTERM) -> None:
+        process = self.processes.pop(name)
+        process.send_signal(number)
+        process.communicate(timeout=60)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
+    try:
+        for name in ("one", "two"):
+            cluster.start_worker(name)
+        yield cluster
+    finally:
+        for name in reversed(cluster.processes.copy()):
+            cluster.stop(name)
+
+
+@pytest.fixture
+def own_study(
+    write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., Path]:
+    """Write a study with controllers of a module beside it, which reads a file and imports another."""
+    for name in ("own", "beside"):  # of another test
+        monkeypatch.delitem(sys.modules, name, raising=False)
+
+    def write(*controllers: str, seeds: str) -> Path:
+        study = write_study(*controllers, seeds=seeds)
+        own = [name.partition(":")[2].lower() for name in controllers if ":" in name]
+        settings = [f'[controllers.{name}.settings]\noffsets = "offset.txt"\n' for name in own]
+        study.write_text(study.read_text() + "".join(settings))
+        (tmp_path / "own.py").write_text(OWN.replace("FOLDER", str(tmp_path)))
+        (tmp_path / "beside.py").write_text("GAIN = 0.5\n")
+        (tmp_path / "offset.txt").write_text("0.25")
+        return study
+
+    return write
+
+
+def run(study: Path, out: str, **selection: Any) -> StudyResults:
+    with (study.parent / "log").open("w") as log:
+        return run_study(
+            read_study(str(study)), study.parent / out, Selection(**selection), LineProgress(log)
+        )
+
+
+def read_from(pipe: Path) -> str:
+    """Return what is written into a named pipe within a minute."""
+    end = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    assert select.select([end], [], [], 60)[0], f"nothing has been written to {pipe.name}"
+    return os.read(end, 1000).decode()
+
+
+def on(cluster: Cluster) -> dict[str, str]:
+    return {"executor": "dask", "scheduler": cluster.address}
+
+
+def told(results: StudyResults) -> dict[str, Any]:
+    """Return what the files of each case say, bar how long things took."""
+    content = {}
+    for case in results.cases:
+        rows = [line.split(",") for line in (case.folder / "signals.csv").read_text().splitlines()]
+        timing = rows[0].index("solve_time [s]")
+        run = read_run(case.folder)
+        for key in ("wall_time", "signals"):
+            del run[key]
+        run["metrics"] = {key: value for key, value in run["metrics"].items() if "solve_time" not in key}
+        content[case.id] = [[row[:timing] + row[timing + 1 :] for row in rows], repr(run)]
+    return content
+
+
+def test_a_cluster_gives_what_this_machine_gives(
+    cluster: Cluster, own_study: Callable[..., Path], tmp_path: Path
+) -> None:
+    """And what crashes there costs its own case."""
+    study = own_study("mfapc", "own:Own", "own:Segfaults", seeds="[0, 1]")
+    there, here = run(study, "there", **on(cluster)), run(study, "here", jobs=1)
+    assert told(there) == told(here)
+    assert [case.outcome for case in there.cases] == ["completed"] * 4 + ["crashed"] * 2
+    assert "SIGSEGV" in there.cases[-1].reason
+    assert [*(tmp_path / "there").iterdir()] != []
+    assert not [path.name for path in (tmp_path / "there" / "cases").iterdir() if path.name.startswith(".")]
+
+
+def test_a_worker_that_is_killed_costs_no_case(
+    cluster: Cluster, own_study: Callable[..., Path], tmp_path: Path
+) -> None:
+    cluster.start_worker("third")
+    study = own_study("own:Own", "own:Waits", seeds="[0, 1, 2]")
+    for name in ("told", "never"):
+        os.mkfifo(tmp_path / name)
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(run, study, "out", **on(cluster))
+        worker, process = read_from(tmp_path / "told").split()
+        case = os.pidfd_open(int(process))
+        cluster.stop(worker, signal.SIGKILL)
+        results = running.result(timeout=120)
+    assert [case.outcome for case in results.cases] == ["completed"] * 6
+    assert select.select([case], [], [], 60)[0], "the case's process has outlived its worker"
+    os.close(case)
+
+
+def test_a_worker_without_the_plug_in_or_with_another_version_is_named(
+    cluster: Cluster, write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for version in ("1.0", "2.0"):
+        info = tmp_path / version / "demo_control.dist-info"
+        info.mkdir(parents=True)
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: demo-control\nVersion: {version}\n")
+        (info / "entry_points.txt").write_text("[ddpc_cosim.controllers]\ndemo = demo_control:Demo\n")
+        (tmp_path / version / "demo_control.py").write_text(
+            "from ddpc_cosim import Controller\n"
+            "class Demo(Controller):\n"
+            "    def start(self, loop): pass\n"
+            "    def step(self, sample): return sample.setpoint\n"
+        )
+    monkeypatch.syspath_prepend(str(tmp_path / "1.0"))
+    other = cluster.start_worker("other", {"PYTHONPATH": str(tmp_path / "2.0")})
+    try:
+        with pytest.raises(ConfigError) as caught:
+            run(write_study("demo"), "out", **on(cluster))
+    finally:
+        cluster.stop("other")
+    (versions,) = [fault for fault in caught.value.faults if other in fault]
+    assert "controllers demo: demo-control 2.0, code " in versions
+    assert "there, demo-control 1.0, code " in versions
+    without = [fault for fault in caught.value.faults if 'missing (no controller "demo"' in fault]
+    assert len(without) == len(caught.value.faults) - 1 >= 1
+
+
+def test_a_scheduler_that_does_not_answer_is_an_error(
+    write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(executor, "_CONNECT_SECONDS", 0.3)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+        with pytest.raises(ConfigError, match=f"--scheduler {address}: no dask scheduler answers"):
+            run(write_study("mfapc"), "out", executor="dask", scheduler=address)
