@@ -211,13 +211,15 @@ class TerminalProgress:
             self._progress.console.print(line, markup=False)
 
 
+def display(text: str) -> LineProgress | TerminalProgress:
+    """Return what shows long work on stderr, at first what a text says."""
+    return TerminalProgress(text) if sys.stderr.isatty() else LineProgress(sys.stderr, text)
+
+
 @contextmanager
 def shown(text: str) -> Iterator[LineProgress | TerminalProgress]:
     """Show long work on stderr, at first what a text says; what it prints to stdout itself is dropped."""
-    with (
-        TerminalProgress(text) if sys.stderr.isatty() else LineProgress(sys.stderr, text) as progress,
-        _without_output(),
-    ):
+    with display(text) as progress, _without_output():
         yield progress
 
 

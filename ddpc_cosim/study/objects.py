@@ -439,9 +439,9 @@ class Study:
         selection = Selection(jobs, list(seeds), only, fresh, sandbox, executor, scheduler, shard)
         if progress is not True:
             return run_study(resolve_file(file), folder, selection, progress or _Silent())
-        from ddpc_cosim.cli.progress import shown
+        from ddpc_cosim.cli.progress import display
 
-        with shown(f"reading {self.name}") as following:
+        with display(f"reading {self.name}") as following:
             return run_study(resolve_file(file), folder, selection, following)
 
     def _write_recordings(self, folder: Path) -> None:
