@@ -75,11 +75,14 @@ class StudyController(NamedTuple):
 
 @independent
 def resolve_controllers(
-    study: Study, folder: Path, errors: ValidationErrors, in_time: CallsInTime
+    study: Study, folder: Path, errors: ValidationErrors, in_time: CallsInTime, late: dict[str, str]
 ) -> list[StudyController]:
-    """Return the controllers of a study; paths among their settings are relative to a folder."""
+    """Return the controllers of a study; paths among their settings are relative to a folder.
+
+    ``late`` holds, by type, the call that has not returned in time; what is late here is added.
+    """
     controllers: list[StudyController] = []
-    taken, late = set(study.controllers), dict[str, str]()
+    taken = set(study.controllers)
     for of, section in study.controllers.items():
         place: Place = ("controllers", of)
         for name, varied, sweep in _variants(of, section, with_sweeps=(*place, "sweep") not in errors.found):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 from ddpc_cosim.errors import ConfigError, Place, PluginError, dotted
 from ddpc_cosim.plugins import find_modules_in, load_plugin
 from ddpc_cosim.study.problems import PROBLEMS, FlatStudy, Taken, flat_studies, has_key
-from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy, resolve
+from ddpc_cosim.study.resolve import Known, ResolvedProblems, ResolvedStudy, resolve
 from ddpc_cosim.study.sections import Study, StudyHead
 from ddpc_cosim.study.validation_errors import ValidationErrors, in_folder, parse
 from ddpc_cosim.study.variants import SWEEP, with_variants
@@ -102,15 +102,19 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
     # Where each error stands, and in which problems: one in what they share is told once.
     found: dict[tuple[str, Place, str], list[str]] = {}
     problems = dict[str, ResolvedStudy]()
-    for part in parts:
-        errors = ValidationErrors()
-        resolved = resolve(parse(Study, part.tables, file.folder, errors), file.folder, errors)
-        for place, messages in errors.found.items():
-            for message in messages:
-                within = found.setdefault((*part.origin(place), message), [])
-                within += [str(part.tables["name"])] if part.problem not in within else []
-        if resolved is not None:
-            problems[resolved.study.name] = resolved
+    known = Known()
+    try:
+        for part in parts:
+            errors = ValidationErrors()
+            resolved = resolve(parse(Study, part.tables, file.folder, errors), file.folder, errors, known)
+            for place, messages in errors.found.items():
+                for message in messages:
+                    within = found.setdefault((*part.origin(place), message), [])
+                    within += [str(part.tables["name"])] if part.problem not in within else []
+            if resolved is not None:
+                problems[resolved.study.name] = resolved
+    finally:
+        known.forget()
     for place, messages in common.found.items():
         found |= {("", place, message): [] for message in messages}
     if found:

@@ -113,7 +113,34 @@ class ResolvedProblems:
         return only
 
 
-def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStudy | None:
+class Known:
+    """What has been found out about plants and controllers, for all problems of a study."""
+
+    def __init__(self) -> None:
+        self._variables: list[tuple[PlantSpec, PlantVariables]] = []
+        self._in_time: dict[float, CallsInTime] = {}
+        self.late: dict[str, str] = {}  # by type of controller, the call that has not returned in time
+
+    def in_time(self, seconds: float) -> CallsInTime:
+        """Return what makes calls that have to return within so many seconds."""
+        return self._in_time.setdefault(seconds, CallsInTime(seconds))
+
+    def variables(self, spec: PlantSpec) -> PlantVariables:
+        """Return the variables of a plant, which is asked once."""
+        found = next((variables for known, variables in self._variables if known == spec), None)
+        if found is None:
+            found = spec.variables()
+            self._variables.append((spec, found))
+        return found
+
+    def forget(self) -> None:
+        """Let go of threads and files."""
+        for in_time in self._in_time.values():
+            in_time.__exit__()
+        forget_cells()
+
+
+def resolve(study: Study, folder: Path, errors: ValidationErrors, known: Known) -> ResolvedStudy | None:
     """Look up everything that a study names, and check that it fits together.
 
     Parameters
@@ -124,17 +151,15 @@ def resolve(study: Study, folder: Path, errors: ValidationErrors) -> ResolvedStu
         Folder of the file: paths in it are relative to this.
     errors : ValidationErrors
         What was found before; what is found here is added.
+    known : Known
+        What is known from other problems of the study; what is found out here is added.
 
     Returns
     -------
     resolved : ResolvedStudy or None
         None if there are errors.
     """
-    try:
-        with CallsInTime(time_limit(study)) as in_time:
-            return _Resolution(study, folder, errors, in_time).result()
-    finally:
-        forget_cells()
+    return _Resolution(study, folder, errors, known).result()
 
 
 def _dotted_names(settings: Mapping[str, Any], before: str = "") -> Iterator[str]:
@@ -148,10 +173,11 @@ def _dotted_names(settings: Mapping[str, Any], before: str = "") -> Iterator[str
 class _Resolution:
     """The way of one study; what does not fit is reported, and what depends on it is left out."""
 
-    def __init__(self, study: Study, folder: Path, errors: ValidationErrors, in_time: CallsInTime) -> None:
-        self.study, self.errors, self.in_time = study, errors, in_time
-        self.controllers = resolve_controllers(study, folder, errors, in_time) or []
-        self.stabiliser = resolve_stabiliser(study, folder, errors, in_time)
+    def __init__(self, study: Study, folder: Path, errors: ValidationErrors, known: Known) -> None:
+        self.study, self.errors, self.known = study, errors, known
+        self.in_time = known.in_time(time_limit(study))
+        self.controllers = resolve_controllers(study, folder, errors, self.in_time, known.late) or []
+        self.stabiliser = resolve_stabiliser(study, folder, errors, self.in_time)
         self._check_report()
         for controller in self.controllers:
             self._check_search(controller)
@@ -281,7 +307,7 @@ class _Resolution:
             return None
         try:
             spec = PlantSpec.of(section, folder)
-            return spec, spec.variables()
+            return spec, self.known.variables(spec)
         except CosimError as error:
             self.errors.add((*_PLANT, "fmu" if section.fmu else "name"), str(error))
             return None
