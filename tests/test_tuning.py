@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from benchmarks import tuning
+from ddpc_cosim.study.file_format.sections import Study, expand_seeds
 from ddpc_cosim.study.reading import find_study
-from ddpc_cosim.study.sections import Study, expand_seeds
 
 COMPARATIVE = ["direction-change", "mimo", "noise", "reactor", "time-varying", "unstable"]
 

@@ -154,8 +154,8 @@ def _is_controller(name: str) -> bool:
 
 
 def _plant(name: str) -> Subject:
+    from ddpc_cosim.study.file_format.sections import PlantSection
     from ddpc_cosim.study.plants import PlantSpec
-    from ddpc_cosim.study.sections import PlantSection
 
     plant = PlantSpec.of(PlantSection(name=name), Path()).built()
     return FMUSubject(plant.fmu) if plant.fmu else PlantSubject(name)

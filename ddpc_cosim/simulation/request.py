@@ -18,8 +18,8 @@ from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.signals import Interpolated, Steps, values_at
 from ddpc_cosim.simulation.golden import TIME, Golden
 from ddpc_cosim.study.cases import Case
+from ddpc_cosim.study.file_format.sections import PlantSection
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables, read_fmu
-from ddpc_cosim.study.sections import PlantSection
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.spelling import did_you_mean
 

@@ -37,8 +37,13 @@ from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable, names
 
 if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
+    from ddpc_cosim.study.file_format.sections import (
+        ControllerSection,
+        LoopSection,
+        ScenarioSection,
+        StabiliserSection,
+    )
     from ddpc_cosim.study.resolve import ResolvedStudy
-    from ddpc_cosim.study.sections import ControllerSection, LoopSection, ScenarioSection, StabiliserSection
 
 _MOST_LISTED = 8
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"

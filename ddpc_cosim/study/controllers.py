@@ -20,13 +20,18 @@ from ddpc_cosim.settings import (
     map_files,
 )
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
-from ddpc_cosim.study.sections import (
+from ddpc_cosim.study.file_format.sections import (
     ControllerSection,
     StabiliserSection,
     Study,
 )
-from ddpc_cosim.study.sweeps import combinations, variant_label, variant_name
-from ddpc_cosim.study.validation_errors import InvalidFieldError, ValidationErrors, in_folder, independent
+from ddpc_cosim.study.file_format.sweeps import combinations, variant_label, variant_name
+from ddpc_cosim.study.file_format.validation_errors import (
+    InvalidFieldError,
+    ValidationErrors,
+    in_folder,
+    independent,
+)
 
 
 class StudyController(NamedTuple):

@@ -6,7 +6,7 @@ from statistics import median
 
 from ddpc_cosim.metrics import split_key
 from ddpc_cosim.study.case_files import CaseResult
-from ddpc_cosim.study.sections import Study
+from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.trace import Outcome
 
 FOLLOWS = 5.0

@@ -18,12 +18,12 @@ from ddpc_cosim.plugins import name_of
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
+from ddpc_cosim.study.file_format.sections import expand_seeds
+from ddpc_cosim.study.file_format.written import Table, controller_table, experiment_table, signal_table
 from ddpc_cosim.study.problems import PROBLEMS, absolute_paths
 from ddpc_cosim.study.reading import StudyFile, find_study, resolve_file
 from ddpc_cosim.study.results import StudyResults
 from ddpc_cosim.study.runner import Progress, Selection, Update, run_study
-from ddpc_cosim.study.sections import expand_seeds
-from ddpc_cosim.study.written import Table, controller_table, experiment_table, signal_table
 from ddpc_cosim.texts import html_table, printable
 from fmu_plants.files import write_atomically
 from fmu_plants.spelling import did_you_mean
@@ -255,8 +255,8 @@ class Problem:
         """Return the inputs or outputs that take part, where none are named those of the plant."""
         if given := list(getattr(self, which)):
             return given
+        from ddpc_cosim.study.file_format.sections import PlantSection
         from ddpc_cosim.study.plants import PlantSpec
-        from ddpc_cosim.study.sections import PlantSection
 
         variables = PlantSpec.of(PlantSection(**self._plant_name()), Path()).variables()
         return list(getattr(variables, f"default_{which}") or getattr(variables, which))

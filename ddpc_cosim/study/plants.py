@@ -25,7 +25,7 @@ from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, names, with_
 
 if TYPE_CHECKING:
     from ddpc_cosim.fmu.description import FMUDescription
-    from ddpc_cosim.study.sections import PlantSection
+    from ddpc_cosim.study.file_format.sections import PlantSection
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,9 @@ class PlantSpec:
         CosimError
             There is no such plant, or it cannot be loaded.
         """
-        from ddpc_cosim.study.validation_errors import in_folder  # a worker, which opens plants, does without
+        from ddpc_cosim.study.file_format.validation_errors import (
+            in_folder,  # a worker, which opens plants, does without
+        )
 
         spec = cls(
             name=section.name,

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, Self
 from ddpc_cosim.errors import ConfigError, CosimError, Place
 from ddpc_cosim.settings import PLANT, map_files
 from ddpc_cosim.study.controller_plugins import controller_class
-from ddpc_cosim.study.sections import Study, StudyHead
-from ddpc_cosim.study.validation_errors import ValidationErrors, in_folder
+from ddpc_cosim.study.file_format.sections import Study, StudyHead
+from ddpc_cosim.study.file_format.validation_errors import ValidationErrors, in_folder
 from fmu_plants.spelling import did_you_mean
 
 Table = dict[str, Any]

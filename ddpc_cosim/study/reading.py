@@ -9,10 +9,10 @@ from typing import Any, NamedTuple, Self
 
 from ddpc_cosim.errors import ConfigError, Place, PluginError, dotted
 from ddpc_cosim.plugins import find_modules_in, load_plugin
+from ddpc_cosim.study.file_format.sections import Study, StudyHead
+from ddpc_cosim.study.file_format.validation_errors import ValidationErrors, in_folder, parse
 from ddpc_cosim.study.problems import PROBLEMS, FlatStudy, Taken, flat_studies, has_key
 from ddpc_cosim.study.resolve import Known, ResolvedProblems, ResolvedStudy, resolve
-from ddpc_cosim.study.sections import Study, StudyHead
-from ddpc_cosim.study.validation_errors import ValidationErrors, in_folder, parse
 from ddpc_cosim.study.variants import SWEEP, with_variants
 
 _MOST_LISTED = 4

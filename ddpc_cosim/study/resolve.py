@@ -23,12 +23,12 @@ from ddpc_cosim.study.controllers import (
     resolve_stabiliser,
     time_limit,
 )
+from ddpc_cosim.study.file_format.sections import BoundsSection, RecordingSection, Study, StudyHead
+from ddpc_cosim.study.file_format.validation_errors import Section, ValidationErrors, independent
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.scenarios import Scenarios
-from ddpc_cosim.study.sections import BoundsSection, RecordingSection, Study, StudyHead
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters
-from ddpc_cosim.study.validation_errors import Section, ValidationErrors, independent
 from ddpc_cosim.variables import Variable
 
 _MOST_LISTED = 8

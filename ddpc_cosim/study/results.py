@@ -20,7 +20,7 @@ from ddpc_cosim.study.case_files import (
     read_sealed,
     sealed_json,
 )
-from ddpc_cosim.study.sweeps import variant_words
+from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.texts import encodable, html_table, printable
 from ddpc_cosim.trace import Trace
 from fmu_plants.files import write_atomically
@@ -29,8 +29,8 @@ from fmu_plants.spelling import did_you_mean
 if TYPE_CHECKING:
     import pandas as pd
 
+    from ddpc_cosim.study.file_format.sections import Study
     from ddpc_cosim.study.problems import WholeStudy
-    from ddpc_cosim.study.sections import Study
 
 REPORT_FILE = "report.html"
 STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
@@ -69,6 +69,17 @@ class StudyResults:
     cases: tuple[CaseResult, ...]
     provenance: dict[str, str]
     damaged: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # The files of a flat study's cases do not name its problem.
+        cases = (case if case.problem else replace(case, problem=self._own_name) for case in self.cases)
+        object.__setattr__(self, "cases", tuple(cases))
+
+    @property
+    def _own_name(self) -> str:
+        """Name of a flat study; of another one that of its first problem."""
+        names = self.whole.problems
+        return self.whole.head.name if self.whole.head.name in names else next(iter(names))
 
     @property
     def study(self) -> "Study":
@@ -109,7 +120,7 @@ class StudyResults:
         longest_first = sorted(self.whole.problems, key=len, reverse=True)
         for id, why in self.damaged.items():
             found = (name for name in longest_first if id.startswith(f"{name}_"))
-            damaged[next(found, self.whole.head.name)][id] = why
+            damaged[next(found, self._own_name)][id] = why
         facts: dict[str, dict[str, str]] = {}
         for key, fact in self.provenance.items():
             problem, _, own = key.partition(_OF_PROBLEM)

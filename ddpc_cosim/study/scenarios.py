@@ -6,10 +6,10 @@ from ddpc_cosim.conditions import Conditions, delay_error, may_have
 from ddpc_cosim.errors import Place
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import late_error
-from ddpc_cosim.study.sections import DriftSection, EventSection, ScenarioSection
+from ddpc_cosim.study.file_format.sections import DriftSection, EventSection, ScenarioSection
+from ddpc_cosim.study.file_format.signal_sections import RampReference, StepsSection
+from ddpc_cosim.study.file_format.validation_errors import Section, independent
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters, check_value
-from ddpc_cosim.study.signal_sections import RampReference, StepsSection
-from ddpc_cosim.study.validation_errors import Section, independent
 from ddpc_cosim.variables import Variable
 
 

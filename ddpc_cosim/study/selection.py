@@ -8,10 +8,10 @@ from ddpc_cosim.excitations import Excitation, MixedExcitation
 from ddpc_cosim.loop_setup import excitation_table
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.signals import Reference
+from ddpc_cosim.study.file_format.sections import RecordingSection, Study
+from ddpc_cosim.study.file_format.signal_sections import Excited, Experiment
+from ddpc_cosim.study.file_format.validation_errors import InvalidFieldError, ValidationErrors, independent
 from ddpc_cosim.study.plants import PlantVariables
-from ddpc_cosim.study.sections import RecordingSection, Study
-from ddpc_cosim.study.signal_sections import Excited, Experiment
-from ddpc_cosim.study.validation_errors import InvalidFieldError, ValidationErrors, independent
 from ddpc_cosim.variables import Variable, converter
 
 K = TypeVar("K", str, int)

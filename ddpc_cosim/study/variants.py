@@ -8,8 +8,7 @@ from functools import partial
 from typing import Any
 
 from ddpc_cosim.errors import Place
-from ddpc_cosim.study.problems import OF_HEAD, PROBLEMS, FlatStudy, Table
-from ddpc_cosim.study.sweeps import (
+from ddpc_cosim.study.file_format.sweeps import (
     MOST_VARIANTS,
     ZIP,
     combinations,
@@ -19,7 +18,8 @@ from ddpc_cosim.study.sweeps import (
     variant_label,
     variant_name,
 )
-from ddpc_cosim.study.validation_errors import ValidationErrors
+from ddpc_cosim.study.file_format.validation_errors import ValidationErrors
+from ddpc_cosim.study.problems import OF_HEAD, PROBLEMS, FlatStudy, Table
 
 SWEEP = "sweep"
 

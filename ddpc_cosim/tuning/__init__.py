@@ -18,13 +18,13 @@ import tomli_w
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.study.case_files import load_case
 from ddpc_cosim.study.cases import Case, cases_of_problems
+from ddpc_cosim.study.file_format.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import StudyFile, resolve_file
 from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, StudyResults
 from ddpc_cosim.study.runner import Progress, Selection, built_plants, run_missing, run_study
-from ddpc_cosim.study.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
 from ddpc_cosim.texts import encodable
 from ddpc_cosim.tuning.objectives import PREDICTION, Objective, reference_spans
 from ddpc_cosim.tuning.search import (

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from ddpc_cosim.settings import Choice, Factor, Integer, Log, Search, SettingsError, declared_settings
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
-from ddpc_cosim.study.sections import ControllerSection
+from ddpc_cosim.study.file_format.sections import ControllerSection
 
 
 class Trial(NamedTuple):

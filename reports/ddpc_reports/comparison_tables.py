@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from ddpc_cosim.metrics import Metric, all_metrics, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
-from ddpc_cosim.study.sections import PublishedMethod, Reproduction
+from ddpc_cosim.study.file_format.sections import PublishedMethod, Reproduction
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults, Trace
-from ddpc_cosim.study.sections import TunedSection
+from ddpc_cosim.study.file_format.sections import TunedSection
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.numbers import as_given, computed, with_unit
 from ddpc_reports.settings_tables import compact_seeds, limits_texts, mapping_text

@@ -10,8 +10,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults
+from ddpc_cosim.study.file_format.sections import Reproduction
 from ddpc_cosim.study.following import following_lines
-from ddpc_cosim.study.sections import Reproduction
 from ddpc_cosim.texts import printable
 from ddpc_reports.across_problems import overall, overall_figures, overall_statements, overall_table
 from ddpc_reports.case_tables import (

@@ -11,8 +11,8 @@ from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_of
+from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.ranks import setting_effect
-from ddpc_cosim.study.sweeps import variant_words
 from ddpc_reports.charts import heat_chart
 from ddpc_reports.comparison import (
     Condition,

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from ddpc_cosim import CosimError, StudyResults, Trace, Variable, declared_settings
 from ddpc_cosim.plugins import load_plugin
-from ddpc_cosim.study.sections import (
+from ddpc_cosim.study.file_format.sections import (
     ControllerSection,
     DriftSection,
     LoopSection,

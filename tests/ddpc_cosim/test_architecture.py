@@ -18,7 +18,8 @@ ROOMS = {
 }
 # Modules that plug-ins may use besides the names of the package.
 PUBLIC_MODULES = {"metrics", "plugins", "responses", "testing", "texts"}
-PUBLIC_MODULES |= {"study.following", "study.ranks", "study.sections", "study.statistics", "study.sweeps"}
+PUBLIC_MODULES |= {"study.following", "study.ranks", "study.statistics"}
+PUBLIC_MODULES |= {"study.file_format.sections", "study.file_format.sweeps"}
 
 
 def modules(room: str) -> dict[str, Path]:

@@ -51,7 +51,7 @@ def results_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Stud
     def run(name: str) -> StudyResults:
         if name not in done:
             study, folder = read_study(str(STUDIES / f"{name}.toml")), tmp_path_factory.mktemp(name)
-            selection = Selection(jobs=2, seeds=study.study.seeds[: 3 if name in COMPARATIVE else 1])
+            selection = Selection(jobs=2, seeds=study.problem.study.seeds[: 3 if name in COMPARATIVE else 1])
             done[name] = run_study(study, folder, selection, Silent())
         return done[name]
 

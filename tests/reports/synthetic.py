@@ -10,8 +10,8 @@ import numpy as np
 from ddpc_cosim import Bounds, CaseResult, DisplayUnit, Outcome, StudyResults, Trace, Variable
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.case_files import load_case, write_case
+from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_cosim.study.sections import Study
 
 SAMPLING_TIME = 0.1
 SAMPLES = 61

@@ -12,8 +12,8 @@ from markupsafe import Markup
 from pydantic import BaseModel, ValidationError
 
 from ddpc_cosim import StudyResults, Trace
+from ddpc_cosim.study.file_format.sections import ReportSection, SearchSection, Study
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_cosim.study.sections import ReportSection, Study
 from ddpc_reports import figures, settings_tables as settings_module
 from ddpc_reports.comparison import conditions
 from ddpc_reports.page import render_page
@@ -54,6 +54,7 @@ CONTENT: dict[str, Any] = {
     "reference": {
         "angle": {"kind": "steps", "times": [0.0, 3.0], "values": [10.0, 20.0], "unit": "deg"},
         "constant": {"kind": "constant", "value": 1.0, "unit": "m"},
+        "points": {"kind": "interpolated", "times": [0.0, 3.0], "values": [1.0, 2.0], "unit": "m"},
         "ramp": {
             "kind": "ramp",
             "from_value": 0.0,
@@ -311,7 +312,14 @@ def set_in(value: Any) -> Iterator[tuple[str, str]]:
 def test_the_study_of_these_tests_sets_every_field_there_is() -> None:
     """A field that is added to the study files has to be added to these tests."""
     known = {(one.__name__, name) for one in sections_in(Study) for name in one.model_fields}
-    assert known - set(set_fields(Study.model_validate(CONTENT))) == {("PlantSection", "fmu")}
+    elsewhere = {
+        ("PlantSection", "fmu"),  # in place of its name
+        ("ControllerSection", "search"),  # of what is tuned, not of what is run
+        *(("SearchSection", key) for key in SearchSection.model_fields),
+        ("Study", "variant_of"),  # in the table of the study's sweep
+        ("Study", "varied"),
+    }
+    assert known - set(set_fields(Study.model_validate(CONTENT))) == elsewhere
 
 
 def test_studies_that_differ_in_one_value_read_differently(results: StudyResults) -> None:

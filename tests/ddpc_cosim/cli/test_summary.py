@@ -10,8 +10,8 @@ from rich.console import Console
 from ddpc_cosim import CaseResult, Outcome, StudyResults
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS
+from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_cosim.study.sections import Study
 
 COST = "mean_abs_error.angle [deg]"
 VALUES = {COST: 0.0, "settled_error.angle [deg]": 0.1, "max_abs_input.torque [N.m]": 3.0}

@@ -10,10 +10,10 @@ from fmus.builder import Fault
 from ddpc_cosim import ConfigError, Outcome, Trace
 from ddpc_cosim.study.case_files import read_trace
 from ddpc_cosim.study.cases import cases_of
+from ddpc_cosim.study.file_format.sections import PlantSection
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Update, run_cases
-from ddpc_cosim.study.sections import PlantSection
 
 from .loop import FAULT_SAMPLE, FAULT_TIME, SHORT
 

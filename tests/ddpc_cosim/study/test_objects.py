@@ -45,8 +45,8 @@ from ddpc_cosim import (
     load_results,
     setting,
 )
-from ddpc_cosim.study.signal_sections import ExcitationSection, Excited, Experiment, InputSection
-from ddpc_cosim.study.written import controller_table, experiment_table, signal_table
+from ddpc_cosim.study.file_format.signal_sections import ExcitationSection, Excited, Experiment, InputSection
+from ddpc_cosim.study.file_format.written import controller_table, experiment_table, signal_table
 
 NUMBERS = st.floats(-1e6, 1e6)
 TIMES = st.lists(NUMBERS, min_size=1, max_size=5, unique=True).map(sorted)

@@ -12,9 +12,9 @@ from hypothesis import given, strategies as st
 
 from ddpc_cosim import ConfigError, Controller, FloatArray, Loop, Ramp, Sample, Sine, Steps, setting
 from ddpc_cosim.study.cases import Case, cases_of
+from ddpc_cosim.study.file_format.sections import expand_seeds
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.study.sections import expand_seeds
 from ddpc_cosim.variables import DisplayUnit, Variable, converter, names
 
 TARGET = PlantSpec(name="", fmu="pendulum.fmu", content="0")

@@ -10,12 +10,12 @@ import pytest
 
 from ddpc_cosim import ConfigError
 from ddpc_cosim.cli.progress import LineProgress
+from ddpc_cosim.study.file_format.sweeps import combinations, swept_values
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedProblems
 from ddpc_cosim.study.results import load_results
 from ddpc_cosim.study.runner import Selection, run_study
-from ddpc_cosim.study.sweeps import combinations, swept_values
 from ddpc_reports.page import render_page
 
 FLAT = """

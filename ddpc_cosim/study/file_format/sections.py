@@ -12,7 +12,7 @@ from ddpc_cosim.csv_files import TIME_TOLERANCE
 from ddpc_cosim.loop_setup import end_time, limits_error, whole_steps
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.settings import Choice, Factor, Integer, Linear, Log, Search
-from ddpc_cosim.study.signal_sections import (
+from ddpc_cosim.study.file_format.signal_sections import (
     DisturbanceSection,
     ExcitationSection,
     Finite,
@@ -23,8 +23,8 @@ from ddpc_cosim.study.signal_sections import (
     ReferenceSection,
     faults_of,
 )
-from ddpc_cosim.study.sweeps import MOST_VARIANTS, count, sweep_errors, swept_values
-from ddpc_cosim.study.validation_errors import FilePath, Section
+from ddpc_cosim.study.file_format.sweeps import MOST_VARIANTS, count, sweep_errors, swept_values
+from ddpc_cosim.study.file_format.validation_errors import FilePath, Section
 from ddpc_cosim.texts import printable
 
 Text = Annotated[str, AfterValidator(partial(printable, keep="\n"))]

@@ -13,7 +13,7 @@ from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.excitations import PRBS, Chirp, Excitation, Multisine, SignalExcitation, UniformRandom
 from ddpc_cosim.signals import Constant, Interpolated, Ramp, Reference, Sine, Steps, WhiteNoise
-from ddpc_cosim.study.validation_errors import FilePath, Section
+from ddpc_cosim.study.file_format.validation_errors import FilePath, Section
 from ddpc_cosim.variables import Variable
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
