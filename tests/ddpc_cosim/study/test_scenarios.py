@@ -226,7 +226,8 @@ def faults_of(folder: Path, scenario: str, **changes: str) -> list[str]:
         ),
         (
             'inputs.pump_2 = { kind = "sinus" }',
-            "inputs.pump_2: must be one of 'constant', 'steps', 'interpolated', 'ramp', 'sine', 'file', 'noise', got 'sinus'",
+            "inputs.pump_2: must be one of 'constant', 'steps', 'interpolated', 'ramp', 'sine', 'file', "
+            "'noise', got 'sinus'",
         ),
         (
             "delay = { level_1 = 6.0 }",
