@@ -1,4 +1,4 @@
-"""The progress display on a terminal."""
+"""The progress display on a terminal, and a stdout that is closed."""
 
 import os
 import pty
@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from fmus.builder import Fault
+
+from .cli.test_progress import LOUD
 
 WriteStudy = Callable[..., Path]
 
@@ -57,3 +59,11 @@ def test_a_case_that_failed_stays_in_sight(program: str, write_study: WriteStudy
     )
     assert exit_code == 1
     assert "mfapc_seed0: fmu-error: return_error.fmu: fmi2DoStep returned error" in drawn
+
+
+def test_a_closed_stdout_costs_nothing_and_stays_closed(program: str, tmp_path: Path) -> None:
+    (tmp_path / "loud.py").write_text(LOUD, encoding="utf-8")
+    close = 'exec "$0" simulate loud:Tank --stop 1 --out out.csv >&-'
+    done = subprocess.run(["sh", "-c", close, program], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+    assert len((tmp_path / "out.csv").read_text(encoding="utf-8").splitlines()) == 502

@@ -21,10 +21,7 @@ from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import StudyResults
 from ddpc_cosim.study.runner import Selection, run_study
 
-pytestmark = [
-    pytest.mark.xdist_group("cluster"),
-    pytest.mark.skipif(sys.platform == "win32", reason="named pipes"),
-]
+pytestmark = pytest.mark.xdist_group("cluster")
 WriteStudy = Callable[..., Path]
 
 SCHEDULER = """
