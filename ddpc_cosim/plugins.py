@@ -6,6 +6,7 @@ import importlib
 import importlib.metadata
 import importlib.util
 import inspect
+import pickle
 import sys
 import sysconfig
 import textwrap
@@ -324,15 +325,15 @@ _DATA = (bool, int, float, complex, str, bytes, tuple, list, dict, set, NoneType
 def _own_source(value: Any) -> list[str]:
     """Return the source of a class and of what it uses of its own module.
 
-    Data are told by their values, other objects by their class. Where there is no source, as of a class that
-    was made without a file, its code stands in for it.
+    Data are told by their values. Where there is no source, as of a class that was made without a file, its
+    code stands in for it.
     """
     parts, waiting, seen = list[str](), [value], {id(value)}
     while waiting:
         one = waiting.pop()
         if not isinstance(one, type | FunctionType):
-            if isinstance(one, _DATA):
-                parts.append(repr(one))
+            parts.append(_content_of(one))
+            if type(one).__module__ != value.__module__:
                 continue
             one = type(one)
         try:
@@ -344,11 +345,22 @@ def _own_source(value: Any) -> list[str]:
         around = vars(sys.modules[one.__module__]) if one.__module__ in sys.modules else {}
         for name in sorted(used & around.keys()):
             other = around[name]
-            is_own = getattr(other, "__module__", one.__module__) == one.__module__
-            if id(other) not in seen and is_own and not isinstance(other, ModuleType):
+            is_code = isinstance(other, type | FunctionType)
+            is_own = other.__module__ == one.__module__ if is_code else not isinstance(other, ModuleType)
+            if id(other) not in seen and is_own:
                 seen.add(id(other))
                 waiting.append(other)
     return parts
+
+
+def _content_of(value: Any) -> str:
+    """Return what an object holds, the same in every process; of one that cannot be written its class."""
+    if isinstance(value, set | frozenset):
+        return repr(sorted(map(repr, value)))
+    try:
+        return pickle.dumps(value, protocol=4).hex()
+    except Exception:  # what a third party's object can be
+        return type(value).__qualname__
 
 
 def _code_of(value: Any) -> str:

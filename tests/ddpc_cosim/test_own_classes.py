@@ -23,9 +23,10 @@ from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
 
 GAIN = 2.0
+TABLE = np.linspace(0.0, 1.0, 5000)
 
 def law(error):
-    return GAIN * error
+    return GAIN * error + 0.0 * TABLE[0]
 
 @dataclass(kw_only=True)
 class Proportional(Controller):
@@ -83,6 +84,7 @@ def test_classes_of_a_script_run_in_workers(tmp_path: Path) -> None:
     assert same == first
     for change in (
         ("GAIN = 2.0", "GAIN = 2.5"),
+        ("0.0, 1.0, 5000)", "0.0, 1.5, 5000)"),
         ("return GAIN *", "return 1.0 * GAIN *"),
         ("h * (u", "1 * h * (u"),
     ):
