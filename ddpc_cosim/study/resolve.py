@@ -265,6 +265,9 @@ class _Resolution:
         for i, method in enumerate(report.reproduction.methods if report.reproduction else ()):
             for key in ("printed", "published_code"):
                 self._require_controllers(("report", "reproduction", "methods", i), method, key)
+        if report.reference_points:
+            for key in ("zero", "full"):
+                self._require_controllers(("report", "reference_points"), report.reference_points, key)
 
     @independent
     def _require_controllers(self, place: Place, section: Section, key: str) -> None:

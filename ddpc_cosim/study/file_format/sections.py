@@ -408,12 +408,27 @@ class Panel(Section):
     controllers: list[str]
 
 
+class ReferencePoints(Section):
+    """Two controllers that do not compete: every error is shown as a share of the way between theirs."""
+
+    zero: str = Field(description="the controller at 0 %, e.g. one that does nothing")
+    full: str = Field(description="the controller at 100 %, e.g. one that shows what is possible")
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong where both are one."""
+        if self.zero == self.full:
+            yield "full", f'"{self.full}" is also at 0 %; needed: two different controllers'
+
+
 class ReportSection(Section):
     """What the report shows besides what every report shows."""
 
     panels: list[Panel] = Field([], description="panels of the figures; empty: one with all controllers")
     limitations: list[str] = Field([], description="what a reader must know to judge the results fairly")
     reproduction: Reproduction | None = None
+    reference_points: ReferencePoints | None = Field(
+        None, description="controllers at 0 % and at 100 % of a scale; they are shown, and not ranked"
+    )
 
 
 class StudyHead(Section):

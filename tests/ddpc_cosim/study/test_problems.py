@@ -199,6 +199,23 @@ def test_a_problem_without_controllers_and_a_shared_fault_name_the_problem(tmp_p
     assert fault.endswith("(problem pendulum)")
 
 
+def test_reference_points_are_two_controllers_of_every_problem(tmp_path: Path) -> None:
+    points = "[report]\nreference_points = {{ zero = {!r}, full = {!r} }}\n"
+    whole = read(tmp_path, TWO.replace("problems.pendulum = false", "") + points.format("pid", "mfapc")).whole
+    assert all(one.report.reference_points.zero == "pid" for one in whole.problems.values())  # type: ignore[union-attr]
+    assert WholeStudy.of_tables(whole.tables()) == whole
+    told = [
+        fault.partition("reference_points.")[2]
+        for fault in faults(tmp_path, TWO + points.format("pid", "mfap"))
+    ]
+    assert told == [
+        'zero: no controller "pid"; there are: mfapc (problem pendulum)',
+        'full: no controller "mfap"; did you mean "mfapc"?',
+    ]
+    (twice,) = faults(tmp_path, TWO + points.format("mfapc", "mfapc"))
+    assert twice.endswith('reference_points.full: "mfapc" is also at 0 %; needed: two different controllers')
+
+
 def test_the_cases_of_all_problems_are_run_told_apart_and_kept(tmp_path: Path) -> None:
     results = run(tmp_path, TWO)
     names = [case.id.rpartition("_")[0] for case in results.cases]
