@@ -20,7 +20,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ddpc_controllers.checks import knowing
+from ddpc_controllers.checks import knowing, per_signal
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.optimisation.limits import HELD
 from ddpc_cosim import (
@@ -33,6 +33,7 @@ from ddpc_cosim import (
     Log,
     Loop,
     Sample,
+    Weight,
     setting,
 )
 
@@ -54,10 +55,14 @@ class SPSA(Controller):
 
     accepts_missing: ClassVar[bool] = True
 
-    kp: float = setting(
-        1.0, doc="initial proportional gain, with the sign of the control direction", search=Factor(0.1, 10.0)
+    kp: Weight = setting(
+        1.0,
+        doc="initial proportional gain, with the sign of the control direction; a list: of each pair",
+        search=Factor(0.1, 10.0),
     )
-    kd: float = setting(0.0, doc="initial derivative gain [s]", search=Factor(0.1, 10.0))
+    kd: Weight = setting(
+        0.0, doc="initial derivative gain [s]; a list: of each pair", search=Factor(0.1, 10.0)
+    )
     integral_time: float = setting(
         0.0,
         low=0.0,
@@ -86,14 +91,17 @@ class SPSA(Controller):
         Raises
         ------
         ConfigError
-            There are not as many inputs as outputs.
+            There are not as many inputs as outputs, or not as many gains.
         """
         m, p = len(loop.inputs), len(loop.outputs)
         if m != p:
             raise ConfigError(f"SPSA pairs each output with an input; there are {m} inputs and {p} outputs")
         # A copy: a second start draws the same signs. One stream for each pair: they tune by themselves.
         streams = deepcopy(loop.rng).spawn(p)
-        self._pairs = [_Pair(self, loop.sampling_time, stream) for stream in streams]
+        gains = np.column_stack([per_signal("kp", self.kp, p), per_signal("kd", self.kd, p)])
+        self._pairs = [
+            _Pair(self, own, loop.sampling_time, stream) for own, stream in zip(gains, streams, strict=True)
+        ]
         self._rest = resting_input(loop)
         self._u, self._bounds = self._rest.copy(), loop.bounds
 
@@ -128,9 +136,8 @@ class SPSA(Controller):
 class _Pair:
     """One PID loop and the search for its gains."""
 
-    def __init__(self, settings: SPSA, h: float, rng: np.random.Generator) -> None:
-        self._settings, self._h, self._rng = settings, h, rng
-        self._initial = np.array([settings.kp, settings.kd])
+    def __init__(self, settings: SPSA, gains: FloatArray, h: float, rng: np.random.Generator) -> None:
+        self._settings, self._initial, self._h, self._rng = settings, gains, h, rng
         self._relative = np.ones(2)
         self._per_integral_time = 1.0 / settings.integral_time if settings.integral_time else 0.0
         self._iteration = 0

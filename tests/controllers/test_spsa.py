@@ -72,9 +72,9 @@ def test_another_seed_tries_other_gains_and_the_same_one_the_same() -> None:
 def test_two_pairs_are_two_loops() -> None:
     a, b = np.diag([1.02, 0.9]), np.diag([0.2, 0.3])
     reference = np.tile([[0.5, -1.0]], (201, 1))
-    controller, limit = SPSA(kp=1.0, integral_time=2.0), np.full(2, 5.0)
+    gains, limit = [1.0, 0.7], np.full(2, 5.0)
     both = close_loop(
-        controller,
+        SPSA(kp=gains, integral_time=2.0),
         make_loop(None, limit, limit),
         LinearPlant(a, b, np.eye(2)).advance,
         np.eye(2),
@@ -85,7 +85,7 @@ def test_two_pairs_are_two_loops() -> None:
         rng = np.random.default_rng(0)
         rng.spawn(i)  # the streams of the pairs before it
         alone = close_loop(
-            controller,
+            SPSA(kp=gains[i], integral_time=2.0),
             make_loop(None, limit[:1], limit[:1], rng=rng),
             LinearPlant(a[i : i + 1, i : i + 1], b[i : i + 1, i : i + 1], np.eye(1)).advance,
             np.eye(1),
@@ -99,3 +99,8 @@ def test_more_inputs_than_outputs_are_refused() -> None:
     loop = make_loop(None, np.ones(2), np.ones(1))
     with pytest.raises(ConfigError, match="there are 2 inputs and 1 outputs"):
         SPSA().start(replace(loop))
+
+
+def test_gains_for_other_than_all_pairs_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"kp has shape \(3,\); needed: a number or 2 numbers"):
+        SPSA(kp=[1.0, 2.0, 3.0]).start(make_loop(None, np.ones(2), np.ones(2)))
