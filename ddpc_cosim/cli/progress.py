@@ -117,6 +117,10 @@ class LineProgress:
         self._text = f"{total} {noun} to run" + (f", {kept} kept" if kept else "")
         self._say(self._text)
 
+    def drop(self, cases: int) -> None:
+        """Take note that so many are not to be run any more."""
+        self._cases.total -= cases
+
     def update(self, update: "Update") -> None:
         """Take note of how far a case is."""
         self._cases.update(update)
@@ -196,6 +200,11 @@ class TerminalProgress:
         self._progress.reset(self._task, total=total)
         self._cases.start(total)
         self(f"{kept} finished cases are kept" if kept else "starting")
+
+    def drop(self, cases: int) -> None:
+        """Show that so many are not to be run any more."""
+        self._cases.total -= cases
+        self._progress.update(self._task, total=self._cases.total)
 
     def update(self, update: "Update") -> None:
         """Show how far a running case is."""

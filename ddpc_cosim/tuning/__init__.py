@@ -8,15 +8,16 @@ trials once more; there is no other record of it that could contradict the cases
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Protocol, Self
 
 import tomli_w
 
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.study.case_files import load_case
+from ddpc_cosim.study.case_files import CaseResult, load_case
 from ddpc_cosim.study.cases import Case, cases_of_problems
 from ddpc_cosim.study.file_format.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
 from ddpc_cosim.study.plants import PlantSpec
@@ -26,8 +27,9 @@ from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, StudyResults
 from ddpc_cosim.study.runner import Progress, Selection, built_plants, run_missing, run_study
 from ddpc_cosim.texts import encodable
-from ddpc_cosim.tuning.objectives import PREDICTION, Objective, reference_spans
+from ddpc_cosim.tuning.objectives import PREDICTION, Objective, Run, reference_spans
 from ddpc_cosim.tuning.search import (
+    Figures,
     SettingsSearch,
     Trial,
     best,
@@ -99,6 +101,13 @@ class Request:
         return replace(self, seeds=self.seeds or own)
 
 
+class TuningProgress(Progress, Protocol):
+    """What follows a tuning."""
+
+    def drop(self, cases: int) -> None:
+        """So many, of those that were to be run, are not run."""
+
+
 class Tuned(NamedTuple):
     """What has been found.
 
@@ -118,7 +127,7 @@ class Tuned(NamedTuple):
 
 
 def tune_study(
-    resolved: ResolvedProblems, folder: Path, request: Request, selection: Selection, progress: Progress
+    resolved: ResolvedProblems, folder: Path, request: Request, selection: Selection, progress: TuningProgress
 ) -> Tuned:
     """Tune the controllers of a study, each problem for itself, and compare as given with tuned.
 
@@ -135,7 +144,7 @@ def tune_study(
         How to tune.
     selection : Selection
         How to run cases.
-    progress : Progress
+    progress : TuningProgress
         Follows them.
 
     Raises
@@ -146,22 +155,20 @@ def tune_study(
     request = request.on_seeds_of_its_own(resolved.head.seeds)
     searches, kept = _searches(resolved, request)
     plants = built_plants(resolved, progress)
-    spans = {name: reference_spans(one) for name, one in resolved.problems.items()}
-    for number in range(request.trials):
-        tried = [(search, search.next_settings()) for search in searches]
-        runs = [
-            _cases(search, settings, resolved.problems[search.problem], plants[search.problem], request)
-            for search, settings in tried
-        ]
-        cases = [case for own in runs for case in own]
-        if not number:
-            progress.start(request.trials * len(cases), 0)
-        run_missing(cases, folder, selection, progress)
-        for (search, settings), own in zip(tried, runs, strict=True):
-            results = [load_case(folder / CASES_FOLDER / case.id) for case in own]
-            values = tuple(objective.of(results, spans[search.problem]) for objective in request.objectives)
-            lost = sum(request.objectives[0].is_lost(result) for result in results)
-            search.tell(Trial(lost, values, settings))
+    in_full = {name: len(one.study.scenarios) * len(request.seeds) for name, one in resolved.problems.items()}
+    progress.start(request.trials * sum(in_full[search.problem] for search in searches), 0)
+    tuning = [
+        _tuning(search, resolved.problems[search.problem], plants[search.problem], request, progress)
+        for search in searches
+    ]
+    due = {one: next(one) for one in tuning}
+    while due:
+        run_missing([case for cases in due.values() for case in cases], folder, selection, progress)
+        for one, cases in [*due.items()]:
+            try:
+                due[one] = one.send([load_case(folder / CASES_FOLDER / case.id) for case in cases])
+            except StopIteration:
+                del due[one]
     trials = {(search.problem, search.name): search.trials for search in searches}
     write_atomically(folder / TRIALS_FILE, encodable(_trials_table(trials, request)).encode())
     tuned = _tuned_study(resolved, trials, request)
@@ -195,9 +202,7 @@ def _searches(
                 f"controllers.{name}.search.{fault}{within}" for fault in space_faults(section, spaces)
             ]
             if spaces and not faults:
-                searches.append(
-                    SettingsSearch(problem, name, section.settings, spaces, len(request.objectives))
-                )
+                searches.append(SettingsSearch(problem, name, section.settings, spaces, request.objectives))
             elif not spaces:
                 kept.append((problem, name))
     if not faults and not searches:
@@ -207,6 +212,33 @@ def _searches(
     if faults:
         raise ConfigError(list(dict.fromkeys(faults)))
     return searches, kept
+
+
+def _tuning(
+    search: SettingsSearch, one: ResolvedStudy, plant: PlantSpec, request: Request, progress: TuningProgress
+) -> Generator[list[Case], list[CaseResult], None]:
+    """Go through the trials of a search: yield what is to be run next, and be sent its results.
+
+    A trial is run scenario by scenario, or seed by seed if there is one scenario, and pruned between them.
+    What is run follows from the runs of the same search alone, whatever is run beside them.
+    """
+    spans = reference_spans(one)
+    has_several = len(one.study.scenarios) > 1
+    for _ in range(request.trials):
+        settings = search.next_settings()
+        cases = _cases(search, settings, one, plant, request)
+        runs = dict[Run, Figures]()
+        pruned = False
+        for _, part in groupby(cases, key=lambda case: case.scenario if has_several else case.seed):
+            results = yield list(part)
+            for result in results:
+                values = tuple(objective.of_run(result, spans) for objective in request.objectives)
+                lost = request.objectives[0].is_lost(result)
+                runs[Run(result.scenario, result.seed)] = Figures(lost, values)
+            if pruned := len(runs) < len(cases) and search.is_hopeless(runs):
+                break
+        progress.drop(len(cases) - len(runs))
+        search.tell(settings, runs, pruned=pruned)
 
 
 def _cases(
@@ -227,11 +259,15 @@ def _trials_table(trials: Mapping[tuple[str, str], Sequence[Trial]], request: Re
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     named = [str(objective) for objective in request.objectives]
-    writer.writerow(["problem", "controller", "trial", "runs lost", *named, "not dominated", "settings"])
+    counts = ["runs", "pruned", "runs lost"]
+    writer.writerow(["problem", "controller", "trial", *counts, *named, "not dominated", "settings"])
     for (problem, controller), tried in trials.items():
+        whole = [trial for trial in tried if not trial.pruned]
         for number, trial in enumerate(tried):
-            on_front = "false" if any(dominates(other, trial) for other in tried) else "true"
-            row = [problem, controller, number, trial.lost, *map(repr, trial.values), on_front]
+            values = ["" if trial.pruned else repr(value) for value in trial.values]
+            on_front = not trial.pruned and not any(dominates(other, trial) for other in whole)
+            words = ["true" if fact else "false" for fact in (trial.pruned, on_front)]
+            row = [problem, controller, number, trial.runs, words[0], trial.lost, *values, words[1]]
             writer.writerow([*row, json.dumps(trial.settings)])
     return file.getvalue()
 

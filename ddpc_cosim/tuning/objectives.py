@@ -1,10 +1,10 @@
 """What trials are compared by: a figure of their runs."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import fmean
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -18,6 +18,13 @@ from fmu_plants.spelling import did_you_mean
 
 PREDICTION = "prediction"
 _PREDICTION_ERROR = "prediction_error"
+
+
+class Run(NamedTuple):
+    """Which of a trial's runs."""
+
+    scenario: str
+    seed: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +98,17 @@ class Objective:
         metric = all_metrics()[self.metric]
         return not self.signal and metric.of is Response and metric.unit == "difference"
 
-    def of(self, cases: Sequence[CaseResult], spans: Mapping[str, float]) -> float:
-        """Return the figure of a trial, the lower the better; infinite where too many runs have none."""
+    def of(self, runs: Mapping[Run, float]) -> float:
+        """Return the figure of a trial, the lower the better; infinite where too many runs have none.
+
+        Parameters
+        ----------
+        runs : mapping of Run to float
+            The figure of each run, as :meth:`of_run` gives it.
+        """
         values: dict[str, list[float]] = {}
-        for case in cases:
-            values.setdefault(case.scenario, []).append(self._of_case(case, spans))
+        for run, value in runs.items():
+            values.setdefault(run.scenario, []).append(value)
         if self.over == "worst":
             return max(max(own) for own in values.values())
         if self.over == "mean":
@@ -105,7 +118,8 @@ class Objective:
         share = float(self.over)  # of infinite values there is no interpolation
         return fmean(float(np.quantile(own, share, method="higher")) for own in values.values())
 
-    def _of_case(self, case: CaseResult, spans: Mapping[str, float]) -> float:
+    def of_run(self, case: CaseResult, spans: Mapping[str, float]) -> float:
+        """Return the figure of a run, the lower the better; infinite where there is none."""
         if case.outcome is not Outcome.COMPLETED:
             return math.inf
         if self.metric == PREDICTION:
@@ -124,7 +138,7 @@ class Objective:
     def is_lost(self, case: CaseResult) -> bool:
         """Whether a run does not do what every trial has to do first of all."""
         if self.metric == PREDICTION:
-            return not math.isfinite(self._of_case(case, {}))
+            return not math.isfinite(self.of_run(case, {}))
         return not case.holds
 
 

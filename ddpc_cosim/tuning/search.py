@@ -3,11 +3,36 @@
 import math
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from ddpc_cosim.settings import Choice, Factor, Integer, Log, Search, SettingsError, declared_settings
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.file_format.sections import ControllerSection
+from ddpc_cosim.tuning.objectives import Objective, Run
+
+# From so many on, the best value that a run has had says what can be hoped for: by this part better at most.
+_TRIALS_IN_FULL, _BETTER = 5, 0.1
+
+
+class Figures(NamedTuple):
+    """What a run is judged by.
+
+    Parameters
+    ----------
+    lost : bool
+        Whether it does not hold its reference; of a prediction, whether there is none.
+    values : tuple of float
+        Of each objective, the lower the better.
+    """
+
+    lost: bool
+    values: tuple[float, ...]
+
+    @property
+    def hoped(self) -> Self:
+        """What can be hoped for where these are the best yet."""
+        values = (value - _BETTER * abs(value) if math.isfinite(value) else value for value in self.values)
+        return self._replace(values=tuple(values))
 
 
 class Trial(NamedTuple):
@@ -18,14 +43,20 @@ class Trial(NamedTuple):
     lost : int
         Runs that do not hold their reference; of a prediction those without one.
     values : tuple of float
-        Of each objective, the lower the better.
+        Of each objective, the lower the better; of a pruned trial what it could have reached at best.
     settings : dict
         The settings that are searched.
+    runs : int
+        How many runs it had.
+    pruned : bool
+        Whether it was ended before it had all runs, as it would not have been the best.
     """
 
     lost: int
     values: tuple[float, ...]
     settings: dict[str, Any]
+    runs: int = 0
+    pruned: bool = False
 
     @property
     def penalised(self) -> list[float]:
@@ -40,16 +71,23 @@ class SettingsSearch:
     """The search for the settings of one controller in one problem."""
 
     def __init__(
-        self, problem: str, name: str, given: dict[str, Any], spaces: dict[str, Search], objectives: int
+        self,
+        problem: str,
+        name: str,
+        given: dict[str, Any],
+        spaces: dict[str, Search],
+        objectives: Sequence[Objective],
     ) -> None:
         import optuna
 
         self.problem, self.name, self.given, self.spaces = problem, name, given, spaces
         self.trials: list[Trial] = []
+        self._objectives = objectives
+        self._best_yet: dict[Run, Figures] = {}
         seed = zlib.crc32(f"{problem}/{name}".encode())
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self._optuna = optuna.create_study(
-            sampler=optuna.samplers.TPESampler(seed=seed), directions=["minimize"] * objectives
+            sampler=optuna.samplers.TPESampler(seed=seed), directions=["minimize"] * len(objectives)
         )
         self._distributions = {setting: _distribution(space) for setting, space in spaces.items()}
         self._asked: Any = None
@@ -64,17 +102,51 @@ class SettingsSearch:
             for setting, space in self.spaces.items()
         }
 
-    def tell(self, trial: Trial) -> None:
-        """Take note of a trial."""
+    def is_hopeless(self, runs: Mapping[Run, Figures]) -> bool:
+        """Whether a trial, by the runs that it has had so far, need not go on.
+
+        It has lost more runs than the best trial; or it would not be the best even if each run that is left
+        were better, by a part, than any trial has had it. Of several objectives there is no best trial.
+        """
+        if not self.trials or len(self._objectives) > 1:
+            return False
+        foremost = self.trials[best(self.trials)]
+        if sum(run.lost for run in runs.values()) > foremost.lost:
+            return True
+        hoped = self._hoped({}, runs)
+        in_full = sum(not trial.pruned for trial in self.trials)
+        return in_full >= _TRIALS_IN_FULL and hoped[:2] > foremost[:2]
+
+    def tell(self, settings: dict[str, Any], runs: Mapping[Run, Figures], *, pruned: bool = False) -> None:
+        """Take note of the runs of a trial."""
         import optuna
 
-        if self.trials:
+        hoped = self._hoped(settings, runs)
+        trial = hoped._replace(lost=sum(run.lost for run in runs.values()), runs=len(runs), pruned=pruned)
+        if pruned:
+            self._asked.report(hoped.penalised[0], step=len(runs))
+            self._optuna.tell(self._asked, state=optuna.trial.TrialState.PRUNED)
+        elif self.trials:
             self._optuna.tell(self._asked, trial.penalised)
         elif params := self._params(trial.settings):
             self._optuna.add_trial(
                 optuna.create_trial(params=params, distributions=self._distributions, values=trial.penalised)
             )
+        for run, own in runs.items():
+            other = self._best_yet.get(run, own)
+            self._best_yet[run] = Figures(
+                min(own.lost, other.lost), tuple(map(min, own.values, other.values))
+            )
         self.trials.append(trial)
+
+    def _hoped(self, settings: dict[str, Any], runs: Mapping[Run, Figures]) -> Trial:
+        """Return what a trial is if it does in the runs that are left as well as can be hoped."""
+        every = {run: best_yet.hoped for run, best_yet in self._best_yet.items()} | {**runs}
+        values = tuple(
+            objective.of({run: own.values[number] for run, own in every.items()})
+            for number, objective in enumerate(self._objectives)
+        )
+        return Trial(sum(own.lost for own in every.values()), values, settings)
 
     def _params(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Return the study's own settings as a point of the spaces; empty if one is outside."""
@@ -130,7 +202,8 @@ def with_settings(settings: Mapping[str, Any], found: Mapping[str, Any]) -> dict
 
 def best(trials: Sequence[Trial]) -> int:
     """Return the number of the best trial, the first of equals."""
-    return min(range(len(trials)), key=lambda number: (trials[number].lost, trials[number].values[0]))
+    whole = [number for number, trial in enumerate(trials) if not trial.pruned]
+    return min(whole, key=lambda number: (trials[number].lost, trials[number].values[0]))
 
 
 def search_spaces(section: ControllerSection, *, by_prediction: bool) -> Iterator[tuple[str, Search]]:
