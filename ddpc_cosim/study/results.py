@@ -3,11 +3,14 @@
 import csv
 import io
 import math
+import os
 import re
+import tomllib
+import uuid
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.plugins import load_plugin
@@ -303,6 +306,8 @@ def load_results(folder: str | Path) -> StudyResults:
     folder = Path(folder)
     if not (folder / STUDY_FILE).is_file():
         raise ConfigError(f"{folder}: no results: {STUDY_FILE} is missing; give the folder that `run` wrote")
+    if not (folder / PROVENANCE_FILE).exists() and not (folder / METRICS_FILE).exists():
+        raise ConfigError(f"{folder}: no results yet: no run has ended; run the study again, which goes on")
     try:
         provenance = read_sealed(folder / PROVENANCE_FILE)
         case_ids = provenance.pop("cases")
@@ -340,6 +345,60 @@ def load_cases(
     return tuple(cases), damaged
 
 
+def claim_folder(folder: Path, study: "WholeStudy") -> None:
+    """Have a folder hold the results of a study, from the beginning of its first run on.
+
+    Of several processes that begin at the same time one is the first.
+
+    Raises
+    ------
+    ConfigError
+        It holds those of another study, which is one of another name or with other plants only; or it cannot
+        be written to.
+    """
+    path, own = folder / STUDY_FILE, study.tables()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not path.exists():
+            _write_first(path, _toml(study))
+        there = tomllib.loads(path.read_bytes().decode())
+    except ValueError:  # damaged: whose it was is not known, and its cases are kept under names of their own
+        return
+    except OSError as error:
+        raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
+    if there.get("name") == own["name"]:
+        if not (plants := _plants(there)).isdisjoint(_plants(own)):
+            return
+        other, this = (f"plant {', '.join(sorted(names))}" for names in (plants, _plants(own)))
+    else:
+        other, this = (f'name = "{tables.get("name", "")}"' for tables in (there, own))
+    raise ConfigError(
+        f"{folder}: holds the results of another study ({other}; this one has {this}); "
+        "give another folder (--out), or remove this one if it is not needed"
+    )
+
+
+def _write_first(path: Path, content: bytes) -> None:
+    """Write a file unless another process is quicker."""
+    staged = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    staged.write_bytes(content)
+    try:
+        os.link(staged, path)  # which fails where the file exists
+    except FileExistsError:
+        return
+    except OSError:  # not every file system has links
+        staged.replace(path)
+    finally:
+        staged.unlink(missing_ok=True)
+
+
+def _plants(tables: dict[str, Any]) -> set[str]:
+    """Return names of plants, and of the files of FMUs, which may have been moved."""
+    problems = tables["problems"].values() if "problems" in tables else [tables]
+    plants = [problem.get("plant", {}) for problem in problems]
+    return {plant.get("name") or Path(plant.get("fmu", "")).name for plant in plants}
+
+
 def _toml(study: "WholeStudy") -> bytes:
     import tomli_w
 
@@ -347,8 +406,6 @@ def _toml(study: "WholeStudy") -> bytes:
 
 
 def _study(content: bytes) -> "WholeStudy":
-    import tomllib
-
     from ddpc_cosim.study.problems import WholeStudy  # a worker, which writes cases, does without
 
     return WholeStudy.of_tables(tomllib.loads(content.decode()))

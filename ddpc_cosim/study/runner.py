@@ -65,7 +65,14 @@ from ddpc_cosim.study.cases import (
     run_case,
 )
 from ddpc_cosim.study.plants import PlantSpec
-from ddpc_cosim.study.results import CASES_FOLDER, StudyResults, load_cases, provenance_of, write_results
+from ddpc_cosim.study.results import (
+    CASES_FOLDER,
+    StudyResults,
+    claim_folder,
+    load_cases,
+    provenance_of,
+    write_results,
+)
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome
 from fmu_plants.files import cache_dir
@@ -197,14 +204,14 @@ def run_study(
     Raises
     ------
     ConfigError
-        No case is selected, or the folder cannot be written to.
+        No case is selected, or the folder holds the results of another study or cannot be written to.
     """
     if selection.sandboxed and selection.executor == "local":
         require_sandbox()  # before anything is built
     plants, every = selected_cases(resolved, selection, progress)
-    cases = selection.part_of(every)
+    cases, study = selection.part_of(every), resolved.whole.with_seeds(selection.seeds)
+    claim_folder(folder, study)
     run_missing(cases, folder, selection, progress, begin=True)
-    study = resolved.whole.with_seeds(selection.seeds)
     results, damaged = load_cases(folder, study, [case.id for case in cases])
     provenance, of_problem = dict[str, str](), dict[str, list[CaseResult]]()
     for result in results:

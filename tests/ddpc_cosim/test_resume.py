@@ -679,19 +679,73 @@ def test_results_that_cannot_be_written_are_told(
         run(write_study("mfapc"))
 
 
-def test_several_runs_can_work_in_one_folder_at_once(
-    write_study: WriteStudy, tmp_path: Path, program: str, run_program: Run
-) -> None:
-    write_study("mfapc", seeds='["0:20"]')
-    command = [program, "run", "study.toml", "--jobs", "1", "--no-report", "--fresh", "--out", "out"]
+def at_once(program: str, folder: Path, *commands: list[str]) -> list[tuple[int, str]]:
+    """Run commands at the same time; return their exit codes and what they say on stderr."""
     pipe = subprocess.PIPE
     processes = [
-        subprocess.Popen(command, cwd=tmp_path, stdout=pipe, stderr=pipe, text=True) for _ in range(2)
+        subprocess.Popen([program, *command], cwd=folder, stdout=pipe, stderr=pipe, text=True)
+        for command in commands
     ]
     errors = [process.communicate(timeout=120)[1] for process in processes]
-    assert [process.returncode for process in processes] == [0, 0], errors
+    return [(process.returncode, error) for process, error in zip(processes, errors, strict=True)]
+
+
+def test_several_runs_can_work_in_one_folder_at_once(
+    write_study: WriteStudy, tmp_path: Path, program: str
+) -> None:
+    write_study("mfapc", seeds='["0:20"]')
+    command = ["run", "study.toml", "--jobs", "1", "--no-report", "--fresh", "--out", "out"]
+    done = at_once(program, tmp_path, command, command)
+    assert [code for code, _ in done] == [0, 0], done
     assert len(list((tmp_path / "out/cases").iterdir())) == 20
     assert all(case.trace().completed for case in load_results(tmp_path / "out").cases)
+
+
+def test_of_two_studies_in_one_folder_at_once_the_second_is_refused(
+    write_study: WriteStudy, tmp_path: Path, program: str
+) -> None:
+    study = write_study("mfapc")
+    study.with_name("other.toml").write_bytes(study.read_bytes())
+    commands = [["run", f"{name}.toml", "--no-report", "--out", "out"] for name in ("study", "other")]
+    done = at_once(program, tmp_path, *commands)
+    assert sorted(code for code, _ in done) == [0, 2], done
+    first = done.index(min(done))
+    assert "error: out: holds the results of another study (name = " in done[1 - first][1]
+    assert load_results(tmp_path / "out").study.name == ("study", "other")[first]
+
+
+def test_a_folder_of_another_study_is_left_as_it_is(
+    write_study: WriteStudy, make_fmu: Callable[..., Path]
+) -> None:
+    """Another one has another name, or none of its plants; one that was extended is the same."""
+    study = write_study("mfapc")
+    text = study.read_text(encoding="utf-8")
+    run(study)
+    before = {path: path.read_bytes() for path in study.parent.glob("out/**/*") if path.is_file()}
+    plant = make_fmu(Fault.RETURN_ERROR).name
+    for other, differs in (
+        (f'name = "other"\n{text}', r'name = "study"; this one has name = "other"'),
+        (text.replace("no_fault.fmu", plant), rf"plant no_fault.fmu; this one has plant {plant}"),
+    ):
+        study.write_text(other, encoding="utf-8")
+        with pytest.raises(ConfigError, match=rf"out: holds .* another study \({differs}\); give another fo"):
+            run(study)
+    assert {path: path.read_bytes() for path in study.parent.glob("out/**/*") if path.is_file()} == before
+    two = text.replace("[plant]", "[problems.one.plant]").replace("[loop]", "[problems.one.loop]")
+    two = two.replace("[reference]", "[problems.one.reference]")
+    more = two[two.index("[problems") : two.index("[controllers")].replace("one", "two")
+    study.write_text(two + more.replace("no_fault.fmu", plant), encoding="utf-8")
+    assert run(study)[1].started == (2, 0)
+
+
+def test_a_run_that_has_not_ended_has_no_results_yet(write_study: WriteStudy, tmp_path: Path) -> None:
+    results, _ = run(write_study("mfapc"))
+    for name in ("provenance.json", "metrics.csv"):
+        (results.folder / name).unlink()
+    with pytest.raises(
+        ConfigError, match="out: no results yet: no run has ended; run the study again, which"
+    ):
+        load_results(results.folder)
 
 
 def test_a_temporary_folder_of_any_length_will_do(
