@@ -24,7 +24,7 @@ from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import StudyFile, resolve_file
 from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
-from ddpc_cosim.study.results import CASES_FOLDER, StudyResults
+from ddpc_cosim.study.results import CASES_FOLDER, StudyResults, claim_folder
 from ddpc_cosim.study.runner import Progress, Selection, built_plants, run_missing, run_study
 from ddpc_cosim.texts import encodable
 from ddpc_cosim.tuning.objectives import PREDICTION, Objective, Run, reference_spans
@@ -150,11 +150,12 @@ def tune_study(
     Raises
     ------
     ConfigError
-        Nothing can be tuned, or not so: all reasons.
+        Nothing can be tuned, or not so: all reasons; or the folder is that of another study.
     """
     request = request.on_seeds_of_its_own(resolved.head.seeds)
     searches, kept = _searches(resolved, request)
     plants = built_plants(resolved, progress)
+    claim_folder(folder / HELD_OUT_FOLDER, resolved.whole)
     in_full = {name: len(one.study.scenarios) * len(request.seeds) for name, one in resolved.problems.items()}
     progress.start(request.trials * sum(in_full[search.problem] for search in searches), 0)
     tuning = [
