@@ -211,6 +211,41 @@ class StudyResults:
         names = {case.label: case.controller for case in self.cases}
         return compare_frame(self.frame(), chosen[0], names.get(baseline, baseline))
 
+    def shares(self, metric: str = "") -> "pd.DataFrame":
+        """Return how far each run comes on the way between the study's reference points.
+
+        In pairs of the same problem, scenario, variant and seed, of a metric m::
+
+            share = (m_zero - m) / (m_zero - m_full)
+
+        with the controllers ``zero`` and ``full`` of the study's ``report.reference_points``: 0 is as good as
+        the one, 1 as the other. It may be negative, or above 1.
+
+        Parameters
+        ----------
+        metric : str
+            The name of a metric, for all signals that have it: ``"rmse"``; or one signal's:
+            ``"rmse.angle"``; a unit may follow. Empty: what each problem is ranked by, its own cost or mean
+            absolute errors.
+
+        Returns
+        -------
+        table : pandas.DataFrame
+            One row per metric and case, without those of the reference points: what it was, ``metric``,
+            its ``value``, those of the points, ``zero`` and ``full``, and the ``share``. A share is NaN of a
+            run that does not stay near its reference (``holds`` is false), and where there is no way to go:
+            ``zero`` did not complete, ``full`` does not stay near its reference, or is not better by more
+            than 1 % of ``zero``.
+
+        Raises
+        ------
+        ConfigError
+            The study names no reference points; there is no such metric, or no value of it is better.
+        """
+        from ddpc_cosim.study.shares import share_frame
+
+        return share_frame(self.whole, self.cases, metric)
+
     def trace(
         self, controller: str, *, problem: str = "", scenario: str = "", seed: int | None = None
     ) -> Trace:

@@ -1,0 +1,162 @@
+"""Shares of the way between two reference points: distances where ranks only say who is ahead.
+
+Of a metric m, in pairs of runs of the same problem, scenario and seed::
+
+    share = (m_zero - m) / (m_zero - m_full)
+
+It is 0 for a run that is as good as that of the controller at 0 %, and 1 for one as good as that of the
+controller at 100 %; it may be negative or above 1. Scaling and shifting the metric changes nothing, so that
+shares of different plants can be set side by side.
+"""
+
+import math
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.metrics import headline, metric_of, split_key
+from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.file_format.sections import ReferencePoints
+from ddpc_cosim.study.file_format.sweeps import variant_words
+from ddpc_cosim.study.statistics import Runs, Sample, describe
+from ddpc_cosim.trace import Outcome
+from fmu_plants.spelling import did_you_mean
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from ddpc_cosim.study.problems import WholeStudy
+
+FLOOR = -1.0
+"""What a run that is lost counts as where runs are summed up; and a share below it."""
+NEGLIGIBLE = 0.01
+"""There is no way to go between two points that differ by no more than this part of the metric at 0 %."""
+
+
+class RunShare(NamedTuple):
+    """What one run reaches of the way between the reference points.
+
+    Parameters
+    ----------
+    case : CaseResult
+        The run.
+    metric : str
+        The metric.
+    zero, full : float
+        The metric at the two points, in the same scenario and with the same seed; NaN where it is not known.
+    share : float
+        1 for as good as at ``full``; NaN of a run that does not stay near its reference, and where there is
+        no way to go.
+    """
+
+    case: CaseResult
+    metric: str
+    zero: float
+    full: float
+    share: float
+
+    @property
+    def has_way(self) -> bool:
+        """Whether the controller at 100 % is better than that at 0 %, by more than next to nothing."""
+        ahead = self.full - self.zero if metric_of(self.metric).better == "high" else self.zero - self.full
+        return math.isfinite(ahead) and ahead > NEGLIGIBLE * abs(self.zero)
+
+
+def share_runs(
+    cases: Sequence[CaseResult], points: ReferencePoints, metrics: Iterable[str]
+) -> Iterator[RunShare]:
+    """Yield what each run of one problem reaches, without those of the reference points.
+
+    The run at 0 % has to complete, and need not stay near its reference: doing nothing hardly ever does. The
+    run at 100 % has to.
+    """
+    at = {(case.controller, case.scenario, case.seed): case for case in cases}
+    for metric in metrics:
+        for case in cases:
+            if is_point(case.controller, points):
+                continue
+            zero, full = (at.get((name, case.scenario, case.seed)) for name in (points.zero, points.full))
+            m_zero = (
+                zero.metrics.get(metric, math.nan) if zero and zero.outcome is Outcome.COMPLETED else math.nan
+            )
+            m_full = full.metrics.get(metric, math.nan) if full and full.holds else math.nan
+            one = RunShare(case, metric, m_zero, m_full, math.nan)
+            if case.holds and one.has_way:
+                one = one._replace(share=(m_zero - case.metrics.get(metric, math.nan)) / (m_zero - m_full))
+            yield one
+
+
+def shares_of(
+    cases: Sequence[CaseResult], points: ReferencePoints, metrics: Iterable[str]
+) -> dict[str, Runs]:
+    """Return the shares by controller, NaN of runs that are lost; none where there is no way to go.
+
+    A condition is a scenario and a metric.
+    """
+    found: dict[str, dict[tuple[Hashable, int], float]] = {}
+    for one in share_runs(cases, points, metrics):
+        if one.has_way:
+            run = (one.case.scenario, one.metric), one.case.seed
+            found.setdefault(one.case.controller, {})[run] = one.share
+    return dict(found)
+
+
+def is_point(controller: str, points: ReferencePoints | None) -> bool:
+    """Whether a controller is a reference point, which does not compete."""
+    return points is not None and controller in (points.zero, points.full)
+
+
+def floored(runs: Runs) -> Runs:
+    """Return shares of which none is below -1, which is also that of a run that is lost."""
+    return {run: max(share, FLOOR) if math.isfinite(share) else FLOOR for run, share in runs.items()}
+
+
+def describe_shares(runs: Runs) -> Sample:
+    """Sum up shares; a run that is lost counts as -1, so that it does not flatter who lost it."""
+    known = sum(map(math.isfinite, runs.values()))
+    return describe(floored(runs))._replace(known=known)
+
+
+def share_frame(whole: "WholeStudy", cases: Sequence[CaseResult], metric: str) -> "pd.DataFrame":
+    """Return a row per metric and case: see :meth:`ddpc_cosim.StudyResults.shares`."""
+    import pandas as pd
+
+    keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
+    chosen = [key for key in keys if metric in (key, key.partition(" [")[0], split_key(key)[0])]
+    if metric and not chosen:
+        shown = dict.fromkeys(split_key(key)[0] for key in keys)
+        raise ConfigError(f'no metric "{metric}"; {did_you_mean(metric, shown)}')
+    if neither := [key for key in chosen if not metric_of(key).better]:
+        raise ConfigError(f'metric "{neither[0]}": no value of it is better, so there is no way to go')
+    if not any(study.report.reference_points for study in whole.problems.values()):
+        raise ConfigError(
+            f"{whole.head.name}: no reference points; needed: in [report] of the study, "
+            'reference_points = { zero = "CONTROLLER", full = "CONTROLLER" }'
+        )
+    by_problem: dict[str, list[CaseResult]] = {}
+    for case in cases:
+        by_problem.setdefault(case.problem, []).append(case)
+    rows = []
+    for name, own in by_problem.items():
+        study = whole.problems[name]
+        if study.report.reference_points:
+            known = dict.fromkeys(key for case in own for key in case.metrics)
+            metrics = [key for key in chosen if key in known] if metric else headline(known)
+            rows += [
+                {
+                    "problem": study.variant_of or name,
+                    "controller": one.case.controller,
+                    "label": one.case.label,
+                    "scenario": one.case.scenario,
+                    "variant": variant_words(study.varied),
+                    "seed": one.case.seed,
+                    "holds": one.case.holds,
+                    "metric": one.metric,
+                    "value": one.case.metrics.get(one.metric, math.nan),
+                    "zero": one.zero,
+                    "full": one.full,
+                    "share": one.share,
+                }
+                for one in share_runs(own, study.report.reference_points, metrics)
+            ]
+    return pd.DataFrame(rows)
