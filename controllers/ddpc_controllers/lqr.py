@@ -9,6 +9,7 @@ are set back to what the limited input agrees with, so that they do not wind up.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 
@@ -25,6 +26,11 @@ from ddpc_cosim import (
     Weight,
     setting,
 )
+
+
+def preload() -> None:
+    """Import what takes a second, once for all workers of a study."""
+    import_module("control")
 
 
 @dataclass(kw_only=True)
