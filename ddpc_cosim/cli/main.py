@@ -116,6 +116,14 @@ _SANDBOX = click.option(
     "--sandbox", is_flag=True, help="Let the FMU write nothing elsewhere, read no files of yours, no network."
 )
 
+_EXECUTOR = click.option(
+    "--executor", type=click.Choice(["local", "dask"]), default="local", help="Where cases run [local]."
+)
+_SCHEDULER = click.option(
+    "--scheduler", default="", metavar="ADDRESS", help="The dask scheduler's: tcp://host:8786."
+)
+_NO_REPORT = click.option("--no-report", is_flag=True, help="Write no report.")
+
 
 _STEP_TIMEOUT = click.option(
     "--step-timeout",
@@ -136,13 +144,11 @@ _STEP_TIMEOUT = click.option(
 @click.option("--seeds", metavar="0:30", help="Seeds in place of the study's: 7, 0:30 or 5489,0:30.")
 @click.option("--fresh", is_flag=True, help="Run cases again that already exist.")
 @click.option("--shard", default="1/1", metavar="I/N", help="Every N-th case from the I-th on; no report.")
-@click.option(
-    "--executor", type=click.Choice(["local", "dask"]), default="local", help="Where cases run [local]."
-)
-@click.option("--scheduler", default="", metavar="ADDRESS", help="The dask scheduler's: tcp://host:8786.")
+@_EXECUTOR
+@_SCHEDULER
 @click.option("--dry-run", is_flag=True, help="Run nothing: say how many cases, how long, how many bytes.")
 @_SANDBOX
-@click.option("--no-report", is_flag=True, help="Write no report.")
+@_NO_REPORT
 def run(
     study: str,
     out: Path | None,
@@ -185,7 +191,10 @@ def run(
     help="What to compare by; OVER: median, mean, worst or a quantile. Or `prediction`. May be repeated.",
 )
 @click.option("--seeds", metavar="100:103", help="Seeds of the trials [three that the study does not have].")
+@_EXECUTOR
+@_SCHEDULER
 @_SANDBOX
+@_NO_REPORT
 def tune(
     study: str,
     trials: int,
@@ -193,13 +202,17 @@ def tune(
     out: Path | None,
     objectives: tuple[str, ...],
     seeds: str | None,
+    executor: str,
+    scheduler: str,
     sandbox: bool,
+    no_report: bool,
 ) -> None:
     """Tune STUDY's controllers, with as many trials for each, and compare with the settings given."""
     with orderly_end():
         from ddpc_cosim.cli.tune import tune_command
 
-        sys.exit(tune_command(study, out, trials, jobs, objectives, seeds, sandbox=sandbox))
+        how = {"sandboxed": sandbox, "executor": executor, "scheduler": scheduler}
+        sys.exit(tune_command(study, out, trials, jobs, objectives, seeds, how, report=not no_report))
 
 
 @main.command()

@@ -2,9 +2,10 @@
 
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.run import parse_seeds, show_results, warnings_in_one_line
@@ -24,10 +25,13 @@ def tune_command(
     jobs: int | None,
     objectives: Sequence[str],
     seeds: str | None,
+    how: Mapping[str, Any],
     *,
-    sandbox: bool,
+    report: bool,
 ) -> int:
     """Tune a study, print what was found and the paths of study and report, and return the exit code.
+
+    ``how`` are other fields of :class:`Selection`.
 
     Raises
     ------
@@ -42,14 +46,14 @@ def tune_command(
     request = Request(
         tuple(map(Objective.parse, objectives)), trials, parse_seeds(seeds), command=shlex.join(said)
     )
+    selection = Selection(jobs or os.cpu_count() or 1, **how)
     with shown(f"reading {name}") as progress, warnings_in_one_line():
         resolved = read_study(name)
         folder = out or Path("runs") / f"{resolved.head.name}-tuning"
-        selection = Selection(jobs or os.cpu_count() or 1, sandboxed=sandbox)
         tuned = tune_study(resolved, folder, request, selection, progress)
     _print_found(tuned, request, named=not resolved.whole.is_flat)
     print(folder / TUNED_FILE)
-    return show_results(tuned.results)
+    return show_results(tuned.results, report=report)
 
 
 def _print_found(tuned: Tuned, request: Request, *, named: bool) -> None:

@@ -111,6 +111,42 @@ def test_an_interrupted_run_goes_on(
     assert kept.items() <= after.items()
 
 
+HALF_WAY = """
+import os, threading
+from pathlib import Path
+from ddpc_controllers import MFAPC
+
+class HalfWay(MFAPC):
+    def start(self, loop):
+        super().start(loop)
+        if pipe := os.environ.get("BLOCK"):
+            if len([*Path(pipe).parent.glob("killed/cases/*/run.json")]) == 7:
+                open(pipe, "w").close()
+                threading.Event().wait()
+"""
+
+
+def test_a_tuning_that_is_killed_ends_as_one_that_is_not(
+    write_study: WriteStudy, tmp_path: Path, program: str, run_program: Run
+) -> None:
+    (tmp_path / "half_way.py").write_text(HALF_WAY, encoding="utf-8")
+    write_study("half_way:HalfWay")
+    arguments = ["tune", "study.toml", "--trials", "6", "--seeds", "7,8", "--jobs", "1", "--no-report"]
+    process = start_and_wait(tmp_path, [program, *arguments, "--out", "killed"], {})
+    process.kill()
+    process.communicate(timeout=60)
+    assert not (tmp_path / "killed/trials.csv").exists()
+    for out in ("killed", "whole"):
+        done = run_program(*arguments, "--out", out)
+        assert done.returncode == 0, done.stderr
+    files = [
+        {name: (tmp_path / out / name).read_bytes() for name in ("trials.csv", "tuned.toml")}
+        | {"cases": sorted(case.name for case in tmp_path.glob(f"{out}/cases/*_*"))}
+        for out in ("killed", "whole")
+    ]
+    assert files[0] == files[1]
+
+
 STARTING = """
 import os, sys, threading
 from ddpc_controllers import MFAPC

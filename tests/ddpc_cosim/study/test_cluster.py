@@ -20,6 +20,7 @@ from ddpc_cosim.study.case_files import read_run
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import StudyResults
 from ddpc_cosim.study.runner import Selection, run_study
+from ddpc_cosim.tuning import Request, tune_study
 
 pytestmark = pytest.mark.xdist_group("cluster")
 WriteStudy = Callable[..., Path]
@@ -179,6 +180,18 @@ def test_a_cluster_gives_what_this_machine_gives(
     assert "SIGSEGV" in there.cases[-1].reason
     assert [*(tmp_path / "there").iterdir()] != []
     assert not [path.name for path in (tmp_path / "there" / "cases").iterdir() if path.name.startswith(".")]
+
+
+def test_a_tuning_on_a_cluster_finds_what_it_finds_here(
+    cluster: Cluster, own_study: Callable[..., Path], tmp_path: Path
+) -> None:
+    study = read_study(str(own_study("mfapc", "own:Own", seeds="[0]")))
+    request = Request(trials=3, seeds=[7])
+    for out, selection in (("there", Selection(**on(cluster))), ("here", Selection())):
+        with (tmp_path / "log").open("w") as log:
+            tune_study(study, tmp_path / out, request, selection, LineProgress(log))
+    for name in ("trials.csv", "tuned.toml"):
+        assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
 
 
 def test_a_worker_that_is_killed_costs_no_case(
