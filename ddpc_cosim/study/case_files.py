@@ -112,8 +112,15 @@ class CaseResult:
             raise damaged_files(self.folder, error) from error
 
 
-def load_case(folder: Path) -> CaseResult:
+def load_case(folder: Path, id: str = "") -> CaseResult:
     """Read one case, whose files have to be what was written to the last byte.
+
+    Parameters
+    ----------
+    folder : Path
+        Its folder.
+    id : str
+        Which case it has to be; empty: the one that its folder is called after.
 
     Raises
     ------
@@ -123,6 +130,8 @@ def load_case(folder: Path) -> CaseResult:
     try:
         run = read_run(folder)
         _signals(folder, run)
+        if run["id"] != (id or folder.name):
+            raise ValueError(f"{RUN_FILE} is of case {run['id']}")
         keys = ("id", "controller", "label", "scenario", "seed", "reason", "sandbox")
         head = {key: run[key] for key in keys} | {"problem": run.get("problem", "")}
         values = {key: run[key] for key in ("holds", "metrics", "diagnostics", "settings")}
@@ -245,7 +254,7 @@ def accept_case(staged: Path, folder: Path, head: dict[str, Any], printed: str, 
         It cannot be moved, and why.
     """
     _check_staged(staged, {RUN_FILE: _LONGEST_RUN, _SIGNALS_FILE: longest})
-    load_case(staged)
+    load_case(staged, head["id"])
     run = read_run(staged)
     for key, value in head.items():
         if run[key] != value:

@@ -397,16 +397,17 @@ def claim_folder(folder: Path, study: "WholeStudy") -> None:
         if not path.exists():
             _write_first(path, _toml(study))
         there = tomllib.loads(path.read_bytes().decode())
-    except ValueError:  # damaged: whose it was is not known, and its cases are kept under names of their own
+        others = _plants(there)
+    except (ValueError, AttributeError):  # damaged: whose it was is not known, and no case is lost
         return
     except OSError as error:
         raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
-    if there.get("name") == own["name"]:
-        if not (plants := _plants(there)).isdisjoint(_plants(own)):
-            return
-        other, this = (f"plant {', '.join(sorted(names))}" for names in (plants, _plants(own)))
+    if there.get("name", own["name"]) != own["name"]:
+        other, this = (f'name = "{tables["name"]}"' for tables in (there, own))
+    elif others.isdisjoint(_plants(own)) and any(others):
+        other, this = (f"plant {', '.join(sorted(names))}" for names in (others, _plants(own)))
     else:
-        other, this = (f'name = "{tables.get("name", "")}"' for tables in (there, own))
+        return
     raise ConfigError(
         f"{folder}: holds the results of another study ({other}; this one has {this}); "
         "give another folder (--out), or remove this one if it is not needed"

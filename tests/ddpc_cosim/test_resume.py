@@ -736,6 +736,8 @@ def test_a_folder_of_another_study_is_left_as_it_is(
     more = two[two.index("[problems") : two.index("[controllers")].replace("one", "two")
     study.write_text(two + more.replace("no_fault.fmu", plant), encoding="utf-8")
     assert run(study)[1].started == (2, 0)
+    (study.parent / "out/study.toml").write_bytes(b"")  # as a power cut may leave it
+    assert run(study)[1].started == (0, 2)
 
 
 def test_a_run_that_has_not_ended_has_no_results_yet(write_study: WriteStudy, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from ddpc_cosim.study.case_files import load_case, read_run, read_trace, sealed_
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import write_results
 
-HEAD = {"id": "a_seed0_1", "controller": "a", "label": "A", "scenario": "nominal", "seed": 0}
+HEAD = {"id": "case", "controller": "a", "label": "A", "scenario": "nominal", "seed": 0}
 
 NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
 FINITE = st.floats(-1e9, 1e9)
@@ -263,6 +263,13 @@ def test_a_damaged_case_is_named(
     for read in (lambda: load_case(tmp_path / "case"), case.trace):
         with pytest.raises(ConfigError, match=words):
             read()
+
+
+def test_the_files_of_another_case_are_not_taken_for_this_one_s(tmp_path: Path, trace: Trace) -> None:
+    write_case(tmp_path / "case", trace, HEAD)
+    (tmp_path / "case").rename(tmp_path / "other")
+    with pytest.raises(ConfigError, match=r"other: damaged: run\.json is of case case"):
+        load_case(tmp_path / "other")
 
 
 def test_rows_that_are_missing_are_counted(tmp_path: Path, trace: Trace) -> None:
