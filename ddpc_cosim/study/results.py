@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ddpc_cosim.study.file_format.sections import Study
     from ddpc_cosim.study.problems import WholeStudy
 
-REPORT_FILE = "report.html"
+REPORT_FILE, TRIALS_FILE = "report.html", "trials.csv"
 STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "study.toml",
     "provenance.json",

@@ -13,7 +13,7 @@ import shlex
 import sys
 import tempfile
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -194,12 +194,17 @@ class Selection:
 
 
 def run_study(
-    resolved: "ResolvedProblems", folder: Path, selection: Selection, progress: Progress
+    resolved: "ResolvedProblems",
+    folder: Path,
+    selection: Selection,
+    progress: Progress,
+    facts: Mapping[str, str] | None = None,
 ) -> StudyResults:
     """Run a study's cases into a folder and return the results.
 
     Cases that are there from an earlier run and whose settings, FMU, seed and code are the same are kept. If
-    the run is interrupted, the cases that were finished stay; the same call goes on from there.
+    the run is interrupted, the cases that were finished stay; the same call goes on from there. ``facts`` are
+    what else there is to say of where the results come from.
 
     Raises
     ------
@@ -217,11 +222,11 @@ def run_study(
     for result in results:
         of_problem.setdefault(result.problem, []).append(result)
     for name, one in resolved.problems.items():
-        facts = _provenance_of_problem(of_problem.get(name, []), plants[name], one.metrics.preview)
+        own = _provenance_of_problem(of_problem.get(name, []), plants[name], one.metrics.preview)
         provenance |= {
-            provenance_of(name, key) if len(plants) > 1 else key: fact for key, fact in facts.items()
+            provenance_of(name, key) if len(plants) > 1 else key: fact for key, fact in own.items()
         }
-    provenance |= _provenance(results, selection)
+    provenance |= _provenance(results, selection) | dict(facts or {})
     whole = [case.id for case in every] if selection.is_part else None
     return write_results(StudyResults(folder, study, results, provenance, damaged), whole)
 

@@ -11,20 +11,21 @@ import json
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
+from math import fsum, isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, Self
 
 import tomli_w
 
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.study.case_files import CaseResult, load_case
+from ddpc_cosim.study.case_files import CaseResult, load_case, read_run
 from ddpc_cosim.study.cases import Case, cases_of_problems
 from ddpc_cosim.study.file_format.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import StudyFile, resolve_file
 from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
-from ddpc_cosim.study.results import CASES_FOLDER, StudyResults, claim_folder
+from ddpc_cosim.study.results import CASES_FOLDER, TRIALS_FILE, StudyResults, claim_folder
 from ddpc_cosim.study.runner import Progress, Selection, built_plants, run_missing, run_study
 from ddpc_cosim.texts import encodable
 from ddpc_cosim.tuning.objectives import PREDICTION, Objective, Run, reference_spans
@@ -40,7 +41,7 @@ from ddpc_cosim.tuning.search import (
 )
 from fmu_plants.files import write_atomically
 
-TUNED_FILE, TRIALS_FILE, HELD_OUT_FOLDER = "tuned.toml", "trials.csv", "held-out"
+TUNED_FILE, HELD_OUT_FOLDER = "tuned.toml", "held-out"
 _FIRST_SEED, _SEEDS = 10_000, 3
 _GIVEN = "-as-given"
 _LONGEST_NAME = 60
@@ -163,21 +164,30 @@ def tune_study(
         for search in searches
     ]
     due = {one: next(one) for one in tuning}
+    times = list[float]()
     while due:
         run_missing([case for cases in due.values() for case in cases], folder, selection, progress)
         for one, cases in [*due.items()]:
+            folders = [folder / CASES_FOLDER / case.id for case in cases]
+            times += [read_run(place)["wall_time"] for place in folders]
             try:
-                due[one] = one.send([load_case(folder / CASES_FOLDER / case.id) for case in cases])
+                due[one] = one.send([load_case(place) for place in folders])
             except StopIteration:
                 del due[one]
     trials = {(search.problem, search.name): search.trials for search in searches}
-    write_atomically(folder / TRIALS_FILE, encodable(_trials_table(trials, request)).encode())
+    table = encodable(_trials_table(trials, request)).encode()
+    for place in (folder, folder / HELD_OUT_FOLDER):  # where the report finds it
+        write_atomically(place / TRIALS_FILE, table)
     tuned = _tuned_study(resolved, trials, request)
     text = tomli_w.dumps(tuned.tables())
     write_atomically(folder / TUNED_FILE, encodable(text).encode())
     both = StudyFile(TUNED_FILE, folder, _with_given(tuned, resolved, trials).tables())
     progress.prepare("comparing on the seeds of the study")
-    return Tuned(trials, kept, run_study(resolve_file(both), folder / HELD_OUT_FOLDER, selection, progress))
+    count, runs = len(trials) * request.trials, sum(one.runs for own in trials.values() for one in own)
+    seconds = fsum(filter(isfinite, times))
+    facts = {"tuning": f"{count} trials, {runs} runs, which took {seconds:.0f} s one after another"}
+    results = run_study(resolve_file(both), folder / HELD_OUT_FOLDER, selection, progress, facts)
+    return Tuned(trials, kept, results)
 
 
 def _searches(
@@ -261,14 +271,17 @@ def _trials_table(trials: Mapping[tuple[str, str], Sequence[Trial]], request: Re
     writer = csv.writer(file, lineterminator="\n")
     named = [str(objective) for objective in request.objectives]
     counts = ["runs", "pruned", "runs lost"]
-    writer.writerow(["problem", "controller", "trial", *counts, *named, "not dominated", "settings"])
+    writer.writerow(
+        ["problem", "controller", "trial", *counts, *named, "not dominated", "chosen", "settings"]
+    )
     for (problem, controller), tried in trials.items():
-        whole = [trial for trial in tried if not trial.pruned]
+        whole, chosen = [trial for trial in tried if not trial.pruned], best(tried)
         for number, trial in enumerate(tried):
             values = ["" if trial.pruned else repr(value) for value in trial.values]
             on_front = not trial.pruned and not any(dominates(other, trial) for other in whole)
-            words = ["true" if fact else "false" for fact in (trial.pruned, on_front)]
-            row = [problem, controller, number, trial.runs, words[0], trial.lost, *values, words[1]]
+            facts = (trial.pruned, on_front, number == chosen)
+            pruned, *words = ("true" if fact else "false" for fact in facts)
+            row = [problem, controller, number, trial.runs, pruned, trial.lost, *values, *words]
             writer.writerow([*row, json.dumps(trial.settings)])
     return file.getvalue()
 

@@ -12,6 +12,7 @@ from ddpc_cosim.tuning.objectives import Objective, Run
 
 # From so many on, the best value that a run has had says what can be hoped for: by this part better at most.
 _TRIALS_IN_FULL, _BETTER = 5, 0.1
+_DIGITS = 4
 
 
 class Figures(NamedTuple):
@@ -176,11 +177,20 @@ def _distribution(space: Search) -> Any:
 def _value(space: Search, param: Any, given: Any) -> Any:
     if isinstance(space, Choice):
         return space.values[param]
-    return _times(given, param) if isinstance(space, Factor) else param
+    if isinstance(space, Integer):
+        return param
+    if isinstance(space, Factor):
+        return _times(given, param)
+    return min(max(_rounded(param), space.low), space.high)
 
 
 def _times(value: Any, factor: float) -> Any:
-    return [_times(item, factor) for item in value] if isinstance(value, list) else value * factor
+    return [_times(item, factor) for item in value] if isinstance(value, list) else _rounded(value * factor)
+
+
+def _rounded(value: float) -> float:
+    """Return a number that a person would write: further digits decide nothing."""
+    return float(f"{value:.{_DIGITS}g}")
 
 
 def _entry(settings: Mapping[str, Any], name: str) -> Any:

@@ -35,6 +35,7 @@ _VALUE_LABELS = (
     " ? replace(format(datum.value, '~e'), 'e+', 'e') : " + LABELS
 )
 _LABEL_ROOM = 44
+_LOGARITHMIC_FROM = 8.0
 _PANEL_HEIGHT = 168
 
 _MANTISSAS = {
@@ -256,7 +257,7 @@ def _reading(signal: Signal, names: Sequence[str], x: Spec) -> list[Spec]:
     ]
 
 
-def spread_chart(rows: list[dict[str, Any]], title: str, logarithmic: bool) -> Spec:
+def spread_chart(rows: list[dict[str, Any]], title: str) -> Spec:
     """Return a strip of one point per seed for each controller, its median and the first seed marked.
 
     Parameters
@@ -265,15 +266,9 @@ def spread_chart(rows: list[dict[str, Any]], title: str, logarithmic: bool) -> S
         ``label``, ``key``, ``seed``, ``value``, ``first`` (bool), in the order of the controllers.
     title : str
         Metric and unit.
-    logarithmic : bool
-        Whether the range asks for a logarithmic axis.
     """
     labels, hue, y = _rows(rows)
-    x = _field("value", title)
-    if logarithmic:
-        x |= _logarithmic([row["value"] for row in rows], _GROUPED)
-    else:
-        x |= {"scale": {"zero": False, "nice": True}, "axis": {"tickCount": 6, "labelExpr": LABELS}}
+    x = _field("value", title) | _axis_of([row["value"] for row in rows])
     ink = {"color": "var(--ink)"}
     median = {"aggregate": [{"op": "median", "field": "value", "as": "value"}], "groupby": ["label"]}
     seeds = {"type": "circle", "size": 34, "opacity": 0.5}
@@ -422,6 +417,48 @@ def heat_chart(rows: list[dict[str, Any]], titles: Sequence[str]) -> Spec:
         _layer({"type": "text", "fontSize": 12, "opacity": room}, {**place, **words}),
     ]
     return _chart_of_rows(rows, layers, 34 * len(down) + 8)
+
+
+def front_chart(rows: list[dict[str, Any]], titles: Sequence[str], *, joined: bool) -> Spec:
+    """Return trials over two objectives, those on the front full and perhaps joined by a line.
+
+    Parameters
+    ----------
+    rows : list of dict
+        ``x``, ``y``, ``front``, ``chosen``, ``given`` (bool).
+    titles : sequence of str
+        The two objectives.
+    joined : bool
+        Whether a line joins them: it means something where there are no more objectives.
+    """
+    x, y = (
+        _field(side, title) | _axis_of([row[side] for row in rows])
+        for side, title in zip("xy", titles, strict=True)
+    )
+    place = {"x": x, "y": y}
+    on_front = {"filter": "datum.front"}
+    line = {"type": "line", "color": "var(--accent)", "strokeWidth": 1.6, "interpolate": "step-after"}
+    dots = {"type": "circle", "size": 34, "color": "var(--accent)"}
+    shown = {"condition": {"test": "datum.front", "value": 1}, "value": 0.3}
+    framed = {"type": "point", "filled": False, "strokeWidth": 1.8, "color": "var(--ink)"}
+    marks = {"chosen": {"shape": "diamond", "size": 150}, "given": {"shape": "square", "size": 110}}
+    layers = [
+        *([_layer(line, place, None, on_front)] if joined else []),
+        _layer(dots, {**place, "opacity": shown}),
+        *(_layer(framed | mark, place, None, {"filter": f"datum.{what}"}) for what, mark in marks.items()),
+    ]
+    return _chart_of_rows(rows, layers, 260)
+
+
+def ranges_widely(values: Sequence[float]) -> bool:
+    """Whether values ask for a logarithmic axis."""
+    return min(values) > 0 and max(values) / min(values) > _LOGARITHMIC_FROM
+
+
+def _axis_of(values: Sequence[float]) -> Spec:
+    if ranges_widely(values):
+        return _logarithmic(values, _GROUPED)
+    return {"scale": {"zero": False, "nice": True}, "axis": {"tickCount": 6, "labelExpr": LABELS}}
 
 
 def _rows(rows: list[dict[str, Any]]) -> tuple[list[str], Spec, Spec]:

@@ -13,7 +13,16 @@ from markupsafe import Markup
 
 from ddpc_cosim import CaseResult, CosimWarning
 from ddpc_cosim.texts import recorded
-from ddpc_reports.charts import COLOURS, DASHES, Mark, Spec, spread_chart, step_time_chart, time_chart
+from ddpc_reports.charts import (
+    COLOURS,
+    DASHES,
+    Mark,
+    Spec,
+    ranges_widely,
+    spread_chart,
+    step_time_chart,
+    time_chart,
+)
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
@@ -28,7 +37,6 @@ from ddpc_reports.numbers import duration, given_duration, significant, with_uni
 from ddpc_reports.samples import Column, FirstSeed, Said, Signal, column_name, first_seed, known, said
 from ddpc_reports.settings_tables import own_units, scenario_effects
 
-_LOGARITHMIC_FROM = 8.0
 _SAID = "What controllers said of their steps"
 
 
@@ -343,14 +351,12 @@ def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | 
     rows = [row for row in rows if math.isfinite(row["value"])]
     if not rows:
         return None
-    values = [row["value"] for row in rows]
-    logarithmic = min(values) > 0 and max(values) / min(values) > _LOGARITHMIC_FROM
     caption = (
         f"{what} over {len(condition.seeds)} seeds, cases that stay near their reference only; "
         f"one dot per seed, upright line: median, diamond: seed {condition.seeds[0]}."
-        + (" Logarithmic axis." if logarithmic else "")
+        + (" Logarithmic axis." if ranges_widely([row["value"] for row in rows]) else "")
     )
-    return one_chart(identifier, "Spread over seeds", caption, spread_chart(rows, axis, logarithmic))
+    return one_chart(identifier, "Spread over seeds", caption, spread_chart(rows, axis))
 
 
 def _holding(condition: Condition) -> list[tuple[ControllerResults, CaseResult]]:

@@ -50,6 +50,7 @@ from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.sensitivity import effects_table, sensitivity_figures, sweep_statements, variants_table
 from ddpc_reports.settings_tables import compact_seeds, family_tables, settings_tables
 from ddpc_reports.table import Table
+from ddpc_reports.tuning import front_figures, trials_table
 from ddpc_reports.verdict import Statement, across_statements, limitations, verdict
 
 _MOST_DRAWN = 4
@@ -204,6 +205,10 @@ def _study_part(
             *_in_their_place(title, overview),
             *each(title, _verdict_blocks),
             *_in_their_place("Fallbacks and failures", lost),
+        ],
+        ("tuning", "Tuning"): lambda _: [
+            *_tables(trials_table(results, prefix)),
+            *_figures(front_figures(results, prefix), prefix),
         ],
         ("sure", "How sure"): lambda title: each(title, _certainty_blocks),
         ("fairness", "Fairness"): lambda _: _statements(fairness_statements(results, seen)),

@@ -257,6 +257,17 @@ def begun(*values: float, lost: bool = False) -> dict[Run, Figures]:
     return {Run("quiet", seed): Figures(lost, (value,)) for seed, value in enumerate(values)}
 
 
+def test_numbers_are_tried_with_four_digits_within_their_ends() -> None:
+    spaces = {"a": Linear(0.123456, 0.123457), "b": Log(1e-3, 1e3), "c": Factor(0.1, 10.0)}
+    given = {"a": 0.123456, "b": 1.0, "c": [3.0, 0.1]}
+    search = SettingsSearch("p", "c", given, spaces, (Objective(),))
+    for _ in range(4):
+        settings = search.next_settings()
+        search.tell(settings, begun(1.0))
+        assert 0.123456 <= settings["a"] <= 0.123457
+        assert all(float(f"{value:.4g}") == value for value in (settings["b"], *settings["c"]))
+
+
 def test_a_trial_ends_when_it_would_not_be_the_best_even_if_the_rest_were_a_tenth_better_than_ever() -> None:
     """The best sum is 9; the best second and third run are 2 and 3, a tenth less is 1.8 and 2.7."""
     runs = [[3.0, 3.0, 3.0], [4.0, 2.0, 4.0], [4.0, 4.0, 3.0], [9.0, 9.0, 9.0], [np.inf, 9.0, 9.0]]

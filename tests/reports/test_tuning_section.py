@@ -1,0 +1,78 @@
+"""What a report says of the trials of a tuning, from the file that `tune` leaves beside the results."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ddpc_cosim import StudyResults
+from ddpc_reports.page import render_page
+from ddpc_reports.tuning import front_figures, trials_table
+
+from .synthetic import make_results_in
+
+HEAD = "problem,controller,trial,runs,pruned,runs lost,{},not dominated,chosen,settings\n"
+SETTINGS = '"{""a"": 1.5}"'
+ONE = [
+    "synthetic,quick,0,6,false,1,0.5,true,false",
+    "synthetic,quick,1,6,false,0,0.25,true,true",
+    "synthetic,quick,2,2,true,1,,false,false",
+    "another,quick,0,9,false,0,9.0,true,true",
+]
+TWO = [
+    "synthetic,quick,0,6,false,0,1.0,4.0,true,false",
+    "synthetic,quick,1,6,false,0,0.5,5.0,true,true",
+    "synthetic,quick,2,6,false,0,1.5,4.5,false,false",
+    "synthetic,quick,3,6,false,0,2.0,inf,false,false",
+    "synthetic,quick,4,6,false,2,0.1,0.1,true,false",
+]
+
+
+def tuned(folder: Path, objectives: str, rows: list[str]) -> StudyResults:
+    folder.mkdir()
+    content = HEAD.format(objectives) + "".join(f"{row},{SETTINGS}\n" for row in rows)
+    (folder / "trials.csv").write_text(content, encoding="utf-8")
+    controllers = {"quick": {"type": "quick", "label": "Quick, tuned"}, "slow": {"type": "slow"}}
+    return make_results_in(folder, None, controllers, {"tuning": "3 trials, 14 runs, which took 5 s"})
+
+
+def test_the_trials_of_each_controller_are_summed_up(tmp_path: Path) -> None:
+    results = tuned(tmp_path / "one", "rmse", ONE)
+    table = trials_table(results, "x-")
+    assert table is not None
+    (row,) = table.rows
+    assert row.header == "Quick"
+    assert [cell.raw for cell in row.cells[:-1]] == [3, 1, 14, 1, 0, 0.5, 0.25]
+    assert row.cells[-1].text == "a = 1.5"
+    assert "Tuning: 3 trials, 14 runs, which took 5 s." in table.notes
+    assert front_figures(results, "x-") == []
+    assert 'id="s1-tuning"' in render_page([results])
+
+
+def test_two_objectives_are_drawn_as_a_front(tmp_path: Path) -> None:
+    """Trials that lost more runs than the one chosen are left out, and those without a figure."""
+    (figure,) = front_figures(tuned(tmp_path / "two", "rmse,total_variation", TWO), "x-")
+    spec: dict[str, Any] = figure.views[0].spec
+    points = spec["data"]["values"]
+    assert [(point["x"], point["y"]) for point in points] == [(1.0, 4.0), (0.5, 5.0), (1.5, 4.5)]
+    assert [(p["front"], p["chosen"], p["given"]) for p in points] == [
+        (True, False, True),
+        (True, True, False),
+        (False, False, False),
+    ]
+    assert "Left out: 2 trials" in figure.caption
+    assert "<svg" in figure.views[0].svg
+
+
+def test_without_trials_there_is_no_such_section(tmp_path: Path) -> None:
+    results = make_results_in(tmp_path)
+    assert trials_table(results, "x-") is None
+    assert 'id="s1-tuning"' not in render_page([results])
+
+
+@pytest.mark.parametrize("content", ["", "a,b\n1,2\n"])
+def test_a_file_that_is_another_costs_the_section_alone(content: str, tmp_path: Path) -> None:
+    results = tuned(tmp_path / "other", "rmse", ONE)
+    (results.folder / "trials.csv").write_text(content, encoding="utf-8")
+    with pytest.warns(UserWarning, match="Tuning: cannot be shown"):
+        assert 'id="s1-verdict"' in render_page([results])
