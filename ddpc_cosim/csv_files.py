@@ -3,6 +3,8 @@
 A file is UTF-8 text with a header and one row per sample. Columns are separated by commas, semicolons or
 tabs, whichever the header shows; with semicolons and tabs the decimal mark can be a comma. A header may end
 in the column's unit: ``level [cm]``.
+
+A Parquet file has the same columns under the same headers, and may stand wherever a CSV file is read.
 """
 
 import csv
@@ -13,7 +15,7 @@ from datetime import datetime
 from functools import lru_cache
 from io import StringIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
@@ -24,6 +26,7 @@ from fmu_plants.spelling import did_you_mean
 TIME_TOLERANCE = 0.01
 """How far rows may be from one sampling time apart, in parts of it, unless one says otherwise."""
 
+PARQUET = ".parquet"
 _LARGEST = 100_000_000
 _MOST_LISTED = 8
 _DELIMITERS = ";\t,"
@@ -234,12 +237,78 @@ def plain_cells(file: CSVFile, shapes: Mapping[str, tuple[int, ...]]) -> CSVFile
 
 
 def write_table(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> None:
-    """Write columns of numbers, in the shortest text that gives them again, and then columns of text."""
+    """Write columns of numbers and then columns of text: as Parquet if the file's name ends so, or as CSV.
+
+    As text a number is the shortest that gives it again.
+    """
+    if path.suffix == PARQUET:
+        _write_parquet(path, numbers, texts)
+        return
     with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*numbers, *texts])
-        cells: list[Iterable[str]] = [map(repr, column.tolist()) for column in numbers.values()]
-        writer.writerows(zip(*cells, *texts.values(), strict=True))
+        _write_csv(file, numbers, texts)
+
+
+def _write_csv(file: TextIO, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> None:
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow([*numbers, *texts])
+    cells: list[Iterable[str]] = [map(repr, column.tolist()) for column in numbers.values()]
+    writer.writerows(zip(*cells, *texts.values(), strict=True))
+
+
+def _write_parquet(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> None:
+    # From buffers: where pyarrow is given arrays or lists it imports pandas, which a worker does without.
+    pyarrow, columns = load_pyarrow(), list[Any]()
+    for numbers_of_one in map(np.ascontiguousarray, numbers.values()):
+        buffers = [None, pyarrow.py_buffer(numbers_of_one)]
+        columns.append(pyarrow.Array.from_buffers(pyarrow.float64(), len(numbers_of_one), buffers))
+    for cells in ([cell.encode() for cell in column] for column in texts.values()):
+        ends = np.cumsum([0, *map(len, cells)], dtype=np.int32)
+        buffers = [pyarrow.py_buffer(ends), pyarrow.py_buffer(b"".join(cells))]
+        columns.append(pyarrow.StringArray.from_buffers(len(cells), *buffers))
+    table = pyarrow.Table.from_arrays(columns, names=[*numbers, *texts])
+    how = {"compression": "zstd", "use_byte_stream_split": [*numbers], "use_dictionary": [*texts]}
+    # Neither statistics nor its own schema, which are larger than the samples of a short run.
+    pyarrow.parquet.write_table(table, path, write_statistics=False, store_schema=False, **how)
+
+
+def read_parquet(content: bytes) -> tuple[dict[str, FloatArray], dict[str, tuple[str, ...]]]:
+    """Return the columns of numbers and, as text, all others of a Parquet file; what is missing is empty.
+
+    Raises
+    ------
+    ConfigError
+        pyarrow is not installed.
+    ValueError
+        It is not a Parquet file.
+    """
+    pyarrow = load_pyarrow()
+    numbers, texts = dict[str, FloatArray](), dict[str, tuple[str, ...]]()
+    try:
+        table = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content)).read(use_threads=False)
+        for name, column in zip(table.column_names, table.columns, strict=True):
+            if column.type == pyarrow.float64() and not column.null_count:
+                numbers[name] = np.concatenate([np.empty(0), *map(np.from_dlpack, column.chunks)])
+            else:
+                texts[name] = tuple("" if cell is None else str(cell) for cell in column.to_pylist())
+    except pyarrow.ArrowException as error:
+        raise ValueError(f"not a Parquet file: {error}") from error
+    return numbers, texts
+
+
+def load_pyarrow() -> Any:
+    """Import what reads and writes Parquet files.
+
+    Raises
+    ------
+    ConfigError
+        It is not installed.
+    """
+    try:
+        import pyarrow.parquet
+    except ImportError as error:
+        remedy = 'install it with: pip install "ddpc-cosim[parquet]"'
+        raise ConfigError(f"Parquet files need pyarrow ({error}); {remedy}") from error
+    return pyarrow
 
 
 def _text(path: Path) -> str:
@@ -252,6 +321,10 @@ def _text(path: Path) -> str:
                 "columns and rows that are needed"
             )
         content = path.read_bytes()
+        if path.suffix == PARQUET:
+            text = StringIO()
+            _write_csv(text, *read_parquet(content))
+            return text.getvalue()
     except (OSError, ValueError) as error:
         raise DataError(f"{path}: cannot be read: {error}") from error
     try:

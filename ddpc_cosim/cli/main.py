@@ -146,6 +146,12 @@ _STEP_TIMEOUT = click.option(
 @click.option("--shard", default="1/1", metavar="I/N", help="Every N-th case from the I-th on; no report.")
 @_EXECUTOR
 @_SCHEDULER
+@click.option(
+    "--storage",
+    type=click.Choice(["csv", "parquet"]),
+    default="csv",
+    help="File of each case's samples [csv]; parquet needs pyarrow.",
+)
 @click.option("--dry-run", is_flag=True, help="Run nothing: say how many cases, how long, how many bytes.")
 @_SANDBOX
 @_NO_REPORT
@@ -158,6 +164,7 @@ def run(
     fresh: bool,
     shard: str,
     executor: str,
+    storage: str,
     scheduler: str,
     dry_run: bool,
     sandbox: bool,
@@ -168,6 +175,7 @@ def run(
         from ddpc_cosim.cli.run import run_command
 
         how = {"sandboxed": sandbox, "executor": executor, "scheduler": scheduler, "shard": shard}
+        how |= {"storage": storage}
         done = run_command(study, out, jobs, only, seeds, fresh, how, report=not no_report, dry_run=dry_run)
         sys.exit(done)
 

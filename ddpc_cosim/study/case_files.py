@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim.controller import Bounds
+from ddpc_cosim.csv_files import PARQUET, read_parquet, write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.texts import recorded
@@ -24,7 +25,9 @@ from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
 from fmu_plants.files import write_atomically
 
-RUN_FILE, _SIGNALS_FILE = "run.json", "signals.csv"
+RUN_FILE = "run.json"
+# What holds the samples, by how they are stored.
+_SIGNALS_FILES = {"csv": "signals.csv", "parquet": f"signals{PARQUET}"}
 # A JSON file ends with the checksum of all that stands before it.
 _SEAL = b',\n "sha256": "%s"\n}\n'
 
@@ -199,8 +202,8 @@ def stage_case(
         They cannot be written.
     """
     settings = settings or MetricSettings(trace.preview)
-    run = (
-        {"printed": "", "sandbox": "", "problem": "", "wall_time": math.nan}
+    run: dict[str, Any] = (
+        {"printed": "", "sandbox": "", "problem": "", "wall_time": math.nan, "storage": "csv"}
         | head
         | {
             "outcome": trace.outcome.value,
@@ -227,8 +230,9 @@ def stage_case(
         }
     )
     staged.mkdir(parents=True, exist_ok=True)
-    trace.write_csv(staged / _SIGNALS_FILE)
-    signals = {"rows": len(trace), "sha256": checksum((staged / _SIGNALS_FILE).read_bytes())}
+    file = staged / _SIGNALS_FILES[run["storage"]]
+    write_table(file, trace.columns(), {"status": trace.status})
+    signals = {"rows": len(trace), "sha256": checksum(file.read_bytes())}
     (staged / RUN_FILE).write_bytes(sealed_json(run | {"signals": signals}))
 
 
@@ -253,7 +257,7 @@ def accept_case(staged: Path, folder: Path, head: dict[str, Any], printed: str, 
     CosimError
         It cannot be moved, and why.
     """
-    _check_staged(staged, {RUN_FILE: _LONGEST_RUN, _SIGNALS_FILE: longest})
+    _check_staged(staged, {RUN_FILE: _LONGEST_RUN, _SIGNALS_FILES[head["storage"]]: longest})
     load_case(staged, head["id"])
     run = read_run(staged)
     for key, value in head.items():
@@ -346,12 +350,20 @@ def read_sealed(path: Path) -> dict[str, Any]:
 
 
 def _signals(folder: Path, run: dict[str, Any]) -> bytes:
-    """Return ``signals.csv``; raises ValueError unless it holds what was written to the last byte."""
-    content, written = (folder / _SIGNALS_FILE).read_bytes(), run["signals"]
+    """Return the file of samples; raises ValueError unless it holds what was written to the last byte."""
+    name, written = _SIGNALS_FILES[_storage(run)], run["signals"]
+    content = (folder / name).read_bytes()
     if checksum(content) != written["sha256"]:
-        rows = f"{len(content.splitlines()[1:])} rows, {written['rows']} were written"
-        raise ValueError(f"{_SIGNALS_FILE} is not what was written: its checksum differs ({rows})")
+        rows = f"{len(content.splitlines()[1:])} rows, " if name.endswith(".csv") else ""
+        fault = f"its checksum differs ({rows}{written['rows']} were written)"
+        raise ValueError(f"{name} is not what was written: {fault}")
     return content
+
+
+def _storage(run: dict[str, Any]) -> str:
+    """Return how the samples are stored; earlier versions had one way."""
+    storage: str = run.get("storage", "csv")
+    return storage
 
 
 def checksum(content: bytes) -> str:
@@ -389,7 +401,7 @@ def read_trace(folder: Path) -> Trace:
     inputs, outputs, measurements, changed_inputs = (
         [_variable(v) for v in run[key]] for key in ("inputs", "outputs", "measurements", "changed_inputs")
     )
-    columns, status = _read_signals(_signals(folder, run))
+    columns, status = _read_signals(_signals(folder, run), _storage(run))
 
     def table(variables: list[Variable], prefixes: tuple[str, ...] = ("",)) -> FloatArray:
         found = [
@@ -427,7 +439,10 @@ def read_trace(folder: Path) -> Trace:
     )
 
 
-def _read_signals(content: bytes) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+def _read_signals(content: bytes, storage: str) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+    if storage == "parquet":
+        numbers, texts = read_parquet(content)
+        return numbers, texts["status"]
     header, *rows = csv.reader(io.StringIO(content.decode(), newline=""))
     cells = list(zip(*rows, strict=True)) or [()] * len(header)
     columns = {name: np.array(column, dtype=float) for name, column in zip(header[:-1], cells, strict=False)}

@@ -46,6 +46,9 @@ if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
     from ddpc_cosim.study.resolve import ResolvedStudy
 
 _MOST_LISTED = 8
+# What a case has besides all that decides its result.
+_NAMES, _SURROUNDINGS = ("label", "id", "problem"), ("step_timeout", "memory_limit", "sandbox", "storage")
+_NOT_DECISIVE = (*_NAMES, *_SURROUNDINGS, "late", "metrics")
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
 
 
@@ -107,6 +110,8 @@ class Case:
         The sandbox that it is run in, in words, which does not decide the result; empty: none.
     problem : str
         The problem's name, where the study has several.
+    storage : {"csv", "parquet"}
+        The file of its samples, which does not decide the result.
     """
 
     controller: str
@@ -140,6 +145,7 @@ class Case:
     id: str = ""
     sandbox: str = ""
     problem: str = ""
+    storage: str = "csv"
 
     @property
     def name(self) -> str:
@@ -155,7 +161,7 @@ class Case:
 
     def head(self) -> dict[str, Any]:
         """Return the identifiers of the case for its ``run.json``."""
-        keys = ("id", "problem", "controller", "label", "scenario", "seed", "sandbox")
+        keys = ("id", "problem", "controller", "label", "scenario", "seed", "sandbox", "storage")
         return {key: getattr(self, key) for key in keys}
 
 
@@ -286,7 +292,7 @@ def _identifier(case: Case, content: Mapping[str, Any]) -> str:
     decisive = {one.name: getattr(case, one.name) for one in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
     decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements", "undriven")}
-    for key in ("label", "id", "step_timeout", "memory_limit", "late", "metrics", "sandbox", "problem"):
+    for key in _NOT_DECISIVE:
         del decisive[key]
     text = json.dumps(decisive, sort_keys=True, default=repr)
     return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"

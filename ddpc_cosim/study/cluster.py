@@ -61,6 +61,8 @@ class _Task:
         What the machine of the study has of what results depend on, by name.
     plugins : tuple of (str, str)
         Kind and name of the installed plug-ins that are among them.
+    packages : tuple of str
+        The packages that are among them.
     """
 
     case: Case
@@ -70,6 +72,7 @@ class _Task:
     sandboxed: bool
     versions: dict[str, str]
     plugins: tuple[tuple[str, str], ...]
+    packages: tuple[str, ...]
 
 
 def run_on_cluster(
@@ -138,7 +141,9 @@ class _Run:
         self._contents = dict[str, "Future"]()
         self._recordings = dict[int, tuple[Recording, "Future"]]()
         self._plugins = tuple(sorted({pair for case in cases for pair in _installed_in(case)}))
-        self._versions = _versions(self._plugins)
+        stored = {"pyarrow" for case in cases if case.storage == "parquet"}
+        self._packages = (*_COMPARED, *stored)
+        self._versions = _versions(self._plugins, self._packages)
 
     def finished(self) -> Iterator[Case]:
         """Yield each case when its files are written."""
@@ -181,7 +186,7 @@ class _Run:
     def _check_workers(self) -> None:
         """Compare what the workers have with what is here: whichever joins later is asked with its cases."""
         self._threads()
-        there = self._client.run(_versions, self._plugins, on_error="return")
+        there = self._client.run(_versions, self._plugins, self._packages, on_error="return")
         faults = [
             fault for worker, found in there.items() for fault in _faults(worker, found, self._versions)
         ]
@@ -204,7 +209,7 @@ class _Run:
             recording = self._recordings[id(case.recording)][1]
         bare, values = replace(case, recording=None), Surroundings.of(case).values
         carried = (values, self._modules[names], files)
-        task = _Task(bare, *carried, self._sandboxed, self._versions, self._plugins)
+        task = _Task(bare, *carried, self._sandboxed, self._versions, self._plugins, self._packages)
         needed = {file: self._contents[file] for file in files.values()}
         key = f"{case.id}-{uuid.uuid4().hex}"
         future = self._client.submit(_run_there, task, recording, needed, self._run_cases, key=key)
@@ -262,10 +267,10 @@ def _installed_in(case: Case) -> Iterator[tuple[str, str]]:
 
 
 @cache
-def _versions(plugins: tuple[tuple[str, str], ...]) -> dict[str, str]:
+def _versions(plugins: tuple[tuple[str, str], ...], packages: tuple[str, ...]) -> dict[str, str]:
     """Return what a machine has of what results depend on, by name."""
     found = {"Python": ".".join(platform.python_version_tuple()[:2])}
-    for name in _COMPARED:
+    for name in packages:
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
@@ -299,7 +304,7 @@ def _run_there(
     from distributed import get_worker
 
     worker = get_worker()
-    if faults := _faults(worker.address, _versions(task.plugins), task.versions):
+    if faults := _faults(worker.address, _versions(task.plugins, task.packages), task.versions):
         raise ConfigError(faults)
     try:
         places = {path: _placed(path, contents[content], content) for path, content in task.files.items()}

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _MOST_READ = 300
 # Of a case's run.json; of a number of signals.csv; of a row's time, status and computation time.
 _RUN_BYTES, _NUMBER_BYTES, _REST_OF_ROW = 3_500, 17, 30
+# Of a column of signals.parquet; of a cell, which repeats in part what stands above it.
+_COLUMN_BYTES, _CELL_BYTES = 200, 3
 
 
 def expected(resolved: "ResolvedProblems", folder: Path, selection: "Selection", progress: "Progress") -> str:
@@ -49,7 +51,8 @@ def expected(resolved: "ResolvedProblems", folder: Path, selection: "Selection",
             for name, one in resolved.problems.items()
             for key, section in one.study.controllers.items()
         }
-        lines += [_time(missing, base, folder / CASES_FOLDER, there, selection.jobs), _size(missing)]
+        lines += [_time(missing, base, folder / CASES_FOLDER, there, selection.jobs)]
+        lines.append(_size(missing, selection.storage))
     return "\n".join(lines)
 
 
@@ -100,13 +103,16 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def _size(missing: Sequence["Case"]) -> str:
+def _size(missing: Sequence["Case"], storage: str) -> str:
     """Say how many bytes the cases that are missing would have."""
     size = 0.0
     for case in missing:
         signals = 2 * len(case.outputs) + len(case.measurements) + len(case.inputs) + len(case.changed_inputs)
         rows = round(case.duration / case.sampling_time) + 1
-        size += _RUN_BYTES + rows * (_REST_OF_ROW + signals * _NUMBER_BYTES)
+        if storage == "parquet":
+            size += _RUN_BYTES + (signals + 3) * (_COLUMN_BYTES + rows * _CELL_BYTES)
+        else:
+            size += _RUN_BYTES + rows * (_REST_OF_ROW + signals * _NUMBER_BYTES)
     factor, unit = next(
         ((f, unit) for f, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")) if size >= f), (1.0, "bytes")
     )

@@ -408,6 +408,7 @@ class Study:
         executor: str = "local",
         scheduler: str = "",
         shard: str = "1/1",
+        storage: str = "csv",
     ) -> StudyResults:
         """Run all cases that are not there yet, and return the results.
 
@@ -419,7 +420,7 @@ class Study:
             Number of worker processes.
         progress : bool or Progress
             Whether to show how far it is, or what follows it instead.
-        only, seeds, fresh, sandbox, executor, scheduler, shard
+        only, seeds, fresh, sandbox, executor, scheduler, shard, storage
             As the options of ``ddpc-cosim run``.
 
         Raises
@@ -436,7 +437,7 @@ class Study:
             except OSError as error:
                 raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from error
             file = file._replace(folder=folder.resolve())
-        selection = Selection(jobs, list(seeds), only, fresh, sandbox, executor, scheduler, shard)
+        selection = Selection(jobs, list(seeds), only, fresh, sandbox, executor, scheduler, shard, storage)
         if progress is not True:
             return run_study(resolve_file(file), folder, selection, progress or _Silent())
         from ddpc_cosim.cli.progress import display

@@ -24,6 +24,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from ddpc_cosim.csv_files import load_pyarrow
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import (
@@ -151,11 +152,13 @@ class Selection:
     shard : str
         ``I/N``: of the selected cases every N-th only, from the I-th on; a later run without it, over the
         same folder, puts the parts together.
+    storage : {"csv", "parquet"}
+        The file of the samples of each case that is run; those that already exist are kept as they are.
 
     Raises
     ------
     ConfigError
-        An executor without what it needs, or a shard that there is not.
+        An executor or a storage without what it needs, or a shard that there is not.
     """
 
     jobs: int = 1
@@ -166,6 +169,7 @@ class Selection:
     executor: str = "local"
     scheduler: str = ""
     shard: str = "1/1"
+    storage: str = "csv"
 
     def __post_init__(self) -> None:
         faults = []
@@ -179,6 +183,13 @@ class Selection:
         shard = re.fullmatch(r"(\d+)/(\d+)", self.shard, re.ASCII)
         if shard is None or not 1 <= int(shard[1]) <= int(shard[2]):
             faults.append(f"--shard {self.shard}: must be I/N, I from 1 to N, such as 1/2 and 2/2")
+        if self.storage not in ("csv", "parquet"):
+            faults.append(f"--storage {self.storage}: must be csv or parquet")
+        if self.storage == "parquet":
+            try:
+                load_pyarrow()
+            except ConfigError as error:
+                faults.append(f"--storage parquet: {error}")
         if faults:
             raise ConfigError(faults)
 
@@ -292,7 +303,8 @@ def run_missing(
         judge_again(cases_folder / case.id, case.metrics)
         if not begin:
             progress.finished(case, load_case(cases_folder / case.id))
-    for case in _done([*missing.values()], cases_folder, selection, progress):
+    to_run = [replace(case, storage=selection.storage) for case in missing.values()]
+    for case in _done(to_run, cases_folder, selection, progress):
         progress.finished(case, load_case(cases_folder / case.id))
 
 
@@ -411,7 +423,8 @@ def run_cases(
         words = require_sandbox()
         cases = [replace(case, sandbox=words) for case in cases]
     with _scratch() as temporary, _scratch(folder, _STAGING) as staging:
-        preload = [*_PRELOAD, *_plugin_modules(cases)]
+        tables = {"pyarrow.parquet" for case in cases if case.storage == "parquet"}
+        preload = [*_PRELOAD, *tables, *_plugin_modules(cases)]
         waiting, running = deque(cases), list[_Run]()
         try:
             while waiting or running:

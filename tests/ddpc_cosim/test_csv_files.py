@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 from hypothesis import given, settings, strategies as st
 
@@ -263,3 +264,19 @@ def test_a_reference_from_a_file(tmp_path: Path) -> None:
     assert second.endswith(
         'no column "t"; there are: angle, other, time (time_column says which column the time is)'
     )
+
+
+def test_a_parquet_file_stands_for_a_csv_file(tmp_path: Path) -> None:
+    """Of whatever program, with columns of any type."""
+    times, levels = pyarrow.array([0, 1], pyarrow.int16()), pyarrow.array([150.0, 200.0], pyarrow.float32())
+    table = pyarrow.table(
+        {"time": times, "level [cm]": levels, "flow": [0.1, 0.2], "note": [None, "a,b"], "on": [True, False]}
+    )
+    path = tmp_path / "log.parquet"
+    pyarrow.parquet.write_table(table, path)
+    time, values = read_table(path, COLUMNS, "time")
+    assert time.tolist() == [0.0, 1.0]
+    assert values.tolist() == [[1.5, 0.1], [2.0, 0.2]]
+    path.write_bytes(path.read_bytes()[:-1])
+    (fault,) = faults_of(path)
+    assert fault.startswith("log.csv: cannot be read: not a Parquet file: ")

@@ -202,12 +202,13 @@ def test_a_worker_that_is_killed_costs_no_case(
     for name in ("told", "never"):
         os.mkfifo(tmp_path / name)
     with ThreadPoolExecutor(1) as pool:
-        running = pool.submit(run, study, "out", **on(cluster))
+        running = pool.submit(run, study, "out", storage="parquet", **on(cluster))
         worker, process = read_from(tmp_path / "told").split()
         case = os.pidfd_open(int(process))
         cluster.stop(worker, signal.SIGKILL)
         results = running.result(timeout=120)
     assert [case.outcome for case in results.cases] == ["completed"] * 6
+    assert len([*results.folder.glob("cases/*/signals.parquet")]) == 6
     assert select.select([case], [], [], 60)[0], "the case's process has outlived its worker"
     os.close(case)
 

@@ -53,9 +53,11 @@ def test_the_time_is_that_of_the_same_controller_with_whatever_settings(study: s
     assert told(study, tmp_path / "out", Selection(seeds=[0], only="mfapc"))[1:] == []
 
 
-def test_the_size_is_about_that_of_the_files(study: str, tmp_path: Path) -> None:
-    *_, size = told(study, tmp_path / "out", Selection())
-    run_study(read_study(study), tmp_path / "out", Selection(), LineProgress(io.StringIO()))
+@pytest.mark.parametrize("storage", ["csv", "parquet"])
+def test_the_size_is_about_that_of_the_files(study: str, tmp_path: Path, storage: str) -> None:
+    selection = Selection(storage=storage, seeds=[0])
+    *_, size = told(study, tmp_path / "out", selection)
+    run_study(read_study(study), tmp_path / "out", selection, LineProgress(io.StringIO()))
     found = re.fullmatch(r"size: about ([0-9.]+) kB", size)
     assert found
     written = sum(file.stat().st_size for file in (tmp_path / "out" / "cases").glob("*/*"))

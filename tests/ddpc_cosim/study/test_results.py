@@ -3,6 +3,7 @@
 import errno
 import json
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,9 +25,11 @@ from ddpc_cosim import (
     load_results,
 )
 from ddpc_cosim.controller import Bounds
+from ddpc_cosim.study import case_files
 from ddpc_cosim.study.case_files import load_case, read_run, read_trace, sealed_json, write_case
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import write_results
+from ddpc_cosim.study.runner import Selection
 
 HEAD = {"id": "case", "controller": "a", "label": "A", "scenario": "nominal", "seed": 0}
 
@@ -114,9 +117,12 @@ def assert_same(a: Any, b: Any) -> None:
 
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(traces())
-def test_a_trace_is_read_as_it_was_written_to_the_last_bit(tmp_path: Path, trace: Trace) -> None:
-    write_case(tmp_path / "case", trace, HEAD)
+@given(traces(), st.sampled_from(["csv", "parquet"]))
+def test_a_trace_is_read_as_it_was_written_to_the_last_bit(
+    tmp_path: Path, trace: Trace, storage: str
+) -> None:
+    write_case(tmp_path / "case", trace, HEAD | {"storage": storage})
+    assert {path.name for path in (tmp_path / "case").iterdir()} == {"run.json", f"signals.{storage}"}
     again = read_trace(tmp_path / "case")
     for name in Trace.__slots__:
         if name == "bounds":
@@ -187,7 +193,7 @@ def test_a_case_that_cannot_be_written_leaves_the_older_one(
     def fail(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Trace, "write_csv", fail)
+    monkeypatch.setattr(case_files, "write_table", fail)
     words = r"case: cannot be written: No space left on device; finished cases are kept"
     with pytest.raises(CosimError, match=words):
         write_case(tmp_path / "case", trace, HEAD)
@@ -199,13 +205,13 @@ def test_a_case_that_another_run_wrote_meanwhile_is_kept(
     tmp_path: Path, trace: Trace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two runs may work in one folder; what decides the result of a case is in its name."""
-    write_csv = Trace.write_csv
+    write_table = case_files.write_table
 
-    def let_the_other_in(written: Trace, path: Path) -> None:
-        monkeypatch.setattr(Trace, "write_csv", write_csv)
+    def let_the_other_in(path: Path, *columns: Any) -> None:
+        monkeypatch.setattr(case_files, "write_table", write_table)
         (tmp_path / "theirs").mkdir()
         write_case(tmp_path / "case", trace, HEAD | {"label": "theirs"}, tmp_path / "theirs")
-        write_csv(written, path)
+        write_table(path, *columns)
         monkeypatch.setattr(Path, "replace", refuse_once)
 
     replace = Path.replace
@@ -218,7 +224,7 @@ def test_a_case_that_another_run_wrote_meanwhile_is_kept(
             raise OSError(errno.ENOTEMPTY, "Directory not empty")
         return replace(path, target)
 
-    monkeypatch.setattr(Trace, "write_csv", let_the_other_in)
+    monkeypatch.setattr(case_files, "write_table", let_the_other_in)
     write_case(tmp_path / "case", trace, HEAD | {"label": "ours"}, tmp_path)
     assert load_case(tmp_path / "case").label == "theirs"
     assert len(read_trace(tmp_path / "case")) == 2
@@ -270,6 +276,31 @@ def test_the_files_of_another_case_are_not_taken_for_this_one_s(tmp_path: Path, 
     (tmp_path / "case").rename(tmp_path / "other")
     with pytest.raises(ConfigError, match=r"other: damaged: run\.json is of case case"):
         load_case(tmp_path / "other")
+
+
+def test_any_byte_of_a_parquet_file_that_has_changed_is_noticed(tmp_path: Path, trace: Trace) -> None:
+    write_case(tmp_path / "case", trace, HEAD | {"storage": "parquet"})
+    path = tmp_path / "case" / "signals.parquet"
+    content = path.read_bytes()
+    words = r"signals\.parquet is not what was written: its checksum differs \(2 were written"
+    for place in range(len(content)):
+        path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+        with pytest.raises(ConfigError, match=words):
+            load_case(tmp_path / "case")
+
+
+def test_parquet_needs_its_extra_before_anything_runs(
+    tmp_path: Path, trace: Trace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without it the results can be read, but for the samples."""
+    write_case(tmp_path / "case", trace, HEAD | {"storage": "parquet"})
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    remedy = r'Parquet files need pyarrow .* pip install "ddpc-cosim\[parquet\]"'
+    with pytest.raises(ConfigError, match=rf"^--storage parquet: {remedy}"):
+        Selection(storage="parquet")
+    case = load_case(tmp_path / "case")
+    with pytest.raises(ConfigError, match=f"^{remedy}"):
+        case.trace()
 
 
 def test_rows_that_are_missing_are_counted(tmp_path: Path, trace: Trace) -> None:

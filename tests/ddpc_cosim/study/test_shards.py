@@ -40,6 +40,7 @@ def test_executor_and_scheduler_belong_together() -> None:
         ({"executor": "dask", "scheduler": "host:8786"}, "--scheduler host:8786: is not an address"),
         ({"scheduler": "tcp://host:8786"}, "needs --executor dask"),
         ({"executor": "slurm"}, "must be local or dask"),
+        ({"storage": "hdf5"}, "--storage hdf5: must be csv or parquet"),
     ]:
         with pytest.raises(ConfigError) as caught:
             Selection(**given)  # type: ignore[arg-type]
@@ -52,7 +53,7 @@ def test_shards_in_one_folder_are_one_study(write_study: WriteStudy) -> None:
     assert "shard 3/3: 1 case; metrics.csv and report" in run(study, "--shard", "3/3")
     assert len(load_results(out).cases) == 1
     assert "2 to run, 0 already there" in run(study, "--shard", "1/3", "--dry-run")
-    run(study, "--shard", "1/3")
+    run(study, "--shard", "1/3", "--storage", "parquet")
     run(study, "--shard", "2/3")
     assert not (out / "metrics.csv").exists()
     assert not (out / "report.html").exists()
