@@ -122,6 +122,7 @@ _EXECUTOR = click.option(
 _SCHEDULER = click.option(
     "--scheduler", default="", metavar="ADDRESS", help="The dask scheduler's: tcp://host:8786."
 )
+_ONLY = click.option("--only", default="*", metavar="GLOB", help="Only cases of this name or label.")
 _NO_REPORT = click.option("--no-report", is_flag=True, help="Write no report.")
 
 
@@ -140,7 +141,7 @@ _STEP_TIMEOUT = click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of results [runs/STUDY]."
 )
 @click.option("--jobs", type=click.IntRange(min=1), help="Worker processes [one per processor].")
-@click.option("--only", default="*", metavar="GLOB", help="Only cases of this name or label.")
+@_ONLY
 @click.option("--seeds", metavar="0:30", help="Seeds in place of the study's: 7, 0:30 or 5489,0:30.")
 @click.option("--fresh", is_flag=True, help="Run cases again that already exist.")
 @click.option("--shard", default="1/1", metavar="I/N", help="Every N-th case from the I-th on; no report.")
@@ -198,6 +199,7 @@ def run(
     metavar="METRIC[.SIGNAL][:OVER]",
     help="What to compare by; OVER: median, mean, worst or a quantile. Or `prediction`. May be repeated.",
 )
+@_ONLY
 @click.option("--seeds", metavar="100:103", help="Seeds of the trials [three that the study does not have].")
 @_EXECUTOR
 @_SCHEDULER
@@ -209,6 +211,7 @@ def tune(
     jobs: int | None,
     out: Path | None,
     objectives: tuple[str, ...],
+    only: str,
     seeds: str | None,
     executor: str,
     scheduler: str,
@@ -219,7 +222,7 @@ def tune(
     with orderly_end():
         from ddpc_cosim.cli.tune import tune_command
 
-        how = {"sandboxed": sandbox, "executor": executor, "scheduler": scheduler}
+        how = {"only": only, "sandboxed": sandbox, "executor": executor, "scheduler": scheduler}
         sys.exit(tune_command(study, out, trials, jobs, objectives, seeds, how, report=not no_report))
 
 

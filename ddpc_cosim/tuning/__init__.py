@@ -8,6 +8,7 @@ trials once more; there is no other record of it that could contradict the cases
 import csv
 import io
 import json
+from collections import Counter
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
@@ -144,7 +145,7 @@ def tune_study(
     request : Request
         How to tune.
     selection : Selection
-        How to run cases.
+        Which cases, and how to run them; the seeds of the trials are those of the request.
     progress : TuningProgress
         Follows them.
 
@@ -157,11 +158,14 @@ def tune_study(
     searches, kept = _searches(resolved, request)
     plants = built_plants(resolved, progress)
     claim_folder(folder / HELD_OUT_FOLDER, resolved.whole)
-    in_full = {name: len(one.study.scenarios) * len(request.seeds) for name, one in resolved.problems.items()}
-    progress.start(request.trials * sum(in_full[search.problem] for search in searches), 0)
+    planned = {name: (one, plants[name]) for name, one in resolved.problems.items()}
+    in_full = Counter(
+        (c.problem, c.controller) for c in cases_of_problems(planned, request.seeds, selection.only)
+    )
+    searches = [search for search in searches if (search.problem, search.name) in in_full]
+    progress.start(request.trials * sum(in_full[search.problem, search.name] for search in searches), 0)
     tuning = [
-        _tuning(search, resolved.problems[search.problem], plants[search.problem], request, progress)
-        for search in searches
+        _tuning(search, *planned[search.problem], request, selection.only, progress) for search in searches
     ]
     due = {one: next(one) for one in tuning}
     times = list[float]()
@@ -181,12 +185,14 @@ def tune_study(
     tuned = _tuned_study(resolved, trials, request)
     text = tomli_w.dumps(tuned.tables())
     write_atomically(folder / TUNED_FILE, encodable(text).encode())
-    both = StudyFile(TUNED_FILE, folder, _with_given(tuned, resolved, trials).tables())
+    kept = kept if selection.only == "*" else []
+    both = StudyFile(TUNED_FILE, folder, _with_given(tuned, resolved, trials, kept).tables())
     progress.prepare("comparing on the seeds of the study")
     count, runs = len(trials) * request.trials, sum(one.runs for own in trials.values() for one in own)
     seconds = fsum(filter(isfinite, times))
     facts = {"tuning": f"{count} trials, {runs} runs, which took {seconds:.0f} s one after another"}
-    results = run_study(resolve_file(both), folder / HELD_OUT_FOLDER, selection, progress, facts)
+    on_all = replace(selection, only="*")
+    results = run_study(resolve_file(both), folder / HELD_OUT_FOLDER, on_all, progress, facts)
     return Tuned(trials, kept, results)
 
 
@@ -226,7 +232,12 @@ def _searches(
 
 
 def _tuning(
-    search: SettingsSearch, one: ResolvedStudy, plant: PlantSpec, request: Request, progress: TuningProgress
+    search: SettingsSearch,
+    one: ResolvedStudy,
+    plant: PlantSpec,
+    request: Request,
+    only: str,
+    progress: TuningProgress,
 ) -> Generator[list[Case], list[CaseResult], None]:
     """Go through the trials of a search: yield what is to be run next, and be sent its results.
 
@@ -237,7 +248,7 @@ def _tuning(
     has_several = len(one.study.scenarios) > 1
     for _ in range(request.trials):
         settings = search.next_settings()
-        cases = _cases(search, settings, one, plant, request)
+        cases = _cases(search, settings, one, plant, request, only)
         runs = dict[Run, Figures]()
         pruned = False
         for _, part in groupby(cases, key=lambda case: case.scenario if has_several else case.seed):
@@ -253,7 +264,12 @@ def _tuning(
 
 
 def _cases(
-    search: SettingsSearch, settings: dict[str, Any], one: ResolvedStudy, plant: PlantSpec, request: Request
+    search: SettingsSearch,
+    settings: dict[str, Any],
+    one: ResolvedStudy,
+    plant: PlantSpec,
+    request: Request,
+    only: str,
 ) -> list[Case]:
     """Return the runs of a trial."""
     study = one.study
@@ -263,7 +279,7 @@ def _cases(
     if request.by_prediction:  # which is known before the first sample
         changes["loop"] = study.loop.model_copy(update={"duration": study.loop.sampling_time})
     changed = replace(one, study=study.model_copy(update=changes))
-    return cases_of_problems({search.problem: (changed, plant)}, request.seeds)
+    return cases_of_problems({search.problem: (changed, plant)}, request.seeds, only)
 
 
 def _trials_table(trials: Mapping[tuple[str, str], Sequence[Trial]], request: Request) -> str:
@@ -319,9 +335,12 @@ def _whole(resolved: ResolvedProblems, problems: dict[str, Study], summary: str)
 
 
 def _with_given(
-    tuned: WholeStudy, resolved: ResolvedProblems, trials: Mapping[tuple[str, str], Sequence[Trial]]
+    tuned: WholeStudy,
+    resolved: ResolvedProblems,
+    trials: Mapping[tuple[str, str], Sequence[Trial]],
+    kept: Sequence[tuple[str, str]],
 ) -> WholeStudy:
-    """Return a tuned study in which the controllers as given take part too, each beside its tuned self."""
+    """Return a study of the tuned controllers, each beside its self as given, and of those that were kept."""
     problems = {}
     for problem, study in tuned.problems.items():
         controllers: dict[str, ControllerSection] = {}
@@ -334,9 +353,11 @@ def _with_given(
                 controllers[key] = given.model_copy(update={"label": f"{label}, as given"})
                 controllers[name] = section.model_copy(update={"label": f"{label}, tuned"})
                 panels.append(Panel(title=label, controllers=[key, name]))
-            else:
+            elif (problem, name) in kept:
                 controllers[name] = section
                 panels.append(Panel(title=label, controllers=[name]))
+        if not controllers:
+            continue
         report = ReportSection(panels=panels, limitations=study.report.limitations)
         problems[problem] = study.model_copy(update={"controllers": controllers, "report": report})
     summary = (

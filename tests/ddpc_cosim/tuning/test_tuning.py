@@ -168,6 +168,27 @@ controllers.rest = { type = "tuning_toys:Rest" }
         assert section.tuned.trials == 6
 
 
+def test_only_what_is_selected_is_tuned_and_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tuning_toys.py").write_text(TOYS, encoding="utf-8")
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    said = ["tune", "study.toml", "--trials", "2", "--jobs", "2", "--only", "b", "--no-report"]
+    done = CliRunner().invoke(main, said)
+    assert done.exit_code == 0, done.output
+    table = Path("runs/study-tuning/trials.csv").read_text(encoding="utf-8")
+    assert {row["controller"] for row in csv.DictReader(io.StringIO(table))} == {"b"}
+    study = read_study("runs/study-tuning/tuned.toml").problem.study
+    assert [name for name, section in study.controllers.items() if section.tuned] == ["b"]
+    how = study.controllers["b"].tuned
+    assert how is not None
+    assert how.source.endswith(" --only b")
+    compared = read_study("runs/study-tuning/held-out/study.toml").problem.study.controllers
+    assert set(compared) == {"b-as-given", "b"}
+    nothing = CliRunner().invoke(main, ["tune", "study.toml", "--only", "c", "--out", "other"])
+    assert nothing.exit_code == 2
+    assert "--only c: no case matches" in nothing.stderr
+
+
 def test_the_prediction_alone_can_be_searched_without_a_loop(tmp_path: Path) -> None:
     """Only what is declared to change the prediction is searched: the toy says that gain = 2 is best."""
     with pytest.raises(
