@@ -4,6 +4,7 @@ Exit codes: 0 done; 1 some case failed or a check failed; 2 usage or configurati
 143 terminated.
 """
 
+import errno
 import math
 import os
 import signal
@@ -17,6 +18,7 @@ from typing import Any
 
 import click
 
+_STDOUT, _NOT_WRITTEN = 1, (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EPIPE)
 FAILED, MISUSED, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 _LISTED = ("plants", "controllers", "studies", "metrics")
 _FMI_TYPES = ("auto", "co-simulation", "model-exchange")
@@ -66,6 +68,22 @@ def _complain(error: str) -> None:
 
 class _Commands(click.Group):
     """A group whose commands report errors of this project in their own words."""
+
+    def main(self, *arguments: Any, **more: Any) -> Any:
+        """Run a command, and say if what it prints cannot be written."""
+        try:
+            try:
+                return super().main(*arguments, **more)
+            finally:
+                if sys.stdout is not None:
+                    sys.stdout.flush()  # at the end of the process it would be a traceback
+        except OSError as error:
+            if error.filename is not None or error.errno not in _NOT_WRITTEN:
+                raise
+            if error.errno != errno.EPIPE:  # whoever reads it, such as `head`, has enough
+                _complain(f"stdout cannot be written: {error.strerror}")
+            os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)  # for what is left of it
+            sys.exit(FAILED)
 
     def invoke(self, context: click.Context) -> object:
         from ddpc_cosim.errors import ConfigError, CosimError

@@ -1,4 +1,4 @@
-"""The progress display on a terminal, and a stdout that is closed."""
+"""The progress display on a terminal, and a stdout that is closed or full."""
 
 import os
 import pty
@@ -67,3 +67,11 @@ def test_a_closed_stdout_costs_nothing_and_stays_closed(program: str, tmp_path: 
     done = subprocess.run(["sh", "-c", close, program], cwd=tmp_path, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
     assert len((tmp_path / "out.csv").read_text(encoding="utf-8").splitlines()) == 502
+
+
+def test_a_stdout_that_is_full_is_told_in_one_line(program: str) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([program, "list", "studies"], stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == "error: stdout cannot be written: No space left on device"
+    assert "Traceback" not in done.stderr
