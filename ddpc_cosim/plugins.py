@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from importlib.abc import MetaPathFinder
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType, NoneType
 from typing import Any
@@ -145,7 +145,9 @@ def origin(kind: str, name: str) -> str:
 
 def look_up() -> None:
     """Find what is installed, which takes a while: the workers that are forked from here know it then."""
-    _every_entry_point(tuple(sys.path))
+    for kind in KINDS:
+        for entry in _entry_points(kind):
+            _package(entry)
 
 
 @cache
@@ -154,9 +156,13 @@ def _every_entry_point(path: tuple[str, ...]) -> Any:
     return entry_points()
 
 
-@cache  # its metadata are parsed for it, and a study may name 1000 controllers
 def _package(entry: EntryPoint) -> str:
-    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "unknown package"
+    return _name_and_version(entry.dist) if entry.dist else "unknown package"
+
+
+@cache  # its metadata are parsed for it, and a study may name 1000 controllers
+def _name_and_version(package: Distribution) -> str:
+    return f"{package.name} {package.version}"
 
 
 def _load_entry_point(entry: EntryPoint) -> Plugin:

@@ -103,14 +103,11 @@ def _find(library: ctypes.CDLL, symbols: list[str]) -> Any:
 def _prototypes(fmpy_class: Any) -> Mapping[str, tuple[list[Any], Any]]:
     """Return argument types and result type of every FMI function that FMPy's class declares."""
     table = {}
-    for name, method in inspect.getmembers(fmpy_class, inspect.isfunction):
-        if name[:4] in ("fmi1", "fmi2", "fmi3"):
-            signature = inspect.signature(method)
-            arguments = [p.annotation for p in signature.parameters.values() if p.name != "self"]
-            table[name] = (
-                [_c_type(argument) for argument in arguments],
-                _result_type(name, signature.return_annotation),
-            )
+    members = {name: member for base in fmpy_class.__mro__[::-1] for name, member in vars(base).items()}
+    for name, method in members.items():
+        if name[:4] in ("fmi1", "fmi2", "fmi3") and inspect.isfunction(method):
+            *arguments, result = method.__annotations__.values()
+            table[name] = [_c_type(argument) for argument in arguments], _result_type(name, result)
     return table
 
 

@@ -22,11 +22,15 @@ import threading
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from time import monotonic
 from typing import Any, ClassVar, NamedTuple, NoReturn
 
 from ddpc_cosim.processes.limits import children, excess_of, limit_tasks
+
+if sys.platform != "win32":
+    import resource
 
 START_SECONDS = 120.0
 _LOOK_SECONDS, _LIMIT_SECONDS = 1.0, 0.1
@@ -382,20 +386,24 @@ def _send(pid: int, number: int) -> bool:
     return True
 
 
+@cache
+def this_process() -> ctypes.CDLL:
+    """Return the functions of this process, those of the C library among them (POSIX)."""
+    return ctypes.CDLL(None)
+
+
 def _adopt_orphans() -> None:
     """Become the parent of what descendants leave behind, in whatever session (Linux)."""
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+        this_process().prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def _die_with(server: int) -> None:
     """End with the server and be limited, as far as the kernel does it; no core dump, no Ctrl-C."""
-    import resource
-
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         limit_tasks()
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        this_process().prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         if os.getppid() != server:
             os._exit(LEFT_BEHIND)

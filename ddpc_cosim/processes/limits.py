@@ -9,6 +9,9 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+if sys.platform != "win32":  # here, so that it is there before workers are forked
+    import resource
+
 _MOST_TASKS = 500
 
 
@@ -30,8 +33,6 @@ def limit_tasks() -> None:
     This gives whoever enforces the limit the time to do so. The kernel counts all tasks of the user, so that
     it has to be generous; and root's not at all.
     """
-    import resource
-
     everyones = int(Path("/proc/loadavg").read_text().split()[3].partition("/")[2])
     hard = resource.getrlimit(resource.RLIMIT_NPROC)[1]
     most = everyones + 2 * _MOST_TASKS

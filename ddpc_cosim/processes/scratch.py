@@ -69,19 +69,21 @@ class ScratchFolder:
 
 def remove_left_behind(parent: Path, prefix: str = "ddpc-cosim-") -> None:
     """Remove the folders of processes that have gone."""
-    for lock_file in parent.glob(f"{prefix}*/{_LOCK}"):
-        if not _is_own_folder(lock_file.parent):
+    with os.scandir(parent) as entries:
+        folders = [parent / entry.name for entry in entries if entry.name.startswith(prefix)]
+    for folder in folders:
+        if not _is_own_folder(folder):
             continue
-        with suppress(OSError):  # just removed
-            lock = os.open(lock_file, os.O_RDWR)
+        with suppress(OSError):  # just removed, or without a lock
+            lock = os.open(folder / _LOCK, os.O_RDWR)
             try:
                 if sys.platform != "win32" and _holds(lock):
-                    _remove_folder(lock_file.parent)
+                    _remove_folder(folder)
             finally:
                 os.close(lock)
             if sys.platform == "win32":
-                lock_file.unlink()  # which cannot be done while a process has it open
-                _remove_folder(lock_file.parent)
+                (folder / _LOCK).unlink()  # which cannot be done while a process has it open
+                _remove_folder(folder)
 
 
 def _is_own_folder(path: Path) -> bool:

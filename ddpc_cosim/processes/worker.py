@@ -7,7 +7,6 @@ anything else is a crash of that worker.
 """
 
 import contextlib
-import ctypes
 import json
 import math
 import os
@@ -35,6 +34,7 @@ from ddpc_cosim.processes.fork_server import (
     ForkServer,
     here,
     start_python,
+    this_process,
 )
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.sandbox import Sandbox, enter
@@ -139,7 +139,7 @@ def _flush() -> None:
     """Write out what has been printed, by libraries too: it belongs to what was called last."""
     sys.stdout.flush()
     if sys.platform != "win32":
-        ctypes.CDLL(None).fflush(None)
+        this_process().fflush(None)
 
 
 def reply_error(channel: Channel, error: BaseException) -> None:

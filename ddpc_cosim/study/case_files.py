@@ -335,7 +335,8 @@ def _recorded(value: Any) -> Any:
 
 def sealed_json(content: dict[str, Any]) -> bytes:
     """Return a JSON object whose last entry is the checksum of all before it."""
-    text = json.dumps(_finite(content), indent=1).removesuffix("\n}").encode()
+    entries = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in _finite(content).items()]
+    text = ("{\n" + ",\n".join(entries)).encode()
     return text + _SEAL % checksum(text).encode()
 
 

@@ -97,6 +97,7 @@ _PRELOAD = (
     "ddpc_cosim.plugins:look_up",
     "scipy.linalg",
     "scipy.special",
+    "encodings.cp437",  # of zip files
 )
 _VERSIONS_OF = ("numpy", "scipy", "FMPy", "piqp", "sympy")
 
