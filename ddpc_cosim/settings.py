@@ -115,9 +115,9 @@ class SettingInfo:
         FMU of the plant, and the file's content is part of what decides a result.
     search : Linear, Log, Factor, Integer, Choice or None
         Where ``ddpc-cosim tune`` looks for a better value; None: it does not.
-    predicts : bool
+    predicts : bool or mapping of str to Any
         Whether it is searched by the prediction error as well, which it has to change without changing how
-        far ahead is predicted.
+        far ahead is predicted; a mapping: where other settings have these values.
     """
 
     doc: str
@@ -129,7 +129,7 @@ class SettingInfo:
     kind: type[Any] | None = None
     file: bool = False
     search: Search | None = None
-    predicts: bool = False
+    predicts: bool | Mapping[str, Any] = False
 
     @property
     def allowed(self) -> str:
@@ -157,7 +157,7 @@ def setting(
     kind: type[Any] | None = None,
     file: bool = False,
     search: Search | None = None,
-    predicts: bool = False,
+    predicts: bool | Mapping[str, Any] = False,
     default_factory: Any = dataclasses.MISSING,
 ) -> Any:
     """Declare a setting of a plug-in: a dataclass field that knows its range and its meaning.

@@ -130,7 +130,9 @@ class BehavioralTracking(ScaledSignals):
         self._resting: bool = not loop.continues_recording
         self._pending: list[FloatArray] = []
         data = self._stack(recording)
-        test = fit_by_windows(data, self.horizon * p, p, self._layout.depth)
+        ridge = np.zeros(len(data) - self.horizon * p)
+        ridge[self._layout.rows_of("y", {"u": m, "y": p})[: self._past_outputs * p]] = self._past_ridge
+        test = fit_by_windows(data, self.horizon * p, p, self._layout.depth, ridge)
         self._judgement = judge(
             type(self).__name__, recording, loop.outputs, self._spans, (test, self.horizon)
         )
@@ -196,6 +198,11 @@ class BehavioralTracking(ScaledSignals):
         """Return what solves the problem online."""
         online = self._learner.data if self._learner else None
         return make_law(problem, data, self._limits, make_backend(self.backend), online)
+
+    @property
+    def _past_ridge(self) -> float:
+        """The ridge on the past outputs in the prediction for given inputs."""
+        return 0.0
 
     @property
     def _sums_g(self) -> bool:
@@ -367,7 +374,11 @@ class DeePC(OnlineSettings, BehavioralTracking):
     )
     slack: bool = setting(True, doc="past outputs may be missed by sigma_y; otherwise they are met exactly")
     lambda_sigma: float = setting(
-        1e7, above=0.0, doc="weight of |sigma_y|^2, the misfit of the past outputs", search=Log(1e2, 1e8)
+        1e7,
+        above=0.0,
+        doc="weight of |sigma_y|^2, the misfit of the past outputs",
+        search=Log(1e2, 1e8),
+        predicts={"regulariser": "ridge", "slack": True},
     )
     future_slack: bool = setting(
         False, doc="sigma_y on the predicted outputs too, as in the robust scheme; needs slack"
@@ -389,6 +400,12 @@ class DeePC(OnlineSettings, BehavioralTracking):
                 "online_data = 'frozen'"
             )
         return faults + self.online_faults()
+
+    @property
+    def _past_ridge(self) -> float:
+        # min lambda_g |g|^2 + lambda_sigma |Y_p g - y_ini|^2 with the inputs met exactly. With the projection
+        # the past is met without loss; the equilibrium depends on the setpoint, and |g|_1 has no such form.
+        return self.lambda_g / self.lambda_sigma if self.regulariser == "ridge" and self.slack else 0.0
 
     @property
     def _sums_g(self) -> bool:

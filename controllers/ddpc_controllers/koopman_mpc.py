@@ -226,7 +226,11 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         doc="state that is lifted: all measured, or outputs and inputs with past",
     )
     delays: int = setting(
-        2, low=1, doc='past samples in the state, with state = "delays"', search=Integer(1, 8), predicts=True
+        2,
+        low=1,
+        doc='past samples in the state, with state = "delays"',
+        search=Integer(1, 8),
+        predicts={"state": "delays"},
     )
     dictionary: Dictionary = setting(
         default_factory=ThinPlate, doc="observables that lift the state; with Identity the model is DMD's"

@@ -5,7 +5,16 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
-from ddpc_cosim.settings import Choice, Factor, Integer, Log, Search, SettingsError, declared_settings
+from ddpc_cosim.settings import (
+    Choice,
+    Factor,
+    Integer,
+    Log,
+    Search,
+    SettingInfo,
+    SettingsError,
+    declared_settings,
+)
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.tuning.objectives import Objective, Run
@@ -221,12 +230,18 @@ def search_spaces(section: ControllerSection, *, by_prediction: bool) -> Iterato
     declared = declared_settings(controller_class(section.type))
     for name in dict.fromkeys((*declared, *section.search)):
         info, said = declared.get(name), section.search.get(name)
-        if by_prediction and not (info and info.predicts):
+        if by_prediction and not (info and _predicts(info, section.settings)):
             continue
         space = said.space if said else info.search if info else None
         if space is None or (not said and _has_no_multiple(space, _entry(section.settings, name))):
             continue
         yield name, space
+
+
+def _predicts(info: SettingInfo, settings: Mapping[str, Any]) -> bool:
+    if isinstance(info.predicts, bool):
+        return info.predicts
+    return all(settings[name] == value for name, value in info.predicts.items())
 
 
 def _has_no_multiple(space: Search, value: Any) -> bool:

@@ -110,7 +110,9 @@ def judge(
     return Judgement((*late, poor), figures)
 
 
-def fit_by_windows(data: FloatArray, future: int, outputs: int, depth: int) -> PredictionTest | None:
+def fit_by_windows(
+    data: FloatArray, future: int, outputs: int, depth: int, ridge: FloatArray | None = None
+) -> PredictionTest | None:
     """Test the least-squares prediction of recorded windows: fitted to the first, tested on the last quarter.
 
     Parameters
@@ -123,6 +125,8 @@ def fit_by_windows(data: FloatArray, future: int, outputs: int, depth: int) -> P
         Number of outputs: the last rows of all are those at the end of the horizon.
     depth : int
         Samples of one window: as many windows between head and tail share samples with both.
+    ridge : array, shape (rows - future,), optional
+        Weight of the square of the coefficient of each row that is predicted from, beside all windows.
 
     Returns
     -------
@@ -136,9 +140,14 @@ def fit_by_windows(data: FloatArray, future: int, outputs: int, depth: int) -> P
     if head < _EQUATIONS * known.shape[1]:
         return None
     size = np.maximum(np.sqrt(np.mean(np.square(known), axis=0)), np.finfo(float).tiny)
-    # The triangular factor of the head has all that its least squares need, in a few rows.
-    factor = np.asarray(np.linalg.qr(np.hstack([known[:head] / size, last[:head]]), mode="r"))
     split = known.shape[1]
+    weighed = np.zeros(split) if ridge is None else np.sqrt(ridge * head / windows)
+    system = [
+        np.hstack([known[:head] / size, last[:head]]),
+        np.hstack([np.diag(weighed / size), np.zeros((split, outputs))]),
+    ]
+    # The triangular factor of the head has all that its least squares need, in a few rows.
+    factor = np.asarray(np.linalg.qr(np.vstack(system), mode="r"))
     solution = np.linalg.lstsq(factor[:, :split], factor[:, split:], rcond=_RANK)[0]
     errors = last - known / size @ solution
     return _in_parts(errors[:head], errors[tail:], last)

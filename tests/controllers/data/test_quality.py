@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 
 from ddpc_controllers import (
     LQR,
@@ -187,6 +188,44 @@ def test_the_remedy_names_settings_that_the_method_has(controller: Controller, r
         if "does not answer" in text
     )
     assert f"{remedy} more slowly" in told
+
+
+def error_of_combinations(recording: Recording, ridge: float) -> float:
+    """Return the error of Y_f g with g = argmin ridge |g|^2 + |Y_p g - y_ini|^2, the inputs met."""
+    signals = recording.u[:, 0], recording.y[:, 0]
+    u, y = (np.lib.stride_tricks.sliding_window_view(signal, 8).T for signal in signals)
+    windows = u.shape[1]
+    tail = windows - round(windows / 4)
+    head = tail - 7
+    met, past, last = u[:, :head], y[:3, :head], y[7, :head]
+    smallest, free = np.linalg.pinv(met), null_space(met)
+    errors = []
+    for window in range(tail, windows):
+        g = smallest @ u[:, window]
+        part = np.sqrt(ridge * head / windows)  # of the recording's windows the head has so many
+        left = np.vstack([part * free, past @ free])
+        g = g + free @ np.linalg.lstsq(left, np.concatenate([-part * g, y[:3, window] - past @ g]))[0]
+        errors.append(y[7, window] - last @ g)
+    return float(np.sqrt(np.mean(np.square(errors))) / y[7].std())
+
+
+@pytest.mark.parametrize("lambda_g", [1e-3, 1e3, 1e5])
+def test_the_ridge_of_deepc_is_part_of_its_prediction(lambda_g: float) -> None:
+    recording = recording_of(3)
+    ridge = DeePC(regulariser="ridge", lambda_g=lambda_g, lambda_sigma=1e3, scaling="none")
+    found = started(ridge, loop_with(recording)).diagnostics()["prediction_error"]
+    assert found == pytest.approx(error_of_combinations(recording, lambda_g / 1e3), rel=1e-6)
+
+
+def test_what_goes_beyond_the_least_squares_prediction_is_no_part_of_it() -> None:
+    loop, errors = loop_with(recording_of(3)), []
+    for controller in (
+        DeePC(lambda_g=1e-2),
+        DeePC(lambda_g=1e4),
+        DeePC(regulariser="ridge", lambda_g=1e4, slack=False),
+    ):
+        errors.append(started(controller, loop).diagnostics()["prediction_error"])
+    assert errors == [errors[0]] * 3
 
 
 def test_an_output_that_is_constant_but_for_rounding_is_not_predicted_poorly() -> None:

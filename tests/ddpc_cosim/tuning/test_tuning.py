@@ -15,12 +15,13 @@ from ddpc_cosim import Choice, ConfigError, Factor, Integer, Linear, Log
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_missing
 from ddpc_cosim.trace import Outcome
 from ddpc_cosim.tuning import Request, Tuned, tune_study
 from ddpc_cosim.tuning.objectives import Objective, Run
-from ddpc_cosim.tuning.search import Figures, SettingsSearch, Trial, best
+from ddpc_cosim.tuning.search import Figures, SettingsSearch, Trial, best, search_spaces
 
 TOYS = """
 from dataclasses import dataclass
@@ -209,6 +210,15 @@ def test_the_prediction_alone_can_be_searched_without_a_loop(tmp_path: Path) -> 
         case.name: len(case.read_text().splitlines()) for case in tmp_path.glob("out/cases/*/signals.csv")
     }
     assert set(lengths.values()) == {3}  # header and two samples
+
+
+@pytest.mark.parametrize(("regulariser", "weights"), [("ridge", {"lambda_sigma"}), ("projection", set())])
+def test_a_weight_is_searched_by_the_prediction_that_depends_on_it(
+    regulariser: str, weights: set[str]
+) -> None:
+    settings = {"regulariser": regulariser, "slack": True, "initial_length": 3, "lambda_sigma": 1e7}
+    section = ControllerSection(type="deepc", settings=settings)
+    assert {name for name, _ in search_spaces(section, by_prediction=True)} == {"initial_length"} | weights
 
 
 def test_the_command_says_what_was_found_and_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
