@@ -26,6 +26,8 @@ def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
     if longest is not None and len(text) > longest:
         cut = f" ... ({len(text)} characters)"
         text = text[: max(longest - len(cut), 0)] + cut
+    if text.isprintable():  # as nearly all are, and a page has half a million of them
+        return text
     return text.translate({ord(c): repr(c)[1:-1] for c in set(text) if c not in keep and not _is_seen(c)})
 
 

@@ -34,8 +34,10 @@ from ddpc_reports.table import (
     text_headings,
 )
 
-_READ = 20
-"""Cases of a controller whose samples are read: the first ones tell the reasons."""
+_READ, _READ_IN_ALL = 20, 200
+"""Cases of a controller, and of all, whose samples are read: the first ones tell the reasons."""
+_MOST_FAILED = 50
+"""Cases that did not complete of which each has a row."""
 _REASONS_SHOWN = 6
 """Reasons shown of a controller."""
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
@@ -151,7 +153,11 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
             case.controller,
             numbers[case.controller],
         )
-        for case in failed
+        for case in failed[:_MOST_FAILED]
+    )
+    more = len(failed) - len(rows)
+    notes = (
+        (f"And {more} more: their outcomes are in metrics.csv, their reasons in run.json.",) if more else ()
     )
     headings = (
         *text_headings("Controller", "scenario"),
@@ -159,7 +165,12 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
         *text_headings("outcome", "reason"),
     )
     return Table(
-        f"{prefix}failures", f"Cases that did not complete ({len(failed)})", headings, rows, kind="failures"
+        f"{prefix}failures",
+        f"Cases that did not complete ({len(failed)})",
+        headings,
+        rows,
+        notes,
+        kind="failures",
     )
 
 
@@ -225,11 +236,13 @@ def _span(given: list[str]) -> str:
 def fallbacks_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
     """Return what the controllers gave as reasons for fallbacks; None if there were none."""
     several = len(conditions) > 1
+    failing = [(condition, one, _failing(one)) for condition in conditions for one in condition.controllers]
+    count = sum(bool(cases) for *_, cases in failing)
+    read = min(_READ, 1 + _READ_IN_ALL // max(count, 1))
     rows = tuple(
         Row(one.label, (*([Cell(condition.label)] if several else []), *cells), one.key, one.index)
-        for condition in conditions
-        for one in condition.controllers
-        for cells in _reason_cells(one)
+        for condition, one, cases in failing
+        for cells in _reason_cells(cases[:read])
     )
     if not rows:
         return None
@@ -244,8 +257,9 @@ def fallbacks_table(conditions: Sequence[Condition], prefix: str) -> Table | Non
     notes = [
         "At these samples the controller had no answer of its own and returned a substitute, as it says."
     ]
-    if any(len(_failing(one)) > _READ for condition in conditions for one in condition.controllers):
-        notes.append(f"Reasons are those of the first {_READ} cases with fallbacks of a controller.")
+    if any(len(cases) > read for *_, cases in failing):
+        which = f"{read} cases" if read > 1 else "case"
+        notes.append(f"Reasons are those of the first {which} with fallbacks of a controller.")
     return Table(
         f"{prefix}fallbacks",
         "Fallbacks",
@@ -261,9 +275,9 @@ def _failing(one: ControllerResults) -> list[CaseResult]:
     return [case for case in one.cases if case.metrics.get("failures [1]", 0.0) > 0]
 
 
-def _reason_cells(one: ControllerResults) -> Iterator[tuple[Cell, ...]]:
+def _reason_cells(cases: Sequence[CaseResult]) -> Iterator[tuple[Cell, ...]]:
     """Yield the cells of each reason, the most frequent first."""
-    order = sorted(_reasons(_failing(one)[:_READ]), key=lambda reason: -reason.samples)
+    order = sorted(_reasons(cases), key=lambda reason: -reason.samples)
     for reason in order[:_REASONS_SHOWN]:
         time, seed = reason.first
         when = f"{with_unit(as_given(time), 's')} (seed {seed})"
@@ -271,8 +285,8 @@ def _reason_cells(one: ControllerResults) -> Iterator[tuple[Cell, ...]]:
     rest = order[_REASONS_SHOWN:]
     if rest:
         words = f"{len(rest)} other reasons"
-        cases = set().union(*(reason.cases for reason in rest))
-        yield Cell(words), _count(sum(reason.samples for reason in rest)), _count(len(cases)), Cell("")
+        those = set().union(*(reason.cases for reason in rest))
+        yield Cell(words), _count(sum(reason.samples for reason in rest)), _count(len(those)), Cell("")
 
 
 def _count(number: int) -> Cell:

@@ -263,20 +263,22 @@ def spread_chart(rows: list[dict[str, Any]], title: str) -> Spec:
     Parameters
     ----------
     rows : list of dict
-        ``label``, ``key``, ``seed``, ``value``, ``first`` (bool), in the order of the controllers.
+        ``label``, ``key``, ``seed``, ``value``, ``first`` (bool), in the order of the controllers; ``extra``
+        of one that is only drawn as the first.
     title : str
         Metric and unit.
     """
     labels, hue, y = _rows(rows)
     x = _field("value", title) | _axis_of([row["value"] for row in rows])
     ink = {"color": "var(--ink)"}
+    dots = {"filter": "!datum.extra"}
     median = {"aggregate": [{"op": "median", "field": "value", "as": "value"}], "groupby": ["label"]}
     seeds = {"type": "circle", "size": 34, "opacity": 0.5}
     middle = {"type": "tick", "thickness": 2.5, "size": 18} | ink
     first = {"type": "point", "shape": "diamond", "size": 90, "filled": False, "strokeWidth": 1.8} | ink
     layers = [
-        _layer(seeds, {"x": x, "y": y, "color": hue}, None, _NOT_HIDDEN),
-        _layer(middle, {"x": x, "y": y}, None, _NOT_HIDDEN, median),
+        _layer(seeds, {"x": x, "y": y, "color": hue}, None, _NOT_HIDDEN, dots),
+        _layer(middle, {"x": x, "y": y}, None, _NOT_HIDDEN, dots, median),
         _layer(first, {"x": x, "y": y}, None, _NOT_HIDDEN, {"filter": "datum.first"}),
     ]
     return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from markupsafe import Markup
 
-from ddpc_cosim import CaseResult, CosimWarning
+from ddpc_cosim import CosimWarning
 from ddpc_cosim.texts import recorded
 from ddpc_reports.charts import (
     COLOURS,
@@ -38,6 +38,8 @@ from ddpc_reports.samples import Column, FirstSeed, Said, Signal, column_name, f
 from ddpc_reports.settings_tables import own_units, scenario_effects
 
 _SAID = "What controllers said of their steps"
+_MOST_DOTS = 60
+"""Seeds of a controller that are drawn as dots of one row."""
 
 
 @dataclass(frozen=True)
@@ -347,33 +349,46 @@ def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
 def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | None:
     what = " of ".join(filter(None, (metric_label(key), metric_signal(key))))
     axis = f"{what} / {metric_unit(key)}" if metric_unit(key) else what
-    rows = [_spread_row(condition, one, case.seed, key) for one, case in _holding(condition)]
-    rows = [row for row in rows if math.isfinite(row["value"])]
+    rows = [row for one in condition.controllers for row in _spread_rows(condition, one, key)]
     if not rows:
         return None
+    dots = "one dot per seed"
+    if len(condition.seeds) > _MOST_DOTS:
+        dots = f"{_MOST_DOTS} dots at most, even in rank from the lowest value to the highest"
     caption = (
         f"{what} over {len(condition.seeds)} seeds, cases that stay near their reference only; "
-        f"one dot per seed, upright line: median, diamond: seed {condition.seeds[0]}."
+        f"{dots}, upright line: median, diamond: seed {condition.seeds[0]}."
         + (" Logarithmic axis." if ranges_widely([row["value"] for row in rows]) else "")
     )
     return one_chart(identifier, "Spread over seeds", caption, spread_chart(rows, axis))
 
 
-def _holding(condition: Condition) -> list[tuple[ControllerResults, CaseResult]]:
-    return [(one, case) for one in condition.controllers for case in one.holding]
+def _spread_rows(condition: Condition, one: ControllerResults, key: str) -> list[dict[str, Any]]:
+    """Return a row for each dot of a controller, and one more for the first seed where it has no dot."""
+    values = {case.seed: case.metrics.get(key, math.nan) for case in one.holding}
+    ranked_seeds = sorted((seed for seed in values if math.isfinite(values[seed])), key=values.__getitem__)
+    dots, first = set(_spread_out(ranked_seeds)), condition.seeds[0]
+    return [
+        {
+            "label": one.label,
+            "key": column_name(one),
+            "value": _short(values[seed]),
+            "first": seed == first,
+            "text": f"{one.label}, seed {seed}: {with_unit(significant(values[seed]), metric_unit(key))}",
+        }
+        | ({} if seed in dots else {"extra": True})
+        for seed in ranked_seeds
+        if seed in dots or seed == first
+    ]
 
 
-def _spread_row(condition: Condition, one: ControllerResults, seed: int, key: str) -> dict[str, Any]:
-    value = one.by_seed(key).get(seed, math.nan)
-    shown = with_unit(significant(value), metric_unit(key))
-    first = seed == condition.seeds[0]
-    return {
-        "label": one.label,
-        "key": column_name(one),
-        "value": _short(value),
-        "first": first,
-        "text": f"{one.label}, seed {seed}: {shown}",
-    }
+def _spread_out(ranked_seeds: Sequence[int]) -> list[int]:
+    """Return as many as can be told apart as dots, even in rank; both ends and the median stay."""
+    if len(ranked_seeds) <= _MOST_DOTS:
+        return [*ranked_seeds]
+    last, steps = len(ranked_seeds) - 1, _MOST_DOTS // 2 - 1
+    lower = [round(i * (last // 2) / steps) for i in range(steps + 1)]
+    return [ranked_seeds[i] for place in lower for i in (place, last - place)]
 
 
 def step_time_figure(condition: Condition, prefix: str) -> Figure | None:

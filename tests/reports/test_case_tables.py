@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import Outcome, Trace
-from ddpc_reports.case_tables import diagnostics_table, fallbacks_table, warnings_table
+from ddpc_reports.case_tables import diagnostics_table, failures_table, fallbacks_table, warnings_table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.page import render_page
 
@@ -81,3 +81,15 @@ def test_predictions_on_what_was_held_out_are_judged(make_results: MakeResults) 
     assert texts["level prediction error, held out"] == "0.04000: good"
     assert texts["level prediction error, fitted"] == "0.03000"
     assert texts["prediction error, held out"].startswith("0.9000: poor: what it was fitted to")
+
+
+def test_of_thousands_of_cases_that_failed_the_first_are_listed_and_the_others_counted(
+    make_results: MakeResults,
+) -> None:
+    results = make_results(lambda key, seed: make_trace(0.5, outcome=Outcome.CRASHED, reason="boom"))
+    cases = tuple(replace(case, seed=seed) for case in results.cases for seed in range(500))
+    table = failures_table(replace(results, cases=cases), "x-")
+    assert table is not None
+    assert table.caption == "Cases that did not complete (1000)"
+    assert len(table.rows) == 50
+    assert table.notes == ("And 950 more: their outcomes are in metrics.csv, their reasons in run.json.",)

@@ -240,6 +240,27 @@ def test_where_no_case_holds_its_reference_there_is_no_spread_to_draw(make_resul
     assert len(spread_figures(conditions(make_results(seeds=[7, 8]))[0], "")) == 1
 
 
+@pytest.mark.parametrize("number", [59, 60, 61, 62, 200, 501])
+def test_of_many_seeds_so_many_are_drawn_as_can_be_told_apart(make_results: MakeResults, number: int) -> None:
+    """The first seed, the median and both ends are those of all."""
+    results = make_results(seeds=[7])
+    values = np.random.default_rng(3).permutation(np.geomspace(1.0, 5.0, number))
+    cases = [
+        replace(case, seed=seed, metrics=case.metrics | dict.fromkeys(case.metrics, value))
+        for case in results.cases
+        for seed, value in enumerate(values.tolist())
+    ]
+    (figure,) = spread_figures(conditions(replace(results, cases=tuple(cases)))[0], "")
+    spec = json.loads(json.dumps(figure.views[0].spec))
+    rows = [row for row in spec["data"]["values"] if row["key"] == "c0"]
+    dots = [row["value"] for row in rows if not row.get("extra")]
+    assert len(dots) == min(number, 60 - number % 2)
+    assert [min(dots), max(dots)] == pytest.approx([1.0, 5.0])
+    assert np.median(dots) == pytest.approx(np.median(values), rel=1e-5)
+    assert [row["value"] for row in rows if row["first"]] == [pytest.approx(values[0], rel=1e-5)]
+    assert ("60 dots at most" in figure.caption) == (number > 60)
+
+
 def test_what_controllers_said_of_their_steps_is_folded_thinned_out_and_told(
     make_results: MakeResults,
 ) -> None:
