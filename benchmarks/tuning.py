@@ -20,7 +20,8 @@ import tomli_w
 from ddpc_cosim import CaseResult, Outcome, StudyResults
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.metrics import split_key
-from ddpc_cosim.study.reading import find_study, read_study
+from ddpc_cosim.study.file_format.study_files import find_study
+from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
 
 GRIDS = Path(__file__).with_name("tuning")

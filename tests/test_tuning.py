@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import tuning
 from ddpc_cosim.study.file_format.sections import Study, expand_seeds
-from ddpc_cosim.study.reading import find_study
+from ddpc_cosim.study.file_format.study_files import find_study
 
 COMPARATIVE = ["direction-change", "mimo", "noise", "reactor", "time-varying", "unstable"]
 

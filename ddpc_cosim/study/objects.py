@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, Self
@@ -18,10 +18,11 @@ from ddpc_cosim.plugins import name_of
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
+from ddpc_cosim.study.file_format.replacing import PROBLEMS
 from ddpc_cosim.study.file_format.sections import expand_seeds
+from ddpc_cosim.study.file_format.study_files import StudyFile, absolute_paths
 from ddpc_cosim.study.file_format.written import Table, controller_table, experiment_table, signal_table
-from ddpc_cosim.study.problems import PROBLEMS, absolute_paths
-from ddpc_cosim.study.reading import StudyFile, find_study, resolve_file
+from ddpc_cosim.study.reading import read_file, resolve_file
 from ddpc_cosim.study.results import StudyResults
 from ddpc_cosim.study.runner import Progress, Selection, Update, run_study
 from ddpc_cosim.texts import html_table, printable
@@ -352,10 +353,13 @@ class Study:
         Raises
         ------
         ConfigError
-            There is none, or it is not TOML; what is in it is checked when it is run.
+            There is none, it is not TOML, or does not fit what it takes from others; what else is in it is
+            checked when it is run.
         """
         made = cls.__new__(cls)
-        made._recordings, made._file = {}, StudyFile.read(find_study(str(study)))
+        made._recordings, made._file = {}, read_file(str(study))
+        if faults := made._file.told_faults():
+            raise ConfigError(faults)
         return made
 
     @property
@@ -436,7 +440,7 @@ class Study:
                 self._write_recordings(folder)
             except OSError as error:
                 raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from error
-            file = file._replace(folder=folder.resolve())
+            file = replace(file, folder=folder.resolve())
         selection = Selection(jobs, list(seeds), only, fresh, sandbox, executor, scheduler, shard, storage)
         if progress is not True:
             return run_study(resolve_file(file), folder, selection, progress or _Silent())

@@ -388,8 +388,8 @@ def claim_folder(folder: Path, study: "WholeStudy") -> None:
     Raises
     ------
     ConfigError
-        It holds those of another study, which is one of another name or with other plants only; or it cannot
-        be written to.
+        It holds those of another study, which is one of another name that neither extends the other, nor both
+        a third, or one with other plants only; or it cannot be written to.
     """
     path, own = folder / STUDY_FILE, study.tables()
     try:
@@ -397,12 +397,12 @@ def claim_folder(folder: Path, study: "WholeStudy") -> None:
         if not path.exists():
             _write_first(path, _toml(study))
         there = tomllib.loads(path.read_bytes().decode())
-        others = _plants(there)
-    except (ValueError, AttributeError):  # damaged: whose it was is not known, and no case is lost
+        others, names = _plants(there), {there.get("name", own["name"]), *there.get("based_on", ())}
+    except (ValueError, AttributeError, TypeError):  # damaged: whose it was is not known, and no case is lost
         return
     except OSError as error:
         raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
-    if there.get("name", own["name"]) != own["name"]:
+    if names.isdisjoint({own["name"], *own["based_on"]}):
         other, this = (f'name = "{tables["name"]}"' for tables in (there, own))
     elif others.isdisjoint(_plants(own)) and any(others):
         other, this = (f"plant {', '.join(sorted(names))}" for names in (others, _plants(own)))

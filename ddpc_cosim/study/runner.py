@@ -266,8 +266,12 @@ def selected_cases(
         No case is selected.
     """
     plants = built_plants(resolved, progress)
-    own = resolved.head.name  # which is not written twice: a problem that has it is in no case's name
-    problems = {"" if name == own else name: (one, plants[name]) for name, one in resolved.problems.items()}
+    # The only problem, whose name is the study's, is in no case's name.
+    own = {one.study.variant_of or name for name, one in resolved.problems.items()} == {resolved.head.name}
+    problems = {
+        "" if own and not one.study.variant_of else name: (one, plants[name])
+        for name, one in resolved.problems.items()
+    }
     return plants, cases_of_problems(problems, selection.seeds, selection.only)
 
 

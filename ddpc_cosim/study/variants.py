@@ -1,27 +1,25 @@
 """Variants of problems: a study's sweep, which sets anything in it by its path."""
 
-import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import partial
 from typing import Any
 
 from ddpc_cosim.errors import Place
+from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS, SWEEP, Table
 from ddpc_cosim.study.file_format.sweeps import (
     MOST_VARIANTS,
     ZIP,
     combinations,
     count,
+    path_of,
     sweep_errors,
     swept_values,
     variant_label,
     variant_name,
 )
 from ddpc_cosim.study.file_format.validation_errors import ValidationErrors
-from ddpc_cosim.study.problems import OF_HEAD, PROBLEMS, FlatStudy, Table
-
-SWEEP = "sweep"
+from ddpc_cosim.study.problems import OF_HEAD, FlatStudy
 
 
 def with_variants(parts: Sequence[FlatStudy], sweep: Any, errors: ValidationErrors) -> Iterator[FlatStudy]:
@@ -78,21 +76,6 @@ def _checked(parts: Sequence[FlatStudy], sweep: Any, errors: ValidationErrors) -
     return tables if len(errors.found) == before else []
 
 
-def path_of(key: str) -> Place | None:
-    """Return the place that a path names: ``scenarios.windy.events[0].time``; None if it is not one."""
-    try:
-        tables: Any = tomllib.loads(re.sub(r"\[(\d+)\]", r".\1", key) + " = 0")
-    except tomllib.TOMLDecodeError:
-        return None
-    path: Place = ()
-    while isinstance(tables, dict):
-        if len(tables) != 1:
-            return None
-        ((first, tables),) = tables.items()
-        path = (*path, first)
-    return path
-
-
 def _paths_of(table: Table) -> dict[str, Place]:
     return {key: path for key in table if key != ZIP and (path := path_of(key))}
 
@@ -109,7 +92,7 @@ def _path_error(parts: Sequence[FlatStudy], path: Place | None) -> str:
         return "not a setting of a problem or of a controller, such as loop.sampling_time"
     known = {
         PROBLEMS: [part.problem for part in parts],
-        "controllers": [key for part in parts for key in _keys(part.tables.get("controllers"))],
+        CONTROLLERS: [key for part in parts for key in _keys(part.tables.get(CONTROLLERS))],
     }
     if path[0] in known and (path[1] not in known[path[0]] or len(path) < 3):
         kind = path[0].removesuffix("s")
@@ -131,9 +114,9 @@ def _variant(
         inner = path[2:] if path[0] == PROBLEMS else path
         places[_set(tables, inner, varied[key])] = (SWEEP, table, key)
     # Of controllers that do not differ no run is repeated.
-    if all(place[0] == "controllers" for place in places):
+    if all(place[0] == CONTROLLERS for place in places):
         changed = {place[1] for place in places}
-        tables["controllers"] = {key: one for key, one in tables["controllers"].items() if key in changed}
+        tables[CONTROLLERS] = {key: one for key, one in tables[CONTROLLERS].items() if key in changed}
     own = {"variant_of": part.problem, "varied": varied, "name": name}
     own["title"] = variant_label(str(part.tables.get("title") or part.problem), varied)
     return FlatStudy(part.problem, tables | own, partial(_origin, part, places))
@@ -156,8 +139,8 @@ def _index(tables: Any, key: Any) -> Any:
     return int(key) if isinstance(tables, list) and key.isdecimal() and int(key) < len(tables) else key
 
 
-def _origin(part: FlatStudy, places: Mapping[Place, Place], place: Place) -> tuple[str, Place]:
+def _origin(part: FlatStudy, places: Mapping[Place, Place], place: Place) -> Place:
     for path, of_sweep in places.items():
         if place[: len(path)] == path or (place == path[:-1]):
-            return "", of_sweep
+            return of_sweep
     return part.origin(place)

@@ -348,6 +348,10 @@ def _none_for_false(table: Any) -> Any:
     return {"choices": []} if table is False else table
 
 
+def _none_if_false(table: Any) -> Any:
+    return None if table is False else table
+
+
 class ControllerSection(Section):
     """One controller of the study."""
 
@@ -365,7 +369,9 @@ class ControllerSection(Section):
         {},
         description="for `ddpc-cosim tune`: where to look for settings, in place of what the type declares",
     )
-    tuned: TunedSection | None = Field(None, description="how settings were found; none: as the study says")
+    tuned: Annotated[TunedSection | None, BeforeValidator(_none_if_false)] = Field(
+        None, description="how settings were found; none, or `false`: as the study says"
+    )
     variant_of: str = Field("", description="the controller whose sweep this one is part of")
     varied: list[str] = Field([], description="settings in which it differs from that controller")
 
@@ -434,10 +440,14 @@ class ReportSection(Section):
 class StudyHead(Section):
     """What a study says of itself, however many problems it has."""
 
+    moved: ClassVar[Mapping[str, str]] = {"extend": "extends"}
     name: Name = Field("study", description="short name; the folder of results is called after it")
     title: Text = ""
     summary: Text = ""
     source: Text = Field("", description="publication that the study follows")
+    based_on: list[str] = Field(
+        [], description="names of the studies that it extends, where it is written out"
+    )
     seeds: Annotated[Seeds, Field(min_length=1)] = Field([0])
 
 

@@ -2,11 +2,14 @@
 
 import math
 import re
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any
 
 import numpy as np
+
+from ddpc_cosim.errors import Place
 
 ZIP = "zip"
 MOST_VARIANTS = 1000
@@ -40,6 +43,21 @@ def swept_values(value: Any) -> Any:
     values = [float(f"{one:.12g}") for one in _RANGES[kind](first, last, count)]
     integers = type(first) is type(last) is int and all(map(float.is_integer, values))
     return [int(one) for one in values] if integers else values
+
+
+def path_of(key: str) -> Place | None:
+    """Return the place that a path names: ``scenarios.windy.events[0].time``; None if it is not one."""
+    try:
+        tables: Any = tomllib.loads(re.sub(r"\[(\d+)\]", r".\1", key) + " = 0")
+    except tomllib.TOMLDecodeError:
+        return None
+    path: Place = ()
+    while isinstance(tables, dict):
+        if len(tables) != 1:
+            return None
+        ((first, tables),) = tables.items()
+        path = (*path, first)
+    return path
 
 
 def sweep_errors(table: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -171,7 +171,7 @@ def test_every_fault_of_every_problem_has_its_place_and_shared_ones_are_told_onc
         (
             "[problems.pendulum]",
             "[problems.pendulum]\nstudy = 'study.toml'",
-            "study.toml has problems itself",
+            "problems.pendulum.study: takes from itself: study.toml -> study.toml",
         ),
         ("problems.pendulum = false", "problems = { pendulum = false, oscillator = false }", ""),
     ],

@@ -15,7 +15,8 @@ from hypothesis import HealthCheck, example, given, settings, strategies as st
 from ddpc_cosim import ConfigError
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.studies import paper
-from ddpc_cosim.study.reading import key_lines, read_study
+from ddpc_cosim.study.file_format.study_files import key_lines
+from ddpc_cosim.study.reading import read_study
 
 PAPER: dict[str, Any] = tomllib.loads(paper.read_text(encoding="utf-8"))
 
@@ -465,7 +466,7 @@ def test_a_value_of_many_lines_is_parsed_few_times(monkeypatch: pytest.MonkeyPat
         parsed.append(text)
         return loads(text)
 
-    monkeypatch.setattr("ddpc_cosim.study.reading.tomllib.loads", counted)
+    monkeypatch.setattr("ddpc_cosim.study.file_format.study_files.tomllib.loads", counted)
     assert key_lines("times = [\n" + "1.0,\n" * 1000 + "]\nlast = 1")[("last",)] == 1003
     assert len(parsed) == 3
 

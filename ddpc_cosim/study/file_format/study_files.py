@@ -1,0 +1,315 @@
+"""Study files: their tables, with those that they take from other files, and where each of them stands."""
+
+import re
+import reprlib
+import tomllib
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+from ddpc_cosim.errors import ConfigError, CosimError, Place, PluginError, dotted
+from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.settings import PLANT, map_files
+from ddpc_cosim.study.controller_plugins import controller_class
+from ddpc_cosim.study.file_format.replacing import (
+    CONTROLLERS,
+    EXTENDS,
+    OF_PROBLEM,
+    PROBLEMS,
+    STUDY,
+    SWEEP,
+    Table,
+    extended,
+    not_said,
+    replaced,
+)
+from ddpc_cosim.study.file_format.sweeps import path_of
+from ddpc_cosim.study.file_format.validation_errors import in_folder
+
+_MAY_END = re.compile(r"""[\]}]|"{3}|'{3}""")  # a value over several lines
+
+
+@dataclass(eq=False)
+class StudyFile:
+    """The tables of a study file, or of a study that was made otherwise.
+
+    Parameters
+    ----------
+    label : str
+        Its name in messages.
+    folder : Path
+        Paths in it are relative to this.
+    tables : dict
+        Its content, with what it takes from other files, in which paths are absolute.
+    text : str
+        From which the lines of errors are told; empty: they are not.
+    taken : dict of Place to (StudyFile, Place)
+        The places that it takes from other files, and where they stand there.
+    faults : list of (StudyFile, Place, str)
+        What it cannot take, or does not fit what it takes: where, and what is wrong.
+    """
+
+    label: str
+    folder: Path
+    tables: Table
+    text: str = ""
+    taken: dict[Place, tuple["StudyFile", Place]] = field(default_factory=dict)
+    faults: list["Fault"] = field(default_factory=list)
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a TOML file, and what it takes from others.
+
+        Raises
+        ------
+        ConfigError
+            It, or the study that it extends, cannot be read, or is not TOML.
+        """
+        file = cls._read(path, path.name, {}, {})
+        if EXTENDS in file.tables:  # without it, no more can be said
+            raise ConfigError(file.told_faults())
+        return file
+
+    def origin(self, place: Place) -> tuple["StudyFile", Place]:
+        """Return the file that says a place of the tables, and the place there."""
+        for n in range(len(place), 0, -1):
+            if place[:n] in self.taken:
+                file, there = self.taken[place[:n]]
+                return file.origin((*there, *place[n:]))
+        return self, place
+
+    def line(self, place: Place) -> int:
+        """Return the line of a place of this file, of its table where it is missing; 0: it is not known."""
+        beginnings = (place[:n] for n in range(len(place), 0, -1))
+        return next((self._lines[one] for one in beginnings if one in self._lines), 0)
+
+    def told(self, place: Place, fault: str) -> str:
+        """Return what is wrong with a place of this file, as a message says it."""
+        line = self.line(place)
+        return f"{self.label}{f':{line}' if line else ''}: {dotted(place)}: {fault}"
+
+    def told_faults(self) -> list[str]:
+        """Return the faults as messages say them."""
+        return [file.told(place, fault) for file, place, fault in dict.fromkeys(self.faults)]
+
+    @cached_property
+    def _lines(self) -> dict[Place, int]:
+        return key_lines(self.text)
+
+    @classmethod
+    def _read(cls, path: Path, label: str, above: dict[Path, str], known: dict[Path, Self]) -> Self:
+        """Read a file for those above it; what has been read is known."""
+        key = path.resolve()
+        if key in above:
+            raise ConfigError(f"takes from itself: {' -> '.join([*above.values(), label])}")
+        if key not in known:
+            file = cls._alone(path, label)
+            file._take(above | {key: label}, known)
+            known[key] = file
+        return known[key]
+
+    @classmethod
+    def _alone(cls, path: Path, label: str) -> Self:
+        """Read a file without what it takes from others."""
+        try:
+            # Some editors put a byte order mark in front, which TOML does not know.
+            text = path.read_text(encoding="utf-8-sig")
+            tables = tomllib.loads(text)
+        except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are no TOML errors
+            raise ConfigError(f"{label}: not a TOML file: {error}") from error
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+        tables.setdefault("name", _as_name(path.stem))
+        return cls(label, path.parent, tables, text)
+
+    def _take(self, above: dict[Path, str], known: dict[Path, Self]) -> None:
+        """Take the study that it extends, and those that its problems name; the key of what fails stays."""
+        own = self.tables
+        base = self._other((EXTENDS,), own[EXTENDS], above, known) if EXTENDS in own else None
+        if base is not None and EXTENDS not in base.tables:
+            self.tables, faults = extended(self._tables_of(base), own, base.label)
+            self.faults += [(self, place, fault) for place, fault in faults]
+            self.taken |= {place: (base, place) for place in not_said(self.tables, own)}
+            before = base.tables.get("based_on")
+            names = [str(base.tables["name"]), *(before if isinstance(before, list) else ())]
+            self.tables = self.tables | {"based_on": names}
+        problems = self.tables.get(PROBLEMS)
+        for name, problem in problems.items() if isinstance(problems, dict) else ():
+            place = (PROBLEMS, name)
+            if not (isinstance(problem, dict) and STUDY in problem):
+                continue
+            other = self._other((*place, STUDY), problem[STUDY], above, known)
+            if other is None or EXTENDS in other.tables:
+                continue
+            if PROBLEMS in other.tables:
+                what = f"{other.label} has problems itself; needed: a study with [plant], [loop], ..."
+                self.faults.append((self, (*place, STUDY), what))
+                continue
+            theirs = {key: one for key, one in self._tables_of(other).items() if key in OF_PROBLEM}
+            said = {key: one for key, one in problem.items() if key != STUDY}
+            whole = replaced(theirs, said, leave_out=True)
+            self.tables = self.tables | {PROBLEMS: self.tables[PROBLEMS] | {name: whole}}
+            self.taken |= {(*place, *below): (other, below) for below in not_said(whole, said)}
+
+    def _other(
+        self, place: Place, named: Any, above: dict[Path, str], known: dict[Path, Self]
+    ) -> Self | None:
+        """Return the study that a place names; None if there is none, which is a fault."""
+        try:
+            if not isinstance(named, str):
+                what = "must be a study file or the name of a built-in study"
+                raise ConfigError(f"{what}, got {reprlib.repr(named)}")
+            beside = in_folder(self.folder, named)
+            is_file = beside.is_file()
+            label = str(Path(self.label).parent / named) if is_file else named
+            found = self._read(beside if is_file else _plugin_study(named), label, above, known)
+        except CosimError as error:
+            self.faults.append((self, place, str(error)))
+            return None
+        self.faults += found.faults
+        return found
+
+    def _tables_of(self, other: "StudyFile") -> Table:
+        same = other.folder.resolve() == self.folder.resolve()
+        return other.tables if same else absolute_paths(other.tables, other.folder)
+
+
+Fault = tuple[StudyFile, Place, str]
+"""A file, a place in it, and what is wrong there."""
+
+
+def find_study(name: str) -> Path:
+    """Return the path of a study given as a file or by the name of a built-in or plug-in study."""
+    return Path(name) if Path(name).is_file() else _plugin_study(name)
+
+
+def _plugin_study(name: str) -> Path:
+    if Path(name).suffix == ".toml" or len(Path(name).parts) > 1:
+        raise ConfigError(f"{name}: no such study file")
+    try:
+        return Path(load_plugin("studies", name))
+    except PluginError as error:
+        raise ConfigError(f"{error}; or give the path of a study file") from error
+
+
+def _as_name(stem: str) -> str:
+    """Return the name of a study whose file gives none: the file's, as far as names may have its letters."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip("._-")[:60] or "study"
+
+
+def absolute_paths(tables: Table, folder: Path) -> Table:
+    """Return the tables of a study, or of a problem, in which files are named by absolute paths."""
+
+    def absolute(path: Any) -> Any:
+        if isinstance(path, list):
+            return [absolute(one) for one in path]
+        return str(in_folder(folder, path)) if isinstance(path, str) and path not in ("", PLANT) else path
+
+    def of_signals(value: Any) -> Any:
+        if isinstance(value, list):
+            return [of_signals(item) for item in value]
+        if not isinstance(value, dict):
+            return value
+        files = {"file": absolute(value["file"])} if {"kind", "file"} <= value.keys() else {}
+        return {name: of_signals(item) for name, item in value.items()} | files
+
+    def of_settings(settings: Any, kind: Any) -> Any:
+        if isinstance(settings, list):
+            return [of_settings(one, kind) for one in settings]
+        with suppress(TypeError, AttributeError, CosimError):  # its own check says what is wrong
+            return map_files(controller_class(kind), settings, absolute)
+        return settings
+
+    def of_controller(section: Any, kind: Any = None) -> Any:
+        if not isinstance(section, dict):
+            return section
+        found, kind = dict(section), section.get("type", kind)
+        for key in found.keys() & {"settings", SWEEP}:
+            found[key] = of_settings(found[key], kind)
+        if isinstance(found.get(PROBLEMS), dict):
+            found[PROBLEMS] = {name: of_controller(one, kind) for name, one in found[PROBLEMS].items()}
+        return found
+
+    def of_sweep(key: str, values: Any) -> Any:
+        path = tuple(map(str, path_of(key) or ("",)))
+        if path[0] == CONTROLLERS and path[-2:-1] == ("settings",):
+            with suppress(KeyError, TypeError):
+                return of_settings({path[-1]: values}, tables[CONTROLLERS][path[1]]["type"])[path[-1]]
+        return absolute(values) if path[-1] in ("file", "fmu") else values
+
+    found: Table = {key: of_signals(one) if key in OF_PROBLEM else one for key, one in tables.items()}
+    for table, key, change in (
+        ("plant", "fmu", absolute),
+        ("recording", "file", absolute),
+        ("recording", "controller", of_controller),
+    ):
+        if isinstance(found.get(table), dict) and key in found[table]:
+            found[table][key] = change(found[table][key])
+    for key, change in ((CONTROLLERS, of_controller), (PROBLEMS, lambda one: absolute_paths(one, folder))):
+        if isinstance(found.get(key), dict):
+            found[key] = {
+                name: change(one) if isinstance(one, dict) else one for name, one in found[key].items()
+            }
+    if isinstance(sweep := found.get(SWEEP), list | dict):
+        found[SWEEP] = [
+            {key: of_sweep(key, one) for key, one in table.items()} if isinstance(table, dict) else table
+            for table in ([sweep] if isinstance(sweep, dict) else sweep)
+        ]
+    return found
+
+
+def key_lines(text: str) -> dict[Place, int]:
+    """Return the line, counted from 1, on which each key of a TOML file begins.
+
+    What stands in a value that goes over several lines has the line on which the value begins.
+    """
+    lines: dict[Place, int] = {}
+    lengths: dict[Place, int] = {}  # of the arrays of tables, so far
+    table: Place = ()
+    statement, begins = "", 1
+    for number, line in enumerate(
+        text.split("\n"), start=1
+    ):  # other separators of lines may stand in a comment
+        goes_on = bool(statement)
+        statement, begins = (f"{statement}\n{line}", begins) if goes_on else (line, number)
+        if goes_on and not _MAY_END.search(line):
+            continue
+        try:
+            content = tomllib.loads(statement)
+        except tomllib.TOMLDecodeError:  # a value that goes on
+            continue
+        if statement.lstrip().startswith("["):
+            table = _header_place(content, lengths)
+            for n in range(1, len(table) + 1):  # what a header implies above its table too
+                lines.setdefault(table[:n], begins)
+        else:
+            for place in _places(content, table):
+                lines.setdefault(place, begins)
+        statement = ""
+    return lines
+
+
+def _header_place(content: dict[str, Any], lengths: dict[Place, int]) -> Place:
+    """Return the place of a table from its header by itself; arrays of tables are counted."""
+    place: Place = ()
+    below: Any = content
+    while below:
+        ((key, below),) = below.items()
+        place = (*place, key)
+        if isinstance(below, list):
+            lengths[place] = lengths.get(place, 0) + 1
+            below = {}
+        if place in lengths:
+            place = (*place, lengths[place] - 1)
+    return place
+
+
+def _places(value: Any, place: Place) -> Iterator[Place]:
+    """Yield the places of everything in a value."""
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+        yield (*place, key)
+        if isinstance(item, dict | list):
+            yield from _places(item, (*place, key))
