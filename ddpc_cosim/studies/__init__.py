@@ -4,6 +4,7 @@ from pathlib import Path
 
 _FOLDER = Path(__file__).parent
 
+benchmark = _FOLDER / "benchmark.toml"
 claims = _FOLDER / "claims.toml"
 direction_change = _FOLDER / "direction-change.toml"
 excitation = _FOLDER / "excitation.toml"

@@ -21,7 +21,8 @@ pytestmark = pytest.mark.xdist_group("studies")
 
 STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 COMPARATIVE = ("direction-change", "mimo", "noise", "reactor", "time-varying", "unstable")
-BUILT_IN = sorted(path.stem for path in STUDIES.glob("*.toml") if path.stem != "paper")
+ELSEWHERE = ("benchmark", "paper")  # have tests of their own
+BUILT_IN = sorted(path.stem for path in STUDIES.glob("*.toml") if path.stem not in ELSEWHERE)
 
 
 PREDICTIVE = ("deepc", "spc", "gamma-ddpc", "koopman-mpc", "mpc")

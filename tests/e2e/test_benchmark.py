@@ -1,0 +1,77 @@
+"""The benchmark: the same terms for every method, and shares that are those of the samples."""
+
+from itertools import product
+from statistics import fmean
+
+import pytest
+
+from ddpc_cosim import Outcome, StudyResults
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.runner import Selection, run_study
+
+from .recomputed import read_case
+from .test_studies import Silent
+
+# What its fixture runs is run once, in one process.
+pytestmark = pytest.mark.xdist_group("benchmark")
+
+POINTS = {"idle", "nmpc"}
+SCENARIOS = ["nominal", "noise", "disturbance", "mismatch", "tight", "no-preview"]
+
+
+@pytest.fixture(scope="module")
+def nominal(tmp_path_factory: pytest.TempPathFactory) -> StudyResults:
+    """Run every controller on every problem once, without noise or anything else that disturbs."""
+    selection = Selection(jobs=2, seeds=[0], only="nominal")
+    return run_study(read_study("benchmark"), tmp_path_factory.mktemp("benchmark"), selection, Silent())
+
+
+def test_every_method_meets_the_same_problems_with_the_same_budget_of_tuning() -> None:
+    study = read_study("benchmark")
+    assert len(study.problems) >= 10
+    assert study.head.seeds == [*range(20)]
+    budgets = set()
+    for one in study.problems.values():
+        assert list(one.study.scenarios) == SCENARIOS
+        assert set(one.study.controllers) == set(study.problems["pendulum"].study.controllers)
+        assert one.study.source
+        for name, section in one.study.controllers.items():
+            if name in POINTS:
+                assert section.tuned is None
+                continue
+            assert section.tuned is not None, (one.study.name, name)
+            assert section.tuned.settings
+            budgets.add((section.tuned.trials, *section.tuned.seeds, section.tuned.by, section.tuned.source))
+    assert len(budgets) == 1
+
+
+def test_what_is_possible_is_reached_and_nothing_done_is_far_from_it(nominal: StudyResults) -> None:
+    assert all(case.outcome is Outcome.COMPLETED for case in nominal.cases)
+    assert {case.problem for case in nominal.cases if case.controller == "nmpc" and case.holds} == set(
+        nominal.problems
+    )
+    shares = nominal.shares()
+    assert (shares["full"] < 0.1 * shares["zero"]).all()
+
+
+def test_shares_are_those_of_the_samples(nominal: StudyResults) -> None:
+    """By the mean of |reference - output| over the samples, from the files of the cases."""
+    errors = {}
+    for case in nominal.cases:
+        run, columns = read_case(case.folder)
+        for output in run["outputs"]:
+            header = f"{output['name']} [{output['unit'] or '1'}]"
+            pairs = zip(columns[f"reference {header}"][:-1], columns[header][:-1], strict=True)
+            errors[case.problem, case.controller, output["name"]] = fmean(abs(r - y) for r, y in pairs)
+    shares = nominal.shares()
+    assert len(shares) == sum(controller not in POINTS for _, controller, _ in errors)
+    for row in shares.itertuples():
+        signal = row.metric.partition(".")[2].partition(" [")[0]
+        zero, full, own = (errors[row.problem, name, signal] for name in ("idle", "nmpc", row.controller))
+        assert row.share == pytest.approx((zero - own) / (zero - full), rel=1e-9) or not row.holds
+
+
+def test_every_method_has_a_figure_for_every_problem(nominal: StudyResults) -> None:
+    study = read_study("benchmark").problems
+    asked = set(product(study, study["pendulum"].study.controllers))
+    assert {(case.problem, case.controller) for case in nominal.cases} == asked
