@@ -185,17 +185,6 @@ def test_an_fmu_that_cannot_be_loaded_is_tried_again(write_study: WriteStudy) ->
         assert results.cases[0].reason.endswith("when this is run again, it is tried again")
 
 
-def test_results_of_any_number_of_workers_are_the_same(write_study: WriteStudy) -> None:
-    study = write_study("mfapc", seeds="[0, 1, 2]")
-    alone, _ = run(study, jobs=1)
-    first = [case.trace().columns() for case in alone.cases]
-    together, _ = run(study, jobs=2, fresh=True)
-    for before, case in zip(first, together.cases, strict=True):
-        after = case.trace().columns()
-        for name in before.keys() - {"solve_time [s]"}:
-            assert before[name].tobytes() == after[name].tobytes()
-
-
 def test_the_results_can_be_loaded(write_study: WriteStudy) -> None:
     results, _ = run(write_study("mfapc"))
     loaded = load_results(results.folder)

@@ -1,6 +1,8 @@
 """Studies on a dask cluster: a scheduler and workers as processes on this machine."""
 
+import csv
 import os
+import re
 import select
 import signal
 import socket
@@ -13,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ddpc_cosim import ConfigError
+from ddpc_cosim import ConfigError, CosimError
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.study import cluster as executor
 from ddpc_cosim.study.case_files import read_run
@@ -44,7 +46,7 @@ async def serve():
 asyncio.run(serve())
 """
 OWN = """
-import ctypes, os
+import ctypes, os, signal
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
@@ -62,6 +64,13 @@ class Own(Controller):
 class Segfaults(Own):
     def step(self, sample):
         return ctypes.string_at(0) if sample.k == 3 else super().step(sample)
+
+class Kills(Own):
+    def step(self, sample):
+        if sample.k == 3:  # the dask worker, whose child is the server that forks processes for cases
+            server = Path(f"/proc/{os.getppid()}/stat").read_text()
+            os.kill(int(server.rpartition(")")[2].split()[1]), signal.SIGKILL)
+        return super().step(sample)
 
 class Waits(Own):
     def step(self, sample):
@@ -83,7 +92,8 @@ class Cluster:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self.processes: dict[str, subprocess.Popen[str]] = {}
-        self.address = self._start("scheduler", SCHEDULER, {})
+        often = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
+        self.address = self._start("scheduler", SCHEDULER, often)
 
     def start_worker(self, name: str, environment: Mapping[str, str] | None = None) -> str:
         return self._start(name, WORKER, {"WORKER_NAME": name, **(environment or {})}, self.address)
@@ -169,13 +179,26 @@ def told(results: StudyResults) -> dict[str, Any]:
     return content
 
 
-def test_a_cluster_gives_what_this_machine_gives(
+def table_and_statistics(results: StudyResults) -> list[Any]:
+    """Return metrics.csv and the statistics of each metric, bar how long things took."""
+    header, *rows = csv.reader((results.folder / "metrics.csv").read_text().splitlines())
+    kept = [number for number, name in enumerate(header) if "solve_time" not in name]
+    compared = [
+        results.compare(header[number], baseline="mfapc").to_csv() for number in kept if "[" in header[number]
+    ]
+    return [[[row[number] for number in kept] for row in (header, *rows)], compared]
+
+
+def test_a_cluster_gives_what_this_machine_gives_on_any_number_of_workers(
     cluster: Cluster, own_study: Callable[..., Path], tmp_path: Path
 ) -> None:
     """And what crashes there costs its own case."""
     study = own_study("mfapc", "own:Own", "own:Segfaults", seeds="[0, 1]")
-    there, here = run(study, "there", **on(cluster)), run(study, "here", jobs=1)
-    assert told(there) == told(here)
+    there = run(study, "there", **on(cluster))
+    for jobs in (1, 2, 4):
+        here = run(study, f"here-{jobs}", jobs=jobs)
+        assert told(there) == told(here)
+        assert table_and_statistics(there) == table_and_statistics(here)
     assert [case.outcome for case in there.cases] == ["completed"] * 4 + ["crashed"] * 2
     assert "SIGSEGV" in there.cases[-1].reason
     assert [*(tmp_path / "there").iterdir()] != []
@@ -211,6 +234,44 @@ def test_a_worker_that_is_killed_costs_no_case(
     assert len([*results.folder.glob("cases/*/signals.parquet")]) == 6
     assert select.select([case], [], [], 60)[0], "the case's process has outlived its worker"
     os.close(case)
+
+
+def test_a_case_that_kills_one_worker_after_the_other_has_failed_and_the_others_complete(
+    cluster: Cluster, own_study: Callable[..., Path]
+) -> None:
+    """The scheduler here gives up on it with the second one."""
+    for name in ("fourth", "fifth"):
+        cluster.start_worker(name)
+    results = run(own_study("own:Own", "own:Kills", seeds="[0]"), "out", **on(cluster))
+    assert [case.outcome for case in results.cases] == ["completed", "crashed"]
+    assert re.search("first sample: 2 dask workers died while they ran it", results.cases[1].reason)
+    dead = [name for name, process in cluster.processes.items() if process.poll() is not None]
+    assert len(dead) == 2
+    for name in dead:
+        cluster.stop(name)
+
+
+def test_a_scheduler_that_gets_no_workers_is_an_error(
+    write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(executor, "_WORKERS_SECONDS", 0.1)
+    (tmp_path / "empty").mkdir()
+    empty = Cluster(tmp_path / "empty")
+    try:
+        with pytest.raises(
+            CosimError, match=r"has had no workers for 0\.1 s; start some with `dask worker tcp:"
+        ):
+            run(write_study("mfapc"), "out", **on(empty))
+    finally:
+        empty.stop("scheduler")
+
+
+def test_without_the_extra_the_remedy_is_told(
+    write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ConfigError, match=r'needs dask\.distributed .*: pip install "ddpc-cosim\[cluster\]"'):
+        run(write_study("mfapc"), "out", executor="dask", scheduler="tcp://127.0.0.1:1")
 
 
 def test_a_worker_without_the_plug_in_or_with_another_version_is_named(
