@@ -82,6 +82,8 @@ class CaseResult:
         be at fault.
     problem : str
         The problem's name; of a flat study its own.
+    recorded_samples : int
+        How many samples of the recording the controller learned from.
     """
 
     id: str
@@ -100,6 +102,7 @@ class CaseResult:
     sandbox: str = ""
     transient: bool = False
     problem: str = ""
+    recorded_samples: int = 0
 
     def trace(self) -> Trace:
         """Read the samples of the run.
@@ -135,7 +138,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
         _signals(folder, run)
         if run["id"] != (id or folder.name):
             raise ValueError(f"{RUN_FILE} is of case {run['id']}")
-        keys = ("id", "controller", "label", "scenario", "seed", "reason", "sandbox")
+        keys = ("id", "controller", "label", "scenario", "seed", "reason", "sandbox", "recorded_samples")
         head = {key: run[key] for key in keys} | {"problem": run.get("problem", "")}
         values = {key: run[key] for key in ("holds", "metrics", "diagnostics", "settings")}
         told, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])

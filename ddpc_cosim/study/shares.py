@@ -73,7 +73,7 @@ def share_runs(
     at = {(case.controller, case.scenario, case.seed): case for case in cases}
     for metric in metrics:
         for case in cases:
-            if is_point(case.controller, points):
+            if end_of(case.controller, points) is not None:
                 continue
             zero, full = (at.get((name, case.scenario, case.seed)) for name in (points.zero, points.full))
             m_zero = (
@@ -101,9 +101,15 @@ def shares_of(
     return dict(found)
 
 
-def is_point(controller: str, points: ReferencePoints | None) -> bool:
-    """Whether a controller is a reference point, which does not compete."""
-    return points is not None and controller in (points.zero, points.full)
+def end_of(controller: str, points: ReferencePoints | None) -> float | None:
+    """Return where a controller is on the scale if it is a reference point, which does not compete."""
+    return {points.zero: 0.0, points.full: 1.0}.get(controller) if points else None
+
+
+def marked(label: str, controller: str, points: ReferencePoints | None) -> str:
+    """Return a label; of a reference point with its end of the scale, as it does not compete."""
+    end = end_of(controller, points)
+    return label if end is None else f"{label} ({100 * end:.0f}\u00a0%)"
 
 
 def floored(runs: Runs) -> Runs:

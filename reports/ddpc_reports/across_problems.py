@@ -13,9 +13,11 @@ from ddpc_cosim.study.ranks import AverageRanks, Profile, profile_frame, ranks_f
 from ddpc_cosim.study.statistics import LEVEL, letters
 from ddpc_reports.charts import COLOURS, DASHES, profile_chart, rank_chart
 from ddpc_reports.comparison import Condition, ControllerResults, conditions
+from ddpc_reports.distances import Distances, distance_columns, distance_statements, distances
 from ddpc_reports.figures import Entry, Figure, dash_numbers, one_chart
-from ddpc_reports.numbers import significant
+from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.samples import column_name
+from ddpc_reports.shares import SHARE_NOTE
 from ddpc_reports.table import Cell, Heading, Table, controller_table, number_cells
 from ddpc_reports.verdict import Statement, join_words, names, p_words
 
@@ -23,6 +25,7 @@ _METRIC = "mean_abs_error"
 """Stands for what a problem ranks by, its own cost or mean errors: of both, lower values are better."""
 _FACTOR, _WIDEST = 2.0, 20.0
 """The ratio that the table shows, and the largest that is drawn."""
+_POINTS = 300
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,8 @@ class Overall:
         By controller, the runs that stay near their reference, and all runs.
     ranks, profile
         Average ranks and performance profile.
+    distances : Distances or None
+        How far the controllers come between the reference points; None where there are none.
     """
 
     problems: int
@@ -49,6 +54,7 @@ class Overall:
     held: dict[str, tuple[int, int]]
     ranks: AverageRanks
     profile: Profile
+    distances: Distances | None
 
 
 def overall(problems: Sequence[StudyResults]) -> Overall | None:
@@ -76,7 +82,9 @@ def overall(problems: Sequence[StudyResults]) -> Overall | None:
     if len(ranks.ranks) < 2:
         return None
     shown = {key: found[key] for key in ranks.ranks}
-    return Overall(ranks.problems, left_out, shown, held, ranks, profile_frame(frame, _METRIC))
+    others = [one for one in found.values() if one.key not in shown]
+    far = distances(problems, [*shown.values(), *sorted(others, key=lambda one: one.is_point)])
+    return Overall(ranks.problems, left_out, shown, held, ranks, profile_frame(frame, _METRIC), far)
 
 
 def _rows_of(condition: Condition, number: int) -> list[dict[str, Any]]:
@@ -92,7 +100,7 @@ def _rows_of(condition: Condition, number: int) -> list[dict[str, Any]]:
             _METRIC: case.metrics.get(key, math.nan),
         }
         for key in condition.headline
-        for one in condition.controllers
+        for one in condition.contenders
         for case in one.cases
     ]
 
@@ -117,6 +125,9 @@ def overall_statements(found: Overall) -> list[Statement]:
         what = differ if ranks.p <= LEVEL else "none is found to differ"
         test = Markup(" Friedman's test: p {}; {}.").format(p_words(ranks.p, "= "), what)
     statements = [Statement("Ranks", text + "." + test)]
+    if found.distances:
+        together = [one.key for one in order if one is first or one in alike]
+        statements += distance_statements(found.distances, together)
     if found.left_out:
         where = join_words([Markup("<i>{}</i>").format(name) for name in found.left_out])
         nothing = Markup("In {} no controller follows the reference: nothing is ranked there.").format(where)
@@ -131,6 +142,9 @@ def overall_statements(found: Overall) -> list[Statement]:
 def overall_table(found: Overall, prefix: str) -> Table:
     """Return average ranks, shares of the runs near the best, and the runs that stay near their reference."""
     profile, order = found.profile, [*found.controllers]
+    far = found.distances
+    everyone = far.controllers if far else [*found.controllers.values()]
+    blank = [Cell(MISSING)] * (len(everyone) - len(order))
     reached = {
         factor: [
             100 * float(profile.shares[key][np.searchsorted(profile.ratios, factor, side="right") - 1])
@@ -139,15 +153,20 @@ def overall_table(found: Overall, prefix: str) -> Table:
         for factor in (1.0, _FACTOR)
     }
     groups = letters(found.ranks.groups)
-    near = [f"{near} of {runs}" for near, runs in map(found.held.__getitem__, order)]
+    near = [f"{near} of {runs}" for near, runs in (found.held[one.key] for one in everyone)]
+    ranks = number_cells([found.ranks.ranks[key] for key in order], digits=3)
     columns = [
-        (Heading("average rank"), number_cells([found.ranks.ranks[key] for key in order], digits=3)),
-        (Heading("group"), [Cell(groups[key]) for key in order]),
-        (Heading("best", "%", group="share of runs"), number_cells(reached[1.0], digits=3)),
-        (Heading("within twice", "%", group="share of runs"), number_cells(reached[_FACTOR], digits=3)),
+        (Heading("average rank"), [*ranks, *blank]),
+        (Heading("group"), [*(Cell(groups[key]) for key in order), *blank]),
+        *(distance_columns(far, everyone) if far else []),
+        (Heading("best", "%", group="share of runs"), [*number_cells(reached[1.0], digits=3), *blank]),
+        (
+            Heading("within twice", "%", group="share of runs"),
+            [*number_cells(reached[_FACTOR], digits=3), *blank],
+        ),
         (Heading("near the reference", "runs"), [Cell(text) for text in near]),
     ]
-    notes = (
+    notes: tuple[str, ...] = (
         "Ranks by mean absolute error or the problem's own cost: first comes the controller with fewer runs "
         "that do not stay near their reference, of equal ones that with the better average rank "
         "over scenarios and signals. Group: controllers that share a letter are not told apart by Nemenyi's "
@@ -155,8 +174,13 @@ def overall_table(found: Overall, prefix: str) -> Table:
         "Shares of runs: the best of the same problem, scenario and seed, or within twice its value, each "
         "problem with the same weight; a run that does not stay near its reference is not.",
     )
+    if far:
+        notes += (
+            "Share: median, 95\u00a0% bootstrap interval, least and most of the problems' medians. Cost: "
+            "medians over the problems; travel of the actuators in pairs of the same scenario and seed.",
+            SHARE_NOTE,
+        )
     caption = f"Controllers over {found.problems} problems"
-    everyone = [*found.controllers.values()]
     return controller_table(f"{prefix}overall", caption, everyone, columns, notes, "ranks.csv")
 
 
@@ -191,7 +215,8 @@ def _profile_figure(found: Overall, identifier: str) -> Figure:
     columns = [column_name(one) for one in controllers]
     numbers = dash_numbers([columns], columns)
     dashes = {column: DASHES[number % len(DASHES)] for column, number in numbers.items()}
-    drawn = found.profile.ratios <= _WIDEST
+    steps = np.searchsorted(found.profile.ratios, np.geomspace(1.0, _WIDEST, _POINTS), side="right") - 1
+    drawn = np.unique(steps)  # of many thousand steps what can be seen
     rows = [
         {"key": column, "ratio": float(f"{ratio:.6g}"), "share": float(f"{share:.6g}")}
         for column, one in zip(columns, controllers, strict=True)

@@ -46,12 +46,14 @@ _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 def step_time_table(condition: Condition, prefix: str) -> Table:
     """Return median, 95 %, 99 % and longest step time per controller, and deadline misses."""
     everyone = condition.controllers
-    eligible = [one.holds_all for one in everyone]
+    eligible = [one.holds_all and not one.is_point for one in everyone]
     columns: list[Column] = []
     for words, key in STEP_TIMES.items():
         seconds = [one.summed(key) for one in everyone]
         unit, factor = time_scale(seconds)
-        cells = number_cells([value * factor for value in seconds], eligible=eligible, digits=3)
+        alike = condition.alike(key, everyone)
+        shown = [value * factor for value in seconds]
+        cells = number_cells(shown, eligible=eligible, digits=3, alike=alike)
         columns.append((Heading(words, unit, group="step time"), cells))
     sampling_time = condition.results.study.loop.sampling_time
     share = [100 * one.summed(STEP_TIMES["longest"]) / sampling_time for one in everyone]
@@ -71,7 +73,7 @@ def step_time_table(condition: Condition, prefix: str) -> Table:
     )
 
 
-def cases_table(results: StudyResults, condition_of_all: tuple[Condition, ...], prefix: str) -> Table:
+def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], prefix: str) -> Table:
     """Return every case with its outcome and main metrics, in the study's order."""
     keys = _case_keys(condition_of_all)
     values = {key: [_value(case, key) for case in results.cases] for key in keys}

@@ -9,6 +9,7 @@ from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.statistics import FEWEST, Difference, Sample, compare, describe
 from ddpc_reports.comparison import Condition, ControllerResults, metric_label, metric_signal, metric_unit
 from ddpc_reports.numbers import MISSING, as_given
+from ddpc_reports.shares import SHARE, SHARE_NOTE, share_cells, share_interval
 from ddpc_reports.table import Cell, Heading, Row, Table, interval_texts, number_cells
 from ddpc_reports.verdict import RANKED_BY, Statement, join_words, names, p_words, seeds_needed
 
@@ -33,6 +34,7 @@ def certainty_table(condition: Condition, prefix: str) -> Table | None:
         Heading("runs"),
         Heading("median"),
         Heading("interval"),
+        *([Heading(what, "%", group=SHARE) for what in ("median", "interval")] if condition.points else []),
         Heading("median", group="difference to the best"),
         Heading("interval", group="difference to the best"),
         Heading("p", group="difference to the best"),
@@ -41,7 +43,8 @@ def certainty_table(condition: Condition, prefix: str) -> Table | None:
     )
     caption = f"Medians over {len(condition.seeds)} seeds, and what they tell apart"
     name = f"{prefix}sure"
-    return Table(name, caption, headings, tuple(rows), _NOTES, kind="grouped", download="how-sure.csv")
+    notes = (*_NOTES, *((SHARE_NOTE,) if condition.points else ()))
+    return Table(name, caption, headings, tuple(rows), notes, kind="grouped", download="how-sure.csv")
 
 
 def certainty_statements(condition: Condition) -> list[Statement]:
@@ -90,7 +93,7 @@ def _rows(condition: Condition, key: str) -> list[Row]:
     compared = condition.compared(key)
     by_key = {one.key: one for one in condition.controllers}
     order = [by_key[name] for name in compared.order]
-    order += [one for one in condition.controllers if one not in order]
+    order += [one for one in condition.controllers if one not in order]  # reference points are the last
     samples = [describe(one.runs(key)) for one in order]
     best = order[0] if compared.order else None
     found = [_to_best(condition, key, one, best) for one in order]
@@ -100,6 +103,7 @@ def _rows(condition: Condition, key: str) -> list[Row]:
         [Cell(f"{s.known} of {s.runs}", s.known, failed=s.known < s.runs) for s in samples],
         number_cells([s.median for s in samples]),
         _intervals(samples),
+        *_shares(condition, key, order),
         number_cells([one.median if one else math.nan for one in found]),
         _intervals(found),
         [_p(one) for one in found],
@@ -117,11 +121,18 @@ def _to_best(
     condition: Condition, key: str, one: ControllerResults, best: ControllerResults | None
 ) -> Difference | None:
     """Return the difference of a controller to the best; None of the best itself, or where there is none."""
-    if best is None or one is best:
+    if best is None or one is best or one.is_point:
         return None
     tested = condition.compared(key).differences.get((best.key, one.key))
     found = compare(one.runs(key), best.runs(key), metric_of(key).better)
     return found._replace(corrected=tested.corrected if tested else math.nan)
+
+
+def _shares(condition: Condition, key: str, order: Sequence[ControllerResults]) -> list[list[Cell]]:
+    if not condition.points:
+        return []
+    found = condition.shares(key)
+    return [share_cells(condition, order, key), [share_interval(found.get(one.key)) for one in order]]
 
 
 def _intervals(found: Sequence[Sample | Difference | None]) -> list[Cell]:

@@ -1,7 +1,7 @@
 """The results of a study seen by controller: cases gathered, metrics summed up over seeds."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from statistics import median
@@ -10,8 +10,10 @@ from typing import Any, NamedTuple
 from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
 from ddpc_cosim.metrics import Metric, all_metrics, headline, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
+from ddpc_cosim.study.file_format.sections import ReferencePoints
 from ddpc_cosim.study.following import none_follows
-from ddpc_cosim.study.statistics import Comparisons, Runs, compare_all
+from ddpc_cosim.study.shares import describe_shares, end_of, marked, shares_of
+from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
 
 
@@ -55,6 +57,13 @@ class ControllerResults:
     index: int
     cases: tuple[CaseResult, ...]
     first_seed: int
+    end: float | None = None
+    """Of a reference point, where it is on the scale: 0 or 1."""
+
+    @property
+    def is_point(self) -> bool:
+        """Whether it is a reference point, which does not compete."""
+        return self.end is not None
 
     @cached_property
     def completed(self) -> tuple[CaseResult, ...]:
@@ -143,6 +152,7 @@ class Condition:
     controllers: tuple[ControllerResults, ...]
     variants: tuple[ControllerResults, ...] = ()
     _compared: dict[str, Comparisons] = field(default_factory=dict)
+    _shares: dict[str, dict[str, Sample]] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -155,6 +165,23 @@ class Condition:
         """Seeds of the cases here, in the study's order."""
         everyone = (*self.controllers, *self.variants)
         return tuple(dict.fromkeys(case.seed for one in everyone for case in one.cases))
+
+    @property
+    def points(self) -> ReferencePoints | None:
+        """The reference points of the study, if it has any."""
+        return self.results.study.report.reference_points
+
+    @cached_property
+    def contenders(self) -> tuple[ControllerResults, ...]:
+        """The controllers that compete."""
+        return tuple(one for one in self.controllers if not one.is_point)
+
+    def shares(self, key: str) -> dict[str, Sample]:
+        """Return how far each controller comes between the reference points; empty without a way to go."""
+        if key not in self._shares:
+            runs = shares_of(self.cases, self.points, [key]) if self.points and metric_of(key).better else {}
+            self._shares[key] = {name: describe_shares(own) for name, own in runs.items()}
+        return self._shares[key]
 
     @cached_property
     def cases(self) -> tuple[CaseResult, ...]:
@@ -187,8 +214,8 @@ class Condition:
         return none_follows(case for one in (*self.controllers, *self.variants) for case in one.cases)
 
     def may_win(self, one: ControllerResults) -> bool:
-        """Whether a controller may be the best: it always stays near its reference, and one follows."""
-        return one.holds_all and not self.none_follows
+        """Whether a controller may be the best: it competes, always holds its reference, and one follows."""
+        return not one.is_point and one.holds_all and not self.none_follows
 
     def ranking(self, key: str) -> list[tuple[float, ControllerResults]]:
         """Return the controllers that may be the best, with medians of a metric, best first."""
@@ -215,10 +242,26 @@ class Condition:
         }
         return [one for _, one in self.ranking(key) if one.key in alike]
 
+    def alike(
+        self, key: str, members: Sequence[ControllerResults | None]
+    ) -> Callable[[int], list[int]] | None:
+        """Return what says which of some members the seeds do not tell apart from one; None for one seed."""
+        if len(self.seeds) < 2:
+            return None
+        compared = self.compared(key)
+        apart = {pair for pair, found in compared.differences.items() if found.told_apart}
+        apart |= {(b, a) for a, b in apart}
+
+        def of(place: int) -> list[int]:
+            first = members[place]
+            return [i for i, one in enumerate(members) if one and first and (first.key, one.key) not in apart]
+
+        return of
+
     @property
     def not_ranked(self) -> list[ControllerResults]:
-        """The controllers that lost a case: they come after all others, in the study's order."""
-        return [one for one in self.controllers if not one.holds_all]
+        """The controllers that compete and lost a case: they come after all others, in the study's order."""
+        return [one for one in self.contenders if not one.holds_all]
 
 
 def conditions(results: StudyResults) -> tuple[Condition, ...]:
@@ -234,7 +277,8 @@ def _condition(results: StudyResults, scenario: str) -> Condition:
     return Condition(
         results,
         scenario,
-        tuple(one for one in everyone if one.key not in varied),
+        # Reference points stand below those that compete.
+        tuple(sorted((one for one in everyone if one.key not in varied), key=lambda one: one.is_point)),
         tuple(one for one in everyone if one.key in varied),
     )
 
@@ -245,10 +289,13 @@ def metric_keys(conditions: Iterable[Condition], name: str) -> tuple[str, ...]:
 
 
 def labels(results: StudyResults) -> dict[str, str]:
-    """Return a distinct label for every controller, in the study's order."""
+    """Return a distinct label for every controller, in the study's order; of a reference point what it is."""
     given = {case.controller: case.label for case in results.cases}
-    shared = list(given.values())
-    return {key: f"{label} ({key})" if shared.count(label) > 1 else label for key, label in given.items()}
+    shared, points = list(given.values()), results.study.report.reference_points
+    return {
+        key: marked(f"{label} ({key})" if shared.count(label) > 1 else label, key, points)
+        for key, label in given.items()
+    }
 
 
 def indices(results: StudyResults) -> dict[str, int]:
@@ -265,9 +312,9 @@ def indices(results: StudyResults) -> dict[str, int]:
 
 def _controllers_in(results: StudyResults, scenario: str) -> tuple[ControllerResults, ...]:
     cases = [case for case in results.cases if case.scenario == scenario]
-    numbers = indices(results)
+    numbers, points = indices(results), results.study.report.reference_points
     return tuple(
-        ControllerResults(key, label, numbers[key], own, cases[0].seed)
+        ControllerResults(key, label, numbers[key], own, cases[0].seed, end_of(key, points))
         for key, label in labels(results).items()
         if (own := tuple(case for case in cases if case.controller == key))
     )

@@ -1,7 +1,8 @@
 """Controllers compared: in one scenario, from scenario to scenario, and with published values."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
@@ -32,6 +33,7 @@ from ddpc_reports.numbers import (
     time_scale,
     unit_symbol,
 )
+from ddpc_reports.shares import SHARE_NOTE, share_cells, share_columns
 from ddpc_reports.table import (
     Cell,
     Column,
@@ -51,6 +53,7 @@ def verdict_table(condition: Condition, prefix: str) -> Table:
     by_name = {name: columns for name in _overall(shown_metrics()) if (columns := _columns(condition, name))}
     completed = [_counted(len(one.completed), len(one.cases)) for one in condition.controllers]
     columns = [column for columns in by_name.values() for column in columns]
+    columns += share_columns(condition)
     columns.append((Heading("cases completed"), completed))
     if condition.not_ranked:
         held = [_counted(len(one.holding), len(one.cases)) for one in condition.controllers]
@@ -109,7 +112,7 @@ def response_table(condition: Condition, prefix: str) -> Table | None:
 def _response_column(condition: Condition, key: str) -> Column:
     metric = metric_of(key)
     values = [one.summed(key) for one in condition.controllers]
-    cells = number_cells(values, eligible=_all_hold(condition), better=metric.better, digits=3)
+    cells = _median_cells(condition, key, values, 3)
     return Heading(metric.title, metric_unit(key), group=metric_signal(key)), cells
 
 
@@ -136,7 +139,7 @@ def _column(condition: Condition, key: str) -> Column:
     unit, factor = shown_as(key, values)
     shown = [value * factor for value in values]
     digits = 4 if key in condition.headline else 3
-    cells = number_cells(shown, eligible=_all_hold(condition), better=metric.better, digits=digits)
+    cells = _median_cells(condition, key, shown, digits)
     if len(condition.keys(name)) > 1:
         return Heading(metric_signal(key), unit, group=metric.title), cells
     return Heading(metric.title, unit, group=metric.group), cells
@@ -147,25 +150,35 @@ def _tracking(condition: Condition, key: str) -> list[Column]:
     metric = metric_of(key)
     group = " / ".join(filter(None, (metric.title, metric_unit(key))))
     firsts = [one.at_first(key) for one in condition.controllers]
-    eligible = [one.holds_first and not condition.none_follows for one in condition.controllers]
+    eligible = [
+        one.holds_first and not one.is_point and not condition.none_follows for one in condition.controllers
+    ]
     cells = number_cells(firsts, eligible=eligible, better=metric.better)
     columns = [(Heading(f"seed {condition.seeds[0]}", group=group), cells)]
     if len(condition.seeds) > 1:
         spreads = [one.over_seeds(key) for one in condition.controllers]
         medians = [s.median for s in spreads]
-        cells = number_cells(medians, eligible=_all_hold(condition), better=metric.better)
+        cells = _median_cells(condition, key, medians)
         columns.append((Heading("median", group=group), cells))
         columns.append((Heading("range", group=group), [Cell(text) for text in range_texts(spreads)]))
     return columns
 
 
-def _all_hold(condition: Condition) -> list[bool]:
-    """Whether each controller may be best: one that lost cases has values of the easier seeds only."""
-    return [condition.may_win(one) for one in condition.controllers]
+def _median_cells(condition: Condition, key: str, values: Sequence[float], digits: int = 4) -> list[Cell]:
+    """Return a column, in which the best are marked and those that the seeds do not tell apart from them.
+
+    One that lost cases has values of the easier seeds only: it is not marked.
+    """
+    members = condition.controllers
+    eligible = [condition.may_win(one) for one in members]
+    alike = condition.alike(key, members)
+    return number_cells(values, eligible=eligible, better=metric_of(key).better, digits=digits, alike=alike)
 
 
 def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
+    several = len(condition.seeds) > 1
     best = "Bold and tinted: the best of the column"
+    best += ", with those that the seeds do not tell apart from it" if several else ""
     if condition.none_follows:
         best = "No controller follows the reference, so none is marked as the best"
     elif condition.not_ranked:
@@ -183,8 +196,10 @@ def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
     own = metric_of(condition.headline[0]) if len(condition.headline) == 1 else None
     summed = [metric for metric in metrics if metric is not own]
     words = [_summing_words(condition, summed)] if len(condition.seeds) > 1 else []
-    equal = "" if condition.none_follows else "; where most are equal, none is marked"
-    return f"{best}{equal}.", " ".join([*meanings, *words])
+    same = "not told apart" if several else "equal"
+    equal = "" if condition.none_follows else f"; where most are {same}, none is marked"
+    of_points = (SHARE_NOTE,) if condition.points else ()
+    return f"{best}{equal}.", " ".join([*meanings, *words]), *of_points
 
 
 def _summing_words(condition: Condition, metrics: Sequence[Metric[Any]]) -> str:
@@ -209,18 +224,22 @@ def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
         for key in metric_keys(conditions, name)
         for row in _across_rows(conditions, key)
     ]
+    keys = dict.fromkeys(key for one in conditions for key in (*one.headline, *one.keys("rmse")))
+    shares = [row for key in keys for row in _share_rows(conditions, key)]
     headings = (Heading("Controller", numeric=False), *(Heading(one.label) for one in conditions))
     over = max(len(condition.seeds) for condition in conditions)
     notes = (
-        "Bold and tinted: the best in a scenario, among controllers that stay near their reference in every "
-        "case.",
+        "Bold and tinted, in what controllers are ranked by: the best in a scenario, among controllers that "
+        "stay near their reference in every case"
+        + (", with those that the seeds do not tell apart from it." if over > 1 else "."),
         *((f"Medians over {over} seeds.",) if over > 1 else ()),
+        *((SHARE_NOTE,) if shares else ()),
     )
     return Table(
         f"{prefix}across",
         "Scenarios side by side",
         headings,
-        tuple(rows),
+        (*shares, *rows),
         notes,
         kind="grouped",
         download="scenarios.csv",
@@ -232,10 +251,26 @@ def _across_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
     group = " / ".join(
         filter(None, (" of ".join(filter(None, (metric.title, metric_signal(key)))), metric_unit(key)))
     )
+    return _side_by_side(conditions, group, partial(_across_column, key=key))
+
+
+def _share_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
+    """Return the shares of the way in a metric; nothing where there is no way to go."""
+    if not any(condition.shares(key) for condition in conditions):
+        return []
+    what = " of ".join(filter(None, (metric_of(key).title, metric_signal(key))))
+    return _side_by_side(conditions, f"Share of the way, by {what} / %", partial(share_cells, key=key))
+
+
+def _side_by_side(
+    conditions: Sequence[Condition],
+    group: str,
+    column: Callable[[Condition, Sequence[ControllerResults | None]], list[Cell]],
+) -> list[Row]:
     by_key = [{one.key: one for one in condition.controllers} for condition in conditions]
     everyone = {one.key: one for members in by_key for one in members.values()}
     columns = [
-        _across_column(condition, [members.get(name) for name in everyone], key)
+        column(condition, [members.get(name) for name in everyone])
         for condition, members in zip(conditions, by_key, strict=True)
     ]
     return [
@@ -246,8 +281,11 @@ def _across_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
 
 def _across_column(condition: Condition, members: Sequence[ControllerResults | None], key: str) -> list[Cell]:
     values = [one.summed(key) if one else math.nan for one in members]
+    if key not in condition.headline:
+        return number_cells(values)
     eligible = [bool(one and condition.may_win(one)) for one in members]
-    return number_cells(values, eligible=eligible, better=metric_of(key).better)
+    alike = condition.alike(key, members)
+    return number_cells(values, eligible=eligible, better=metric_of(key).better, alike=alike)
 
 
 _HEADINGS = (
@@ -344,10 +382,10 @@ def _order(published: list[tuple[float, str]], here: list[tuple[float, str]]) ->
 
 
 def step_time_order(condition: Condition) -> list[Statement]:
-    """Return the order of the median steps that this run measured; nothing for one controller alone."""
+    """Return the order of the median steps that this run measured; nothing for one contender alone."""
     order = [
         (value, one.label)
-        for one in condition.controllers
+        for one in condition.contenders
         if not math.isnan(value := one.over_seeds("solve_time_median [s]").median)
     ]
     if len(order) < 2:
@@ -360,7 +398,7 @@ def _times_words(order: list[tuple[float, str]]) -> Markup:
     least = order[0][0]
     first = Markup("<i>{}</i>").format(order[0][1])
     rest = [
-        Markup("<i>{}</i> ({} times as long)").format(label, significant(value / least, 3))
+        Markup("<i>{}</i> (about {} times as long)").format(label, significant(value / least, 2))
         if least > 0
         else Markup("<i>{}</i>").format(label)
         for value, label in order[1:]

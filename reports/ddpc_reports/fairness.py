@@ -158,9 +158,9 @@ def _told(results: StudyResults, one: ControllerResults, trace: Trace | None) ->
 def _tuning(results: StudyResults, first: Condition) -> Markup:
     """State which settings were found how, those together that were found alike."""
     sections = results.study.controllers
-    tuned = {one.key: sections[one.key].tuned if one.key in sections else None for one in first.controllers}
+    tuned = {one.key: sections[one.key].tuned if one.key in sections else None for one in first.contenders}
     alike: dict[tuple[str, str], list[Markup]] = {}
-    for one in first.controllers:
+    for one in first.contenders:
         if table := tuned[one.key]:
             how = counted(table.trials, "trial"), _tuned_words(table, [case.seed for case in one.cases])
             named = Markup("<i>{}</i> ({})").format(one.label, ", ".join(table.settings))
@@ -171,7 +171,7 @@ def _tuning(results: StudyResults, first: Condition) -> Markup:
         )
         for (trials, how), who in alike.items()
     ]
-    if unknown := [one for one in first.controllers if not tuned[one.key]]:
+    if unknown := [one for one in first.contenders if not tuned[one.key]]:
         parts.append(Markup("of {} it is not known how settings were found").format(_who(unknown, first)))
     text = _capitalised(Markup("; ").join(parts))
     if len({table.trials if table else 0 for table in tuned.values()}) > 1:

@@ -1,9 +1,10 @@
 """The page: studies gathered, tables and figures made, templates filled."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from itertools import islice, zip_longest
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -34,6 +35,7 @@ from ddpc_reports.comparison_tables import (
     step_time_order,
     verdict_table,
 )
+from ddpc_reports.distances import distance_maps
 from ddpc_reports.embedding import (
     Packed,
     chart_library,
@@ -49,12 +51,15 @@ from ddpc_reports.figures import Figure, in_its_place, spread_figures, step_time
 from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.sensitivity import effects_table, sensitivity_figures, sweep_statements, variants_table
 from ddpc_reports.settings_tables import compact_seeds, family_tables, settings_tables
+from ddpc_reports.shares import share_statements
 from ddpc_reports.table import Table
 from ddpc_reports.tuning import front_figures, trials_table
 from ddpc_reports.verdict import Statement, across_statements, limitations, verdict
 
 _MOST_DRAWN = 4
-"""Scenarios of a study with figures over time: each costs some 300 kB of page."""
+"""Scenarios of a problem with figures over time: each costs some 300 kB of page."""
+_MOST_LINES, _MOST_ROWS, _MOST_CASES = 56, 100, 1000
+"""Of all scenarios, controllers with figures and with tables of their own; cases of several problems."""
 
 _MOST_LISTED = 20
 Block = tuple[str, Any]
@@ -100,9 +105,13 @@ def render_page(results: Sequence[StudyResults]) -> str:
         for one in results:
             if len(problems := one.problems()) > 1:
                 parts.append(_overall_part(one, problems, len(parts) + 1))
-            for part in problems:
+            seen = [conditions(part) for part in problems]
+            drawn, detailed = _first(seen, _MOST_LINES, _MOST_DRAWN), _first(seen, _MOST_ROWS)
+            spread = drawn if len(problems) > 1 else detailed
+            room = _Room(drawn, spread, detailed, len(problems) == 1 or len(one.cases) <= _MOST_CASES)
+            for part, of_part in zip(problems, seen, strict=True):
                 variants = one.variants(part.study.name)
-                parts.append(_study_part(part, len(parts) + 1, data, variants))
+                parts.append(_study_part(part, of_part, len(parts) + 1, data, room, variants))
     head = results[0].whole.head
     return set_page(parts, data, (head.title or head.name) if len(results) == 1 else "")
 
@@ -139,6 +148,57 @@ def _shown(value: Any) -> Any:
     return value if not isinstance(value, str) or isinstance(value, _Script) else printable(value, keep="\n")
 
 
+class _Room(NamedTuple):
+    """What of a study the page has room for.
+
+    Parameters
+    ----------
+    drawn, spread, detailed : collection of Condition
+        Scenarios with figures over time, with figures over the seeds, and with tables of their own.
+    cases : bool
+        Whether there are tables of all cases.
+    """
+
+    drawn: Collection[Condition]
+    spread: Collection[Condition]
+    detailed: Collection[Condition]
+    cases: bool
+
+    def left_out(self, seen: Sequence[Condition]) -> list[str]:
+        """Say what of a problem is left out to keep the page small, and where it is found."""
+        kinds = {
+            "figures over time": self.drawn,
+            "figures over the seeds": self.spread,
+            "tables of their own": self.detailed,
+        }
+        missing = {
+            what: tuple(one.label for one in seen if one not in shown) for what, shown in kinds.items()
+        }
+        found = [
+            f"To keep the page small, these scenarios have no {what}: {', '.join(labels)}."
+            for what, labels in missing.items()
+            if labels
+        ]
+        if found and len(missing["figures over time"]) == len(seen):
+            found.append("With run --only and the name of a problem, a report has room for all of this.")
+        return found if self.cases else [*found, "The cases are too many for a table: see metrics.csv."]
+
+
+def _first(problems: Sequence[Sequence[Condition]], most: int, places: int | None = None) -> list[Condition]:
+    """Return the first scenarios of the problems, as many of each as there is room for their controllers.
+
+    The first of the only problem is always among them.
+    """
+    chosen: list[Condition] = []
+    for of_place in islice(zip_longest(*problems), places):
+        level = [condition for condition in of_place if condition]
+        full = sum(len(one.controllers) for one in [*chosen, *level]) > most
+        if full and (chosen or len(problems) > 1):
+            break
+        chosen += level
+    return chosen
+
+
 def _overall_part(results: StudyResults, problems: Sequence[StudyResults], number: int) -> StudyPart:
     """Return what is to be said over all problems of a study."""
     prefix, head = f"s{number}-", results.whole.head
@@ -150,7 +210,12 @@ def _overall_part(results: StudyResults, problems: Sequence[StudyResults], numbe
                 ("notes", ["Fewer than two problems have controllers in common that follow their reference."])
             ]
         figures = _figures(overall_figures(found, prefix), prefix)
-        return [*_statements(overall_statements(found)), *_tables(overall_table(found, prefix)), *figures]
+        maps = distance_maps(found.distances, prefix) if found.distances else []
+        return [
+            *_statements(overall_statements(found)),
+            *_tables(overall_table(found, prefix), *maps),
+            *figures,
+        ]
 
     what = "Ranks and profiles"
     sections = [Section("problems", what, _in_their_place(what, blocks))]
@@ -161,12 +226,13 @@ def _overall_part(results: StudyResults, problems: Sequence[StudyResults], numbe
 
 def _study_part(
     results: StudyResults,
+    seen: Sequence[Condition],
     number: int,
     data: dict[str, dict[str, Packed]],
+    room: _Room,
     variants: Sequence[StudyResults] = (),
 ) -> StudyPart:
     prefix = f"s{number}-"
-    seen = conditions(results)
     first = seen[0] if seen else None
     reproduction = results.study.report.reproduction if seen else None
 
@@ -174,13 +240,15 @@ def _study_part(
         """Return the blocks of every condition that has any, below its label where there are several."""
         found: list[Block] = []
         for place, condition in enumerate(seen, start=1):
+            if condition not in room.detailed:
+                continue
             if blocks := _in_their_place(what, partial(blocks_of, condition, f"{prefix}{place}-")):
                 found += [("condition", condition.label)] if len(seen) > 1 else []
                 found += blocks
         return found
 
     def time_blocks(condition: Condition, place: str) -> list[Block]:
-        if not condition.controllers or condition not in seen[:_MOST_DRAWN]:
+        if not condition.controllers or condition not in room.drawn:
             return []
         figures, samples = time_figures(condition, place)
         packed = {name: {key: pack(column) for key, column in s.items()} for name, s in samples.items()}
@@ -215,7 +283,7 @@ def _study_part(
         ("reproduction", "Reproduction"): lambda _: _reproduction_blocks(first, reproduction, prefix),
         ("figures", "Figures"): lambda title: [("help", ""), *each(title, time_blocks)],
         ("spread", "Spread over seeds"): lambda title: each(
-            title, lambda *one: _figures(spread_figures(*one), one[1])
+            title, lambda *one: _figures(spread_figures(*one) if one[0] in room.spread else [], one[1])
         ),
         ("sensitivity", "Sensitivity"): lambda title: each(
             title,
@@ -224,13 +292,19 @@ def _study_part(
         ("sweep", "Sweep of the study"): lambda title: each(
             title, lambda condition, place: _tables(variants_table(condition, variants, place))
         ),
-        ("time", "Computation time"): lambda title: each(title, _step_time_blocks),
+        ("time", "Computation time"): lambda title: each(
+            title, lambda *one: _step_time_blocks(*one, drawn=one[0] in room.spread)
+        ),
         ("data", "Data diagnostics"): lambda title: each(
             title, lambda *one: _tables(diagnostics_table(*one))
         ),
         ("settings", "Settings"): lambda _: settings(),
-        ("limitations", "Known limitations"): lambda _: [("notes", limitations(seen, _MOST_DRAWN))],
-        ("cases", "Every case"): lambda _: _tables(cases_table(results, seen, prefix)),
+        ("limitations", "Known limitations"): lambda _: [
+            ("notes", [*limitations(seen), *room.left_out(seen)])
+        ],
+        ("cases", "Every case"): lambda _: _tables(
+            cases_table(results, seen, prefix) if room.cases else None
+        ),
         ("provenance", "Provenance"): lambda _: _tables(provenance_table(results, prefix)),
     }
     sections = [
@@ -284,7 +358,7 @@ def _verdict_blocks(condition: Condition, prefix: str) -> list[Block]:
     # With `run --only` there may be variants of a sweep alone.
     if not condition.controllers:
         return _statements(sweep_statements(condition))
-    statements = verdict(condition) + sweep_statements(condition)
+    statements = share_statements(condition) + verdict(condition) + sweep_statements(condition)
     return [
         *_statements(statements),
         *_tables(verdict_table(condition, prefix), response_table(condition, prefix)),
@@ -295,14 +369,14 @@ def _certainty_blocks(condition: Condition, prefix: str) -> list[Block]:
     return [*_statements(certainty_statements(condition)), *_tables(certainty_table(condition, prefix))]
 
 
-def _step_time_blocks(condition: Condition, prefix: str) -> list[Block]:
+def _step_time_blocks(condition: Condition, prefix: str, *, drawn: bool) -> list[Block]:
     if not condition.controllers:
         return []
     table = step_time_table(condition, prefix)
     return [
         *_statements(step_time_order(condition)),
         *_tables(table),
-        *_figures([step_time_figure(condition, prefix)], prefix),
+        *_figures([step_time_figure(condition, prefix)] if drawn else [], prefix),
     ]
 
 

@@ -5,7 +5,7 @@ import io
 import math
 import re
 from base64 import b64encode
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -51,13 +51,14 @@ def text_headings(*titles: str) -> tuple[Heading, ...]:
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell: the text to show, the value behind it, and how it is marked."""
+    """One cell: the text to show, the value behind it, and its marks; a tone is a class of the page."""
 
     text: str
     raw: Raw = ""
     best: bool = False
     failed: bool = False
     differs: bool = False
+    tone: str = ""
 
 
 @dataclass(frozen=True)
@@ -135,6 +136,8 @@ def _csv_text(text: str) -> str:
     return f"'{text}" if _FORMULA.match(text) else text
 
 
+Alike = Callable[[int], Collection[int]]
+"""Of the place of a controller in a column, the places of those that the seeds do not tell apart from it."""
 Column = tuple[Heading, list[Cell]]
 """A heading and a cell for each row."""
 
@@ -162,17 +165,18 @@ def number_cells(
     eligible: Iterable[bool] = (),
     better: Literal["low", "high", ""] = "low",
     digits: int = 4,
+    alike: Alike | None = None,
 ) -> list[Cell]:
     """Return a column of cells with decimal points in line; the lowest or highest eligible value is the best.
 
-    Values that read alike share the mark; where more than half of them do, none is best.
+    Those that are ``alike``, else values that read alike, share the mark; where more than half do, none is
+    best.
     """
     texts = column(values, digits)
     able = list(eligible) or [False] * len(values)
-    best = _best(values, texts, able, better) if better else set()
+    best = _best(values, texts, able, better, alike) if better else set()
     return [
-        Cell(text, value, best=ok and text in best)
-        for text, value, ok in zip(texts, values, able, strict=True)
+        Cell(text, value, best=i in best) for i, (text, value) in enumerate(zip(texts, values, strict=True))
     ]
 
 
@@ -191,15 +195,17 @@ def interval_texts(ends: Sequence[tuple[float, float]]) -> list[str]:
 
 
 def _best(
-    values: Sequence[float], texts: Sequence[str], able: Sequence[bool], better: Literal["low", "high"]
-) -> set[str]:
-    known = [
-        (value, text)
-        for value, text, ok in zip(values, texts, able, strict=True)
-        if ok and not math.isnan(value)
-    ]
+    values: Sequence[float],
+    texts: Sequence[str],
+    able: Sequence[bool],
+    better: Literal["low", "high"],
+    alike: Alike | None,
+) -> set[int]:
+    known = [i for i, value in enumerate(values) if able[i] and not math.isnan(value)]
     if len(known) < 2:
         return set()
-    best = (min(known) if better == "low" else max(known))[1]
+    first = (min if better == "low" else max)(known, key=lambda i: values[i])
+    others = alike(first) if alike else [i for i in known if texts[i] == texts[first]]
+    best = {first, *others} & {*known}
     # What most of them reach distinguishes none of them.
-    return {best} if 2 * sum(text == best for _, text in known) <= len(known) else set()
+    return best if 2 * len(best) <= len(known) else set()

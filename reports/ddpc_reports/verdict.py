@@ -83,7 +83,7 @@ def _all_completed(condition: Condition) -> Markup:
 
 def _not_held(condition: Condition) -> Markup:
     """Name the controllers whose runs completed without staying near their reference; nothing without any."""
-    counts = [(len(one.completed) - len(one.holding), one) for one in condition.controllers]
+    counts = [(len(one.completed) - len(one.holding), one) for one in condition.contenders]
     who = [Markup("<b>{}</b> {} of {}").format(one.label, n, len(one.cases)) for n, one in counts if n]
     if not who:
         return Markup("")
@@ -120,14 +120,27 @@ def _violations(condition: Condition) -> Markup:
 
 
 def _times(condition: Condition) -> Markup:
-    order = condition.ranking("solve_time_median [s]")
+    key = "solve_time_median [s]"
+    order = condition.ranking(key)
     text = Markup("")
     if len(order) > 1:
         (best, winner), (worst, last) = order[0], order[-1]
-        text = Markup("{}<b>{}</b> is fastest: median step {}; slowest is <i>{}</i> with {}. ").format(
-            _among(condition), winner.label, duration(best), last.label, duration(worst)
+        text = Markup("{}{} is fastest: median step {}{}; slowest is <i>{}</i> with {}. ").format(
+            _among(condition),
+            _first(condition, key, winner),
+            duration(best),
+            _unsure_words(condition, key),
+            last.label,
+            duration(worst),
         )
     return text + _deadlines(condition)
+
+
+def _unsure_words(condition: Condition, key: str) -> Markup:
+    """Name those from which the seeds do not tell the first apart; nothing if there are none."""
+    unsure = condition.not_told_apart(key)
+    words = Markup("; the seeds do not tell it apart from {}").format
+    return words(_some(names(unsure))) if unsure else Markup("")
 
 
 def _among(condition: Condition) -> str:
@@ -274,9 +287,9 @@ def least_travel(condition: Condition) -> list[Statement]:
 
 
 def _first_seed(condition: Condition, key: str) -> Markup:
-    eligible = [one for one in condition.controllers if one.holds_first]
+    eligible = [one for one in condition.contenders if one.holds_first]
     order = ranked(key, eligible, [one.at_first(key) for one in eligible])
-    others = [one for one in condition.controllers if one not in eligible]
+    others = [one for one in condition.contenders if one not in eligible]
     seed = condition.seeds[0]
     if not order:
         return Markup("No controller stays near its reference on seed {}.").format(seed)
@@ -427,10 +440,7 @@ def _leader(
     )
     if len(order) > 2:
         text += Markup(" and {} of <i>{}</i>").format(show(worst), last.label)
-    unsure = condition.not_told_apart(key)
-    if unsure:
-        text += Markup("; the seeds do not tell it apart from {}").format(_some(names(unsure)))
-    return text + "."
+    return text + _unsure_words(condition, key) + "."
 
 
 def join_words(parts: Sequence[str | Markup]) -> Markup:
@@ -521,23 +531,10 @@ def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
     return text + seeds_needed(conditions, [key])
 
 
-def limitations(conditions: tuple[Condition, ...], drawn: int) -> list[str]:
-    """Return the study's own limitations, then those that its results show.
-
-    Parameters
-    ----------
-    conditions : tuple of Condition
-        All conditions of the study.
-    drawn : int
-        How many of them have figures.
-    """
+def limitations(conditions: Sequence[Condition]) -> list[str]:
+    """Return the study's own limitations, then those that its results show."""
     found = [*conditions[0].results.study.report.limitations] if conditions else []
-    found += (
-        _of_cases(conditions)
-        + _of_windows(conditions)
-        + _of_seeds(conditions)
-        + _of_drawing(conditions, drawn)
-    )
+    found += _of_cases(conditions) + _of_windows(conditions) + _of_seeds(conditions)
     if conditions:
         found.append(
             "Step times are wall-clock times of one machine under the load it had; they rank "
@@ -546,7 +543,7 @@ def limitations(conditions: tuple[Condition, ...], drawn: int) -> list[str]:
     return found
 
 
-def _of_cases(conditions: tuple[Condition, ...]) -> list[str]:
+def _of_cases(conditions: Sequence[Condition]) -> list[str]:
     of_label: dict[str, list[CaseResult]] = {}
     done: dict[str, int] = {}
     for condition in conditions:
@@ -563,7 +560,7 @@ def _of_cases(conditions: tuple[Condition, ...]) -> list[str]:
     ]
 
 
-def _of_windows(conditions: tuple[Condition, ...]) -> list[str]:
+def _of_windows(conditions: Sequence[Condition]) -> list[str]:
     """Name the outputs of which no run has a settled error, and those whose reference has no steps."""
 
     def unknown(name: str) -> list[str]:
@@ -587,14 +584,7 @@ def _of_windows(conditions: tuple[Condition, ...]) -> list[str]:
     ]
 
 
-def _of_seeds(conditions: tuple[Condition, ...]) -> list[str]:
+def _of_seeds(conditions: Sequence[Condition]) -> list[str]:
     if any(len(condition.seeds) > 1 for condition in conditions):
         return ["The figures over time show the first seed only; the spread over seeds is shown on its own."]
     return ["One seed only: how much the results depend on it is not known."] if conditions else []
-
-
-def _of_drawing(conditions: tuple[Condition, ...], drawn: int) -> list[str]:
-    left_out = [condition.label for condition in conditions[drawn:]]
-    if not left_out:
-        return []
-    return [f"To keep the page small, these scenarios have no figures over time: {', '.join(left_out)}."]

@@ -1,0 +1,272 @@
+"""Over all problems: how far controllers come between the reference points, where, and what it costs them."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import cast
+
+from markupsafe import Markup
+
+from ddpc_cosim import StudyResults
+from ddpc_cosim.metrics import headline, split_key
+from ddpc_cosim.study.file_format.sections import ReferencePoints
+from ddpc_cosim.study.shares import describe_shares, floored, share_runs, shares_of
+from ddpc_cosim.study.statistics import Runs, Sample, compare_all, describe
+from ddpc_reports.comparison import ControllerResults
+from ddpc_reports.numbers import duration, significant, time_scale
+from ddpc_reports.shares import (
+    SHARE,
+    SHARE_NOTE,
+    interval_words,
+    is_lost,
+    point_cell,
+    share_cell,
+    share_interval,
+    share_words,
+)
+from ddpc_reports.table import Column, Heading, Table, controller_table, number_cells
+from ddpc_reports.verdict import Statement, by_signal, counted, join_words, names
+
+_NAMED = 3
+
+
+@dataclass(frozen=True)
+class Distances:
+    """How far controllers come on the way between the reference points, and what it costs them.
+
+    Parameters
+    ----------
+    controllers : list of ControllerResults
+        Those that compete, the best rank first, and the reference points.
+    overall : dict of str to Sample
+        By controller, over the medians of the problems.
+    problems, scenarios : dict of str to dict
+        By name the same of one problem, over its seeds, and of one scenario, over the problems.
+    ahead : dict of str to list of str
+        By problem the controller with the largest median, and those that the seeds do not tell apart from it.
+    without : list of str
+        Problems in which there is no way to go.
+    step, recorded, travel : dict of str to float
+        By controller, in medians over the problems: the median step [s], the samples that it learned from,
+        and the actuators' travel in that of the controller at 100 %.
+    """
+
+    controllers: list[ControllerResults]
+    overall: dict[str, Sample]
+    problems: dict[str, dict[str, Sample]]
+    scenarios: dict[str, dict[str, Sample]]
+    ahead: dict[str, list[str]]
+    without: list[str]
+    step: dict[str, float]
+    recorded: dict[str, float]
+    travel: dict[str, float]
+
+
+def distances(problems: Sequence[StudyResults], controllers: list[ControllerResults]) -> Distances | None:
+    """Return how far controllers come in each problem and over all; None without reference points."""
+    runs: dict[str, dict[str, Runs]] = {}
+    costs: dict[str, list[dict[str, float]]] = {"step": [], "recorded": [], "travel": []}
+    for results in problems:
+        if points := results.study.report.reference_points:
+            keys = dict.fromkeys(key for case in results.cases for key in case.metrics)
+            runs[results.study.name] = shares_of(results.cases, points, headline(keys))
+            for kind, of_one in _costs(results, points, keys).items():
+                costs[kind].append(of_one)
+    if not runs:
+        return None
+    by_problem = {name: {key: describe_shares(own) for key, own in of.items()} for name, of in runs.items()}
+    names = dict.fromkeys(scenario for results in problems for scenario in results.study.scenarios)
+    scenarios = {name: _over([_part(found, name) for found in runs.values()]) for name in names}
+    return Distances(
+        controllers,
+        _over(by_problem.values()),
+        by_problem,
+        {name: found for name, found in scenarios.items() if found},
+        {name: _ahead(found) for name, found in runs.items() if found},
+        [name for name, found in runs.items() if not found],
+        **{kind: _medians(of_problems) for kind, of_problems in costs.items()},
+    )
+
+
+def _part(found: Mapping[str, Runs], scenario: str) -> dict[str, Sample]:
+    """Sum up the runs of one scenario of a problem."""
+    parts = {
+        name: {run: share for run, share in own.items() if cast("tuple[str, str]", run[0])[0] == scenario}
+        for name, own in found.items()
+    }
+    return {name: describe_shares(own) for name, own in parts.items() if own}
+
+
+def _over(problems: Iterable[Mapping[str, Sample]]) -> dict[str, Sample]:
+    """Sum up the medians of problems by controller: each problem counts as one value."""
+    found: dict[str, list[Sample]] = {}
+    for of_one in problems:
+        for name, sample in of_one.items():
+            found.setdefault(name, []).append(sample)
+    return {
+        name: describe({("", number): one.median for number, one in enumerate(own)})._replace(
+            known=sum(not is_lost(one) for one in own)
+        )
+        for name, own in found.items()
+    }
+
+
+def _ahead(found: Mapping[str, Runs]) -> list[str]:
+    compared = compare_all({name: floored(own) for name, own in found.items()}, "high")
+    first, pairs = compared.order[0], compared.differences.items()
+    return [first, *(b for (a, b), one in pairs if a == first and not one.told_apart)]
+
+
+def _costs(
+    results: StudyResults, points: ReferencePoints, keys: Iterable[str]
+) -> dict[str, dict[str, float]]:
+    """Return what each controller costs in one problem, in medians over its runs."""
+    found: dict[str, dict[str, list[float]]] = {"step": {}, "recorded": {}, "travel": {}}
+    for case in results.cases:
+        found["recorded"].setdefault(case.controller, []).append(case.recorded_samples)
+        if not math.isnan(step := case.metrics.get("solve_time_median [s]", math.nan)):
+            found["step"].setdefault(case.controller, []).append(step)
+    travels = [key for key in keys if split_key(key)[0] == "total_variation"]
+    for one in share_runs(results.cases, points, travels):
+        if one.full > 0 and one.case.holds:
+            ratio = one.case.metrics[one.metric] / one.full
+            found["travel"].setdefault(one.case.controller, []).append(ratio)
+    return {kind: _medians([{n: v} for n, own in of.items() for v in own]) for kind, of in found.items()}
+
+
+def _medians(tables: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    names = dict.fromkeys(name for table in tables for name in table)
+    return {name: median(table[name] for table in tables if name in table) for name in names}
+
+
+def distance_statements(far: Distances, first: Iterable[str]) -> list[Statement]:
+    """Say how far the controllers come, which is ahead in which problem, and what the first ones cost.
+
+    Parameters
+    ----------
+    far : Distances
+        What is said.
+    first : iterable of str
+        The controller with the best rank, and those that the problems do not tell apart from it.
+    """
+    known = [one for one in far.controllers if one.key in far.overall]
+    if not known:
+        none = Markup("There is no way to go between the reference points in any problem: no shares.")
+        return [Statement("Distance", none)]
+    order = sorted(known, key=lambda one: -far.overall[one.key].median)
+    parts = [Markup("<i>{}</i> {}").format(one.label, _reach(far, one.key)) for one in order[:_NAMED]]
+    if more := order[_NAMED:]:
+        words = share_words(far.overall[more[-1].key])
+        parts.append(Markup("{} more, the last, <i>{}</i>, {}").format(len(more), more[-1].label, words))
+    points = [one for one in far.controllers if one.is_point]
+    text = Markup("Of the way between {}, which do not compete, in the median of {}: {}.").format(
+        join_words(names(points)), counted(len(far.ahead), "problem"), Markup("; ").join(parts)
+    )
+    if far.without:
+        text += Markup(" In {} there is no way to go.").format(join_words(far.without))
+    by_key = {one.key: one for one in far.controllers}
+    where = [(name, _ahead_words(far, name, by_key)) for name in far.ahead]
+    costs = [Markup("<i>{}</i> {}").format(by_key[key].label, _cost_words(far, key)) for key in first]
+    cost = Markup("; ").join(
+        [*costs[:_NAMED], *([f"{len(costs) - _NAMED} more below"] if costs[_NAMED:] else [])]
+    )
+    return [
+        Statement("Distance", text),
+        Statement("Which where", by_signal(where)),
+        Statement("Cost", cost + "."),
+    ]
+
+
+def _reach(far: Distances, key: str) -> Markup:
+    """Write a share over the problems, with its interval, and the least and the most of a problem."""
+    own = {name: found[key] for name, found in far.problems.items() if key in found}
+    least, most = (end(own, key=lambda name: own[name].median) for end in (min, max))
+    sample, low, high = far.overall[key], share_words(own[least]), share_words(own[most])
+    ends = f" (from {low} in {least} to {high} in {most})" if low != high else ""
+    return Markup("{}{}{}").format(share_words(sample), interval_words(sample), ends)
+
+
+def _ahead_words(far: Distances, problem: str, by_key: Mapping[str, ControllerResults]) -> Markup:
+    first, *alike = [by_key[key] for key in far.ahead[problem] if key in by_key]
+    if is_lost(far.problems[problem][first.key]):
+        return Markup("every controller loses at least half of its runs.")
+    text = Markup("<i>{}</i> {}").format(first.label, share_words(far.problems[problem][first.key]))
+    if alike:
+        more = [f"{len(alike) - _NAMED} more"] if alike[_NAMED:] else []
+        text += Markup(", not told apart from {}").format(join_words([*names(alike[:_NAMED]), *more]))
+    return text + "."
+
+
+def _cost_words(far: Distances, key: str) -> str:
+    recorded = far.recorded.get(key, 0)
+    words = [
+        f"a median step of {duration(far.step.get(key, math.nan))}",
+        f"a recording of {counted(recorded, 'sample')}" if recorded else "no recording",
+    ]
+    if key in far.travel:
+        words.append(f"{significant(far.travel[key], 2)} times the actuators' travel at 100\u00a0%")
+    return ", ".join(words)
+
+
+def distance_columns(far: Distances, rows: Sequence[ControllerResults]) -> list[Column]:
+    """Return shares over the problems and what they cost; the reference points have their ends."""
+    samples = [far.overall.get(one.key) for one in rows]
+    own = [[found[one.key] for found in far.problems.values() if one.key in found] for one in rows]
+    ends = [sorted(found, key=lambda sample: sample.median) for found in own]
+    step, recorded, travel = (
+        [of_one.get(one.key, math.nan) for one in rows] for of_one in (far.step, far.recorded, far.travel)
+    )
+    unit, factor = time_scale(step)
+    medians = [point_cell(one) or share_cell(sample) for one, sample in zip(rows, samples, strict=True)]
+    return [
+        (Heading("median", "%", group=SHARE), medians),
+        (Heading("interval", "%", group=SHARE), [share_interval(sample) for sample in samples]),
+        (Heading("least", "%", group=SHARE), [share_cell(found[0] if found else None) for found in ends]),
+        (Heading("most", "%", group=SHARE), [share_cell(found[-1] if found else None) for found in ends]),
+        (Heading("median step", unit, group="cost"), number_cells([t * factor for t in step], digits=3)),
+        (Heading("recording", "samples", group="cost"), number_cells(recorded)),
+        (Heading("travel", "of that at 100\u00a0%", group="cost"), number_cells(travel, digits=2)),
+    ]
+
+
+def distance_maps(far: Distances, prefix: str) -> list[Table]:
+    """Return which controller comes how far in which problem, and in which scenario."""
+    marked = {
+        problem: [] if 2 * len(keys) > len(far.problems[problem]) else keys
+        for problem, keys in far.ahead.items()
+    }
+    bold = (
+        "Bold: the largest median of a problem, and those not told apart from it by the seeds "
+        "(Wilcoxon's signed-rank test, after Holm's correction for all pairs); none, where that is most."
+        " A star: some runs do not stay near their reference."
+    )
+    over = "Medians of the problems' medians. A star: in some problems, at least half of the runs are lost."
+    maps = [
+        _map(f"{prefix}by-problem", "Which method where", far.controllers, far.problems, marked, bold),
+        _map(f"{prefix}by-scenario", "Which method when", far.controllers, far.scenarios, {}, over),
+    ]
+    return [one for one in maps if len(one.headings) > 2]
+
+
+def _map(
+    identifier: str,
+    caption: str,
+    controllers: Sequence[ControllerResults],
+    columns: Mapping[str, Mapping[str, Sample]],
+    marked: Mapping[str, Sequence[str]],
+    note: str,
+) -> Table:
+    rows = [one for one in controllers if any(one.key in found for found in columns.values())]
+    shown = [
+        (
+            Heading(title),
+            [share_cell(found.get(one.key), one.key in marked.get(title, ()), star=True) for one in rows],
+        )
+        for title, found in columns.items()
+        if found
+    ]
+    what = f"{caption}: share of the way, %"
+    return controller_table(
+        identifier, what, rows, shown, (note, SHARE_NOTE), f"{caption.lower().replace(' ', '-')}.csv"
+    )

@@ -1,0 +1,146 @@
+"""Shares of the way between a study's reference points, as the page says and tints them."""
+
+import math
+from collections.abc import Sequence
+
+from markupsafe import Markup
+
+from ddpc_cosim.study.shares import FLOOR
+from ddpc_cosim.study.statistics import Sample
+from ddpc_reports.comparison import Condition, ControllerResults, metric_label, metric_signal
+from ddpc_reports.numbers import MINUS, MISSING, fixed
+from ddpc_reports.table import Cell, Column, Heading
+from ddpc_reports.verdict import Statement, by_signal, join_words, names
+
+SHARE = "share of the way"
+SHARE_NOTE = (
+    f"Share of the way: (m at 0\u00a0% {MINUS} m) / (m at 0\u00a0% {MINUS} m at 100\u00a0%) in pairs of "
+    "the same scenario and seed, and the median over the seeds. Below 0 is worse than at 0\u00a0%. "
+    f"A run that does not stay near its reference counts as {MINUS}100\u00a0%, as do shares below "
+    "that; lost: at least half of the runs."
+)
+_HIGHEST = 2.0
+"""Above this share, how much above says nothing."""
+_TONES = (0.0, 0.25, 0.5, 0.75, 0.9)
+"""Where the tints of shares change."""
+_NAMED = 3
+
+
+def share_percent(share: float) -> str:
+    """Write a share in %, without the unit; a dash where there is none, and no more than can be meant."""
+    if math.isnan(share):
+        return MISSING
+    if share <= FLOOR:
+        return f"< {MINUS}100"
+    return "> 200" if share > _HIGHEST else fixed(100 * share, 0)
+
+
+def is_lost(found: Sample) -> bool:
+    """Whether at least half of what is summed up is lost."""
+    return 2 * found.known <= found.runs
+
+
+def share_words(found: Sample) -> str:
+    """Write the median of shares, or that at least half of the runs are lost."""
+    return "lost" if is_lost(found) else f"{share_percent(found.median)}\u00a0%"
+
+
+def interval_words(found: Sample) -> str:
+    """Write the 95 % interval of the median in brackets; nothing without one."""
+    known = not (math.isnan(found.low) or found.low == found.high)
+    return f" [{share_percent(found.low)} … {share_percent(found.high)}]" if known else ""
+
+
+def share_cell(found: Sample | None, best: bool = False, *, star: bool = False) -> Cell:
+    """Return the median of shares as a cell, tinted by how large it is; a star says that some are lost."""
+    if found is None or math.isnan(found.median):
+        return Cell(MISSING)
+    text = (
+        "lost" if is_lost(found) else share_percent(found.median) + "*" * (star and found.known < found.runs)
+    )
+    tone = sum(found.median >= one for one in _TONES)
+    return Cell(text, found.median, best=best, tone=f"share-{tone}")
+
+
+def share_interval(found: Sample | None) -> Cell:
+    """Return the 95 % interval of the median of shares as a cell."""
+    if found is None or math.isnan(found.low):
+        return Cell(MISSING)
+    ends = f"{share_percent(found.low)} … {share_percent(found.high)}"
+    return Cell("exact" if found.low == found.high else ends, f"{found.low!r} … {found.high!r}")
+
+
+def point_cell(one: ControllerResults) -> Cell | None:
+    """Return the end of the scale at which a reference point is; None of another controller."""
+    return Cell(f"{100 * one.end:.0f}", tone="point") if one.end is not None else None
+
+
+def share_cells(
+    condition: Condition, controllers: Sequence[ControllerResults | None], key: str
+) -> list[Cell]:
+    """Return a column of shares; a reference point has its own end of the scale."""
+    found = condition.shares(key)
+    return [
+        (one and point_cell(one)) or share_cell(found.get(one.key) if one else None) for one in controllers
+    ]
+
+
+def share_columns(condition: Condition) -> list[Column]:
+    """Return a column for each signal that controllers are ranked by; none where there are no shares."""
+    keys = [key for key in condition.headline if condition.shares(key)]
+    return [
+        (
+            Heading(metric_signal(key) if len(condition.headline) > 1 else "median", "%", group=SHARE),
+            share_cells(condition, condition.controllers, key),
+        )
+        for key in keys
+    ]
+
+
+def share_statements(condition: Condition) -> list[Statement]:
+    """Say how far the controllers come on the way between the reference points; nothing without any."""
+    if not condition.points:
+        return []
+    ends = {one.key: one for one in condition.controllers if one.is_point}
+    missing = [name for name in (condition.points.zero, condition.points.full) if name not in ends]
+    if missing:
+        return [
+            Statement(
+                "Distance",
+                Markup("No run of {} is among the results: there are no shares of the way.").format(
+                    join_words(missing)
+                ),
+            )
+        ]
+    zero, full = (ends[name] for name in (condition.points.zero, condition.points.full))
+    lines = [(metric_signal(key), _in_words(condition, key, zero, full)) for key in condition.headline]
+    what = Markup("Of the way from {} to {}, which do not compete: ").format(*names([zero, full]))
+    return [Statement("Distance", what + by_signal(lines))]
+
+
+def _in_words(condition: Condition, key: str, zero: ControllerResults, full: ControllerResults) -> Markup:
+    found, by_key = condition.shares(key), {one.key: one for one in condition.contenders}
+    if not found:
+        why = (
+            f"{zero.label} did not complete"
+            if not zero.completed
+            else f"{full.label} does not stay near its reference"
+            if not full.holding
+            else f"in {metric_label(key).lower()}, {full.label} is not better than {zero.label}"
+        )
+        return Markup("there is no way to go: {}.").format(why)
+    order = sorted(found, key=lambda name: -found[name].median)
+    ahead = [name for name in order if found[name].median > 0]
+    parts = [
+        Markup("<i>{}</i> {}{}").format(
+            by_key[name].label, share_words(found[name]), interval_words(found[name])
+        )
+        for name in ahead[:_NAMED]
+    ]
+    if more := ahead[_NAMED:]:
+        parts.append(Markup("{} more down to {}").format(len(more), share_words(found[more[-1]])))
+    text = join_words(parts) if parts else Markup("none is better than at 0\u00a0%")
+    behind = [by_key[name] for name in order if name not in ahead]
+    if behind:
+        text += Markup("; worse than at 0\u00a0%, or lost: {}").format(join_words(names(behind)))
+    return text + "."

@@ -1,0 +1,162 @@
+"""Reference points in the page: shown as what they are, never first; shares follow from the cases."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim.study.file_format.sections import StudyHead
+from ddpc_cosim.study.problems import WholeStudy
+from ddpc_reports import page as page_module
+from ddpc_reports.across_problems import overall, overall_statements, overall_table
+from ddpc_reports.certainty import certainty_table
+from ddpc_reports.comparison import Condition, conditions
+from ddpc_reports.comparison_tables import across_table, step_time_order, verdict_table
+from ddpc_reports.distances import distance_maps
+from ddpc_reports.page import render_page
+from ddpc_reports.shares import share_statements
+from ddpc_reports.table import Table
+from ddpc_reports.verdict import Statement, verdict
+
+from .synthetic import MakeResults, make_trace
+
+KEY = "mean_abs_error.angle [deg]"
+LAGS = {"ideal": 0.1, "good": 0.3, "fair": 0.8, "poor": 30.0, "rest": 10.0}
+FIVE = {key: {"type": key, "label": key.capitalize()} for key in LAGS}
+POINTS = {"reference_points": {"zero": "rest", "full": "ideal"}}
+
+
+def run_of(key: str, seed: int) -> Trace:
+    return make_trace(
+        LAGS[key] * (1 + seed / 100), noise_seed=seed, step_time=1e-6 if key == "rest" else 1e-5
+    )
+
+
+def texts(statements: list[Statement]) -> dict[str, str]:
+    return {topic: re.sub("<[^>]*>", "", str(text)).replace("\u00a0", " ") for topic, text in statements}
+
+
+def cells(table: Table | None, words: str) -> dict[str, str]:
+    assert table
+    place = [heading.words.replace("\u00a0", " ") for heading in table.headings[1:]].index(words)
+    return {row.key: row.cells[place].text.strip() for row in table.rows}
+
+
+@pytest.fixture
+def results(make_results: MakeResults) -> StudyResults:
+    return make_results(run_of, FIVE, seeds=[*range(8)], report=POINTS)
+
+
+@pytest.fixture
+def seen(results: StudyResults) -> Condition:
+    (only,) = conditions(results)
+    return only
+
+
+def test_shares_are_those_of_the_metrics_file(results: StudyResults, seen: Condition) -> None:
+    errors = results.frame().pivot(index="seed", columns="controller", values=KEY)
+    share = (errors["rest"] - errors["good"]) / (errors["rest"] - errors["ideal"])
+    assert seen.shares(KEY)["good"].median == pytest.approx(np.median(share))
+    shown = cells(verdict_table(seen, ""), "share of the way median (%)")
+    # What does not stay near its reference is lost; the reference points are the ends of the scale.
+    assert shown == {"good": f"{100 * np.median(share):.0f}", "fair": shown["fair"], "poor": "lost"} | {
+        "ideal": "100",
+        "rest": "0",
+    }
+    assert 0 < int(shown["fair"]) < int(shown["good"]) < 100
+    sure = certainty_table(seen, "")
+    assert sure
+    of_errors = replace(sure, rows=sure.rows[:5])
+    assert cells(of_errors, "share of the way median (%)") == shown
+    low, _, high = cells(of_errors, "share of the way interval (%)")["good"].partition(" … ")
+    assert float(low) <= 100 * np.median(share) <= float(high)
+
+
+def test_reference_points_are_named_and_never_ranked(seen: Condition) -> None:
+    assert [one.label.replace("\u00a0", " ") for one in seen.controllers] == [
+        *("Good", "Fair", "Poor"),
+        *("Ideal (100 %)", "Rest (0 %)"),
+    ]
+    assert [one.key for _, one in seen.ranking(KEY)] == ["good", "fair"]
+    assert seen.compared(KEY).order == ("good", "fair")
+    assert [one.key for one in seen.not_ranked] == ["poor"]
+    told = texts([*share_statements(seen), *verdict(seen), *step_time_order(seen)])
+    assert told["Distance"].startswith(
+        "Of the way from Rest (0 %) to Ideal (100 %), which do not compete: Good "
+    )
+    assert told["Distance"].endswith("; worse than at 0 %, or lost: Poor.")
+    assert told["Tracking"].startswith("On seed 0, Good tracks best")
+    assert "by Poor 8 of 8:" in told["Completed"]
+    assert "Rest" not in told["Step time"].partition("No step")[0]
+    assert "Ideal" not in told["Order"]
+    marks = {row.key for row in verdict_table(seen, "").rows if any(cell.best for cell in row.cells)}
+    assert not marks & {"ideal", "rest"}
+
+
+@pytest.mark.parametrize(
+    ("lost", "words"),
+    [
+        ("rest", "there is no way to go: Rest (0 %) did not complete."),
+        ("ideal", "there is no way to go: Ideal (100 %) does not stay near its reference."),
+    ],
+)
+def test_without_a_way_to_go_the_page_says_why(make_results: MakeResults, lost: str, words: str) -> None:
+    def fallen(key: str, seed: int) -> Trace:
+        return make_trace(1.0, outcome=Outcome.DIVERGED, reason="NaN") if key == lost else run_of(key, seed)
+
+    (seen,) = conditions(make_results(fallen, FIVE, report=POINTS))
+    assert texts(share_statements(seen))["Distance"].endswith(words)
+    assert set(cells(across_table([seen, seen], ""), seen.label).values())
+    assert "share of the way" not in [heading.group for heading in verdict_table(seen, "").headings]
+
+
+def test_over_problems_ranks_distances_and_costs(make_results: MakeResults) -> None:
+    def lost_in_the_third(n: int, key: str, seed: int) -> Trace:
+        return make_trace(30.0 if (n, key) == (2, "fair") else LAGS[key] * (1 + n / 10), noise_seed=seed)
+
+    problems = [
+        make_results(
+            lambda key, seed, n=n: lost_in_the_third(n, key, seed),
+            FIVE,
+            name=f"p{n}",
+            seeds=[0, 1],
+            report=POINTS,
+        )
+        for n in range(3)
+    ]
+    found = overall(problems)
+    assert found
+    assert found.distances
+    assert list(found.ranks.ranks) == ["good", "fair", "poor"]
+    told = texts(overall_statements(found))
+    good = [100 * found.distances.problems[name]["good"].median for name in ("p0", "p1", "p2")]
+    assert f"in the median of 3 problems: Good {sorted(good)[1]:.0f} % (from" in told["Distance"]
+    assert "; Fair 83 % (from lost in p2 to 84 % in p0); Poor lost." in told["Distance"]
+    assert told["Which where"].startswith("p0: Good")
+    assert "Good a median step of 40.0 µs, no recording, 1" in told["Cost"]
+    table = overall_table(found, "")
+    assert [row.key for row in table.rows] == ["good", "fair", "poor", "ideal", "rest"]
+    assert cells(table, "average rank")["ideal"] == "\N{EN DASH}"
+    assert cells(table, "share of the way least (%)")["fair"] == "lost"
+    where = distance_maps(found.distances, "")[0]
+    assert cells(where, "p2") == {"good": f"{good[2]:.0f}", "fair": "lost", "poor": "lost"}
+
+
+def test_a_page_of_many_problems_keeps_what_is_over_all(
+    make_results: MakeResults, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts = [make_results(run_of, FIVE, name=f"p{n}", report=POINTS) for n in range(2)]
+    cases = tuple(replace(case, problem=one.study.name) for one in parts for case in one.cases)
+    whole = WholeStudy(StudyHead(name="both"), {one.study.name: one.study for one in parts})
+    both = StudyResults(parts[0].folder, whole, cases, {})
+    page = render_page([both])
+    assert all(text in page for text in ("Every case (5)", "Figures of the step response", "Responses"))
+    for limit in ("_MOST_LINES", "_MOST_ROWS", "_MOST_CASES"):
+        monkeypatch.setattr(page_module, limit, 9)
+    small = render_page([both])
+    assert not any(text in small for text in ("Every case (5)", "Figures of the step response", "Responses"))
+    assert "Which method where: share of the way, %" in small
+    assert "these scenarios have no tables of their own: nominal." in small
+    assert len(small) < len(page)
