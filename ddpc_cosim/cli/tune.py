@@ -69,7 +69,8 @@ def _print_found(tuned: Tuned, request: Request, *, named: bool) -> None:
         )
         which = "as given" if not number else f"trial {number} of 0 to {len(trials) - 1}"
         who = f"{problem}, {controller}" if named else controller
-        print(printable(f"{who}: {settings} ({which}; {figures}; runs lost {given.lost} -> {found.lost})"))
+        lost = f"runs lost {given.lost} -> {found.lost} of {found.runs}"
+        print(printable(f"{who}: {settings} ({which}; {figures}; {lost})"))
     for problem, controller in tuned.kept:
         who = f"{problem}, {controller}" if named else controller
         print(printable(f"{who}: nothing to search, left as it is"))

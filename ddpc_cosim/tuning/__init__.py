@@ -64,12 +64,29 @@ class Request:
         Of the trials; empty: three that the study does not have.
     command : str
         How it can be repeated.
+
+    Raises
+    ------
+    ConfigError
+        Objectives that cannot stand beside each other.
     """
 
     objectives: tuple[Objective, ...] = (Objective(),)
     trials: int = 50
     seeds: list[int] = field(default_factory=list)
     command: str = ""
+
+    def __post_init__(self) -> None:
+        faults = [
+            f"--objective {one.metric}: given twice"
+            for number, one in enumerate(self.objectives)
+            if one in self.objectives[:number]
+        ]
+        others = ", ".join(one.metric for one in self.objectives if one.metric != PREDICTION)
+        if self.by_prediction and others:
+            faults.append(f"--objective {PREDICTION}: closes no loop, which {others} is of; give one of them")
+        if faults:
+            raise ConfigError(faults)
 
     @property
     def by_prediction(self) -> bool:

@@ -362,6 +362,18 @@ def test_what_the_study_does_not_allow_is_told(tmp_path: Path) -> None:
         tuned(tmp_path, request=Request((Objective.parse("rmse.x"),)))
 
 
+@pytest.mark.parametrize(
+    ("objectives", "fault"),
+    [
+        (("rmse", "rmse:median"), "--objective rmse: given twice"),
+        (("prediction", "rmse"), "--objective prediction: closes no loop, which rmse is of"),
+    ],
+)
+def test_objectives_that_do_not_go_together_are_told(objectives: tuple[str, ...], fault: str) -> None:
+    with pytest.raises(ConfigError, match=fault):
+        Request(tuple(map(Objective.parse, objectives)))
+
+
 def test_a_setting_is_kept_where_the_study_says_so(tmp_path: Path) -> None:
     text = STUDY.replace("{ factor = [0.1, 4.0] }", "false").replace(
         'type = "tuning_toys:Gain" }', 'type = "tuning_toys:Gain", search = { gain = false } }'
