@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import cache
 from math import pi
 from typing import TYPE_CHECKING, Any
 
@@ -150,6 +151,7 @@ def usual_display_units(unit: str) -> dict[str, DisplayUnit]:
     return spelt | shown
 
 
+@cache
 def display_unit(unit: str, shown_in: str) -> DisplayUnit:
     """Return how values in one unit are shown in another one.
 

@@ -48,7 +48,7 @@ if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
 _MOST_LISTED = 8
 # What a case has besides all that decides its result.
 _NAMES, _SURROUNDINGS = ("label", "id", "problem"), ("step_timeout", "memory_limit", "sandbox", "storage")
-_NOT_DECISIVE = (*_NAMES, *_SURROUNDINGS, "late", "metrics")
+_NOT_DECISIVE = (*_NAMES, *_SURROUNDINGS, "late", "metrics", "seed")
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
 
 
@@ -79,7 +79,7 @@ class Case:
     bounds : dict of str to (float, float)
         Limits in the variables' own units.
     excitation : Excitation or None
-        The experiment.
+        The experiment, which is run with the case's seed.
     recording : Recording or None
         Logged data, in place of an experiment.
     stabiliser : dict or None
@@ -150,9 +150,13 @@ class Case:
     @property
     def name(self) -> str:
         """Readable name: problem and scenario where there are several in play, controller, seed."""
+        return self.name_with(self.seed)
+
+    def name_with(self, seed: int) -> str:
+        """Return the name of the same case with another seed."""
         problem = f"{self.problem}_" if self.problem else ""
         scenario = "" if self.scenario == "nominal" else f"_{self.scenario}"
-        return f"{problem}{self.controller}{scenario}_seed{self.seed}"
+        return f"{problem}{self.controller}{scenario}_seed{seed}"
 
     @property
     def changed_inputs(self) -> tuple[Variable, ...]:
@@ -194,26 +198,16 @@ def cases_of_problems(
 ) -> list[Case]:
     """Return the cases of problems, by name; parameters and errors as of :func:`cases_of`."""
     chosen = [
-        replace(case, id=identifier)
+        case
         for problem, (resolved, plant) in problems.items()
-        for case, identifier in _identified(
-            list(_all_cases(resolved, plant, problem, seeds, only)), resolved.recording
-        )
+        for case in _cases_of_problem(resolved, plant, problem, seeds, only)
     ]
     if not chosen:
-        cases = [case for name, pair in problems.items() for case in _all_cases(*pair, name, seeds)]
+        cases = [case for name, pair in problems.items() for case in _cases_of_problem(*pair, name, seeds)]
         listed = ", ".join(case.name for case in cases[:_MOST_LISTED])
         more = f" and {len(cases) - _MOST_LISTED} more" if len(cases) > _MOST_LISTED else ""
         raise ConfigError(f"--only {only}: no case matches; there are {listed}{more}")
     return chosen
-
-
-def _identified(cases: Sequence[Case], recording: Recording | None) -> Iterator[tuple[Case, str]]:
-    """Yield the cases of one problem with their ids."""
-    shared = {"recording": _hash_of_recording(recording) if recording else None}
-    contents = {name: _code_and_files(case) for name, case in {c.controller: c for c in cases}.items()}
-    for case in cases:
-        yield case, _identifier(case, contents[case.controller] | shared)
 
 
 def _code_and_files(case: Case) -> dict[str, Any]:
@@ -287,15 +281,14 @@ def _hash_of_recording(recording: Recording) -> str:
     return content.hexdigest()
 
 
-def _identifier(case: Case, content: Mapping[str, Any]) -> str:
-    """Return a case's name and a hash of everything that decides its result."""
+def _hash_of(case: Case, content: Mapping[str, Any]) -> "hashlib._Hash":
+    """Return a hash of everything that decides a case's result, but for its seed."""
     decisive = {one.name: getattr(case, one.name) for one in fields(case)}
     decisive |= {**content, "plant": case.plant.content}
     decisive |= {key: names(decisive[key]) for key in ("inputs", "outputs", "measurements", "undriven")}
     for key in _NOT_DECISIVE:
         del decisive[key]
-    text = json.dumps(decisive, sort_keys=True, default=repr)
-    return f"{case.name}_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
+    return hashlib.sha256(json.dumps(decisive, sort_keys=True, default=repr).encode())
 
 
 def run_case(case: Case, store: RowStore | None = None) -> Trace:
@@ -338,7 +331,7 @@ def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
             sampling_time=case.sampling_time,
             duration=case.duration,
             reference=case.reference,
-            excitation=case.excitation,
+            excitation=case.excitation and case.excitation.with_seed(case.seed),
             recording=case.recording,
             stabiliser=_controller(case.stabiliser, case.plant) if case.stabiliser else None,
             bounds=case.bounds,
@@ -429,18 +422,19 @@ def _outcome_of(case: Case, error: CosimError) -> Outcome:
     return Outcome.FMU_ERROR if is_plants else Outcome.CONTROLLER_ERROR
 
 
-def _all_cases(
+def _cases_of_problem(
     resolved: "ResolvedStudy", plant: PlantSpec, problem: str, seeds: Sequence[int], only: str = "*"
 ) -> Iterator[Case]:
-    """Yield the cases that a pattern matches, by their name or what they are made of."""
+    """Yield the cases that a pattern matches, by their name or what they are made of.
+
+    What those that differ by their seed alone have in common is made, and hashed, once.
+    """
     study = resolved.study
     stabiliser = study.recording.controller if study.recording is not None else None
     events = {name: _events(scenario, study.loop) for name, scenario in study.scenarios.items()}
-    excitations = {
-        name: {seed: excitation and excitation.with_seed(seed) for seed in seeds or study.seeds}
-        for name, excitation in resolved.excitations.items()
-    }
+    recording = {"recording": _hash_of_recording(resolved.recording) if resolved.recording else None}
     for controller, section in study.controllers.items():
+        content: dict[str, Any] = {}
         for name, scenario in study.scenarios.items():
             words = (
                 controller,
@@ -450,40 +444,47 @@ def _all_cases(
                 *((problem, study.title) if problem else ()),
             )
             matches = any(fnmatch(word, only) for word in words)
-            for seed in seeds or study.seeds:
-                case = Case(
-                    problem=problem,
-                    controller=controller,
-                    scenario=name,
-                    seed=seed,
-                    label=section.label,
-                    section=_type_and_settings(section),
-                    plant=plant,
-                    inputs=resolved.inputs,
-                    outputs=resolved.outputs,
-                    measurements=resolved.measurements,
-                    sampling_time=study.loop.sampling_time,
-                    duration=study.loop.duration,
-                    start_time=study.loop.start_time,
-                    continue_recording=study.loop.start == "recording-end",
-                    reference=resolved.reference,
-                    bounds=resolved.bounds[controller] | resolved.scenario_bounds[name],
-                    excitation=excitations[name][seed],
-                    recording=resolved.recording,
-                    stabiliser=None if stabiliser is None else _type_and_settings(stabiliser),
-                    parameters={**study.plant.parameters, **scenario.parameters},
-                    noise=dict(scenario.noise),
-                    events=events[name],
-                    preview=study.loop.preview_of(scenario),
-                    step_timeout=study.loop.step_timeout,
-                    memory_limit=study.loop.memory_limit,
-                    conditions=resolved.conditions[name],
-                    undriven=resolved.undriven[name],
-                    metrics=resolved.metrics,
-                    late=resolved.late.get(controller, ""),
-                )
-                if matches or fnmatch(case.name, only):
-                    yield case
+            case = Case(
+                problem=problem,
+                controller=controller,
+                scenario=name,
+                seed=0,
+                label=section.label,
+                section=_type_and_settings(section),
+                plant=plant,
+                inputs=resolved.inputs,
+                outputs=resolved.outputs,
+                measurements=resolved.measurements,
+                sampling_time=study.loop.sampling_time,
+                duration=study.loop.duration,
+                start_time=study.loop.start_time,
+                continue_recording=study.loop.start == "recording-end",
+                reference=resolved.reference,
+                bounds=resolved.bounds[controller] | resolved.scenario_bounds[name],
+                excitation=resolved.excitations[name],
+                recording=resolved.recording,
+                stabiliser=None if stabiliser is None else _type_and_settings(stabiliser),
+                parameters={**study.plant.parameters, **scenario.parameters},
+                noise=dict(scenario.noise),
+                events=events[name],
+                preview=study.loop.preview_of(scenario),
+                step_timeout=study.loop.step_timeout,
+                memory_limit=study.loop.memory_limit,
+                conditions=resolved.conditions[name],
+                undriven=resolved.undriven[name],
+                metrics=resolved.metrics,
+                late=resolved.late.get(controller, ""),
+            )
+            named = [(seed, case.name_with(seed)) for seed in seeds or study.seeds]
+            chosen = [(seed, called) for seed, called in named if matches or fnmatch(called, only)]
+            if not chosen:
+                continue
+            content = content or _code_and_files(case) | recording
+            shared = _hash_of(case, content)
+            for seed, called in chosen:
+                whole = shared.copy()
+                whole.update(str(seed).encode())
+                yield replace(case, seed=seed, id=f"{called}_{whole.hexdigest()[:10]}")
 
 
 def _type_and_settings(section: "ControllerSection | StabiliserSection") -> dict[str, Any]:

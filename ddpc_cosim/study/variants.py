@@ -1,7 +1,7 @@
 """Variants of problems: a study's sweep, which sets anything in it by its path."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from copy import deepcopy
+from copy import copy
 from functools import partial
 from typing import Any
 
@@ -108,7 +108,7 @@ def _variant(
     part: FlatStudy, name: str, varied: dict[str, Any], paths: Mapping[str, tuple[Place, int]]
 ) -> FlatStudy:
     """Return a problem with other values at some paths."""
-    tables = deepcopy(part.tables)
+    tables = dict(part.tables)
     places: dict[Place, Place] = {}
     for key, (path, table) in paths.items():
         inner = path[2:] if path[0] == PROBLEMS else path
@@ -123,12 +123,16 @@ def _variant(
 
 
 def _set(tables: Any, path: Place, value: Any) -> Place:
-    """Set what a path leads to, and return the path with the indices of lists as numbers."""
+    """Set what a path leads to, and return the path with the indices of lists as numbers.
+
+    What is on the way to it is copied, the first tables excepted: others may have it too.
+    """
     place: Place = ()
     for key in path[:-1]:
         index = _index(tables, key)
         if isinstance(tables, dict) and not isinstance(tables.get(index), dict | list):
             tables[index] = {}
+        tables[index] = copy(tables[index])
         tables, place = tables[index], (*place, index)
     index = _index(tables, path[-1])
     tables[index] = value

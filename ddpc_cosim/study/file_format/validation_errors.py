@@ -231,7 +231,8 @@ def _collect(place: Place, value: Any, errors: ValidationErrors) -> None:
         with suppress(InvalidFieldError):
             for key, error in value.cross_field_errors():
                 errors.add((*place, key) if key else place, error)
-        value.fill_in_defaults()
+        if value._doubtful:
+            value.fill_in_defaults()
         value = value.__dict__
     if isinstance(value, dict | list):
         entries: Iterable[Any] = value.items() if isinstance(value, dict) else enumerate(value)

@@ -247,7 +247,7 @@ def excitation(folder: Path, text: str, seed: int = 3) -> FloatArray:
     resolved = read_study(str(study)).problem
     case = next(case for case in cases_of(resolved, resolved.plant.built()) if case.seed == seed)
     assert case.excitation is not None
-    return case.excitation.draw(len(resolved.inputs))
+    return case.excitation.with_seed(case.seed).draw(len(resolved.inputs))
 
 
 def test_inputs_can_be_excited_each_in_its_way(tmp_path: Path) -> None:
@@ -330,7 +330,7 @@ recording.excitation.pump_2 = { kind = "prbs", low = 2.5, high = 3.5 }
     study.write_text(text, encoding="utf-8")
     resolved = read_study(str(study)).problem
     drawn = {
-        case.scenario: case.excitation.draw(2)
+        case.scenario: case.excitation.with_seed(3).draw(2)
         for case in cases_of(resolved, resolved.plant.built())
         if case.excitation is not None and case.seed == 3
     }

@@ -70,7 +70,7 @@ def test_the_paper_s_values_arrive_in_the_plant_s_units() -> None:
     assert deepc.bounds["angle"] == pytest.approx((-math.radians(70), math.radians(70)), rel=1e-15)
     assert deepc.bounds["torque"] == (-3.5, 3.5)
     assert deepc.excitation is not None
-    assert (deepc.excitation.samples, deepc.excitation.seed) == (200, 5489)
+    assert (deepc.excitation.samples, deepc.seed) == (200, 5489)
 
 
 def test_a_controller_may_have_limits_of_its_own() -> None:
