@@ -4,7 +4,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from ddpc_cosim.study.results import (
     REPORT_FILE,
     StudyResults,
     load_results,
+    write_metrics,
     write_report,
 )
 from ddpc_cosim.study.runner import Selection, run_study
@@ -144,9 +145,15 @@ def parse_seeds(text: str | None) -> list[int]:
 
 
 def report_command(folders: Sequence[Path], out: Path | None) -> int:
-    """Write one report on several folders of results, print its path, and return the exit code."""
+    """Write one report on several folders of results, print its path, and return the exit code.
+
+    Their ``metrics.csv`` are written again, so that they say the same.
+    """
     with shown("reading results"):
         results = [load_results(folder) for folder in folders]
+        for one in results:
+            with suppress(OSError):  # what one may only read can be reported all the same
+                write_metrics(one)
     print(_write_report(results, out or folders[0] / REPORT_FILE))
     damaged = [_damaged(one) for one in results]
     return int(any(damaged))

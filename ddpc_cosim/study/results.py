@@ -73,11 +73,6 @@ class StudyResults:
     provenance: dict[str, str]
     damaged: dict[str, str] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        # The files of a flat study's cases do not name its problem.
-        cases = (case if case.problem else replace(case, problem=self._own_name) for case in self.cases)
-        object.__setattr__(self, "cases", tuple(cases))
-
     @property
     def _own_name(self) -> str:
         """Name of a flat study; of another one that of its first problem."""
@@ -372,7 +367,7 @@ def load_cases(
     for case_id in case_ids:
         try:
             case = load_case(folder / CASES_FOLDER / case_id)
-            problem = case.problem or study.head.name
+            problem = case.problem or study.head.name  # the files of a flat study's cases do not name it
             label = labels.get((problem, case.controller), case.label)
             cases.append(replace(case, problem=problem, label=label))
         except ConfigError as error:
@@ -478,12 +473,23 @@ def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> 
         write_atomically(folder / STUDY_FILE, content)
         write_atomically(folder / PROVENANCE_FILE, sealed_json(facts))
         if whole is None:
-            table = encodable(_metrics_table(results.whole, results.cases))
-            write_atomically(folder / METRICS_FILE, table.encode())
+            write_metrics(results)
     except OSError as error:
         reason = error.strerror or str(error)
         raise CosimError(f"{folder}: results cannot be written: {reason}; finished cases are kept") from error
     return results
+
+
+def write_metrics(results: StudyResults) -> None:
+    """Write ``metrics.csv`` from the cases, whatever it holds.
+
+    Raises
+    ------
+    OSError
+        It cannot be written.
+    """
+    content = encodable(_metrics_table(results.whole, results.cases)).encode()
+    write_atomically(results.folder / METRICS_FILE, content)
 
 
 def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:

@@ -231,7 +231,9 @@ def test_damage_to_any_byte_is_noticed_and_only_that_case_run_again(
     assert damaged.parent.name in done.stderr
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     assert "1 of 2 cases are damaged and left out" in page
-    (tmp_path / "out/metrics.csv").write_text("forged", encoding="utf-8")
+    metrics = tmp_path / "out/metrics.csv"
+    assert len(metrics.read_text(encoding="utf-8").splitlines()) == 2, "rebuilt from the case that is left"
+    metrics.write_text("forged", encoding="utf-8")
     _, diary = run(study)
     assert diary.started == (1, 1)
     assert [f"{name}_" in damaged.parent.name for name in diary.done] == [True]

@@ -117,5 +117,6 @@ def _write_one(
     case_id = f"{key}_{scenario}_{seed}"
     label = study.controllers[key].label or key
     head = {"id": case_id, "controller": key, "label": label, "scenario": scenario, "seed": seed}
+    head |= {"problem": study.name}
     write_case(folder / "cases" / case_id, trace, head, settings=settings)
     return load_case(folder / "cases" / case_id)

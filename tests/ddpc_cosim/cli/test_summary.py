@@ -46,7 +46,7 @@ def results(variants: int, lost: str = "") -> StudyResults:
             figures = VALUES | {COST: 100.0 - place + 0.5 * seed, "solve_time_median [s]": 2e-5}
             outcome = Outcome.DIVERGED if key == lost else Outcome.COMPLETED
             head = (f"{key}_{seed}", key, label, "nominal", seed, outcome, "", key != lost)
-            cases.append(CaseResult(*head, figures, {}, {}, (), Path()))
+            cases.append(CaseResult(*head, figures, {}, {}, (), Path(), problem="s"))
     return StudyResults(Path("out"), WholeStudy.of(told), tuple(cases), {})
 
 
@@ -105,7 +105,7 @@ def seeded(seeds: int, worse: float) -> StudyResults:
         for seed in range(seeds):
             figures = VALUES | {COST: 10.0 + place * worse + noise[place, seed]}
             head = (f"{key}_{seed}", key, key, "nominal", seed, Outcome.COMPLETED, "", True)
-            cases.append(CaseResult(*head, figures, {}, {}, (), Path()))
+            cases.append(CaseResult(*head, figures, {}, {}, (), Path(), problem="s"))
     return replace(results(0), cases=tuple(cases))
 
 

@@ -241,12 +241,15 @@ def test_so_many_seeds_are_needed() -> None:
 
 def test_the_table_of_a_study() -> None:
     base = [float(i) for i in range(10)]
-    frame = table(base=base, better=[v - 1 - v / 99 for v in base], lost=[*base[:4], *[NAN] * 6])
-    second = frame[frame.controller != "lost"].assign(problem="q")
+    gone = [NAN] * 10  # which is a row all the same
+    frame = table(base=base, better=[v - 1 - v / 99 for v in base], lost=[*base[:4], *gone[4:]], gone=gone)
+    second = frame[~frame.controller.isin(["lost", "gone"])].assign(problem="q")
     found = compare_frame(pd.concat([frame, second]), "rmse.y [m]", "base").set_index(
         ["problem", "controller"]
     )
-    assert [*found.index] == [("p", "base"), ("p", "better"), ("p", "lost"), ("q", "base"), ("q", "better")]
+    of_p, of_q = ("base", "better", "lost", "gone"), ("base", "better")
+    assert [*found.index] == [*(("p", name) for name in of_p), *(("q", name) for name in of_q)]
+    assert found.loc[("p", "gone")][["runs", "known", "pairs", "only_other"]].tolist() == [10, 0, 0, 10]
     better, lost = found.loc[("p", "better")], found.loc[("p", "lost")]
     assert (lost.runs, lost.held, lost.known, lost.only_other, lost.pairs) == (10, 4, 4, 6, 4)
     assert (better.won, better.p, better.corrected) == (1.0, 2 / 1024, 4 / 1024)
