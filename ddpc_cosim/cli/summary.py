@@ -14,6 +14,7 @@ from ddpc_cosim.metrics import all_metrics, headline, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.following import none_follows
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
+from ddpc_cosim.study.shares import marked
 from ddpc_cosim.texts import printable
 from ddpc_cosim.trace import Outcome
 
@@ -94,11 +95,13 @@ def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
 def _told_apart(results: StudyResults, key: str) -> tuple[dict[tuple[str, str], str], str]:
     """Return the letters of controllers that the seeds do not tell apart, and a line if these are too few.
 
-    They are of controllers and scenarios; controllers that lose a run, and variants of sweeps, have none.
+    They are of controllers and scenarios; who loses a run, reference points and variants of sweeps have none.
     """
     from ddpc_cosim.study.statistics import compare_all  # where there is one seed, it is not needed
 
+    points = results.study.report.reference_points
     varied = {name for name, section in results.study.controllers.items() if section.variant_of}
+    varied |= {points.zero, points.full} if points else set()
     found = {}
     for scenario in dict.fromkeys(case.scenario for case in results.cases):
         cases = [case for case in results.cases if case.scenario == scenario]
@@ -131,7 +134,8 @@ def _rows(results: StudyResults, key: str) -> list[_Row]:
         variants = [groups[place] for place in members if place[0] != family[0]]
         own = [groups[place] for place in members if place[0] == family[0]]
         variants.sort(key=lambda cases: _rank(cases, key))
-        rows += [_Row(cases[0].label, family[1], cases) for cases in own]
+        points = results.study.report.reference_points
+        rows += [_Row(marked(cases[0].label, family[0], points), family[1], cases) for cases in own]
         rows += [_Row(_indented(cases, own), family[1], cases) for cases in variants[:_VARIANTS_SHOWN]]
         rest = len(variants) - _VARIANTS_SHOWN
         if rest > 0:

@@ -289,6 +289,9 @@ class Study:
         Each case is run with each of them.
     name, title, summary, source : str
         As in a study file; the folder of results is called after the name.
+    reference_points : (str, str), optional
+        Labels of two controllers that do not compete: those at 0 % and at 100 % of the scale on which
+        :meth:`StudyResults.shares` places all others.
 
     Raises
     ------
@@ -320,6 +323,7 @@ class Study:
         title: str = "",
         summary: str = "",
         source: str = "",
+        reference_points: tuple[str, str] | None = None,
     ) -> None:
         faults = list[str]()
         told = {"title": title, "summary": summary, "source": source}
@@ -333,6 +337,14 @@ class Study:
                 for key, one in problems.items()
             }
         tables["controllers"] = _controllers(controllers, list(tables.get(PROBLEMS, ())), faults)
+        if reference_points:
+            faults += [
+                f'reference_points: no controller "{label}"; {did_you_mean(label, controllers)}'
+                for label in reference_points
+                if label not in controllers
+            ]
+            ends = dict(zip(("zero", "full"), map(_key, reference_points), strict=True))
+            tables["report"] = {"reference_points": ends}
         if faults:
             raise ConfigError(faults)
         self._file = StudyFile(name, Path.cwd(), tables)

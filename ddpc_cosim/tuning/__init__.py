@@ -376,7 +376,12 @@ def _with_given(
                 panels.append(Panel(title=label, controllers=[name]))
         if not controllers:
             continue
-        report = ReportSection(panels=panels, limitations=study.report.limitations)
+        points = study.report.reference_points
+        report = ReportSection(
+            panels=panels,
+            limitations=study.report.limitations,
+            reference_points=points if points and {points.zero, points.full} <= controllers.keys() else None,
+        )
         problems[problem] = study.model_copy(update={"controllers": controllers, "report": report})
     summary = (
         f"Settings as given against tuned ones, on seeds that played no part in it. {tuned.head.summary}"

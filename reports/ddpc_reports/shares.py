@@ -58,7 +58,7 @@ def share_cell(found: Sample | None, best: bool = False, *, star: bool = False) 
     text = (
         "lost" if is_lost(found) else share_percent(found.median) + "*" * (star and found.known < found.runs)
     )
-    tone = sum(found.median >= one for one in _TONES)
+    tone = 0 if is_lost(found) else sum(found.median >= one for one in _TONES)
     return Cell(text, found.median, best=best, tone=f"share-{tone}")
 
 

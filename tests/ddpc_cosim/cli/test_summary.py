@@ -10,7 +10,7 @@ from rich.console import Console
 from ddpc_cosim import CaseResult, Outcome, StudyResults
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS
-from ddpc_cosim.study.file_format.sections import Study
+from ddpc_cosim.study.file_format.sections import ReferencePoints, ReportSection, Study
 from ddpc_cosim.study.problems import WholeStudy
 
 COST = "mean_abs_error.angle [deg]"
@@ -115,6 +115,18 @@ def test_what_the_seeds_tell_apart_has_letters_of_its_own() -> None:
     place = lines[heads].index("same letter:")
     letters = {line.split()[0]: line[place:].split()[0] for line in lines if "12/12" in line}
     assert letters == {"deepc": "a", "pid": "b"}
+
+
+def test_reference_points_are_marked_and_have_no_letters() -> None:
+    seen = seeded(12, worse=9.0)
+    points = ReferencePoints(zero="deepc", full="pid")
+    told = seen.study.model_copy(update={"report": ReportSection(reference_points=points)})
+    lines = printed(replace(seen, whole=WholeStudy.of(told)))
+    assert [line.strip().split("  ")[0] for line in lines if "12/12" in line] == [
+        "deepc (0\u00a0%)",
+        "pid (100\u00a0%)",
+    ]
+    assert not any("same letter" in line for line in lines)
 
 
 @pytest.mark.parametrize(

@@ -150,6 +150,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> StudyResults:
         },
         seeds=range(2),
         name="mine",
+        reference_points=("PID", "DeePC, short"),
     )
     assert repr(study) == "Study(mine: 2 problems, 3 controllers, 2 seeds)"
     study.write(folder / "mine.toml")
@@ -187,6 +188,11 @@ def test_results_as_tables(results: StudyResults) -> None:
         results.compare("rsme.angle", baseline="MFAPC")
     with pytest.raises(ConfigError, match="MFACP"):
         results.compare("rmse.angle", baseline="MFACP")
+    shares = results.shares()  # of what competes
+    assert shares[["controller", "problem"]].value_counts().to_dict() == {
+        ("MFAPC", "steps"): 4,
+        ("MFAPC", "ramp"): 2,
+    }
     assert "18 cases" in repr(results)
     assert results._repr_html_().count("<tr>") == 1 + 9
 
@@ -284,6 +290,7 @@ def test_all_faults_at_once(tmp_path: Path) -> None:
         Study(
             {"a": problem(excitation=SignalExcitation((Ramp(0, 1, 0, 1),), 80, 0.1))},
             {"?": MFAPC(), "x y": MFAPC(), "x-y": MFAPC(), "n": 3, "p": {"b": MFAPC()}},  # type: ignore[dict-item]
+            reference_points=("n", "x_y"),
         )
     faults = "\n".join(caught.value.faults)
     for words in (
@@ -292,6 +299,7 @@ def test_all_faults_at_once(tmp_path: Path) -> None:
         '"x-y"; "x y" is too much like it',
         '"n" is 3; needed: a controller, the name of one',
         '"p": no problem "b"; there are: a',
+        'reference_points: no controller "x_y"; did you mean',
     ):
         assert words in faults
     with pytest.raises(ConfigError, match="noise belong to a scenario"):
