@@ -221,7 +221,7 @@ def to_plain(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, list | tuple):
         return [to_plain(item) for item in value]
-    if isinstance(value, Mapping):
+    if not isinstance(value, str | int | float | None) and isinstance(value, Mapping):
         return {key: to_plain(item) for key, item in value.items()}
     return value
 

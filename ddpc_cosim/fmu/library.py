@@ -15,7 +15,6 @@ import typing
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import cache
 from glob import escape
 from pathlib import Path
 from types import TracebackType
@@ -77,7 +76,7 @@ class _TolerantLoading:
         fmu: Any = self
         # FMI 1.0 wants a prefix; later versions know it from static linking only, and some leave it in.
         prefixes = [f"{fmu.modelIdentifier}_", f"{fmu.library_stem}_", ""]
-        for name, (arguments, result) in _prototypes(type(self).__bases__[1]).items():
+        for name, (arguments, result) in _PROTOTYPES[type(self).__bases__[1]].items():
             is_fmi1 = name.startswith("fmi1")
             plain = name.replace("fmi1", "fmi") if is_fmi1 else name
             ordered = prefixes if is_fmi1 else reversed(prefixes)
@@ -99,7 +98,6 @@ def _find(library: ctypes.CDLL, symbols: list[str]) -> Any:
     return _MissingFunction(symbols[0])
 
 
-@cache
 def _prototypes(fmpy_class: Any) -> Mapping[str, tuple[list[Any], Any]]:
     """Return argument types and result type of every FMI function that FMPy's class declares."""
     table = {}
@@ -128,10 +126,11 @@ def _result_type(name: str, annotation: Any) -> Any:
     return annotation
 
 
-@cache
-def _tolerant_class(major: int, kind: str) -> Any:
-    base = _FMPY_CLASSES[major, kind]
-    return type(base.__name__, (_TolerantLoading, base), {})
+# Made here, so that they are there before workers are forked.
+_PROTOTYPES = {base: _prototypes(base) for base in _FMPY_CLASSES.values()}
+_TOLERANT_CLASSES: Mapping[tuple[int, str], Any] = {
+    key: type(base.__name__, (_TolerantLoading, base), {}) for key, base in _FMPY_CLASSES.items()
+}
 
 
 def load_library(
@@ -165,7 +164,7 @@ def load_library(
     Exception
         Whatever the loader says.
     """
-    tolerant = _tolerant_class(major, kind)
+    tolerant = _TOLERANT_CLASSES[major, kind]
     fmu = tolerant.__new__(tolerant)
     fmu.library_stem, fmu.trace_calls = library.stem, trace_calls
     with _kept_working_directory(), BundledLibraries(library.parent, folder / "resources") as bundled:

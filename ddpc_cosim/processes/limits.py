@@ -7,6 +7,7 @@ itself are other ones: of address space, not memory; of each process alone; of a
 import os
 import sys
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 if sys.platform != "win32":  # here, so that it is there before workers are forked
@@ -73,6 +74,7 @@ def _proportional(pid: int) -> int:
         return _resident(pid)
 
 
+@cache  # of each case it would be read again
 def default_memory(workers: int = 1) -> int:
     """Return how many bytes each of some workers may have: all have a share, and so has everything else.
 

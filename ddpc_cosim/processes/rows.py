@@ -9,6 +9,7 @@ import os
 import stat
 import weakref
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -142,7 +143,7 @@ class RowStore:
 
     def announce(self, who: str, name: str, time: float) -> None:
         """Note the call that begins; an empty one: that the last one has ended."""
-        self._call[:] = f"{who} {name}".strip().encode()[: len(self._call)].ljust(len(self._call), b"\0")
+        self._call[:] = _call_as_bytes(who, name)
         self._times[_TIME] = time
         self._numbers_of[_CALLS] += 1
 
@@ -228,6 +229,12 @@ class RowStore:
             self._numbers_of[_TEXT_BYTES] = end
         else:  # later ones would have other numbers there
             self._text_memory = self._text_memory[:0]
+
+
+@lru_cache
+def _call_as_bytes(who: str, name: str) -> bytes:
+    length = _CALL.stop - _CALL.start
+    return f"{who} {name}".strip().encode()[:length].ljust(length, b"\0")
 
 
 def info_path(path: Path) -> Path:
