@@ -15,7 +15,7 @@ from ddpc_cosim.study.runner import Selection
 from ddpc_cosim.texts import printable
 from ddpc_cosim.tuning import TUNED_FILE, Request, Tuned, tune_study
 from ddpc_cosim.tuning.objectives import Objective
-from ddpc_cosim.tuning.search import best
+from ddpc_cosim.tuning.search import Trial, best
 
 
 def tune_command(
@@ -58,19 +58,21 @@ def tune_command(
 
 
 def _print_found(tuned: Tuned, request: Request, *, named: bool) -> None:
-    """Print the settings found, and how much better they are on the seeds of the trials."""
+    """Print the settings found, and how much better they are, on the seeds of the trials and held out."""
     for (problem, controller), trials in tuned.trials.items():
         number = best(trials)
-        found, given = trials[number], trials[0]
-        settings = ", ".join(f"{name} = {value!r}" for name, value in found.settings.items())
-        figures = ", ".join(
-            f"{objective.metric} {old:.4g} -> {new:.4g}"
-            for objective, old, new in zip(request.objectives, given.values, found.values, strict=True)
-        )
+        settings = ", ".join(f"{name} = {value!r}" for name, value in trials[number].settings.items())
         which = "as given" if not number else f"trial {number} of 0 to {len(trials) - 1}"
+        figures = _figures(trials[0], trials[number], request)
+        held_out = _figures(*tuned.held_out[problem, controller], request)
         who = f"{problem}, {controller}" if named else controller
-        lost = f"runs lost {given.lost} -> {found.lost} of {found.runs}"
-        print(printable(f"{who}: {settings} ({which}; {figures}; {lost})"))
+        print(printable(f"{who}: {settings} ({which}; {figures}; held out: {held_out})"))
     for problem, controller in tuned.kept:
         who = f"{problem}, {controller}" if named else controller
         print(printable(f"{who}: nothing to search, left as it is"))
+
+
+def _figures(given: Trial, found: Trial, request: Request) -> str:
+    pairs = zip(request.objectives, given.values, found.values, strict=True)
+    figures = [f"{objective.metric} {old:.4g} -> {new:.4g}" for objective, old, new in pairs]
+    return ", ".join([*figures, f"runs lost {given.lost} -> {found.lost} of {found.runs}"])

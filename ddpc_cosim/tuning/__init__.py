@@ -37,8 +37,10 @@ from ddpc_cosim.tuning.search import (
     Trial,
     best,
     dominates,
+    figures_of,
     search_spaces,
     space_faults,
+    trial_of,
     with_settings,
 )
 from fmu_plants.files import write_atomically
@@ -135,6 +137,8 @@ class Tuned(NamedTuple):
     ----------
     trials : dict
         The trials in their order, by problem and controller.
+    held_out : dict
+        The settings as given and those found, on the seeds of the study, by problem and controller.
     kept : list of (str, str)
         Problem and controller of those that have no search space and are left as they are.
     results : StudyResults
@@ -142,6 +146,7 @@ class Tuned(NamedTuple):
     """
 
     trials: dict[tuple[str, str], list[Trial]]
+    held_out: dict[tuple[str, str], tuple[Trial, Trial]]
     kept: list[tuple[str, str]]
     results: StudyResults
 
@@ -197,9 +202,6 @@ def tune_study(
             except StopIteration:
                 del due[one]
     trials = {(search.problem, search.name): search.trials for search in searches}
-    table = encodable(_trials_table(trials, request)).encode()
-    for place in (folder, folder / HELD_OUT_FOLDER):  # where the report finds it
-        write_atomically(place / TRIALS_FILE, table)
     tuned = _tuned_study(resolved, trials, request)
     text = tomli_w.dumps(tuned.tables())
     write_atomically(folder / TUNED_FILE, encodable(text).encode())
@@ -211,7 +213,14 @@ def tune_study(
     facts = {"tuning": f"{count} trials, {runs} runs, which took {seconds:.0f} s one after another"}
     on_all = replace(selection, only="*")
     results = run_study(resolve_file(both), folder / HELD_OUT_FOLDER, on_all, progress, facts)
-    return Tuned(trials, kept, results)
+    held_out = {
+        key: _held_out(key, tried, results, reference_spans(resolved.problems[key[0]]), request.objectives)
+        for key, tried in trials.items()
+    }
+    table = encodable(_trials_table(trials, held_out, request)).encode()
+    for place in (folder, folder / HELD_OUT_FOLDER):  # where the report finds it
+        write_atomically(place / TRIALS_FILE, table)
+    return Tuned(trials, held_out, kept, results)
 
 
 def _searches(
@@ -271,10 +280,7 @@ def _tuning(
         pruned = False
         for _, part in groupby(cases, key=lambda case: case.scenario if has_several else case.seed):
             results = yield list(part)
-            for result in results:
-                values = tuple(objective.of_run(result, spans) for objective in request.objectives)
-                lost = request.objectives[0].is_lost(result)
-                runs[Run(result.scenario, result.seed)] = Figures(lost, values)
+            runs |= figures_of(results, request.objectives, spans)
             if pruned := len(runs) < len(cases) and search.is_hopeless(runs):
                 break
         progress.drop(len(cases) - len(runs))
@@ -300,22 +306,46 @@ def _cases(
     return cases_of_problems({search.problem: (changed, plant)}, request.seeds, only)
 
 
-def _trials_table(trials: Mapping[tuple[str, str], Sequence[Trial]], request: Request) -> str:
+def _held_out(
+    who: tuple[str, str],
+    tried: Sequence[Trial],
+    results: StudyResults,
+    spans: Mapping[str, float],
+    objectives: Sequence[Objective],
+) -> tuple[Trial, Trial]:
+    """Return a controller's settings as given and those found as trials on the seeds of the study."""
+    problem, name = who
+    given, found = (
+        [case for case in results.cases if case.problem == problem and case.controller == key]
+        for key in (_as_given(name), name)
+    )
+    return (
+        trial_of(tried[0].settings, figures_of(given, objectives, spans), objectives),
+        trial_of(tried[best(tried)].settings, figures_of(found, objectives, spans), objectives),
+    )
+
+
+def _trials_table(
+    trials: Mapping[tuple[str, str], Sequence[Trial]],
+    held_out: Mapping[tuple[str, str], tuple[Trial, Trial]],
+    request: Request,
+) -> str:
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    named = [str(objective) for objective in request.objectives]
-    counts = ["runs", "pruned", "runs lost"]
-    writer.writerow(
-        ["problem", "controller", "trial", *counts, *named, "not dominated", "chosen", "settings"]
-    )
+    figures = ["runs lost", *map(str, request.objectives)]
+    marks = ["not dominated", "chosen", *(f"held out: {figure}" for figure in figures), "settings"]
+    writer.writerow(["problem", "controller", "trial", "runs", "pruned", *figures, *marks])
     for (problem, controller), tried in trials.items():
         whole, chosen = [trial for trial in tried if not trial.pruned], best(tried)
+        given, found = held_out[problem, controller]
         for number, trial in enumerate(tried):
+            again = found if number == chosen else given if not number else None
             values = ["" if trial.pruned else repr(value) for value in trial.values]
             on_front = not trial.pruned and not any(dominates(other, trial) for other in whole)
             facts = (trial.pruned, on_front, number == chosen)
             pruned, *words = ("true" if fact else "false" for fact in facts)
             row = [problem, controller, number, trial.runs, pruned, trial.lost, *values, *words]
+            row += [again.lost, *map(repr, again.values)] if again else [""] * len(figures)
             writer.writerow([*row, json.dumps(trial.settings)])
     return file.getvalue()
 
@@ -352,6 +382,10 @@ def _whole(resolved: ResolvedProblems, problems: dict[str, Study], summary: str)
     return WholeStudy(head.model_copy(update=said), problems)
 
 
+def _as_given(name: str) -> str:
+    return name[: _LONGEST_NAME - len(_GIVEN)] + _GIVEN
+
+
 def _with_given(
     tuned: WholeStudy,
     resolved: ResolvedProblems,
@@ -367,7 +401,7 @@ def _with_given(
             label = section.label or name
             if (problem, name) in trials:
                 given = resolved.problems[problem].study.controllers[name]
-                key = name[: _LONGEST_NAME - len(_GIVEN)] + _GIVEN
+                key = _as_given(name)
                 controllers[key] = given.model_copy(update={"label": f"{label}, as given"})
                 controllers[name] = section.model_copy(update={"label": f"{label}, tuned"})
                 panels.append(Panel(title=label, controllers=[key, name]))

@@ -109,6 +109,8 @@ class Objective:
         values: dict[str, list[float]] = {}
         for run, value in runs.items():
             values.setdefault(run.scenario, []).append(value)
+        if not values:
+            return math.inf
         if self.over == "worst":
             return max(max(own) for own in values.values())
         if self.over == "mean":

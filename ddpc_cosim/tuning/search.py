@@ -2,7 +2,7 @@
 
 import math
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
 from ddpc_cosim.settings import (
@@ -15,6 +15,7 @@ from ddpc_cosim.settings import (
     SettingsError,
     declared_settings,
 )
+from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.tuning.objectives import Objective, Run
@@ -152,11 +153,7 @@ class SettingsSearch:
     def _hoped(self, settings: dict[str, Any], runs: Mapping[Run, Figures]) -> Trial:
         """Return what a trial is if it does in the runs that are left as well as can be hoped."""
         every = {run: best_yet.hoped for run, best_yet in self._best_yet.items()} | {**runs}
-        values = tuple(
-            objective.of({run: own.values[number] for run, own in every.items()})
-            for number, objective in enumerate(self._objectives)
-        )
-        return Trial(sum(own.lost for own in every.values()), values, settings)
+        return trial_of(settings, every, self._objectives)
 
     def _params(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Return the study's own settings as a point of the spaces; empty if one is outside."""
@@ -217,6 +214,27 @@ def with_settings(settings: Mapping[str, Any], found: Mapping[str, Any]) -> dict
         key, _, rest = name.partition(".")
         changed[key] = with_settings(changed[key], {rest: value}) if rest else value
     return changed
+
+
+def figures_of(
+    results: Iterable[CaseResult], objectives: Sequence[Objective], spans: Mapping[str, float]
+) -> dict[Run, Figures]:
+    """Return what each run of a trial is judged by."""
+    return {
+        Run(result.scenario, result.seed): Figures(
+            objectives[0].is_lost(result), tuple(objective.of_run(result, spans) for objective in objectives)
+        )
+        for result in results
+    }
+
+
+def trial_of(settings: dict[str, Any], runs: Mapping[Run, Figures], objectives: Sequence[Objective]) -> Trial:
+    """Return the trial that has had these runs."""
+    values = tuple(
+        objective.of({run: own.values[number] for run, own in runs.items()})
+        for number, objective in enumerate(objectives)
+    )
+    return Trial(sum(own.lost for own in runs.values()), values, settings, len(runs))
 
 
 def best(trials: Sequence[Trial]) -> int:

@@ -53,7 +53,7 @@ from ddpc_reports.sensitivity import effects_table, sensitivity_figures, sweep_s
 from ddpc_reports.settings_tables import compact_seeds, family_tables, settings_tables
 from ddpc_reports.shares import share_statements
 from ddpc_reports.table import Table
-from ddpc_reports.tuning import front_figures, trials_table
+from ddpc_reports.tuning import front_figures, trials_tables
 from ddpc_reports.verdict import Statement, across_statements, limitations, verdict
 
 _MOST_DRAWN = 4
@@ -275,7 +275,7 @@ def _study_part(
             *_in_their_place("Fallbacks and failures", lost),
         ],
         ("tuning", "Tuning"): lambda _: [
-            *_tables(trials_table(results, prefix)),
+            *_tables(*trials_tables(results, prefix)),
             *_figures(front_figures(results, prefix), prefix),
         ],
         ("sure", "How sure"): lambda title: each(title, _certainty_blocks),

@@ -4,7 +4,7 @@ import csv
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ddpc_cosim import StudyResults
@@ -12,24 +12,25 @@ from ddpc_cosim.study.results import TRIALS_FILE
 from ddpc_reports.charts import front_chart
 from ddpc_reports.figures import Figure, one_chart
 from ddpc_reports.settings_tables import mapping_text
-from ddpc_reports.table import Cell, Heading, Row, Table, number_cells
+from ddpc_reports.table import Cell, Column, Heading, Row, Table, number_cells
 from ddpc_reports.verdict import counted
 
-_BEFORE, _AFTER = 6, 3
-"""Columns of the file before and after those of the objectives."""
+_BEFORE = ("problem", "controller", "trial", "runs", "pruned")
+_BETWEEN, _AFTER = ("not dominated", "chosen"), ("settings",)
+"""Columns of the file; between them runs lost and objectives, first of the trials and then held out."""
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """A row of the file."""
+    """A row of the file; figures are runs lost and objectives, NaN where there are none."""
 
     number: int
     runs: int
     pruned: bool
-    lost: int
-    values: tuple[float, ...]
+    figures: tuple[float, ...]
     on_front: bool
     chosen: bool
+    held_out: tuple[float, ...]
     settings: dict[str, Any]
 
 
@@ -43,19 +44,22 @@ class _Search:
 
 
 def _read(results: StudyResults) -> tuple[list[str], list[_Search]]:
-    """Return what the objectives are, and the trials of each controller; nothing where none was tuned."""
+    """Return what the figures are, and the trials of each controller; nothing where none was tuned."""
     file = results.folder / TRIALS_FILE
     if not file.is_file():
         return [], []
     with file.open(encoding="utf-8", newline="") as content:
         head, *rows = csv.reader(content)
+    count = (len(head) - len(_BEFORE) - len(_BETWEEN) - len(_AFTER)) // 2
     found: dict[str, list[_Trial]] = {}
-    for problem, controller, number, runs, pruned, lost, *values, on_front, chosen, settings in rows:
+    for problem, controller, number, runs, pruned, *values, settings in rows:
         if problem == results.study.name:
-            figures = tuple(float(value) if value else math.nan for value in values)
-            of_runs = int(number), int(runs), pruned == "true", int(lost)
-            of_all = on_front == "true", chosen == "true", json.loads(settings)
-            found.setdefault(controller, []).append(_Trial(*of_runs, figures, *of_all))
+            (on_front, chosen), own, again = values[count:-count], values[:count], values[-count:]
+            trial = _Trial(
+                *(int(number), int(runs), pruned == "true", _numbers(own)),
+                *(on_front == "true", chosen == "true", _numbers(again), json.loads(settings)),
+            )
+            found.setdefault(controller, []).append(trial)
     sections = results.study.controllers
     searches = [
         _Search(
@@ -66,43 +70,75 @@ def _read(results: StudyResults) -> tuple[list[str], list[_Search]]:
         for key, trials in found.items()
         if key in sections
     ]
-    return head[_BEFORE:-_AFTER], searches
+    return head[len(_BEFORE) :][:count], searches
 
 
-def trials_table(results: StudyResults, prefix: str) -> Table | None:
-    """Return what the trials of each controller came to; None where none was tuned."""
-    objectives, searches = _read(results)
+def _numbers(words: Sequence[str]) -> tuple[float, ...]:
+    return tuple(float(word) if word else math.nan for word in words)
+
+
+def trials_tables(results: StudyResults, prefix: str) -> list[Table]:
+    """Return what the settings found are worth, and what the trials came to; none where none was tuned."""
+    names, searches = _read(results)
     if not searches:
-        return None
-    both = [("as given", [one.trials[0] for one in searches]), ("tuned", [one.chosen for one in searches])]
-    numbers: list[tuple[str, str, Sequence[float]]] = [
-        ("Trials", "all", [len(one.trials) for one in searches]),
-        ("Trials", "pruned", [sum(trial.pruned for trial in one.trials) for one in searches]),
-        ("Trials", "runs", [sum(trial.runs for trial in one.trials) for one in searches]),
-        *(("Runs lost", which, [trial.lost for trial in trials]) for which, trials in both),
-        *(
-            (name, which, [trial.values[number] for trial in trials])
-            for number, name in enumerate(objectives)
-            for which, trials in both
-        ),
+        return []
+    given, found = [one.trials[0] for one in searches], [one.chosen for one in searches]
+    worth = [
+        column
+        for number, name in enumerate(names)
+        for column in _pair(name, [[one.held_out[number] for one in trials] for trials in (given, found)])
     ]
-    columns = [
-        (Heading(title, group=group), number_cells([*map(float, values)], better=""))
-        for group, title, values in numbers
+    texts = [mapping_text(one.settings) if one.number else "as given" for one in found]
+    worth.append((Heading("settings found", numeric=False), [Cell(text) for text in texts]))
+    counts = {
+        "all": [len(one.trials) for one in searches],
+        "pruned": [sum(trial.pruned for trial in one.trials) for one in searches],
+        "runs": [sum(trial.runs for trial in one.trials) for one in searches],
+    }
+    trials = [
+        (Heading(title, group="trials"), number_cells([*map(float, values)], better=""))
+        for title, values in counts.items()
     ]
-    found = [mapping_text(one.chosen.settings) if one.chosen.number else "as given" for one in searches]
-    columns.append((Heading("Settings found", numeric=False), [Cell(text) for text in found]))
-    rows = tuple(Row(one.label, tuple(cells[i] for _, cells in columns)) for i, one in enumerate(searches))
+    for number, name in enumerate(names):
+        trials += _pair(name, [[one.figures[number] for one in trials] for trials in (given, found)])
+    took = results.provenance.get("tuning")
+    notes = (
+        "On the seeds of the trials, by which the settings were chosen.",
+        *([f"{took}."] if took else []),
+    )
+    labels = [one.label for one in searches]
+    return [
+        _table(f"{prefix}tuned", "As given against tuned, on the seeds of this report", labels, worth),
+        _table(f"{prefix}trials", "Trials", labels, trials, notes),
+    ]
+
+
+def _pair(name: str, values: Sequence[Sequence[float]]) -> list[Column]:
+    """Return the columns of a figure as given and as tuned; of each row the lower one is marked."""
+    cells = [number_cells(column, better="") for column in values]
+    marked = [
+        [replace(a, best=a.raw < b.raw), replace(b, best=b.raw < a.raw)] for a, b in zip(*cells, strict=True)
+    ]
+    titles = enumerate(("as given", "tuned"))
+    return [(Heading(title, group=name), [row[i] for row in marked]) for i, title in titles]
+
+
+def _table(
+    identifier: str,
+    caption: str,
+    labels: Sequence[str],
+    columns: Sequence[Column],
+    notes: tuple[str, ...] = (),
+) -> Table:
+    rows = tuple(Row(label, tuple(cells[i] for _, cells in columns)) for i, label in enumerate(labels))
     headings = (Heading("Controller", numeric=False), *(heading for heading, _ in columns))
-    notes = ["On the seeds of the trials; what the settings are worth shows on the seeds of this report."]
-    notes += [f"Tuning: {told}." for told in [results.provenance.get("tuning")] if told]
-    return Table(f"{prefix}trials", "Trials", headings, rows, tuple(notes), download="trials.csv")
+    return Table(identifier, caption, headings, rows, notes, download=f"{identifier.rpartition('-')[2]}.csv")
 
 
 def front_figures(results: StudyResults, prefix: str) -> list[Figure]:
     """Return for each controller its trials over two objectives, and their front; none of one objective."""
-    objectives, searches = _read(results)
-    if len(objectives) < 2:
+    names, searches = _read(results)
+    if len(objectives := names[1:]) < 2:
         return []
     figures = []
     for number, one in enumerate(searches, start=1):
@@ -118,15 +154,15 @@ def _points(one: _Search) -> list[dict[str, Any]]:
     """Return the trials that lose as few runs as the one chosen and have both figures."""
     return [
         {
-            "x": trial.values[0],
-            "y": trial.values[1],
+            "x": trial.figures[1],
+            "y": trial.figures[2],
             "front": trial.on_front,
             "chosen": trial.chosen,
             "given": trial.number == 0,
             "text": f"trial {trial.number}: {mapping_text(trial.settings)}",
         }
         for trial in one.trials
-        if trial.lost == one.chosen.lost and all(map(math.isfinite, trial.values))
+        if trial.figures[0] == one.chosen.figures[0] and all(map(math.isfinite, trial.figures))
     ]
 
 

@@ -7,30 +7,32 @@ import pytest
 
 from ddpc_cosim import StudyResults
 from ddpc_reports.page import render_page
-from ddpc_reports.tuning import front_figures, trials_table
+from ddpc_reports.tuning import front_figures, trials_tables
 
 from .synthetic import make_results_in
 
-HEAD = "problem,controller,trial,runs,pruned,runs lost,{},not dominated,chosen,settings\n"
+HEAD = "problem,controller,trial,runs,pruned,{},not dominated,chosen,{},settings\n"
 SETTINGS = '"{""a"": 1.5}"'
 ONE = [
-    "synthetic,quick,0,6,false,1,0.5,true,false",
-    "synthetic,quick,1,6,false,0,0.25,true,true",
-    "synthetic,quick,2,2,true,1,,false,false",
-    "another,quick,0,9,false,0,9.0,true,true",
+    "synthetic,quick,0,6,false,1,0.5,true,false,2,0.75",
+    "synthetic,quick,1,6,false,0,0.25,true,true,3,0.5",
+    "synthetic,quick,2,2,true,1,,false,false,,",
+    "another,quick,0,9,false,0,9.0,true,true,0,9.0",
 ]
 TWO = [
-    "synthetic,quick,0,6,false,0,1.0,4.0,true,false",
-    "synthetic,quick,1,6,false,0,0.5,5.0,true,true",
-    "synthetic,quick,2,6,false,0,1.5,4.5,false,false",
-    "synthetic,quick,3,6,false,0,2.0,inf,false,false",
-    "synthetic,quick,4,6,false,2,0.1,0.1,true,false",
+    "synthetic,quick,0,6,false,0,1.0,4.0,true,false,0,1.0,4.0",
+    "synthetic,quick,1,6,false,0,0.5,5.0,true,true,0,0.5,5.0",
+    "synthetic,quick,2,6,false,0,1.5,4.5,false,false,,,",
+    "synthetic,quick,3,6,false,0,2.0,inf,false,false,,,",
+    "synthetic,quick,4,6,false,2,0.1,0.1,true,false,,,",
 ]
 
 
 def tuned(folder: Path, objectives: str, rows: list[str]) -> StudyResults:
     folder.mkdir()
-    content = HEAD.format(objectives) + "".join(f"{row},{SETTINGS}\n" for row in rows)
+    figures = ["runs lost", *objectives.split(",")]
+    head = HEAD.format(",".join(figures), ",".join(f"held out: {figure}" for figure in figures))
+    content = head + "".join(f"{row},{SETTINGS}\n" for row in rows)
     (folder / "trials.csv").write_text(content, encoding="utf-8")
     controllers = {"quick": {"type": "quick", "label": "Quick, tuned"}, "slow": {"type": "slow"}}
     return make_results_in(folder, None, controllers, {"tuning": "3 trials, 14 runs, which took 5 s"})
@@ -38,13 +40,19 @@ def tuned(folder: Path, objectives: str, rows: list[str]) -> StudyResults:
 
 def test_the_trials_of_each_controller_are_summed_up(tmp_path: Path) -> None:
     results = tuned(tmp_path / "one", "rmse", ONE)
-    table = trials_table(results, "x-")
-    assert table is not None
-    (row,) = table.rows
+    worth, trials = trials_tables(results, "x-")
+    (row,) = worth.rows
     assert row.header == "Quick"
-    assert [cell.raw for cell in row.cells[:-1]] == [3, 1, 14, 1, 0, 0.5, 0.25]
+    assert [(cell.raw, cell.best) for cell in row.cells[:-1]] == [
+        (2.0, True),
+        (3.0, False),
+        (0.75, False),
+        (0.5, True),
+    ]
     assert row.cells[-1].text == "a = 1.5"
-    assert "Tuning: 3 trials, 14 runs, which took 5 s." in table.notes
+    (row,) = trials.rows
+    assert [cell.raw for cell in row.cells] == [3, 1, 14, 1, 0, 0.5, 0.25]
+    assert "3 trials, 14 runs, which took 5 s." in trials.notes
     assert front_figures(results, "x-") == []
     assert 'id="s1-tuning"' in render_page([results])
 
@@ -66,7 +74,7 @@ def test_two_objectives_are_drawn_as_a_front(tmp_path: Path) -> None:
 
 def test_without_trials_there_is_no_such_section(tmp_path: Path) -> None:
     results = make_results_in(tmp_path)
-    assert trials_table(results, "x-") is None
+    assert trials_tables(results, "x-") == []
     assert 'id="s1-tuning"' not in render_page([results])
 
 

@@ -90,14 +90,17 @@ def trials_of(folder: Path) -> list[dict[str, str]]:
 def test_every_controller_has_as_many_trials_and_the_best_settings_are_in_the_tuned_study(
     tmp_path: Path,
 ) -> None:
-    """At the first of the ten samples that count y = 0, and then the error is 1 - gain."""
+
+    def rmse_of(gain: float) -> float:
+        """At the first of the ten samples that count y = 0, and then the error is 1 - gain."""
+        return float(np.sqrt((1.0 + 9 * (1.0 - gain) ** 2) / 10))
+
     found = tuned(tmp_path)
     assert found.kept == [("study", "rest")]
     rows = trials_of(tmp_path)
     assert [row["controller"] for row in rows] == ["a"] * 8 + ["b"] * 8
     for row in rows:
-        gain = json.loads(row["settings"])["gain"]
-        rmse = np.sqrt((1.0 + 9 * (1.0 - gain) ** 2) / 10)
+        rmse = rmse_of(json.loads(row["settings"])["gain"])
         figure = row["rmse, median over the seeds, mean over the scenarios"]
         assert row["pruned"] == "true" if not figure else float(figure) == pytest.approx(rmse, rel=1e-9)
         assert int(row["runs"]) < 3 if row["pruned"] == "true" else row["runs"] == "3"
@@ -110,6 +113,9 @@ def test_every_controller_has_as_many_trials_and_the_best_settings_are_in_the_tu
         closest = min(gains, key=lambda gain: abs(gain - 1.0))
         section = study.controllers[name]
         assert section.settings["gain"] == closest != given
+        held_out = found.held_out["study", name]
+        assert [trial.values[0] for trial in held_out] == pytest.approx([rmse_of(given), rmse_of(closest)])
+        assert [trial.runs for trial in held_out] == [1, 1]
         how = section.tuned
         assert how is not None
         assert (how.settings, how.trials, how.seeds) == (["gain"], 8, [10_000, 10_001, 10_002])
