@@ -7,6 +7,7 @@ the same code. Dask starts elsewhere what a dead worker was running, and gives u
 
 import hashlib
 import json
+import logging
 import platform
 import tempfile
 import uuid
@@ -14,6 +15,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import metadata
@@ -100,26 +102,31 @@ def run_on_cluster(
     CosimError
         There are no workers, or a case cannot be written.
     """
-    client = _connected(scheduler)
-    try:
-        with ScratchFolder(folder, ".staging-") as staging:
-            yield from _Run(client, cases, folder, staging, run_cases, sandboxed).finished()
-    finally:
-        client.close()
+    with _connected(scheduler) as client, ScratchFolder(folder, ".staging-") as staging:
+        yield from _Run(client, cases, folder, staging, run_cases, sandboxed).finished()
 
 
-def _connected(scheduler: str) -> "Client":
+@contextmanager
+def _connected(scheduler: str) -> "Iterator[Client]":
     try:
         from distributed import Client
     except ModuleNotFoundError as error:
         remedy = 'install it with: pip install "ddpc-cosim[cluster]"'
         raise ConfigError(f"--executor dask needs dask.distributed ({error}); {remedy}") from error
     try:
-        return Client(scheduler, timeout=_CONNECT_SECONDS, set_as_default=False)
+        client = Client(scheduler, timeout=_CONNECT_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:
         remedy = "give the address that `dask scheduler` prints, such as tcp://host:8786"
         message = f"--scheduler {scheduler}: no dask scheduler answers ({type(error).__name__}: {error})"
         raise ConfigError(f"{message}; {remedy}") from error
+    logger = logging.getLogger("distributed.client")  # which prints tracebacks of what is told here
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield client
+    finally:
+        client.close()
+        logger.setLevel(level)
 
 
 class _Run:
@@ -148,9 +155,10 @@ class _Run:
     def finished(self) -> Iterator[Case]:
         """Yield each case when its files are written."""
         from distributed import wait
+        from distributed.comm import CommClosedError
 
-        self._check_workers()
         try:
+            self._check_workers()
             while self._waiting or self._running:
                 room = _TASKS_PER_THREAD * self._threads() - len(self._running)
                 for _ in range(min(room, len(self._waiting))):
@@ -165,10 +173,12 @@ class _Run:
                     case = self._running.pop(future)
                     self._finish(case, future)
                     yield case
-        except CancelledError as error:
-            raise CosimError("the dask scheduler has gone; finished cases are kept") from error
+        except (CancelledError, CommClosedError) as error:
+            remedy = "finished cases are kept; start one, and the same command goes on from there"
+            raise CosimError(f"the dask scheduler has gone; {remedy}") from error
         finally:
-            self._client.cancel(list(self._running), force=True)
+            with suppress(CommClosedError):
+                self._client.cancel(list(self._running), force=True)
 
     def _threads(self) -> int:
         """Return how many threads the workers have, of which there is one at least."""

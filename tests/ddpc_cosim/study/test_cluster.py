@@ -251,19 +251,32 @@ def test_a_case_that_kills_one_worker_after_the_other_has_failed_and_the_others_
         cluster.stop(name)
 
 
-def test_a_scheduler_that_gets_no_workers_is_an_error(
-    write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_scheduler_that_gets_no_workers_or_goes_is_an_error(
+    own_study: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(executor, "_WORKERS_SECONDS", 0.1)
-    (tmp_path / "empty").mkdir()
-    empty = Cluster(tmp_path / "empty")
+    (tmp_path / "another").mkdir()
+    another = Cluster(tmp_path / "another")
+    study = own_study("own:Own", "own:Waits", seeds="[0]")
+    for name in ("told", "never"):
+        os.mkfifo(tmp_path / name)
     try:
         with pytest.raises(
             CosimError, match=r"has had no workers for 0\.1 s; start some with `dask worker tcp:"
         ):
-            run(write_study("mfapc"), "out", **on(empty))
+            run(study, "out", **on(another))
+        another.start_worker("only")
+        with ThreadPoolExecutor(1) as pool:
+            running = pool.submit(run, study, "out", **on(another))
+            read_from(tmp_path / "told")
+            another.stop("scheduler", signal.SIGKILL)
+            with pytest.raises(
+                CosimError, match="the dask scheduler has gone; finished cases are kept; start"
+            ):
+                running.result(timeout=60)
     finally:
-        empty.stop("scheduler")
+        for name in list(another.processes):
+            another.stop(name, signal.SIGKILL)
 
 
 def test_without_the_extra_the_remedy_is_told(
