@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from ddpc_cosim.errors import Place
-from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS, SWEEP, Table
+from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS, SWEEP, Table, with_report
 from ddpc_cosim.study.file_format.sweeps import (
     MOST_VARIANTS,
     ZIP,
@@ -116,6 +116,8 @@ def _variant(
     # Of controllers that do not differ no run is repeated.
     if all(place[0] == CONTROLLERS for place in places):
         changed = {place[1] for place in places}
+        left_out = tables[CONTROLLERS].keys() - changed
+        tables = with_report(tables, left_out)
         tables[CONTROLLERS] = {key: one for key, one in tables[CONTROLLERS].items() if key in changed}
     own = {"variant_of": part.problem, "varied": varied, "name": name}
     own["title"] = variant_label(str(part.tables.get("title") or part.problem), varied)

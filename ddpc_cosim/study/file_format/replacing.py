@@ -115,6 +115,16 @@ def without_panels_of(controllers: Collection[str], report: Table) -> Table:
     return report | {"panels": kept}
 
 
+def with_report(tables: Any, controllers: Collection[str]) -> Any:
+    """Return a study or a problem whose report is neither of its results nor of what is left out."""
+    if not (isinstance(tables, dict) and isinstance(tables.get("report"), dict)):
+        return tables
+    report = without_panels_of(controllers, _without(tables["report"], ("reproduction",)))
+    points = dict(_items(report.get("reference_points"))).values()
+    is_cut = any(one in points for one in controllers)
+    return tables | {"report": _without(report, ("reference_points",) if is_cut else ())}
+
+
 def _items(table: Any) -> Any:
     return table.items() if isinstance(table, dict) else ()
 
@@ -135,20 +145,10 @@ def _remaining(base: Table, gone: Set[tuple[str, str]]) -> Table:
         if isinstance(section, dict) and isinstance(section.get(PROBLEMS), dict):
             found[CONTROLLERS] |= {name: section | {PROBLEMS: _without(section[PROBLEMS], problems)}}
     if isinstance(found.get(PROBLEMS), dict):
-        found[PROBLEMS] = {name: _with_report(one, controllers) for name, one in found[PROBLEMS].items()}
+        found[PROBLEMS] = {name: with_report(one, controllers) for name, one in found[PROBLEMS].items()}
     if gone and isinstance(found.get(SWEEP), list | dict):
         found[SWEEP] = _remaining_sweep(found[SWEEP], gone)
-    return dict(_with_report(found, controllers))
-
-
-def _with_report(tables: Any, controllers: Collection[str]) -> Any:
-    """Return a study or a problem whose report is neither of its results nor of what is left out."""
-    if not (isinstance(tables, dict) and isinstance(tables.get("report"), dict)):
-        return tables
-    report = without_panels_of(controllers, _without(tables["report"], ("reproduction",)))
-    points = dict(_items(report.get("reference_points"))).values()
-    is_cut = any(one in points for one in controllers)
-    return tables | {"report": _without(report, ("reference_points",) if is_cut else ())}
+    return dict(with_report(found, controllers))
 
 
 def _remaining_sweep(sweep: Any, gone: Set[tuple[str, str]]) -> list[Any]:

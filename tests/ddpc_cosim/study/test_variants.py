@@ -114,6 +114,18 @@ def test_variants_are_run_beside_the_study_whose_own_cases_are_kept(tmp_path: Pa
     assert sorted(after.keys() - before.keys())[0].startswith("swing-loop.sampling_time-0.2_mfapc_seed0_")
 
 
+def test_the_report_of_a_variant_names_only_the_controllers_that_it_has(tmp_path: Path) -> None:
+    report = """
+    [report]
+    panels = [{ title = "Both", controllers = ["mfapc", "pid"] }, { title = "One", controllers = ["mfapc"] }]
+    reference_points = { zero = "mfapc", full = "pid" }
+    """
+    swept = '[[sweep]]\n"controllers.pid.settings.proportional" = [2.0]\n'
+    own, variant = (one.study.report for one in read(tmp_path, FLAT + swept + report).problems.values())
+    assert (len(own.panels), own.reference_points is None) == (2, False)
+    assert ([panel.controllers for panel in variant.panels], variant.reference_points) == ([["pid"]], None)
+
+
 def test_ranges() -> None:
     assert swept_values({"linear": [0.1, 0.5, 5]}) == [0.1, 0.2, 0.3, 0.4, 0.5]
     assert swept_values({"linear": [4, 8, 3]}) == [4, 6, 8]
