@@ -132,3 +132,11 @@ def _is_own(path: Path, kind: int) -> bool:
 
 def _hash_file(path: Path) -> Path:
     return path.with_name(f"{path.name}.sha256")
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a file, also of a path that none can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False

@@ -32,6 +32,7 @@ from ddpc_cosim.study.file_format.validation_errors import (
     in_folder,
     independent,
 )
+from fmu_plants.files import is_file
 
 
 class StudyController(NamedTuple):
@@ -165,7 +166,7 @@ def _build(
         if path == PLANT:
             return path
         file = in_folder(folder, path)
-        if not file.is_file():
+        if not is_file(file):
             errors.add((*place, "settings"), f"{file}: no such file")
         return str(file)
 

@@ -18,7 +18,7 @@ from ddpc_cosim.plugins import name_of
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
-from ddpc_cosim.study.file_format.replacing import PROBLEMS
+from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS
 from ddpc_cosim.study.file_format.sections import expand_seeds
 from ddpc_cosim.study.file_format.study_files import StudyFile, absolute_paths
 from ddpc_cosim.study.file_format.written import Table, controller_table, experiment_table, signal_table
@@ -382,12 +382,13 @@ class Study:
     @property
     def problems(self) -> tuple[str, ...]:
         """Names of its problems; that of the study where it has one, which has none."""
-        return tuple(self._file.tables.get(PROBLEMS, [self.name]))
+        tables = self._file.tables
+        return tuple(_table(tables, PROBLEMS)) if PROBLEMS in tables else (self.name,)
 
     @property
     def controllers(self) -> tuple[str, ...]:
         """Names of its controllers."""
-        return tuple(self._file.tables.get("controllers", ()))
+        return tuple(_table(self._file.tables, CONTROLLERS))
 
     def write(self, path: str | Path) -> Path:
         """Write the study as a file, logged data as CSV files beside it, and return its path.
@@ -466,15 +467,27 @@ class Study:
             problem.write_recording(folder / name)
 
     def __repr__(self) -> str:
-        seeds = expand_seeds(self._file.tables.get("seeds", [0]))
+        try:
+            seeds = expand_seeds(self._file.tables.get("seeds", [0]))
+        except ValueError:  # which is told when it is run
+            seeds = []
         counts = ((self.problems, "problem"), (self.controllers, "controller"), (seeds, "seed"))
         words = (f"{len(some)} {word}{'' if len(some) == 1 else 's'}" for some, word in counts)
         return printable(f"Study({self.name}: {', '.join(words)})")
 
     def _repr_html_(self) -> str:
-        sections = self._file.tables.get("controllers", {}).items()
-        rows = [(name, one.get("type", ""), one.get("settings", {})) for name, one in sections]
+        sections = _table(self._file.tables, CONTROLLERS)
+        rows = [
+            (name, *(_table(sections, name).get(key, "") for key in ("type", "settings")))
+            for name in sections
+        ]
         return html_table(repr(self), ("controller", "type", "settings"), rows)
+
+
+def _table(tables: Table, key: str) -> Table:
+    """Return a table of a file, which is not checked yet: nothing if it is something else."""
+    found = tables.get(key)
+    return found if isinstance(found, dict) else {}
 
 
 class _Silent:

@@ -22,6 +22,7 @@ from ddpc_cosim.safe_calls import (
     step_plant,
 )
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, names, with_display_units
+from fmu_plants.files import is_file
 
 if TYPE_CHECKING:
     from ddpc_cosim.fmu.description import FMUDescription
@@ -276,7 +277,7 @@ def read_fmu(path: Path) -> "FMUDescription":
     from ddpc_cosim.fmu.archive import unpack
     from ddpc_cosim.fmu.description.reader import read_description
 
-    if not path.is_file():
+    if not is_file(path):
         raise FMUImportError(f"{path}: no such file")
     with TemporaryDirectory() as folder:
         unpack(path, Path(folder))

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from ddpc_cosim.csv_files import TIME_TOLERANCE
-from ddpc_cosim.loop_setup import end_time, limits_error, whole_steps
+from ddpc_cosim.loop_setup import MOST_STEPS, end_time, limits_error, whole_steps
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.settings import Choice, Factor, Integer, Linear, Log, Search
 from ddpc_cosim.study.file_format.signal_sections import (
@@ -177,7 +177,7 @@ def _one_or_more(value: Any) -> Any:
 class RecordingSection(Section):
     """What data-driven controllers learn from: an experiment on the plant, or files of logged data."""
 
-    samples: Annotated[int, Field(ge=1)] | None = Field(
+    samples: Annotated[int, Field(ge=1, le=MOST_STEPS)] | None = Field(
         None, description="number of samples T of the experiment"
     )
     excitation: dict[str, ExcitationSection] = Field({}, description="one for each input")
@@ -228,7 +228,9 @@ def _as_list(tables: Any) -> Any:
 class RecordingChanges(Section):
     """In what a scenario's experiment differs from the study's."""
 
-    samples: Annotated[int, Field(ge=1)] | None = Field(None, description="number of samples T")
+    samples: Annotated[int, Field(ge=1, le=MOST_STEPS)] | None = Field(
+        None, description="number of samples T"
+    )
     excitation: dict[str, ExcitationSection] = Field({}, description="of inputs that are excited otherwise")
 
     def of(self, recording: RecordingSection) -> RecordingSection:

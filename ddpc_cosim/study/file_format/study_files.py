@@ -28,6 +28,7 @@ from ddpc_cosim.study.file_format.replacing import (
 )
 from ddpc_cosim.study.file_format.sweeps import path_of
 from ddpc_cosim.study.file_format.validation_errors import in_folder
+from fmu_plants.files import is_file
 
 _MAY_END = re.compile(r"""[\]}]|"{3}|'{3}""")  # a value over several lines
 
@@ -163,9 +164,9 @@ class StudyFile:
                 what = "must be a study file or the name of a built-in study"
                 raise ConfigError(f"{what}, got {reprlib.repr(named)}")
             beside = in_folder(self.folder, named)
-            is_file = beside.is_file()
-            label = str(Path(self.label).parent / named) if is_file else named
-            found = self._read(beside if is_file else _plugin_study(named), label, above, known)
+            is_there = is_file(beside)
+            label = str(Path(self.label).parent / named) if is_there else named
+            found = self._read(beside if is_there else _plugin_study(named), label, above, known)
         except CosimError as error:
             self.faults.append((self, place, str(error)))
             return None
@@ -183,7 +184,7 @@ Fault = tuple[StudyFile, Place, str]
 
 def find_study(name: str) -> Path:
     """Return the path of a study given as a file or by the name of a built-in or plug-in study."""
-    return Path(name) if Path(name).is_file() else _plugin_study(name)
+    return Path(name) if is_file(Path(name)) else _plugin_study(name)
 
 
 def _plugin_study(name: str) -> Path:

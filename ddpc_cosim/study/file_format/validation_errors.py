@@ -46,10 +46,15 @@ def in_folder(folder: Path, path: str) -> Path:
     """Return a path that a file in a folder gives, absolute and in the letters of this locale."""
     if sys.getfilesystemencoding() != "utf-8":
         path = os.fsdecode(path.encode("utf-8", "surrogateescape"))
-    return (folder / path).resolve()
+    try:
+        return (folder / path).resolve()
+    except ValueError:  # no file can be called so: it is told where it is looked for
+        return folder / path
 
 
 def _absolute(path: str, info: ValidationInfo) -> str:
+    if "\0" in path:
+        raise ValueError("must be the path of a file, which has no null character")
     return str(in_folder(info.context, path)) if path and isinstance(info.context, Path) else path
 
 

@@ -227,6 +227,20 @@ def test_logged_data_travel_with_the_study(tmp_path: Path) -> None:
     assert Study.read(written).run(tmp_path / "b", progress=False).cases[0].id == first.cases[0].id
 
 
+def test_a_file_with_faults_is_shown_before_they_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "wrong.toml"
+    for text in (
+        "seeds = -1",
+        "controllers = 3\nproblems = 3",
+        "controllers.a = 3",
+        "controllers.a.type = 3",
+    ):
+        path.write_text(text, encoding="utf-8")
+        study = Study.read(path)
+        assert repr(study).startswith("Study(wrong: ")
+        assert "wrong" in study._repr_html_()
+
+
 def test_conditions_events_and_cost_are_in_the_file(tmp_path: Path) -> None:
     conditions = Conditions(
         disturbances={"torque": [Steps((1.0,), (0.5,)), WhiteNoise(0.1)]},

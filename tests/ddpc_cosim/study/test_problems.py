@@ -187,6 +187,27 @@ def test_what_is_wrong_with_how_problems_are_put_together(
     assert any(expected in fault for fault in faults(tmp_path, text))
 
 
+@pytest.mark.parametrize("path", ["\\u0000", "a" * 5000], ids=["null", "long"])
+def test_what_no_file_can_be_called_is_told(tmp_path: Path, path: str) -> None:
+    flat = FLAT.replace("wind.csv", path).replace('name = "pendulum"', f'fmu = "{path}"')
+    assert [one for one in faults(tmp_path, flat) if "study.toml:2: plant.fmu: " in one]
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "flat.toml").write_text(flat, encoding="utf-8")
+    (fault,) = faults(tmp_path, f'extends = "{path}"')
+    assert fault.startswith("study.toml:1: extends: no study ")
+    told = faults(tmp_path, 'extends = "below/flat.toml"')
+    assert [one for one in told if "below/flat.toml:2: plant.fmu: " in one]
+
+
+def test_more_samples_than_can_be_recorded_are_an_error(tmp_path: Path) -> None:
+    calm = FLAT.replace('{ disturbances.torque = { kind = "file", file = "wind.csv" } }', "{}")
+    experiment = "[recording]\nsamples = 9223372036854775807\nexcitation.torque = { low = -1.0, high = 1.0 }"
+    (fault,) = faults(tmp_path, calm + experiment)
+    assert fault == (
+        "study.toml:9: recording.samples: must be less than or equal to 100000000, got 9223372036854775807"
+    )
+
+
 def test_a_problem_without_controllers_and_a_shared_fault_name_the_problem(tmp_path: Path) -> None:
     text = TWO.replace('problems.oscillator = { settings = { lambda_u = 2.0 }, note = "slower here" }', "")
     without = text + "[controllers.mfapc.problems]\npendulum = false\n"
