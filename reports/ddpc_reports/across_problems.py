@@ -19,7 +19,7 @@ from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.samples import column_name
 from ddpc_reports.shares import SHARE_NOTE
 from ddpc_reports.table import Cell, Heading, Table, controller_table, number_cells
-from ddpc_reports.verdict import Statement, join_words, names, p_words
+from ddpc_reports.verdict import Statement, join_words, names, p_words, some_of
 
 _METRIC = "mean_abs_error"
 """Stands for what a problem ranks by, its own cost or mean errors: of both, lower values are better."""
@@ -117,7 +117,7 @@ def overall_statements(found: Overall) -> list[Statement]:
         significant(ranks.ranks[first.key], 3),
     )
     if alike:
-        text += Markup("; the problems do not tell it apart from {}").format(join_words(names(alike)))
+        text += Markup("; the problems do not tell it apart from {}").format(some_of(names(alike)))
     if math.isnan(ranks.p):
         test = Markup(" It takes three controllers for a test.")
     else:

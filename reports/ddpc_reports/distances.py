@@ -26,7 +26,7 @@ from ddpc_reports.shares import (
     share_words,
 )
 from ddpc_reports.table import Column, Heading, Table, controller_table, number_cells
-from ddpc_reports.verdict import Statement, by_signal, counted, join_words, names
+from ddpc_reports.verdict import Statement, by_signal, counted, join_words, names, some_of
 
 _NAMED = 3
 
@@ -193,8 +193,7 @@ def _ahead_words(far: Distances, problem: str, by_key: Mapping[str, ControllerRe
         return Markup("every controller loses at least half of its runs.")
     text = Markup("<i>{}</i> {}").format(first.label, share_words(far.problems[problem][first.key]))
     if alike:
-        more = [f"{len(alike) - _NAMED} more"] if alike[_NAMED:] else []
-        text += Markup(", not told apart from {}").format(join_words([*names(alike[:_NAMED]), *more]))
+        text += Markup(", not told apart from {}").format(some_of(names(alike)))
     return text + "."
 
 
@@ -241,7 +240,10 @@ def distance_maps(far: Distances, prefix: str) -> list[Table]:
         "(Wilcoxon's signed-rank test, after Holm's correction for all pairs); none, where that is most."
         " A star: some runs do not stay near their reference."
     )
-    over = "Medians of the problems' medians. A star: in some problems, at least half of the runs are lost."
+    over = (
+        "Medians of the problems' medians, of those with a way to go. A star: in some problems at least "
+        "half of the runs are lost."
+    )
     maps = [
         _map(f"{prefix}by-problem", "Which method where", far.controllers, far.problems, marked, bold),
         _map(f"{prefix}by-scenario", "Which method when", far.controllers, far.scenarios, {}, over),

@@ -58,7 +58,7 @@ from ddpc_reports.verdict import Statement, across_statements, limitations, verd
 
 _MOST_DRAWN = 4
 """Scenarios of a problem with figures over time: each costs some 300 kB of page."""
-_MOST_LINES, _MOST_ROWS, _MOST_CASES = 56, 100, 1000
+_MOST_LINES, _MOST_ROWS, _MOST_CASES = 45, 100, 1000
 """Of all scenarios, controllers with figures and with tables of their own; cases of several problems."""
 
 _MOST_LISTED = 20
@@ -181,6 +181,8 @@ class _Room(NamedTuple):
         ]
         if found and len(missing["figures over time"]) == len(seen):
             found.append("With run --only and the name of a problem, a report has room for all of this.")
+        if seen and seen[0] not in self.detailed:
+            found.append("Every setting of every controller, defaults filled in, is in study.toml.")
         return found if self.cases else [*found, "The cases are too many for a table: see metrics.csv."]
 
 
@@ -263,7 +265,7 @@ def _study_part(
         return [*told, *_tables(fallbacks_table(seen, prefix), failures_table(results, prefix))]
 
     def settings() -> list[Block]:
-        families = [] if reproduction or not first else family_tables(first, prefix)
+        families = family_tables(first, prefix) if first and first in room.detailed else []
         parameters = [("see parameters", reproduction.parameters)] if reproduction else _tables(*families)
         return [*_tables(*settings_tables(results, first, prefix)), *parameters]
 

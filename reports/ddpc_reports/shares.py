@@ -140,6 +140,9 @@ def _in_words(condition: Condition, key: str, zero: ControllerResults, full: Con
     if more := ahead[_NAMED:]:
         parts.append(Markup("{} more down to {}").format(len(more), share_words(found[more[-1]])))
     text = join_words(parts) if parts else Markup("none is better than at 0\u00a0%")
+    ways = max(sample.runs for sample in found.values())
+    if ways < len(condition.seeds):
+        text += Markup(" (on {} of {} seeds there is a way to go)").format(ways, len(condition.seeds))
     behind = [by_key[name] for name in order if name not in ahead]
     if behind:
         text += Markup("; worse than at 0\u00a0%, or lost: {}").format(join_words(names(behind)))

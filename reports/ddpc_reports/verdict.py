@@ -140,7 +140,7 @@ def _unsure_words(condition: Condition, key: str) -> Markup:
     """Name those from which the seeds do not tell the first apart; nothing if there are none."""
     unsure = condition.not_told_apart(key)
     words = Markup("; the seeds do not tell it apart from {}").format
-    return words(_some(names(unsure))) if unsure else Markup("")
+    return words(some_of(names(unsure))) if unsure else Markup("")
 
 
 def _among(condition: Condition) -> str:
@@ -229,7 +229,7 @@ def _in_short(condition: Condition, key: str) -> Markup:
     if unsure:
         values = {one.key: show(value) for value, one in order}
         named = [Markup("<i>{}</i> {}").format(one.label, values[one.key]) for one in unsure]
-        text += Markup(", not told apart from {}").format(_some(named))
+        text += Markup(", not told apart from {}").format(some_of(named))
     elif len(order) > len(alike):
         value, next_one = order[len(alike)]
         text += Markup(", then <i>{}</i> {}").format(next_one.label, show(value))
@@ -367,7 +367,7 @@ def _first(condition: Condition, key: str, one: ControllerResults) -> Markup:
     return (Markup("<i>{}</i>") if unsure else Markup("<b>{}</b>")).format(one.label)
 
 
-def _some(parts: Sequence[Markup]) -> Markup:
+def some_of(parts: Sequence[Markup]) -> Markup:
     """Join the first of some parts as in a sentence, and say how many more there are."""
     more = len(parts) - _NAMED
     return join_words([*parts[:_NAMED], *([f"{more} more"] if more > 0 else [])])
@@ -391,7 +391,7 @@ def _told_apart(condition: Condition, key: str) -> Markup:
         )
         for one in unsure
     ]
-    return Markup(" The seeds do not tell it apart from {}.").format(_some(named))
+    return Markup(" The seeds do not tell it apart from {}.").format(some_of(named))
 
 
 def _difference(found: Difference, key: str) -> str:
@@ -523,7 +523,7 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
 def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
     """Name the scenarios in which the seeds do not tell the first apart from others."""
     where = [
-        Markup("<i>{}</i> (from {})").format(condition.label, _some(names(unsure)))
+        Markup("<i>{}</i> (from {})").format(condition.label, some_of(names(unsure)))
         for condition in conditions
         if (unsure := condition.not_told_apart(key))
     ]
