@@ -39,8 +39,11 @@ _CHUNK, _CHUNKS = 1 << 16, 16
 LEFT_BEHIND = 70
 _FIRST_WINDOWS_FAULT = 0xC0000000
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
-# Small matrices gain nothing from threaded linear algebra, and threads do not survive a fork.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+# Whatever the surroundings say: small matrices gain nothing from threaded linear algebra, threads do not
+# survive a fork, and the last digits of a result depend on how many there are.
+ONE_THREAD = dict.fromkeys((f"{library}_NUM_THREADS" for library in ("OMP", "OPENBLAS", "MKL")), "1") | {
+    "VECLIB_MAXIMUM_THREADS": "1"
+}
 
 
 class Ending(NamedTuple):
@@ -96,7 +99,7 @@ def start_python(code: str, stdin: int, pass_fds: Sequence[int] = ()) -> "subpro
         stdin=stdin,
         stdout=null,
         stderr=null,
-        env=ONE_THREAD | os.environ,
+        env=os.environ | ONE_THREAD,
         start_new_session=True,
         creationflags=flags,
         pass_fds=pass_fds,

@@ -307,7 +307,7 @@ def run(connection: socket.socket) -> None:
         path, place, environment, folder, sandbox = pickle.loads(channel.receive(sys.maxsize))
         sys.path += [entry or place for entry in path if entry not in sys.path]
         os.environ.clear()
-        os.environ.update(ONE_THREAD | environment | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
+        os.environ.update(environment | ONE_THREAD | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
         tempfile.tempdir = folder
         with contextlib.suppress(OSError):
             os.chdir(place or folder)

@@ -185,6 +185,35 @@ def test_an_fmu_that_cannot_be_loaded_is_tried_again(write_study: WriteStudy) ->
         assert results.cases[0].reason.endswith("when this is run again, it is tried again")
 
 
+THREADS = """
+import os
+import numpy as np
+from ddpc_cosim import Controller
+
+class Threads(Controller):
+    def start(self, loop):
+        np.ones((999, 999)) @ np.ones((999, 999))
+    def step(self, sample):
+        return np.ones(1)
+    def diagnostics(self):
+        tasks = {name: len(os.listdir(f"/proc/{pid}/task")) for name, pid in
+                 (("own", os.getpid()), ("of the server", os.getppid()))}
+        return tasks | {"told": float(os.environ["OPENBLAS_NUM_THREADS"])}
+"""
+
+
+def test_a_worker_has_one_thread_of_linear_algebra_whatever_the_surroundings_say(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    (tmp_path / "counting.py").write_text(THREADS, encoding="utf-8")
+    write_study("counting:Threads")
+    more = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "4")
+    done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out", **more)
+    assert done.returncode == 0, done.stderr
+    (case,) = load_results(tmp_path / "out").cases
+    assert case.diagnostics == {"own": 1.0, "of the server": 1.0, "told": 1.0}
+
+
 def test_the_results_can_be_loaded(write_study: WriteStudy) -> None:
     results, _ = run(write_study("mfapc"))
     loaded = load_results(results.folder)
