@@ -10,7 +10,7 @@ from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
@@ -105,6 +105,7 @@ class Metric(Generic[Samples]):
         return -value if self.better == "high" else value
 
 
+@lru_cache(maxsize=4096)  # all cases of a study have the same keys
 def split_key(key: str) -> tuple[str, str, str]:
     """Split a metric's key into name, signal and unit; the signal is empty for metrics of the whole run."""
     head, _, unit = key.partition(" [")

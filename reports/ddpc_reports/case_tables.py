@@ -36,6 +36,8 @@ from ddpc_reports.table import (
 
 _READ, _READ_IN_ALL = 20, 200
 """Cases of a controller, and of all, whose samples are read: the first ones tell the reasons."""
+_MOST_CASES = 1500
+"""Cases that have a row each, of 650 bytes."""
 _MOST_FAILED = 50
 """Cases that did not complete of which each has a row."""
 _REASONS_SHOWN = 6
@@ -74,9 +76,9 @@ def step_time_table(condition: Condition, prefix: str) -> Table:
 
 
 def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], prefix: str) -> Table:
-    """Return every case with its outcome and main metrics, in the study's order."""
-    keys = _case_keys(condition_of_all)
-    values = {key: [_value(case, key) for case in results.cases] for key in keys}
+    """Return the cases with outcomes and main metrics, in the study's order: all that there is room for."""
+    keys, cases = _case_keys(condition_of_all), _shown_cases(results)
+    values = {key: [_value(case, key) for case in cases] for key in keys}
     scales = [shown_as(key, values[key]) for key in keys]
     columns = [
         number_cells([value * factor for value in values[key]])
@@ -85,7 +87,7 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
     several = len(condition_of_all) > 1
     names, numbers = labels(results), indices(results)
     rows = []
-    for i, case in enumerate(results.cases):
+    for i, case in enumerate(cases):
         outcome = outcome_words(case)
         shown = [
             *([Cell(case.scenario, case.scenario)] if several else []),
@@ -101,13 +103,20 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
         Heading("outcome", numeric=False),
         *(Heading(_case_title(key), unit) for key, (unit, _) in zip(keys, scales, strict=True)),
     ]
+    total = len(results.cases)
+    caption, which = f"Every case ({total})", ""
+    if len(cases) < total:
+        caption = f"{len(cases)} of {total} cases"
+        which = (
+            "Up to half of the rows: cases that do not stay near their reference; the others: first seeds. "
+        )
     return Table(
         f"{prefix}cases",
-        f"Every case ({len(results.cases)})",
+        caption,
         tuple(headings),
         tuple(rows),
         (
-            "All metrics of every case are in the file metrics.csv next to the results. "
+            f"{which}All metrics of every case are in the file metrics.csv next to the results. "
             "Values of cases that did not complete cover their samples up to where they ended. "
             "Of a run that does not stay near its reference, figures of the response would say nothing.",
         ),
@@ -115,6 +124,17 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
         kind="cases",
         download="cases.csv",
     )
+
+
+def _shown_cases(results: StudyResults) -> Sequence[CaseResult]:
+    """Return all cases; of too many the first that are lost, and those of the first seeds."""
+    if len(results.cases) <= _MOST_CASES:
+        return results.cases
+    lost = [case for case in results.cases if not case.holds][: _MOST_CASES // 2]
+    place = {seed: i for i, seed in enumerate(dict.fromkeys(case.seed for case in results.cases))}
+    by_seed = sorted(results.cases, key=lambda case: place[case.seed])
+    shown = {*[*dict.fromkeys(case.id for case in [*lost, *by_seed])][:_MOST_CASES]}
+    return [case for case in results.cases if case.id in shown]
 
 
 _CASE_STEP_TIMES = {STEP_TIMES["median"]: "median step", STEP_TIMES["longest"]: "longest step"}

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import Outcome, Trace
-from ddpc_reports.case_tables import diagnostics_table, failures_table, fallbacks_table, warnings_table
+from ddpc_reports.case_tables import (
+    cases_table,
+    diagnostics_table,
+    failures_table,
+    fallbacks_table,
+    warnings_table,
+)
 from ddpc_reports.comparison import conditions
 from ddpc_reports.page import render_page
 
@@ -93,3 +99,22 @@ def test_of_thousands_of_cases_that_failed_the_first_are_listed_and_the_others_c
     assert table.caption == "Cases that did not complete (1000)"
     assert len(table.rows) == 50
     assert table.notes == ("And 950 more: their outcomes are in metrics.csv, their reasons in run.json.",)
+
+
+def test_of_thousands_of_cases_the_lost_ones_and_the_first_seeds_are_listed(
+    make_results: MakeResults,
+) -> None:
+    results = make_results()
+    cases = [
+        replace(case, id=f"{case.id}{seed}", seed=seed, holds=seed % 5 > 0)
+        for case in results.cases
+        for seed in range(1000)
+    ]
+    many = replace(results, cases=tuple(cases))
+    table = cases_table(many, conditions(many), "x-")
+    assert table.caption == "1500 of 2000 cases"
+    shown = {(row.header, int(row.cells[0].text)) for row in table.rows}
+    assert {(case.label, case.seed) for case in cases if not case.holds} < shown
+    assert {(case.label, case.seed) for case in cases if case.seed < 600} < shown
+    few = cases_table(results, conditions(results), "x-")
+    assert (few.caption, len(few.rows)) == ("Every case (2)", 2)
