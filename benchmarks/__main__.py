@@ -5,9 +5,10 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from benchmarks import fmu, inspection, isolation, mfapc, online, peers, step, tuning
+from benchmarks import cases, fmu, inspection, isolation, mfapc, online, peers, step, tuning
 
 BENCHMARKS: Mapping[str, Callable[[], bool]] = {
+    "cases": cases.main,
     "fmu": fmu.main,
     "inspect": inspection.main,
     "isolation": isolation.main,
