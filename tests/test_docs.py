@@ -5,6 +5,7 @@ import shlex
 import shutil
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner
 
@@ -69,6 +70,15 @@ def test_every_command_that_the_readme_shows_exists() -> None:
     shown = re.findall(r"ddpc-cosim ([a-z]+)", (ROOT / "README.md").read_text(encoding="utf-8"))
     assert set(shown) <= set(main.commands)
     assert {"run", "report", "list", "export"} <= set(shown)
+
+
+@pytest.mark.parametrize("code", blocks("sh"))
+def test_commands_have_the_options_that_they_are_shown_with(code: str) -> None:
+    for line in code.replace("\\\n", " ").splitlines():
+        if line.startswith("ddpc-cosim "):
+            _, name, *arguments = shlex.split(line, comments=True)
+            command = main.commands[name]
+            command.make_parser(click.Context(command)).parse_args(arguments)
 
 
 def test_the_readme_begins_with_the_two_commands() -> None:

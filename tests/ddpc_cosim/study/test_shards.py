@@ -1,5 +1,7 @@
 """Shards of a study: disjoint, together the whole, and put together by the next run."""
 
+import csv
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,8 +15,8 @@ from ddpc_cosim.study.runner import Selection
 WriteStudy = Callable[..., Path]
 
 
-def run(study: Path, *options: str) -> str:
-    out = study.parent / "out"
+def run(study: Path, *options: str, folder: str = "out") -> str:
+    out = study.parent / folder
     done = CliRunner().invoke(main, ["run", str(study), "--out", str(out), "--jobs", "1", *options])
     assert done.exit_code == 0, done.output
     return done.output
@@ -66,6 +68,26 @@ def test_shards_in_one_folder_are_one_study(write_study: WriteStudy) -> None:
     run(study)
     assert {path: path.stat().st_mtime_ns for path in out.glob("cases/*/*")} == before
     assert len((out / "metrics.csv").read_text().splitlines()) == 5
+
+
+def test_shards_in_folders_of_their_own_are_put_together_by_copying_their_cases(
+    write_study: WriteStudy,
+) -> None:
+    study = write_study("mfapc", seeds="[0, 1]")
+    for part in ("1", "2"):
+        run(study, "--shard", f"{part}/2", folder=part)
+        shutil.copytree(study.parent / part / "cases", study.parent / "out/cases", dirs_exist_ok=True)
+    run(study)
+    run(study, folder="at-once")
+    assert "2 cases: 0 to run, 2 already there" in run(study, "--dry-run")
+    assert metrics_of(study.parent / "out") == metrics_of(study.parent / "at-once")
+
+
+def metrics_of(folder: Path) -> tuple[list[str], list[list[str]]]:
+    """Return metrics.csv, bar how long things took."""
+    header, *rows = csv.reader((folder / "metrics.csv").read_text().splitlines())
+    kept = [number for number, name in enumerate(header) if "solve_time" not in name]
+    return [header[number] for number in kept], [[row[number] for number in kept] for row in rows]
 
 
 def test_a_shard_without_cases_has_nothing_to_do(write_study: WriteStudy) -> None:
