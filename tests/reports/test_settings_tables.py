@@ -12,7 +12,7 @@ from markupsafe import Markup
 from pydantic import BaseModel, ValidationError
 
 from ddpc_cosim import StudyResults, Trace
-from ddpc_cosim.study.file_format.sections import ReportSection, SearchSection, Study
+from ddpc_cosim.study.file_format.sections import ReferencePoints, ReportSection, SearchSection, Study
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_reports import figures, settings_tables as settings_module
 from ddpc_reports.comparison import conditions
@@ -316,8 +316,11 @@ def test_the_study_of_these_tests_sets_every_field_there_is() -> None:
         ("PlantSection", "fmu"),  # in place of its name
         ("ControllerSection", "search"),  # of what is tuned, not of what is run
         *(("SearchSection", key) for key in SearchSection.model_fields),
+        ("ReportSection", "reference_points"),  # in tests of shares
+        *(("ReferencePoints", key) for key in ReferencePoints.model_fields),
         ("Study", "variant_of"),  # in the table of the study's sweep
         ("Study", "varied"),
+        ("Study", "based_on"),  # whose settings it has
     }
     assert known - set(set_fields(Study.model_validate(CONTENT))) == elsewhere
 
@@ -396,7 +399,9 @@ def test_what_the_study_says_of_itself_is_in_the_page(
         for path, value in reversed([*changes(content)])
         if path[0] in TEXTS and path[-2:-1] != ("controllers",)
     }
-    assert {path[1] for path in told if path[0] == "report"} == set(ReportSection.model_fields)
+    assert {path[1] for path in told if path[0] == "report"} == {*ReportSection.model_fields} - {
+        "reference_points"
+    }
     pages = {render_page([results]): "the study itself"}
     for path, value in told.items():
         page = render_page([with_study(results, changed(content, path, value))])
