@@ -80,6 +80,11 @@ class StudyResults:
         return self.whole.head.name if self.whole.head.name in names else next(iter(names))
 
     @property
+    def trials_file(self) -> Path:
+        """Where ``tune`` leaves the trials that led to the settings of the study; else there is none."""
+        return self.folder / TRIALS_FILE
+
+    @property
     def study(self) -> "Study":
         """The study of the only problem.
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ddpc_cosim import StudyResults
-from ddpc_cosim.study.results import TRIALS_FILE
 from ddpc_reports.charts import front_chart
 from ddpc_reports.figures import Figure, one_chart
 from ddpc_reports.settings_tables import mapping_text
@@ -45,10 +44,9 @@ class _Search:
 
 def _read(results: StudyResults) -> tuple[list[str], list[_Search]]:
     """Return what the figures are, and the trials of each controller; nothing where none was tuned."""
-    file = results.folder / TRIALS_FILE
-    if not file.is_file():
+    if not results.trials_file.is_file():
         return [], []
-    with file.open(encoding="utf-8", newline="") as content:
+    with results.trials_file.open(encoding="utf-8", newline="") as content:
         head, *rows = csv.reader(content)
     count = (len(head) - len(_BEFORE) - len(_BETWEEN) - len(_AFTER)) // 2
     found: dict[str, list[_Trial]] = {}
