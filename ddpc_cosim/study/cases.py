@@ -47,7 +47,10 @@ if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
 
 _MOST_LISTED = 8
 # What a case has besides all that decides its result.
-_NAMES, _SURROUNDINGS = ("label", "id", "problem"), ("step_timeout", "memory_limit", "sandbox", "storage")
+_NAMES, _SURROUNDINGS = (
+    ("label", "id", "problem"),
+    ("step_timeout", "case_timeout", "memory_limit", "sandbox", "storage"),
+)
 _NOT_DECISIVE = (*_NAMES, *_SURROUNDINGS, "late", "metrics", "seed")
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
 
@@ -92,6 +95,8 @@ class Case:
         Parameter changes during the run.
     preview : int or None
         How many future references any controller may see; None: as many as it asks for.
+    case_timeout : float or None
+        Longest time for the whole case [s]; None: any.
     memory_limit : float or None
         Memory that its process may have [GB]; None: its share of the machine's.
     step_timeout : float
@@ -140,6 +145,7 @@ class Case:
     undriven: tuple[Variable, ...] = ()
     metrics: MetricSettings = field(default_factory=MetricSettings)
     step_timeout: float = safe_calls.DEFAULT_STEP_TIMEOUT
+    case_timeout: float | None = None
     memory_limit: float | None = None
     late: str = ""
     id: str = ""
@@ -469,6 +475,7 @@ def _cases_of_problem(
                 events=events[name],
                 preview=study.loop.preview_of(scenario),
                 step_timeout=study.loop.step_timeout,
+                case_timeout=study.loop.case_timeout,
                 memory_limit=study.loop.memory_limit,
                 conditions=resolved.conditions[name],
                 undriven=resolved.undriven[name],

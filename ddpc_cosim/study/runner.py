@@ -518,7 +518,7 @@ class _Run:
         temporary: Path,
         surroundings: Surroundings,
     ) -> None:
-        began = monotonic()
+        self._began = began = monotonic()
         self.case, self._folder, self._staging = case, folder, staging
         self._staged, self._place = (Path(tempfile.mkdtemp(dir=within)) for within in (staging, temporary))
         sandbox = None
@@ -559,6 +559,9 @@ class _Run:
                 self._accept()
         elif self._hangs():
             self._end_worker(self._limit(self._store.call))
+        elif (most := self.case.case_timeout) is not None and monotonic() - self._began > most:
+            reason = f"the run: not done within {most:g} s; its process was ended"
+            self._give_up(Outcome.TIMED_OUT, f"{reason}; raise loop.case_timeout if it needs longer")
         else:
             return False
         self.close()

@@ -533,6 +533,36 @@ def test_one_that_never_returns_when_the_study_is_read_costs_its_cases_and_no_ot
     assert judged == judged[-1:] * len(judged)
 
 
+ENDLESS = """
+import signal, time
+import numpy as np
+from ddpc_cosim import Controller
+
+class Endless(Controller):
+    def start(self, loop):
+        pass
+    def step(self, sample):
+        signal.sigtimedwait([], 0.3)
+        return np.ones(1)
+"""
+
+
+def test_a_case_that_takes_too_long_is_ended_though_each_call_returns(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    (tmp_path / "endless.py").write_text(ENDLESS, encoding="utf-8")
+    study = write_study("endless:Endless", duration=1000.0)
+    text = study.read_text(encoding="utf-8").replace("[loop]", "[loop]\ncase_timeout = 2.0")
+    study.write_text(text, encoding="utf-8")
+    done = run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out")
+    assert done.returncode == 1
+    (case,) = load_results(tmp_path / "out").cases
+    assert (case.outcome, case.transient) == ("timed-out", True)
+    assert case.reason.endswith(
+        "not done within 2 s; its process was ended; raise loop.case_timeout if it needs longer"
+    )
+
+
 def test_a_stabilising_controller_that_never_returns_is_an_error(
     write_study: WriteStudy, tmp_path: Path, run_program: Run
 ) -> None:

@@ -48,6 +48,7 @@ CONTENT: dict[str, Any] = {
         "start_time": 2.0,
         "start": "recording-end",
         "step_timeout": 5.0,
+        "case_timeout": 60.0,
         "memory_limit": 1.5,
         "preview": 3,
     },

@@ -119,6 +119,7 @@ class LoopSection(Section):
     step_timeout: Positive = Field(
         DEFAULT_STEP_TIMEOUT, description="longest time for any call of the plant or of a controller [s]"
     )
+    case_timeout: Positive | None = Field(None, description="longest time for a whole case [s]; none: any")
     memory_limit: Positive | None = Field(
         None, description="memory that a case may have [GB]; none: its share of the machine's (Linux)"
     )
