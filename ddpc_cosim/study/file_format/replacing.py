@@ -108,8 +108,9 @@ def without_panels_of(controllers: Collection[str], report: Table) -> Table:
     kept = []
     for panel in panels:
         if isinstance(panel, dict) and isinstance(panel.get(CONTROLLERS), list):
-            panel = panel | {CONTROLLERS: [one for one in panel[CONTROLLERS] if one not in controllers]}
-            if not panel[CONTROLLERS]:
+            shown = [one for one in panel[CONTROLLERS] if not (isinstance(one, str) and one in controllers)]
+            panel = panel | {CONTROLLERS: shown}
+            if not shown:
                 continue
         kept.append(panel)
     return report | {"panels": kept}

@@ -244,10 +244,15 @@ def test_a_flat_study_is_extended_and_another_plant_replaces_the_first(tmp_path:
             "b.toml:1: extends: takes from itself: mine.toml -> a.toml -> b.toml -> a.toml",
         ),
         ('extend = "paper"', "mine.toml:1: extend: unknown key; use extends"),
+        (
+            'extends = "deep.toml"',
+            "mine.toml:1: extends: deep.toml: tables within tables; allowed: 100 levels",
+        ),
     ],
 )
 def test_what_cannot_be_extended(tmp_path: Path, said: str, expected: str) -> None:
-    for name, text in {"a": 'extends = "b.toml"', "b": 'extends = "a.toml"', "bad": "="}.items():
+    files = {"a": 'extends = "b.toml"', "b": 'extends = "a.toml"', "bad": "=", "deep": f"{'a.' * 900}b = 1"}
+    for name, text in files.items():
         (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
     assert [fault for fault in faults(tmp_path, said) if fault.startswith(expected)]
 

@@ -4,7 +4,14 @@ from typing import Any
 
 from hypothesis import given, settings, strategies as st
 
-from ddpc_cosim.study.file_format.replacing import Table, changed_controller, extended, not_said, replaced
+from ddpc_cosim.study.file_format.replacing import (
+    Table,
+    changed_controller,
+    extended,
+    not_said,
+    replaced,
+    without_panels_of,
+)
 
 WORDS = "plant loop name title report panels controllers problems sweep seeds type settings tuned search a é"
 KEYS = st.one_of(st.sampled_from(WORDS.split(" ")), st.just("controllers.a.settings.b"))
@@ -88,3 +95,9 @@ def test_false_leaves_a_table_out_where_it_may() -> None:
     changes: Table = {"recording": False, "scenarios": {"a": False}, "plant": {"isolated": False}}
     assert replaced(base, changes, leave_out=True) == {"scenarios": {"b": {}}, "plant": {"isolated": False}}
     assert replaced(base, changes)["recording"] is False
+
+
+def test_panels_lose_the_controllers_that_are_left_out_whatever_else_they_name() -> None:
+    report = {"panels": [{"controllers": ["a", "b", []]}, {"controllers": ["a"]}, 3, {"controllers": 3}]}
+    kept = [{"controllers": ["b", []]}, 3, {"controllers": 3}]
+    assert without_panels_of({"a"}, report) == {"panels": kept}
