@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from ddpc_cosim import Controller
 from ddpc_cosim.study.cases import Case
-from ddpc_cosim.trace import Trace
+from ddpc_cosim.study import case_files
 
 @dataclass(kw_only=True)
 class Meddles(Controller):
@@ -61,16 +61,16 @@ class Cut(Meddles):
 
 class Links(Meddles):
     def meddle(self):
-        def link(trace, path):
+        def link(path, *columns):
             path.symlink_to("/etc/hostname")
-        Trace.write_csv = link
+        case_files.write_table = link
 
 class Stages(Meddles):
     def meddle(self):
-        def staged(trace, path):
+        def staged(path, *columns):
             self.stage(path)
             say(b'{"result": null}')
-        Trace.write_csv = staged
+        case_files.write_table = staged
 
 class Removes(Stages):
     def stage(self, path): path.parent.rmdir()

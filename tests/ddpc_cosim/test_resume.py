@@ -338,7 +338,8 @@ LEAVING = """
 import os
 from dataclasses import dataclass
 import numpy as np
-from ddpc_cosim import Controller, Trace
+from ddpc_cosim import Controller
+from ddpc_cosim.study import case_files
 
 class Odd(Exception):
     def __init__(self, one, two):
@@ -366,7 +367,7 @@ class Fills(Interrupts):
     def start(self, loop):
         def fail(*_):
             raise OSError(28, "No space left on device")
-        Trace.write_csv = fail
+        case_files.write_table = fail
     def step(self, sample):
         return np.ones(1)
 """
