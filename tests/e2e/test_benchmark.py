@@ -47,9 +47,7 @@ def test_every_method_meets_the_same_problems_with_the_same_budget_of_tuning() -
 
 def test_what_is_possible_is_reached_and_nothing_done_is_far_from_it(nominal: StudyResults) -> None:
     assert all(case.outcome is Outcome.COMPLETED for case in nominal.cases)
-    assert {case.problem for case in nominal.cases if case.controller == "nmpc" and case.holds} == set(
-        nominal.problems
-    )
+    assert all(case.holds for case in nominal.cases if case.controller == "nmpc")
     shares = nominal.shares()
     assert (shares["full"] < 0.1 * shares["zero"]).all()
 
