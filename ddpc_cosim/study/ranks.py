@@ -117,6 +117,7 @@ def performance_profile(
     above, below = (best, values) if better == "high" else (values, best)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(known, np.where(above == below, 1.0, above / below), math.inf)
+    ratios[ratios < 1 + 1e-9] = 1.0  # what differs by rounding alone is as good
     steps = np.unique(np.append(ratios[np.isfinite(ratios)], 1.0))
     shares = []
     for column in ratios.T:

@@ -66,13 +66,15 @@ def overall(problems: Sequence[StudyResults]) -> Overall | None:
     held: dict[str, tuple[int, int]] = {}
     left_out = []
     for number, results in enumerate(problems):
-        seen = [condition for condition in conditions(results) if not condition.none_follows]
+        everywhere = conditions(results)
+        for one in (one for condition in everywhere for one in condition.controllers):
+            found.setdefault(one.key, one)
+        seen = [condition for condition in everywhere if not condition.none_follows]
         if not seen:
             left_out.append(results.study.title or results.study.name)
         for condition in seen:
             rows += _rows_of(condition, number)
             for one in condition.controllers:
-                found.setdefault(one.key, one)
                 near, runs = held.get(one.key, (0, 0))
                 held[one.key] = near + len(one.holding), runs + len(one.cases)
     if len({row["problem"] for row in rows}) < 2:
@@ -153,7 +155,7 @@ def overall_table(found: Overall, prefix: str) -> Table:
         for factor in (1.0, _FACTOR)
     }
     groups = letters(found.ranks.groups)
-    near = [f"{near} of {runs}" for near, runs in (found.held[one.key] for one in everyone)]
+    near = [f"{near} of {runs}" for near, runs in (found.held.get(one.key, (0, 0)) for one in everyone)]
     ranks = number_cells([found.ranks.ranks[key] for key in order], digits=3)
     columns = [
         (Heading("average rank"), [*ranks, *blank]),
@@ -206,7 +208,13 @@ def _rank_figure(found: Overall, identifier: str) -> Figure:
         f"Average ranks over {found.problems} problems, 1 being the best. Bars are as long as the critical "
         "difference of Nemenyi's test at 5 %: controllers whose bars do not overlap are told apart"
     )
-    none = "" if found.ranks.p <= LEVEL else "; as Friedman's test finds none to differ, here none is"
+    none = (
+        "; of two controllers none is, as it takes three"
+        if math.isnan(found.ranks.p)
+        else ""
+        if found.ranks.p <= LEVEL
+        else "; as Friedman's test finds none to differ, here none is"
+    )
     return one_chart(identifier, "Average ranks", f"{caption}{none}.", rank_chart(rows))
 
 

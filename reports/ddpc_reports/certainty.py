@@ -7,7 +7,14 @@ from markupsafe import Markup
 
 from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.statistics import FEWEST, Difference, Sample, compare, describe
-from ddpc_reports.comparison import Condition, ControllerResults, metric_label, metric_signal, metric_unit
+from ddpc_reports.comparison import (
+    Condition,
+    ControllerResults,
+    metric_label,
+    metric_signal,
+    metric_unit,
+    spread,
+)
 from ddpc_reports.numbers import MISSING, as_given
 from ddpc_reports.shares import SHARE, SHARE_NOTE, share_cells, share_interval
 from ddpc_reports.table import Cell, Heading, Row, Table, interval_texts, number_cells
@@ -102,10 +109,10 @@ def _rows(condition: Condition, key: str) -> list[Row]:
     cells = [
         [Cell(f"{s.known} of {s.runs}", s.known, failed=s.known < s.runs) for s in samples],
         number_cells([s.median for s in samples]),
-        _intervals(samples),
+        _intervals(samples, [not spread(one.runs(key).values()).varies for one in order]),
         *_shares(condition, key, order),
         number_cells([one.median if one else math.nan for one in found]),
-        _intervals(found),
+        _intervals(found, [one is not None and one.constant for one in found]),
         [_p(one) for one in found],
         [_ahead(one) for one in found],
         [Cell(letters.get(one.key, MISSING)) for one in order],
@@ -135,11 +142,11 @@ def _shares(condition: Condition, key: str, order: Sequence[ControllerResults]) 
     return [share_cells(condition, order, key), [share_interval(found.get(one.key)) for one in order]]
 
 
-def _intervals(found: Sequence[Sample | Difference | None]) -> list[Cell]:
+def _intervals(found: Sequence[Sample | Difference | None], exact: Sequence[bool]) -> list[Cell]:
     ends = [(one.low, one.high) if one else (math.nan, math.nan) for one in found]
     return [
-        Cell("exact" if low == high else text, MISSING if math.isnan(low) else f"{low!r} … {high!r}")
-        for text, (low, high) in zip(interval_texts(ends), ends, strict=True)
+        Cell(MISSING, MISSING) if math.isnan(low) else Cell("exact" if same else text, f"{low!r} … {high!r}")
+        for text, (low, high), same in zip(interval_texts(ends), ends, exact, strict=True)
     ]
 
 

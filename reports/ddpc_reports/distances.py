@@ -40,7 +40,7 @@ class Distances:
     controllers : list of ControllerResults
         Those that compete, the best rank first, and the reference points.
     overall : dict of str to Sample
-        By controller, over the medians of the problems.
+        By controller, over the medians of the problems; of those with shares wherever there is a way to go.
     problems, scenarios : dict of str to dict
         By name the same of one problem, over its seeds, and of one scenario, over the problems.
     ahead : dict of str to list of str
@@ -99,11 +99,10 @@ def _part(found: Mapping[str, Runs], scenario: str) -> dict[str, Sample]:
 
 
 def _over(problems: Iterable[Mapping[str, Sample]]) -> dict[str, Sample]:
-    """Sum up the medians of problems by controller: each problem counts as one value."""
-    found: dict[str, list[Sample]] = {}
-    for of_one in problems:
-        for name, sample in of_one.items():
-            found.setdefault(name, []).append(sample)
+    """Sum up the medians of problems, each as one value, of the controllers that are in all with any."""
+    tables = [of_one for of_one in problems if of_one]
+    names = [name for name in (tables[0] if tables else ()) if all(name in of_one for of_one in tables)]
+    found = {name: [of_one[name] for of_one in tables] for name in names}
     return {
         name: describe({("", number): one.median for number, one in enumerate(own)})._replace(
             known=sum(not is_lost(one) for one in own)
@@ -151,7 +150,7 @@ def distance_statements(far: Distances, first: Iterable[str]) -> list[Statement]
         The controller with the best rank, and those that the problems do not tell apart from it.
     """
     known = [one for one in far.controllers if one.key in far.overall]
-    if not known:
+    if not far.ahead:
         none = Markup("There is no way to go between the reference points in any problem: no shares.")
         return [Statement("Distance", none)]
     order = sorted(known, key=lambda one: -far.overall[one.key].median)
@@ -161,7 +160,9 @@ def distance_statements(far: Distances, first: Iterable[str]) -> list[Statement]
         parts.append(Markup("{} more, the last, <i>{}</i>, {}").format(len(more), more[-1].label, words))
     points = [one for one in far.controllers if one.is_point]
     text = Markup("Of the way between {}, which do not compete, in the median of {}: {}.").format(
-        join_words(names(points)), counted(len(far.ahead), "problem"), Markup("; ").join(parts)
+        join_words(names(points)),
+        counted(len(far.ahead), "problem"),
+        Markup("; ").join(parts or ["no controller ran in each"]),
     )
     if far.without:
         text += Markup(" In {} there is no way to go.").format(join_words(far.without))

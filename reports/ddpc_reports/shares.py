@@ -66,8 +66,8 @@ def share_interval(found: Sample | None) -> Cell:
     """Return the 95 % interval of the median of shares as a cell."""
     if found is None or math.isnan(found.low):
         return Cell(MISSING)
-    ends = f"{share_percent(found.low)} … {share_percent(found.high)}"
-    return Cell("exact" if found.low == found.high else ends, f"{found.low!r} … {found.high!r}")
+    low, high = share_percent(found.low), share_percent(found.high)
+    return Cell(low if low == high else f"{low} … {high}", f"{found.low!r} … {found.high!r}")
 
 
 def point_cell(one: ControllerResults) -> Cell | None:

@@ -131,6 +131,19 @@ def test_too_few_seeds_are_said_to_be_and_nothing_is_tested(make_results: MakeRe
     assert "Seeds" not in plain(certainty_statements(enough))
 
 
+def test_an_interval_of_one_point_is_not_exact_where_the_seed_changes_something(
+    make_results: MakeResults,
+) -> None:
+    two = {key: THREE[key] for key in ("quick", "slow")}
+    results = make_results(
+        lambda key, seed: make_trace(0.6 if (key, seed) == ("slow", 0) else 0.5), two, seeds=[*range(8)]
+    )
+    shown = rows(table_of(results))
+    assert shown["quick"].cells[2].text == "exact"
+    assert "exact" not in [cell.text for cell in shown["slow"].cells]
+    assert shown["slow"].cells[4].raw == "0.0 … 0.0"
+
+
 def test_what_the_seed_does_not_change_is_exact(make_results: MakeResults) -> None:
     results = make_results(lambda key, seed: make_trace(0.5 if key == "quick" else 1.0), seeds=[0, 1])
     slow = rows(table_of(results))["slow"]

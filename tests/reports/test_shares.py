@@ -144,6 +144,49 @@ def test_over_problems_ranks_distances_and_costs(make_results: MakeResults) -> N
     assert cells(where, "p2") == {"good": f"{good[2]:.0f}", "fair": "lost", "poor": "lost"}
 
 
+def test_who_ran_in_some_problems_has_no_share_over_all(make_results: MakeResults) -> None:
+    """A guest is the best, but in one problem only, in which no controller follows the reference."""
+
+    def run(n: int, key: str) -> Trace:
+        slow = {"guest": 1.8, "ideal": 2.0, "good": 2.2, "fair": 2.4}
+        return make_trace(slow.get(key, LAGS.get(key, 1.0)) if n == 2 else LAGS[key])
+
+    guest = FIVE | {"guest": {"type": "guest", "label": "Guest"}}
+    found = overall(
+        [
+            make_results(
+                lambda key, seed, n=n: run(n, key), guest if n == 2 else FIVE, name=f"p{n}", report=POINTS
+            )
+            for n in range(3)
+        ]
+    )
+    assert found
+    assert found.distances
+    assert found.left_out == ["Synthetic study"]
+    assert "guest" in found.distances.problems["p2"]
+    assert list(found.distances.overall) == ["good", "fair", "poor"]
+    told = texts(overall_statements(found))
+    assert "in the median of 3 problems: Good" in told["Distance"]
+    assert "Guest" not in told["Distance"]
+    assert "p2: Guest 1" in told["Which where"]
+    table = overall_table(found, "")
+    assert cells(table, "share of the way median (%)")["guest"] == "\N{EN DASH}"
+    assert cells(table, "share of the way most (%)")["guest"] != "\N{EN DASH}"
+
+
+def test_an_interval_of_lost_runs_alone_is_not_said_to_be_exact(make_results: MakeResults) -> None:
+    """Seven of eight runs are lost: the interval of the median is one point, though the seeds differ."""
+
+    def run(key: str, seed: int) -> Trace:
+        return make_trace(30.0 if key == "fair" and seed else LAGS[key])
+
+    (seen,) = conditions(make_results(run, FIVE, seeds=[*range(8)], report=POINTS))
+    sure = certainty_table(seen, "")
+    assert sure
+    shown = cells(replace(sure, rows=sure.rows[:5]), "share of the way interval (%)")
+    assert shown["fair"] == "< \N{MINUS SIGN}100"
+
+
 def test_a_page_of_many_problems_keeps_what_is_over_all(
     make_results: MakeResults, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -123,6 +123,12 @@ def test_a_performance_profile_by_hand() -> None:
     assert shares.T.tolist() == [[0.5, 0.5, 0.75], [0.25, 0.5, 0.5]]
 
 
+def test_what_differs_by_rounding_is_as_good_as_the_best() -> None:
+    steps, shares = performance_profile(np.array([[1.0, 1.0 + 1e-13], [3.0, 1.0]]))
+    assert steps.tolist() == [1.0, 3.0]
+    assert shares.tolist() == [[0.5, 1.0], [1.0, 1.0]]
+
+
 def test_each_problem_has_the_same_weight() -> None:
     table = {"p": {"a": [1.0] * 4, "b": [2.0, 2.0, 2.0, NAN]}, "q": {"a": [3.0], "b": [1.0]}}
     found = profile_frame(frame(table), METRIC)
