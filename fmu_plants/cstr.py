@@ -13,8 +13,8 @@ values: D. E. Seborg, T. F. Edgar, D. A. Mellichamp, "Process Dynamics and Contr
 0.239 J/(g.K), feed at 1 mol/L and 350 K. Minutes are seconds here.
 
 At a coolant temperature of 300 K there are three equilibria. The simulation begins at the cold one, which
-is stable (324.5 K, 12 % conversion); the middle one at 350 K and 50 % conversion is not, and from a coolant
-of about 305 K on the reactor ignites.
+is stable (324.5 K, 12 % conversion); the middle one at 350 K and 50 % conversion is not. The two meet at a
+coolant of 303.23 K and 335.7 K in the reactor: above that coolant it ignites.
 """
 
 from math import exp

@@ -275,8 +275,9 @@ def test_the_reactor_has_three_equilibria_of_which_it_begins_at_the_cold_one():
     assert eigvals(linearise(model).A).real.max() < 0.0
     at_the_middle = [1.0 / (1.0 + 7.2e10 * np.exp(-8750.0 / middle)), middle]
     assert eigvals(linearise(model, at_the_middle, [300.0]).A).real.max() > 0.0
-    ignited = [imbalance(temperature, 306.0) for temperature in np.linspace(300.0, 360.0, 121)]
-    assert min(ignited) > 0.0  # no equilibrium is left below
+    below_hot = np.arange(300.0, 360.0, 0.1)
+    assert min(imbalance(temperature, 303.22) for temperature in below_hot) < 0.0
+    assert min(imbalance(temperature, 303.24) for temperature in below_hot) > 0.0  # only the hot one is left
 
 
 def test_the_drive_resonates_lightly_damped_at_nine_hertz():
@@ -327,6 +328,22 @@ def test_the_boiler_begins_at_the_published_point():
     assert level(starts(model.states), u) == pytest.approx(0.0, abs=0.01)
     poles = eigvals(linearise(model).A).real
     assert np.sort(poles) == pytest.approx([-0.1, -0.0025, 0.0], abs=1e-4)
+
+
+def test_the_boiler_rests_at_the_published_levels():
+    """Bell and Astrom (1987), typical operating points: of each pressure, power, density, valves, level."""
+    points = (
+        [86.4, 36.65, 342.4, 0.209, 0.552, 0.256, -0.65],
+        [97.2, 50.52, 385.2, 0.271, 0.621, 0.340, -0.32],
+        [108.0, 66.65, 428.0, 0.340, 0.690, 0.433, 0.0],
+        [118.8, 85.06, 470.8, 0.418, 0.759, 0.543, 0.32],
+        [129.6, 105.8, 513.6, 0.505, 0.828, 0.663, 0.64],
+        [140.4, 128.9, 556.4, 0.600, 0.897, 0.793, 0.98],
+    )
+    for *point, published in points:
+        x, u = point[:3], point[3:]
+        assert boiler_turbine(x, u) == pytest.approx([0.0, 0.0, 0.0], abs=5e-3)
+        assert level(x, u) == pytest.approx(published, abs=0.011)
 
 
 def test_the_building_loses_heat_through_its_envelope_and_gains_the_sun():
