@@ -103,6 +103,11 @@ class Difference(NamedTuple):
         """Whether the two differ by more than chance explains."""
         return (self.constant and self.median != 0) or self.corrected <= LEVEL
 
+    @property
+    def told_worse(self) -> bool:
+        """Whether the pairs tell that the other is better, whichever has the better median of its own."""
+        return self.told_apart and self.won < 0.5
+
 
 @dataclass(frozen=True, eq=False)
 class Comparisons:

@@ -242,6 +242,13 @@ class Condition:
         }
         return [one for _, one in self.ranking(key) if one.key in alike]
 
+    def ahead_in_pairs(self, key: str) -> list[ControllerResults]:
+        """Return those that the pairs tell to be better than the first of a ranking, despite its median."""
+        pairs = self.compared(key).differences.items()
+        order = self.compared(key).order
+        ahead = {other for (one, other), found in pairs if one == order[0] and found.told_worse}
+        return [one for one in self.controllers if one.key in ahead]
+
     def alike(
         self, key: str, members: Sequence[ControllerResults | None]
     ) -> Callable[[int], list[int]] | None:
@@ -249,7 +256,8 @@ class Condition:
         if len(self.seeds) < 2:
             return None
         compared = self.compared(key)
-        apart = {pair for pair, found in compared.differences.items() if found.told_apart}
+        differences = compared.differences.items()
+        apart = {pair for pair, found in differences if found.told_apart and not found.told_worse}
         apart |= {(b, a) for a, b in apart}
 
         def of(place: int) -> list[int]:

@@ -140,7 +140,15 @@ def _unsure_words(condition: Condition, key: str) -> Markup:
     """Name those from which the seeds do not tell the first apart; nothing if there are none."""
     unsure = condition.not_told_apart(key)
     words = Markup("; the seeds do not tell it apart from {}").format
-    return words(some_of(names(unsure))) if unsure else Markup("")
+    return (words(some_of(names(unsure))) if unsure else Markup("")) + _in_pairs(condition, key)
+
+
+def _in_pairs(condition: Condition, key: str) -> Markup:
+    """Name those that are ahead of the first seed by seed, despite its median; nothing without any."""
+    ahead = names(condition.ahead_in_pairs(key))
+    be = "is" if len(ahead) == 1 else "are"
+    words = Markup("; in pairs of the same seed {} {} ahead of it").format
+    return words(some_of(ahead), be) if ahead else Markup("")
 
 
 def _among(condition: Condition) -> str:
@@ -233,7 +241,7 @@ def _in_short(condition: Condition, key: str) -> Markup:
     elif len(order) > len(alike):
         value, next_one = order[len(alike)]
         text += Markup(", then <i>{}</i> {}").format(next_one.label, show(value))
-    return text + _last(order, condition.not_ranked, show) + "."
+    return text + _in_pairs(condition, key) + _last(order, condition.not_ranked, show) + "."
 
 
 def _alike(
@@ -363,7 +371,11 @@ def _seed_by_seed(winner: ControllerResults, second: ControllerResults, key: str
 def _first(condition: Condition, key: str, one: ControllerResults) -> Markup:
     """Set the name of the first of a ranking: in bold only if the seeds tell it apart from all others."""
     several = len(condition.seeds) > 1
-    unsure = several and (condition.compared(key).too_few_seeds or condition.not_told_apart(key))
+    unsure = several and (
+        condition.compared(key).too_few_seeds
+        or condition.not_told_apart(key)
+        or condition.ahead_in_pairs(key)
+    )
     return (Markup("<i>{}</i>") if unsure else Markup("<b>{}</b>")).format(one.label)
 
 
@@ -384,14 +396,18 @@ def _told_apart(condition: Condition, key: str) -> Markup:
         tested = [found.corrected for found in others.values() if not found.constant]
         sure = f" (corrected p {p_words(max(tested), 'at most ')})" if tested else ""
         among = " that stays near its reference on each" if condition.not_ranked else ""
-        return Markup(" The seeds tell it apart from every other controller{}{}.").format(among, sure)
+        return Markup(" The seeds tell it apart from every other controller{}{}{}.").format(
+            among, sure, _in_pairs(condition, key)
+        )
     named = [
         Markup("<i>{}</i> ({}, corrected p {})").format(
             one.label, _difference(others[one.key], key), p_words(others[one.key].corrected, "= ")
         )
         for one in unsure
     ]
-    return Markup(" The seeds do not tell it apart from {}.").format(some_of(named))
+    return Markup(" The seeds do not tell it apart from {}{}.").format(
+        some_of(named), _in_pairs(condition, key)
+    )
 
 
 def _difference(found: Difference, key: str) -> str:
@@ -528,6 +544,13 @@ def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
         if (unsure := condition.not_told_apart(key))
     ]
     text = Markup(" The seeds do not tell the first apart in {}.").format(join_words(where)) if where else ""
+    behind = [
+        Markup("<i>{}</i> ({})").format(condition.label, some_of(names(ahead)))
+        for condition in conditions
+        if (ahead := condition.ahead_in_pairs(key))
+    ]
+    if behind:
+        text += Markup(" In pairs of the same seed others are ahead of it in {}.").format(join_words(behind))
     return text + seeds_needed(conditions, [key])
 
 

@@ -131,6 +131,25 @@ def test_too_few_seeds_are_said_to_be_and_nothing_is_tested(make_results: MakeRe
     assert "Seeds" not in plain(certainty_statements(enough))
 
 
+def test_the_best_median_is_not_crowned_where_the_pairs_tell_another_to_be_better(
+    make_results: MakeResults,
+) -> None:
+    """The medians are 5 and 5.05, and all pairs but one the other way round."""
+    other = [0.5, 1.5, 2.5, 3.5, 5.05, 5.1, 5.1, 5.1, 5.1]
+    lags = {"quick": [*map(float, range(1, 10))], "slow": other}
+    two = {key: THREE[key] for key in ("quick", "slow")}
+    results = make_results(lambda key, seed: make_trace(0.4 + 0.02 * lags[key][seed]), two, seeds=[*range(9)])
+    condition = conditions(results)[0]
+    spread = next(str(text) for topic, text in verdict(condition) if topic == "Spread")
+    assert "Over 9 seeds, <i>quick</i> has the smallest median" in spread
+    assert "it is ahead of the next, <i>slow</i>" in spread
+    assert "on 1 of 9." in spread
+    assert "(corrected p at most 0.0078); in pairs of the same seed <i>slow</i> is ahead of it." in spread
+    mark = condition.alike(COST, condition.controllers)
+    assert mark
+    assert mark(0) == [0, 1]
+
+
 def test_an_interval_of_one_point_is_not_exact_where_the_seed_changes_something(
     make_results: MakeResults,
 ) -> None:
