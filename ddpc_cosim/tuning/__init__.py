@@ -100,11 +100,10 @@ class Request:
         """What trials are compared by, in words."""
         return "; ".join(map(str, self.objectives)) + ", of those with the fewest runs lost"
 
-    @property
-    def summary(self) -> str:
-        """What has been done, in a sentence."""
-        seeds = ", ".join(map(str, self.seeds[:8])) + (", ..." if self.seeds[8:] else "")
-        return f"Tuned with {self.trials} trials for each controller on the seeds {seeds}, by {self.by}."
+    def summary(self, controllers: Sequence[str]) -> str:
+        """Say of these controllers what has been done, in a sentence."""
+        who, seeds = _listed(controllers), _listed(self.seeds)
+        return f"Tuned with {self.trials} trials each on the seeds {seeds}, by {self.by}: {who}."
 
     def on_seeds_of_its_own(self, reported: Sequence[int]) -> Self:
         """Return the request with seeds that a study does not report.
@@ -116,11 +115,15 @@ class Request:
         """
         free = (seed for seed in range(_FIRST_SEED, 2**32) if seed not in reported)
         own = [next(free) for _ in range(_SEEDS)]
-        if shared := [str(seed) for seed in self.seeds if seed in reported]:
-            listed = ", ".join(shared[:8]) + (", ..." if shared[8:] else "")
-            what = f"--seeds: {listed}: seeds of the study, on which default and tuned settings are compared"
+        if shared := [seed for seed in self.seeds if seed in reported]:
+            what = "seeds of the study, on which default and tuned settings are compared"
+            what = f"--seeds: {_listed(shared)}: {what}"
             raise ConfigError(f"{what}; needed: others, such as {own[0]}:{own[-1] + 1}")
         return replace(self, seeds=self.seeds or own)
+
+
+def _listed(values: Sequence[object]) -> str:
+    return ", ".join(map(str, values[:8])) + (", ..." if values[8:] else "")
 
 
 class TuningProgress(Progress, Protocol):
@@ -371,7 +374,7 @@ def _tuned_study(
                 changes = {"settings": with_settings(section.settings, found), "tuned": how}
                 controllers[name] = section.model_copy(update=changes)
         problems[problem] = one.study.model_copy(update={"controllers": controllers})
-    return _whole(resolved, problems, request.summary)
+    return _whole(resolved, problems, request.summary(list(dict.fromkeys(name for _, name in trials))))
 
 
 def _whole(resolved: ResolvedProblems, problems: dict[str, Study], summary: str) -> WholeStudy:

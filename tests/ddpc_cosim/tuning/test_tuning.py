@@ -189,6 +189,8 @@ def test_only_what_is_selected_is_tuned_and_compared(tmp_path: Path, monkeypatch
     how = study.controllers["b"].tuned
     assert how is not None
     assert how.source.endswith(" --only b")
+    assert study.summary.startswith("Tuned with 2 trials each on the seeds 10000, 10001, 10002, by rmse")
+    assert study.summary.endswith(": b.")
     compared = read_study("runs/study-tuning/held-out/study.toml").problem.study.controllers
     assert set(compared) == {"b-as-given", "b"}
     nothing = CliRunner().invoke(main, ["tune", "study.toml", "--only", "c", "--out", "other"])
