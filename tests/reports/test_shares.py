@@ -100,13 +100,18 @@ def test_reference_points_are_named_and_never_ranked(seen: Condition) -> None:
     [
         ("rest", "there is no way to go: Rest (0 %) did not complete."),
         ("ideal", "there is no way to go: Ideal (100 %) does not stay near its reference."),
+        ("in turn", "no seed on which Rest (0 %) completed and Ideal (100 %) stays near its reference."),
+        ("equal", "Ideal (100 %) is not better than Rest (0 %) by more than 1 % on any seed."),
     ],
 )
 def test_without_a_way_to_go_the_page_says_why(make_results: MakeResults, lost: str, words: str) -> None:
     def fallen(key: str, seed: int) -> Trace:
-        return make_trace(1.0, outcome=Outcome.DIVERGED, reason="NaN") if key == lost else run_of(key, seed)
+        if lost == "equal" and key == "rest":
+            return run_of("ideal", seed)
+        falls = key == ("rest", "ideal")[seed] if lost == "in turn" else key == lost
+        return make_trace(1.0, outcome=Outcome.DIVERGED, reason="NaN") if falls else run_of(key, seed)
 
-    (seen,) = conditions(make_results(fallen, FIVE, report=POINTS))
+    (seen,) = conditions(make_results(fallen, FIVE, seeds=[0, 1], report=POINTS))
     assert texts(share_statements(seen))["Distance"].endswith(words)
     assert set(cells(across_table([seen, seen], ""), seen.label).values())
     assert "share of the way" not in [heading.group for heading in verdict_table(seen, "").headings]
