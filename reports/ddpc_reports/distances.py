@@ -44,7 +44,7 @@ class Distances:
     problems, scenarios : dict of str to dict
         By name the same of one problem, over its seeds, and of one scenario, over the problems.
     ahead : dict of str to list of str
-        By problem the controller with the largest median, and those that the seeds do not tell apart from it.
+        By problem the controller with the largest median, and those that the seeds do not show to be behind.
     without : list of str
         Problems in which there is no way to go.
     step, recorded, travel : dict of str to float
@@ -114,7 +114,7 @@ def _over(problems: Iterable[Mapping[str, Sample]]) -> dict[str, Sample]:
 def _ahead(found: Mapping[str, Runs]) -> list[str]:
     compared = compare_all({name: floored(own) for name, own in found.items()}, "high")
     first, pairs = compared.order[0], compared.differences.items()
-    return [first, *(b for (a, b), one in pairs if a == first and not one.told_apart)]
+    return [first, *(b for (a, b), one in pairs if a == first and (one.told_worse or not one.told_apart))]
 
 
 def _costs(
@@ -194,7 +194,7 @@ def _ahead_words(far: Distances, problem: str, by_key: Mapping[str, ControllerRe
         return Markup("every controller loses at least half of its runs.")
     text = Markup("<i>{}</i> {}").format(first.label, share_words(far.problems[problem][first.key]))
     if alike:
-        text += Markup(", not told apart from {}").format(some_of(names(alike)))
+        text += Markup(", which the seeds do not show to be ahead of {}").format(some_of(names(alike)))
     return text + "."
 
 
@@ -237,7 +237,7 @@ def distance_maps(far: Distances, prefix: str) -> list[Table]:
         for problem, keys in far.ahead.items()
     }
     bold = (
-        "Bold: the largest median of a problem, and those not told apart from it by the seeds "
+        "Bold: the largest median of a problem, and those that the seeds do not show to be behind it "
         "(Wilcoxon's signed-rank test, after Holm's correction for all pairs); none, where that is most."
         " A star: some runs do not stay near their reference."
     )

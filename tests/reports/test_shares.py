@@ -179,6 +179,22 @@ def test_who_ran_in_some_problems_has_no_share_over_all(make_results: MakeResult
     assert cells(table, "share of the way most (%)")["guest"] != "\N{EN DASH}"
 
 
+def test_the_largest_median_is_not_ahead_where_the_pairs_say_otherwise(make_results: MakeResults) -> None:
+    """Good has the better median, and Fair the better run with all seeds but one."""
+    lags = {"good": range(1, 10), "fair": [0.5, 1.5, 2.5, 3.5, 5.05, 5.1, 5.1, 5.1, 5.1]}
+
+    def run(key: str, seed: int) -> Trace:
+        return make_trace(0.4 + 0.02 * lags[key][seed] if key in lags else LAGS[key])
+
+    found = overall(
+        [make_results(run, FIVE, name=name, seeds=[*range(9)], report=POINTS) for name in ("p0", "p1")]
+    )
+    assert found
+    told = texts(overall_statements(found))["Which where"]
+    assert "which the seeds do not show to be ahead of Fair." in told
+    assert "Poor" not in told
+
+
 def test_an_interval_of_lost_runs_alone_is_not_said_to_be_exact(make_results: MakeResults) -> None:
     """Seven of eight runs are lost: the interval of the median is one point, though the seeds differ."""
 
