@@ -44,6 +44,8 @@ class Overall:
         By controller, the runs that stay near their reference, and all runs.
     ranks, profile
         Average ranks and performance profile.
+    labels : dict of str to str
+        Of all controllers, those too that are not ranked.
     distances : Distances or None
         How far the controllers come between the reference points; None where there are none.
     """
@@ -54,6 +56,7 @@ class Overall:
     held: dict[str, tuple[int, int]]
     ranks: AverageRanks
     profile: Profile
+    labels: dict[str, str]
     distances: Distances | None
 
 
@@ -86,7 +89,8 @@ def overall(problems: Sequence[StudyResults]) -> Overall | None:
     shown = {key: found[key] for key in ranks.ranks}
     others = [one for one in found.values() if one.key not in shown]
     far = distances(problems, [*shown.values(), *sorted(others, key=lambda one: one.is_point)])
-    return Overall(ranks.problems, left_out, shown, held, ranks, profile_frame(frame, _METRIC), far)
+    labels = {key: one.label for key, one in found.items()}
+    return Overall(ranks.problems, left_out, shown, held, ranks, profile_frame(frame, _METRIC), labels, far)
 
 
 def _rows_of(condition: Condition, number: int) -> list[dict[str, Any]]:
@@ -135,7 +139,7 @@ def overall_statements(found: Overall) -> list[Statement]:
         nothing = Markup("In {} no controller follows the reference: nothing is ranked there.").format(where)
         statements.append(Statement("Left out", nothing))
     if ranks.left_out:
-        who = join_words([Markup("<i>{}</i>").format(name) for name in ranks.left_out])
+        who = join_words([Markup("<i>{}</i>").format(found.labels[name]) for name in ranks.left_out])
         some = Markup("{}: not in every problem, so not ranked over all.").format(who)
         statements.append(Statement("Not ranked", some))
     return statements

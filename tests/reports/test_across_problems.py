@@ -99,7 +99,7 @@ def test_lost_runs_problems_without_a_follower_and_absent_controllers_are_told(
     assert math.isnan(found.ranks.p)
     told = said(found)
     assert told["Left out"] == "In Out of reach no controller follows the reference: nothing is ranked there."
-    assert told["Not ranked"] == "middle: not in every problem, so not ranked over all."
+    assert told["Not ranked"] == "Middle: not in every problem, so not ranked over all."
     assert "It takes three controllers for a test." in told["Ranks"]
     assert overall_figures(found, "")[0].caption.endswith("; of two controllers none is, as it takes three.")
 
