@@ -73,3 +73,16 @@ def test_every_method_has_a_figure_for_every_problem(nominal: StudyResults) -> N
     study = read_study("benchmark").problems
     asked = set(product(study, study["pendulum"].study.controllers))
     assert {(case.problem, case.controller) for case in nominal.cases} == asked
+
+
+def test_what_the_summary_says_holds_without_noise_too(nominal: StudyResults) -> None:
+    """It says it of all scenarios and seeds; here are one of each."""
+    shares = nominal.shares().groupby(["controller", "problem"])["share"].median().groupby("controller")
+    medians = shares.median()
+    for name in ("mpc", "koopman-mpc", "spc", "gamma-ddpc", "deepc"):
+        assert 0.95 < medians[name] < 1.05, name
+    lost = {name: sum(not c.holds for c in nominal.cases if c.controller == name) for name in medians.index}
+    assert lost["koopman-mpc"] == 0
+    without = {case.controller for case in nominal.cases if not case.recorded_samples} - POINTS
+    assert without == {"ipid", "spsa", "mfapc", "mfac"}
+    assert all(lost[name] >= 2 for name in ("pid", *without))
