@@ -37,7 +37,7 @@ class Overall:
     problems : int
         How many problems are compared.
     left_out : list of str
-        Problems in which no controller follows its reference, so that nothing is ranked.
+        Problems, and scenarios of others, in which no controller follows its reference: nothing is ranked.
     controllers : dict of str to ControllerResults
         The controllers that ran in every problem, as they are in the first, the best rank first.
     held : dict of str to (int, int)
@@ -73,8 +73,8 @@ def overall(problems: Sequence[StudyResults]) -> Overall | None:
         for one in (one for condition in everywhere for one in condition.controllers):
             found.setdefault(one.key, one)
         seen = [condition for condition in everywhere if not condition.none_follows]
-        if not seen:
-            left_out.append(results.study.title or results.study.name)
+        unseen = [f"{results.study.name}: {one.label}" for one in everywhere if one.none_follows]
+        left_out += unseen if seen else [results.study.title or results.study.name]
         for condition in seen:
             rows += _rows_of(condition, number)
             for one in condition.controllers:

@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import pytest
 from scipy.stats import friedmanchisquare
@@ -106,3 +107,20 @@ def test_lost_runs_problems_without_a_follower_and_absent_controllers_are_told(
 
 def test_one_problem_is_none_to_compare_over(make_results: MakeResults) -> None:
     assert overall([make_results(lambda key, seed: make_trace(0.5))]) is None
+
+
+def test_a_scenario_without_a_follower_is_named(alike: list[StudyResults], make_results: MakeResults) -> None:
+    both = make_results(
+        lambda key, seed: make_trace(LAGS[key]),
+        THREE,
+        name="one",
+        scenarios={"a": {}, "b": {"label": "Hard"}},
+    )
+    cases = [
+        replace(case, metrics={key: 50.0 if "settled_share" in key else v for key, v in case.metrics.items()})
+        if case.scenario == "b"
+        else case
+        for case in both.cases
+    ]
+    told = said(found_in([*alike, replace(both, cases=tuple(cases))]))
+    assert told["Left out"] == "In one: Hard no controller follows the reference: nothing is ranked there."
