@@ -11,14 +11,14 @@ from markupsafe import Markup
 from ddpc_cosim import StudyResults
 from ddpc_cosim.study.ranks import AverageRanks, Profile, profile_frame, ranks_frame
 from ddpc_cosim.study.statistics import LEVEL, letters
-from ddpc_reports.charts import COLOURS, DASHES, profile_chart, rank_chart
 from ddpc_reports.comparison import Condition, ControllerResults, conditions
 from ddpc_reports.distances import Distances, distance_columns, distance_statements, distances
-from ddpc_reports.figures import Entry, Figure, dash_numbers, one_chart
+from ddpc_reports.figures.charts import COLOURS, DASHES, profile_chart, rank_chart
+from ddpc_reports.figures.figure import Entry, Figure, dash_numbers, one_chart
+from ddpc_reports.figures.samples import column_name
 from ddpc_reports.numbers import MISSING, significant
-from ddpc_reports.samples import column_name
 from ddpc_reports.shares import SHARE_NOTE
-from ddpc_reports.table import Cell, Heading, Table, controller_table, number_cells
+from ddpc_reports.tables.table import Cell, Heading, Table, controller_table, number_cells
 from ddpc_reports.verdict import Statement, join_words, names, p_words, some_of
 
 _METRIC = "mean_abs_error"

@@ -17,7 +17,7 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.numbers import MISSING, as_given
 from ddpc_reports.shares import SHARE, SHARE_NOTE, share_cells, share_interval
-from ddpc_reports.table import Cell, Heading, Row, Table, interval_texts, number_cells
+from ddpc_reports.tables.table import Cell, Heading, Row, Table, interval_texts, number_cells
 from ddpc_reports.verdict import RANKED_BY, Statement, join_words, names, p_words, seeds_needed
 
 _NOTES = (

@@ -25,7 +25,7 @@ from ddpc_reports.shares import (
     share_interval,
     share_words,
 )
-from ddpc_reports.table import Column, Heading, Table, controller_table, number_cells
+from ddpc_reports.tables.table import Column, Heading, Table, controller_table, number_cells
 from ddpc_reports.verdict import Statement, by_signal, counted, join_words, names, some_of
 
 _NAMED = 3

@@ -18,9 +18,9 @@ from markupsafe import Markup
 
 from ddpc_cosim.plugins import cached
 from ddpc_cosim.texts import printable
-from ddpc_reports.charts import CONFIG
-from ddpc_reports.drawing import DrawingError, svg_of
-from ddpc_reports.samples import Column
+from ddpc_reports.figures.charts import CONFIG
+from ddpc_reports.figures.drawing import DrawingError, svg_of
+from ddpc_reports.figures.samples import Column
 
 _WIDTH = 800
 _MOST_DECIMALS = 300

@@ -15,26 +15,8 @@ from ddpc_cosim.study.file_format.sections import Reproduction
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.texts import printable
 from ddpc_reports.across_problems import overall, overall_figures, overall_statements, overall_table
-from ddpc_reports.case_tables import (
-    cases_table,
-    diagnostics_table,
-    failures_table,
-    fallbacks_table,
-    provenance_table,
-    step_time_table,
-    warnings_table,
-)
 from ddpc_reports.certainty import certainty_statements, certainty_table
-from ddpc_reports.charts import COLOURS, CONFIG
 from ddpc_reports.comparison import Condition, conditions
-from ddpc_reports.comparison_tables import (
-    across_table,
-    reproduction_statements,
-    reproduction_table,
-    response_table,
-    step_time_order,
-    verdict_table,
-)
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.embedding import (
     Packed,
@@ -47,12 +29,30 @@ from ddpc_reports.embedding import (
     stylesheet,
 )
 from ddpc_reports.fairness import fairness_statements
-from ddpc_reports.figures import Figure, in_its_place, spread_figures, step_time_figure, time_figures
+from ddpc_reports.figures.charts import COLOURS, CONFIG
+from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, step_time_figure, time_figures
 from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.sensitivity import effects_table, sensitivity_figures, sweep_statements, variants_table
-from ddpc_reports.settings_tables import compact_seeds, family_tables, settings_tables
 from ddpc_reports.shares import share_statements
-from ddpc_reports.table import Table
+from ddpc_reports.tables.cases import (
+    cases_table,
+    diagnostics_table,
+    failures_table,
+    fallbacks_table,
+    provenance_table,
+    step_time_table,
+    warnings_table,
+)
+from ddpc_reports.tables.controllers import (
+    across_table,
+    reproduction_statements,
+    reproduction_table,
+    response_table,
+    step_time_order,
+    verdict_table,
+)
+from ddpc_reports.tables.settings import compact_seeds, family_tables, settings_tables
+from ddpc_reports.tables.table import Table
 from ddpc_reports.tuning import front_figures, trials_tables
 from ddpc_reports.verdict import Statement, across_statements, limitations, verdict
 

@@ -13,7 +13,6 @@ from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.ranks import setting_effect
-from ddpc_reports.charts import heat_chart
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
@@ -23,9 +22,10 @@ from ddpc_reports.comparison import (
     metric_unit,
     spread as summed_up,
 )
-from ddpc_reports.figures import Figure, one_chart
+from ddpc_reports.figures.charts import heat_chart
+from ddpc_reports.figures.figure import Figure, one_chart
 from ddpc_reports.numbers import as_given, significant, with_unit
-from ddpc_reports.table import Cell, Heading, Row, Table, number_cells
+from ddpc_reports.tables.table import Cell, Heading, Row, Table, number_cells
 from ddpc_reports.verdict import Statement, by_signal, formatter
 
 _LOST_SHOWN = 3

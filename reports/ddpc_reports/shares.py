@@ -9,7 +9,7 @@ from ddpc_cosim.study.shares import FLOOR, NEGLIGIBLE
 from ddpc_cosim.study.statistics import Sample
 from ddpc_reports.comparison import Condition, ControllerResults, metric_label, metric_signal
 from ddpc_reports.numbers import MINUS, MISSING, fixed
-from ddpc_reports.table import Cell, Column, Heading
+from ddpc_reports.tables.table import Cell, Column, Heading
 from ddpc_reports.verdict import Statement, by_signal, join_words, names
 
 SHARE = "share of the way"

@@ -9,13 +9,13 @@ import numpy as np
 
 from ddpc_cosim import FloatArray, Simulation, Variable
 from ddpc_cosim.plugins import write_atomically
-from ddpc_reports.charts import time_chart
 from ddpc_reports.embedding import pack, static_svg, stylesheet
-from ddpc_reports.figures import Entry, Figure, View
+from ddpc_reports.figures.charts import time_chart
+from ddpc_reports.figures.figure import Entry, Figure, View
+from ddpc_reports.figures.samples import Column, Signal, level_title, rounded
 from ddpc_reports.numbers import as_given, significant, unit_symbol, with_unit
 from ddpc_reports.page import Section, StudyPart, set_page
-from ddpc_reports.samples import Column, Signal, level_title, rounded
-from ddpc_reports.table import Cell, Heading, Row, Table
+from ddpc_reports.tables.table import Cell, Heading, Row, Table
 
 _MOST_DRAWN, _MOST_POINTS = 24, 2000
 _LINE = "c0"

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ddpc_cosim import StudyResults
-from ddpc_reports.charts import front_chart
-from ddpc_reports.figures import Figure, one_chart
-from ddpc_reports.settings_tables import mapping_text
-from ddpc_reports.table import Cell, Column, Heading, Row, Table, number_cells
+from ddpc_reports.figures.charts import front_chart
+from ddpc_reports.figures.figure import Figure, one_chart
+from ddpc_reports.tables.settings import mapping_text
+from ddpc_reports.tables.table import Cell, Column, Heading, Row, Table, number_cells
 from ddpc_reports.verdict import counted
 
 _BEFORE = ("problem", "controller", "trial", "runs", "pruned")

@@ -13,7 +13,7 @@ from ddpc_reports.certainty import certainty_statements, certainty_table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.numbers import MISSING
 from ddpc_reports.page import render_page
-from ddpc_reports.table import Row, Table
+from ddpc_reports.tables.table import Row, Table
 from ddpc_reports.verdict import across_statements, verdict
 
 from .synthetic import FORCE, SPEED, MakeResults, make_trace

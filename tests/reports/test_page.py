@@ -23,8 +23,9 @@ from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.results import write_results
 from ddpc_cosim.texts import printable
-from ddpc_reports import drawing, figures, page as page_module, write_report
+from ddpc_reports import page as page_module, write_report
 from ddpc_reports.embedding import chart_library
+from ddpc_reports.figures import drawing, figure as figures
 
 from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
 

@@ -13,11 +13,11 @@ from ddpc_reports import page as page_module
 from ddpc_reports.across_problems import overall, overall_statements, overall_table
 from ddpc_reports.certainty import certainty_table
 from ddpc_reports.comparison import Condition, conditions
-from ddpc_reports.comparison_tables import across_table, step_time_order, verdict_table
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.page import render_page
 from ddpc_reports.shares import share_statements
-from ddpc_reports.table import Table
+from ddpc_reports.tables.controllers import across_table, step_time_order, verdict_table
+from ddpc_reports.tables.table import Table
 from ddpc_reports.verdict import Statement, verdict
 
 from .synthetic import MakeResults, make_trace

@@ -9,11 +9,11 @@ import pytest
 
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.metrics import MetricSettings
-from ddpc_reports.case_tables import cases_table
 from ddpc_reports.comparison import Condition, conditions
-from ddpc_reports.comparison_tables import response_table, verdict_table
 from ddpc_reports.page import render_page
-from ddpc_reports.table import Table
+from ddpc_reports.tables.cases import cases_table
+from ddpc_reports.tables.controllers import response_table, verdict_table
+from ddpc_reports.tables.table import Table
 from ddpc_reports.verdict import across_statements, join_words, limitations, verdict
 
 from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace

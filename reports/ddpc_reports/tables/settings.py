@@ -24,7 +24,7 @@ from ddpc_cosim.study.file_format.sections import (
 )
 from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
 from ddpc_reports.numbers import MISSING, as_given, computed, unit_symbol, with_unit
-from ddpc_reports.table import Cell, Heading, Row, Table, text_headings
+from ddpc_reports.tables.table import Cell, Heading, Row, Table, text_headings
 
 
 def settings_tables(results: StudyResults, condition: Condition | None, prefix: str) -> list[Table]:

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, strategies as st
 
 from ddpc_cosim import Bounds, Trace
-from ddpc_reports.charts import COLOURS, DASHES, log_ticks
 from ddpc_reports.comparison import conditions
 from ddpc_reports.embedding import _steps, pack
-from ddpc_reports.figures import spread_figures, time_figures
-from ddpc_reports.samples import first_seed, trusted
+from ddpc_reports.figures.charts import COLOURS, DASHES, log_ticks
+from ddpc_reports.figures.figure import spread_figures, time_figures
+from ddpc_reports.figures.samples import first_seed, trusted
 
-from .synthetic import MakeResults, make_trace
+from ..synthetic import MakeResults, make_trace
 
 
 def scaled(trace: Trace, factor: float, **limits: float) -> Trace:

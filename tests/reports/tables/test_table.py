@@ -2,7 +2,7 @@
 
 from base64 import b64decode
 
-from ddpc_reports.table import Cell, Heading, Row, Table
+from ddpc_reports.tables.table import Cell, Heading, Row, Table
 
 
 def test_a_text_is_no_formula_for_a_spreadsheet() -> None:

@@ -13,16 +13,6 @@ from markupsafe import Markup
 
 from ddpc_cosim import CosimWarning
 from ddpc_cosim.texts import recorded
-from ddpc_reports.charts import (
-    COLOURS,
-    DASHES,
-    Mark,
-    Spec,
-    ranges_widely,
-    spread_chart,
-    step_time_chart,
-    time_chart,
-)
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
@@ -33,9 +23,19 @@ from ddpc_reports.comparison import (
     outcome_words,
 )
 from ddpc_reports.embedding import static_svg
+from ddpc_reports.figures.charts import (
+    COLOURS,
+    DASHES,
+    Mark,
+    Spec,
+    ranges_widely,
+    spread_chart,
+    step_time_chart,
+    time_chart,
+)
+from ddpc_reports.figures.samples import Column, FirstSeed, Said, Signal, column_name, first_seed, known, said
 from ddpc_reports.numbers import duration, given_duration, significant, with_unit
-from ddpc_reports.samples import Column, FirstSeed, Said, Signal, column_name, first_seed, known, said
-from ddpc_reports.settings_tables import own_units, scenario_effects
+from ddpc_reports.tables.settings import own_units, scenario_effects
 
 _SAID = "What controllers said of their steps"
 _MOST_DOTS = 60

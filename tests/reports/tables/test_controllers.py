@@ -14,21 +14,21 @@ from ddpc_cosim import StudyResults, Trace
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS, Metric
 from ddpc_cosim.responses import Response
-from ddpc_reports.case_tables import cases_table
 from ddpc_reports.comparison import conditions
-from ddpc_reports.comparison_tables import (
+from ddpc_reports.numbers import MINUS
+from ddpc_reports.page import render_page
+from ddpc_reports.tables.cases import cases_table
+from ddpc_reports.tables.controllers import (
     across_table,
     reproduction_statements,
     reproduction_table,
     step_time_order,
     verdict_table,
 )
-from ddpc_reports.numbers import MINUS
-from ddpc_reports.page import render_page
-from ddpc_reports.table import Row, Table
+from ddpc_reports.tables.table import Row, Table
 from ddpc_reports.verdict import across_statements
 
-from .synthetic import MakeResults, make_trace
+from ..synthetic import MakeResults, make_trace
 
 COST = "sum_abs_error.angle [deg]"
 

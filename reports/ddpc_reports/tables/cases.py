@@ -22,8 +22,8 @@ from ddpc_reports.comparison import (
     spread,
 )
 from ddpc_reports.numbers import MISSING, as_given, integer, significant, time_scale, with_unit
-from ddpc_reports.settings_tables import compact_seeds, facts_table
-from ddpc_reports.table import (
+from ddpc_reports.tables.settings import compact_seeds, facts_table
+from ddpc_reports.tables.table import (
     Cell,
     Column,
     Heading,

@@ -14,13 +14,14 @@ from pydantic import BaseModel, ValidationError
 from ddpc_cosim import StudyResults, Trace
 from ddpc_cosim.study.file_format.sections import ReferencePoints, ReportSection, SearchSection, Study
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_reports import figures, settings_tables as settings_module
 from ddpc_reports.comparison import conditions
+from ddpc_reports.figures import figure as figures
 from ddpc_reports.page import render_page
-from ddpc_reports.settings_tables import family_tables, settings_tables, value_text
-from ddpc_reports.table import Table
+from ddpc_reports.tables import settings as settings_module
+from ddpc_reports.tables.settings import family_tables, settings_tables, value_text
+from ddpc_reports.tables.table import Table
 
-from .synthetic import MakeResults, make_study, make_trace
+from ..synthetic import MakeResults, make_study, make_trace
 
 COST = "sum_abs_error.angle [deg]"
 OBJECT = {"type": "module:Kernel", "count": 10, "widths": [0.5, 2.0], "centres": {"low": 0.0, "names": ["a"]}}

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ddpc_reports.samples import Signal
+from ddpc_reports.figures.samples import Signal
 
 DASHES: tuple[tuple[float, ...], ...] = (
     (1, 0),

@@ -34,7 +34,7 @@ from ddpc_reports.numbers import (
     unit_symbol,
 )
 from ddpc_reports.shares import SHARE_NOTE, share_cells, share_columns
-from ddpc_reports.table import (
+from ddpc_reports.tables.table import (
     Cell,
     Column,
     Heading,

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import Outcome, Trace
-from ddpc_reports.case_tables import (
+from ddpc_reports.comparison import conditions
+from ddpc_reports.page import render_page
+from ddpc_reports.tables.cases import (
     cases_table,
     diagnostics_table,
     failures_table,
     fallbacks_table,
     warnings_table,
 )
-from ddpc_reports.comparison import conditions
-from ddpc_reports.page import render_page
 
-from .synthetic import MakeResults, make_trace
+from ..synthetic import MakeResults, make_trace
 
 
 def test_reasons_for_fallbacks_are_told_with_their_first_time(make_results: MakeResults) -> None:

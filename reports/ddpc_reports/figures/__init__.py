@@ -1,0 +1,1 @@
+"""Figures: which lines, charts as Vega-Lite, and their pictures."""

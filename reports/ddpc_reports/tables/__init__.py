@@ -1,0 +1,1 @@
+"""Tables of the page: what a table is, and those of controllers, of cases and of settings."""
