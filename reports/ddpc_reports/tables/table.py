@@ -31,12 +31,16 @@ class Heading:
         Whether the column shows numbers.
     group : str
         Title above this column and its neighbours of the same group.
+    href, group_href : str
+        Where on the page the title and the group's title lead.
     """
 
     title: str
     detail: str = ""
     numeric: bool = True
     group: str = ""
+    href: str = ""
+    group_href: str = ""
 
     @property
     def words(self) -> str:
@@ -51,7 +55,25 @@ def text_headings(*titles: str) -> tuple[Heading, ...]:
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell: the text to show, the value behind it, and its marks; a tone is a class of the page."""
+    """One cell.
+
+    Parameters
+    ----------
+    text : str
+        What is shown.
+    raw : float, int or str
+        The value behind it, to sort by and to save.
+    best, failed, differs : bool
+        Marks: the best of its column, a failure, another value than in the first column.
+    tone : str
+        A class of the page, for a colour behind the number.
+    href : str
+        Where on the page the text leads.
+    title : str
+        What is told to who points at it.
+    detail, failures : str
+        A second and a third line in small print; the last in red, behind a mark.
+    """
 
     text: str
     raw: Raw = ""
@@ -59,6 +81,10 @@ class Cell:
     failed: bool = False
     differs: bool = False
     tone: str = ""
+    href: str = ""
+    title: str = ""
+    detail: str = ""
+    failures: str = ""
 
 
 @dataclass(frozen=True)
