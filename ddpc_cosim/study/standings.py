@@ -1,0 +1,168 @@
+"""The standings of one problem: who is ahead, whom its seeds tell apart, and who loses runs."""
+
+import math
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from statistics import fmean
+from typing import NamedTuple
+
+from ddpc_cosim.metrics import headline, metric_of
+from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.file_format.sections import Study
+from ddpc_cosim.study.following import none_follows
+from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all, describe
+
+
+class Standing(NamedTuple):
+    """Where a controller stands.
+
+    Parameters
+    ----------
+    controller : str
+        Its name in the study.
+    rank : int
+        One more than the number of controllers that are better.
+    lost, runs : int
+        Runs that do not stay near their reference, and all runs.
+    """
+
+    controller: str
+    rank: int
+    lost: int
+    runs: int
+
+
+@dataclass(frozen=True, eq=False)
+class Standings:
+    """The controllers of one problem, ranked by what its study ranks by.
+
+    A controller that loses a run comes after all that lose none, and after those that lose fewer. Of two that
+    lose none, one is better if the seeds tell it to be so in some of the keys and the other in none; where
+    the seeds are too few for any test, the medians decide.
+
+    Parameters
+    ----------
+    keys : tuple of str
+        The metrics that are ranked by: one, or one for each controlled output.
+    runs : dict of str to dict of str to Runs
+        By key and controller, the runs in the scenarios that count, NaN of those that are lost.
+    left_out : tuple of str
+        Scenarios in which no controller follows its reference: they do not count.
+    """
+
+    keys: tuple[str, ...]
+    runs: dict[str, dict[str, Runs]]
+    left_out: tuple[str, ...]
+
+    @cached_property
+    def lost(self) -> dict[str, int]:
+        """By controller, the runs that do not stay near their reference."""
+        own = next(iter(self.runs.values()), {})
+        return {name: sum(map(math.isnan, runs.values())) for name, runs in own.items()}
+
+    @cached_property
+    def compared(self) -> dict[str, Comparisons]:
+        """By key, the controllers that lose no run, compared each with each."""
+        return {
+            key: compare_all(
+                {name: own for name, own in runs.items() if not self.lost[name]}, metric_of(key).better
+            )
+            for key, runs in self.runs.items()
+        }
+
+    @cached_property
+    def samples(self) -> dict[str, dict[str, Sample]]:
+        """By key and controller, what the runs come to."""
+        return {key: {name: describe(own) for name, own in runs.items()} for key, runs in self.runs.items()}
+
+    @cached_property
+    def seeds(self) -> int:
+        """How many seeds there are."""
+        own = next(iter(self.runs.values()), {})
+        return len({seed for runs in own.values() for _, seed in runs})
+
+    @cached_property
+    def tested(self) -> bool:
+        """Whether the seeds can tell controllers apart; if not, the medians decide."""
+        return self.seeds > 1 and not any(one.too_few_seeds for one in self.compared.values())
+
+    @property
+    def seeds_needed(self) -> int:
+        """Seeds from which on a controller that is ahead on each is told apart."""
+        return max((one.seeds_needed for one in self.compared.values()), default=0)
+
+    @cached_property
+    def order(self) -> tuple[Standing, ...]:
+        """The controllers, the best first; those of one rank in the order of their medians."""
+        holding = [name for name, lost in self.lost.items() if not lost]
+        behind = dict.fromkeys(holding, 0)
+        for a, b in combinations(holding, 2):
+            if worse := self._worse(a, b):
+                behind[worse] += 1
+        losing = sorted(lost for lost in self.lost.values() if lost)
+        ranks = {
+            name: 1 + (len(holding) + losing.index(lost) if lost else behind[name])
+            for name, lost in self.lost.items()
+        }
+        count = {name: len(own) for name, own in next(iter(self.runs.values()), {}).items()}
+        found = [Standing(name, rank, self.lost[name], count[name]) for name, rank in ranks.items()]
+        return tuple(sorted(found, key=lambda one: (one.rank, self._place(one.controller))))
+
+    @property
+    def leaders(self) -> tuple[str, ...]:
+        """The controllers of the first rank; none if each of them loses runs."""
+        return tuple(one.controller for one in self.order if one.rank == 1 and not one.lost)
+
+    def _worse(self, a: str, b: str) -> str:
+        """Return the worse of two controllers that lose no run; nothing where neither is."""
+        worse = {verdict(a, b) for verdict in map(self._worse_in, self.keys)} - {""}
+        return worse.pop() if len(worse) == 1 else ""
+
+    def _worse_in(self, key: str) -> Callable[[str, str], str]:
+        compared, samples, rank = self.compared[key], self.samples[key], metric_of(key).rank
+
+        def of(a: str, b: str) -> str:
+            if self.tested:
+                pair = (a, b) if (a, b) in compared.differences else (b, a)
+                found = compared.differences.get(pair)
+                return pair[not found.told_worse] if found and found.told_apart else ""
+            values = [rank(samples[name].median) for name in (a, b)]
+            if any(map(math.isnan, values)) or math.isclose(*values, rel_tol=1e-9):
+                return ""
+            return a if values[0] > values[1] else b
+
+        return of
+
+    def _place(self, name: str) -> float:
+        """Return a number that grows with the medians, in units of the best of each key."""
+        places = []
+        for key in self.keys:
+            values = {one: metric_of(key).rank(own.median) for one, own in self.samples[key].items()}
+            known = sorted(value for value in values.values() if not math.isnan(value))
+            places.append(known.index(values[name]) if values[name] in known else math.inf)
+        return fmean(places) if places else 0.0
+
+
+def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
+    """Return the standings of a study's controllers over cases of one problem.
+
+    Reference points and the variants of sweeps do not compete.
+    """
+    points = study.report.reference_points
+    aside = {name for name, section in study.controllers.items() if section.variant_of}
+    aside |= {points.zero, points.full} if points else set()
+    by_scenario: dict[str, list[CaseResult]] = {}
+    for case in cases:
+        by_scenario.setdefault(case.scenario, []).append(case)
+    left_out = tuple(name for name, own in by_scenario.items() if none_follows(own))
+    counted = [case for name, own in by_scenario.items() if name not in left_out for case in own]
+    keys = headline(dict.fromkeys(key for case in counted for key in case.metrics))
+    runs: dict[str, dict[str, dict[tuple[Hashable, int], float]]] = {key: {} for key in keys}
+    for case in counted:
+        if case.controller not in aside:
+            for key in keys:
+                value = case.metrics.get(key, math.nan) if case.holds else math.nan
+                runs[key].setdefault(case.controller, {})[case.scenario, case.seed] = value
+    return Standings(keys, {key: dict(own) for key, own in runs.items()}, left_out)

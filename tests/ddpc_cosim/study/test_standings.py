@@ -1,0 +1,109 @@
+"""Standings: who is ahead is what the seeds tell, and who loses runs comes last."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+from reports.synthetic import make_results_in, make_study, make_trace
+
+from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim.study.standings import Standings, standings
+
+SEEDS = [*range(12)]
+
+
+def of(errors: dict[str, list[float]], **more: dict[str, list[float]]) -> Standings:
+    """Return standings by one key, or by several, with a value for each seed."""
+    keys = {"mean_abs_error.angle [deg]": errors} | {
+        f"mean_abs_error.{name} [1]": own for name, own in more.items()
+    }
+    runs = {
+        key: {name: {("nominal", i): value for i, value in enumerate(v)} for name, v in own.items()}
+        for key, own in keys.items()
+    }
+    return Standings(tuple(keys), runs, ())
+
+
+def ranks(found: Standings) -> dict[str, int]:
+    return {one.controller: one.rank for one in found.order}
+
+
+def noisy(level: float, seed: int) -> list[float]:
+    return (level + 0.01 * np.random.default_rng(seed).standard_normal(len(SEEDS))).tolist()
+
+
+def test_those_that_the_seeds_do_not_tell_apart_share_a_rank() -> None:
+    found = of({"worst": noisy(3.0, 0), "a": noisy(1.0, 1), "b": noisy(1.0, 2), "next": noisy(2.0, 3)})
+    assert found.tested
+    assert ranks(found) == {"a": 1, "b": 1, "next": 3, "worst": 4}
+    assert set(found.leaders) == {"a", "b"}
+
+
+def test_where_the_seeds_are_too_few_the_medians_decide() -> None:
+    found = of({"b": [2.0, 2.1], "a": [1.0, 1.1], "same": [1.0, 1.1]})
+    assert not found.tested
+    assert ranks(found) == {"a": 1, "same": 1, "b": 3}
+
+
+def test_who_loses_a_run_comes_after_all_that_lose_none_and_after_those_that_lose_fewer() -> None:
+    nan = float("nan")
+    found = of({"two": [nan, nan, 0.1], "none": [5.0, 5.0, 5.0], "one": [0.1, nan, 0.1], "too": [nan, 1, 1]})
+    assert ranks(found) == {"none": 1, "one": 2, "too": 2, "two": 4}
+    assert [one.lost for one in found.order] == [0, 1, 1, 2]
+    assert found.leaders == ("none",)
+
+
+def test_where_all_lose_runs_there_is_no_leader() -> None:
+    found = of({"a": [float("nan"), 1.0], "b": [float("nan"), float("nan")]})
+    assert ranks(found) == {"a": 1, "b": 2}
+    assert found.leaders == ()
+
+
+def test_of_two_outputs_one_is_better_that_is_so_in_one_and_not_worse_in_the_other() -> None:
+    a, b, c = noisy(1.0, 1), noisy(2.0, 2), noisy(3.0, 3)
+    found = of({"both": a, "mixed": b, "last": c}, level={"both": a, "mixed": c, "last": b})
+    assert ranks(found) == {"both": 1, "mixed": 2, "last": 2}
+
+
+@given(st.lists(st.lists(st.floats(0.1, 10), min_size=12, max_size=12), min_size=2, max_size=4))
+def test_nobody_is_told_to_be_better_than_a_leader(values: list[list[float]]) -> None:
+    found = of({f"c{i}": own for i, own in enumerate(values)})
+    (compared,) = found.compared.values()
+    for (a, b), one in compared.differences.items():
+        if found.tested and one.told_apart:
+            worse, better = (a, b) if one.told_worse else (b, a)
+            assert worse not in found.leaders
+            assert ranks(found)[worse] > 1
+            assert ranks(found)[better] >= 1
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> StudyResults:
+    def trace_of(key: str, seed: int) -> Trace:
+        if key == "lost" and seed == 3:
+            return make_trace(0.3, outcome=Outcome.DIVERGED, reason="angle is NaN")
+        return make_trace({"quick": 0.3, "lost": 0.2, "idle": 0.6}.get(key, 1.0), noise_seed=seed)
+
+    controllers = {name: {"type": "a"} for name in ("slow", "quick", "lost", "idle")}
+    return make_results_in(
+        tmp_path,
+        trace_of,
+        controllers,
+        seeds=SEEDS,
+        report={"reference_points": {"zero": "idle", "full": "slow"}},
+    )
+
+
+def test_of_a_study_reference_points_do_not_compete(results: StudyResults) -> None:
+    found = standings(results.study, results.cases)
+    assert [(one.controller, one.rank, one.lost, one.runs) for one in found.order] == [
+        ("quick", 1, 0, 12),
+        ("lost", 2, 1, 12),
+    ]
+
+
+def test_without_cases_there_are_none() -> None:
+    found = standings(make_study({"a": {"type": "a"}}), [])
+    assert found.order == ()
+    assert found.leaders == ()
