@@ -1,6 +1,7 @@
 """Metrics of one run: a registry that files, terminal and reports follow, so that one is added here alone.
 
 Keys read ``name.signal [unit]``; values are in the variables' display units, and NaN where there is none.
+In print a metric has one name, that of its key: :func:`metric_name`.
 """
 
 import math
@@ -9,7 +10,7 @@ import warnings
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, cast
 
@@ -22,6 +23,7 @@ from ddpc_cosim.variables import FloatArray
 
 _TRACE = "ddpc_cosim.trace.Trace"
 """The class that metrics of third parties are of; its module imports this one."""
+_ACRONYMS = {"iae", "ise", "itae", "itse", "mae", "mse", "rms", "rmse"}
 _OF_A_SIGNAL = ("difference", "value", "difference.s")
 
 
@@ -59,7 +61,7 @@ class Metric(Generic[Samples]):
         What it is computed from: a controlled output, an input, the whole run, or the controller's steps; a
         metric of a third party from the :class:`ddpc_cosim.Trace`.
     label : str
-        Its name in sentences.
+        What its name stands for, where metrics are explained.
     description : str
         What it is, in one line.
     compute : callable
@@ -74,11 +76,8 @@ class Metric(Generic[Samples]):
         reference.
     over_seeds : {"median", "largest", "total"}
         How the cases of several seeds are summed up in one value.
-    title, group : str
-        Heading in the report's tables, and the heading above it; without a title the metric stands in
-        ``metrics.csv`` alone. A third party's has its label.
-    short : str
-        Heading in the terminal's table; empty if it is not shown there. A third party's has its label.
+    shown : sequence of {"report", "terminal"}
+        Whose tables show it; without either it stands in ``metrics.csv`` alone.
     """
 
     of: type[Samples]
@@ -89,16 +88,15 @@ class Metric(Generic[Samples]):
     better: Literal["low", "high", ""] = "low"
     if_held: bool = False
     over_seeds: Literal["median", "largest", "total"] = "median"
-    title: str = ""
-    group: str = ""
-    short: str = ""
+    shown: Sequence[Literal["report", "terminal"]] = ("report", "terminal")
 
     def __str__(self) -> str:
-        """Return what it is, its unit and which values are better, in one line."""
+        """Return what its name stands for, what it is, its unit and which values are better, in one line."""
         better = {"low": "lower is better", "high": "higher is better"}.get(self.better, "")
         of_signal = {"difference": "unit of the signal", "value": "unit of the signal", "1": ""}
         unit = of_signal.get(self.unit, self.unit.replace("difference.s", "unit of the signal times s"))
-        return "; ".join(filter(None, (self.description, unit and f"[{unit}]", better)))
+        what = ": ".join(filter(None, (self.label, self.description)))
+        return "; ".join(filter(None, (what, unit and f"[{unit}]", better)))
 
     def rank(self, value: float) -> float:
         """Return a number by which values are sorted, the best first."""
@@ -111,6 +109,12 @@ def split_key(key: str) -> tuple[str, str, str]:
     head, _, unit = key.partition(" [")
     name, _, signal = head.partition(".")
     return name, signal, unit.removesuffix("]")
+
+
+def metric_name(key: str) -> str:
+    """Return the name of a metric in print, from its key or name: "mean abs error", "RMSE", "RMS change"."""
+    words = split_key(key)[0].split("_")
+    return " ".join(word.upper() if word in _ACRONYMS else word for word in words)
 
 
 def headline(keys: Iterable[str]) -> tuple[str, ...]:
@@ -191,9 +195,7 @@ def _third_parties() -> _ThirdParties:
         if fault:
             faults.append(f"metric {plugin.name} ({plugin.package}): {fault}")
         else:
-            metric = plugin.value
-            titles = {key: getattr(metric, key) or metric.label for key in ("title", "short")}
-            found[plugin.name] = replace(metric, **titles)
+            found[plugin.name] = plugin.value
             modules[plugin.name] = plugin.target.partition(":")[0]
     return _ThirdParties(found, modules, tuple(faults))
 
@@ -282,22 +284,19 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "Mean absolute error",
         "mean of |reference - output| over the samples",
         lambda r: _mean(r.magnitude),
-        title="mean |error|",
-        short="mean |error|",
     ),
     "rmse": Metric(
         Response,
         "RMSE",
         "root mean square of reference - output",
         lambda r: _rms(r.error),
-        title="RMSE",
-        short="RMSE",
     ),
     "sum_abs_error": Metric(
         Response,
         "Absolute integral error",
         "sum of |reference - output| over the samples, as in the paper",
         lambda r: _total(r.magnitude),
+        shown=(),
     ),
     "iae": Metric(
         Response,
@@ -305,12 +304,21 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "integral of |reference - output| over time",
         lambda r: _total(r.magnitude) * r.sampling_time,
         "difference.s",
+        shown=(),
     ),
     "min_abs_error": Metric(
-        Response, "Minimum absolute error", "smallest |reference - output|", lambda r: _smallest(r.magnitude)
+        Response,
+        "Minimum absolute error",
+        "smallest |reference - output|",
+        lambda r: _smallest(r.magnitude),
+        shown=(),
     ),
     "max_abs_error": Metric(
-        Response, "Maximum absolute error", "largest |reference - output|", lambda r: _largest(r.magnitude)
+        Response,
+        "Maximum absolute error",
+        "largest |reference - output|",
+        lambda r: _largest(r.magnitude),
+        shown=(),
     ),
     "settled_error": Metric(
         Response,
@@ -318,8 +326,6 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "magnitude of the mean error over the last fifth of the window of a constant reference, the largest",
         _settled_error,
         if_held=True,
-        title="settled error",
-        short="settled",
     ),
     "settled_share": Metric(
         Response,
@@ -328,6 +334,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         _settled_share,
         "%",
         if_held=True,
+        shown=(),
     ),
     "overshoot": Metric(
         Response,
@@ -336,7 +343,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         _overshoot,
         "%",
         if_held=True,
-        title="overshoot",
+        shown=("report",),
     ),
     "rise_time": Metric(
         Response,
@@ -345,7 +352,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         _rise_time,
         "s",
         if_held=True,
-        title="rise time",
+        shown=("report",),
     ),
     "settling_time": Metric(
         Response,
@@ -354,7 +361,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         _settling_time,
         "s",
         if_held=True,
-        title="settling time",
+        shown=("report",),
     ),
     "anticipation": Metric(
         Response,
@@ -364,7 +371,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "s",
         better="",
         if_held=True,
-        title="anticipation",
+        shown=("report",),
     ),
     "bound_violation_max": Metric(
         Response,
@@ -372,7 +379,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "how far the output went beyond its limits",
         lambda r: _largest(r.beyond),
         over_seeds="largest",
-        title="beyond bounds",
+        shown=("report",),
     ),
     "bound_violation_time": Metric(
         Response,
@@ -380,6 +387,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "time of samples with the output beyond its limits",
         lambda r: float(np.count_nonzero(r.beyond)) * r.sampling_time,
         "s",
+        shown=(),
     ),
     "max_abs_input": Metric(
         Actuation,
@@ -388,26 +396,28 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         lambda a: _largest(a.magnitude),
         "value",
         better="",
-        short="max |input|",
+        shown=("terminal",),
     ),
     "max_abs_change": Metric(
         Actuation,
         "Largest input change",
         "largest |change of the input| from sample to sample",
         lambda a: _largest(a.change),
+        shown=(),
     ),
     "rms_change": Metric(
         Actuation,
         "RMS input change",
         "root mean square change of the input from sample to sample",
         lambda a: _rms(a.change),
+        shown=(),
     ),
     "total_variation": Metric(
         Actuation,
         "Actuator travel",
         "sum of |change of the input|",
         lambda a: float(a.change.sum()),
-        title="actuator travel",
+        shown=("report",),
     ),
     "time_at_bounds": Metric(
         Actuation,
@@ -416,6 +426,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         lambda a: float(np.count_nonzero(a.at_limit)) * a.sampling_time,
         "s",
         better="",
+        shown=(),
     ),
     "cost": Metric(
         WholeRun,
@@ -423,8 +434,6 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "sum over the samples of the weighted squares of errors, inputs and input changes",
         WholeRun.cost,
         "1",
-        title="cost",
-        short="cost",
     ),
     "solve_time_mean": Metric(
         StepTimes,
@@ -432,6 +441,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "mean wall-clock time of a controller step",
         lambda s: _mean(s.times),
         "s",
+        shown=(),
     ),
     "solve_time_median": Metric(
         StepTimes,
@@ -439,8 +449,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "median wall-clock time of a controller step",
         lambda s: _percentile(s.times, 50),
         "s",
-        title="median",
-        group="step time",
+        shown=("report",),
     ),
     "solve_time_p95": Metric(
         StepTimes,
@@ -448,6 +457,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "95th percentile of the wall-clock time of a controller step",
         lambda s: _percentile(s.times, 95),
         "s",
+        shown=(),
     ),
     "solve_time_p99": Metric(
         StepTimes,
@@ -455,8 +465,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         "99th percentile of the wall-clock time of a controller step",
         lambda s: _percentile(s.times, 99),
         "s",
-        title="99\u00a0%",
-        group="step time",
+        shown=("report",),
     ),
     "solve_time_max": Metric(
         StepTimes,
@@ -465,8 +474,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         lambda s: _largest(s.times),
         "s",
         over_seeds="largest",
-        title="longest",
-        group="step time",
+        shown=("report",),
     ),
     "deadline_misses": Metric(
         StepTimes,
@@ -475,19 +483,19 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
         lambda s: float(np.count_nonzero(s.times > s.sampling_time)),
         "1",
         over_seeds="total",
-        title="missed",
-        group="steps",
+        shown=("report",),
     ),
     "failures": Metric(
         StepTimes,
-        "Fallbacks",
+        "Steps with a fallback",
         "steps with a substitute for the input",
         lambda s: float(s.fallbacks),
         "1",
         over_seeds="total",
-        title="fallback",
-        group="steps",
+        shown=("report",),
     ),
-    "samples": Metric(StepTimes, "Samples", "rows of the trace", lambda s: float(s.rows), "1", better=""),
+    "samples": Metric(
+        StepTimes, "Samples", "rows of the trace", lambda s: float(s.rows), "1", better="", shown=()
+    ),
 }
 """The built-in metrics, in the order of files and tables."""

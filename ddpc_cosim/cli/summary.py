@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ddpc_cosim.metrics import all_metrics, headline, metric_of, split_key
+from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.following import none_follows
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
@@ -19,6 +19,7 @@ from ddpc_cosim.texts import printable
 from ddpc_cosim.trace import Outcome
 
 _RANGE = "range"
+_STEP = "solve_time_median [s]"
 _VARIANTS_SHOWN = 2
 _LONGEST_NAME = 60
 _UNLIMITED = 10_000
@@ -51,7 +52,7 @@ def summary_table(results: StudyResults, console: Console) -> Table:
 
 
 def _shown() -> list[str]:
-    return [name for name, metric in all_metrics().items() if metric.short]
+    return [name for name, metric in all_metrics().items() if "terminal" in metric.shown]
 
 
 def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
@@ -74,7 +75,7 @@ def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
             table.add_column("over the seeds:\nmedian, range", justify="right", no_wrap=True)
             if letters:
                 table.add_column("same letter:\nnot told apart", no_wrap=True)
-    table.add_column("median\nstep", justify="right", no_wrap=True)
+    table.add_column(f"{metric_name(_STEP)}\n", justify="right", no_wrap=True)
     table.add_column("cases\ndone", justify="right", no_wrap=True)
     if not all(case.holds for case in results.cases):
         table.add_column("near their\nreference", justify="right", no_wrap=True)
@@ -173,7 +174,7 @@ def _values(cases: Sequence[CaseResult], keys: Sequence[str], left_out: Sequence
         values.insert(1, _spread(cases, keys[0]))
     return [
         *values,
-        _micro(_value(cases[0], "solve_time_median [s]")),
+        _micro(_value(cases[0], _STEP)),
         _completed(cases),
         _holding(cases),
     ]
@@ -186,7 +187,7 @@ def _title(results: StudyResults) -> Text:
 def _heading(key: str) -> Text:
     _, signal, unit = split_key(key)
     below = f"{signal} [{unit}]" if signal else f"[{unit}]" if unit != "1" else ""
-    return Text(f"{metric_of(key).short}\n{printable(below)}")
+    return Text(f"{metric_name(key)}\n{printable(below)}")
 
 
 def _spread(cases: Sequence[CaseResult], key: str) -> str:

@@ -173,7 +173,7 @@ def overall_table(found: Overall, prefix: str) -> Table:
         (Heading("near the reference", "runs"), [Cell(text) for text in near]),
     ]
     notes: tuple[str, ...] = (
-        "Ranks by mean absolute error or the problem's own cost: first comes the controller with fewer runs "
+        "Ranks by mean abs error or the problem's own cost: first comes the controller with fewer runs "
         "that do not stay near their reference, of equal ones that with the better average rank "
         "over scenarios and signals. Group: controllers that share a letter are not told apart by Nemenyi's "
         "test at 5\u00a0%.",
@@ -183,7 +183,7 @@ def overall_table(found: Overall, prefix: str) -> Table:
     if far:
         notes += (
             "Share: median, 95\u00a0% bootstrap interval, least and most of the problems' medians. Cost: "
-            "medians over the problems; travel of the actuators in pairs of the same scenario and seed.",
+            "medians over the problems; total variation in pairs of the same scenario and seed.",
             SHARE_NOTE,
         )
     caption = f"Controllers over {found.problems} problems"

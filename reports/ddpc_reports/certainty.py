@@ -10,9 +10,8 @@ from ddpc_cosim.study.statistics import FEWEST, Difference, Sample, compare, des
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
-    metric_label,
-    metric_signal,
     metric_unit,
+    metric_words,
     spread,
 )
 from ddpc_reports.numbers import MISSING, as_given
@@ -63,7 +62,7 @@ def certainty_statements(condition: Condition) -> list[Statement]:
         key for key in keys if (found := condition.compared(key)).differences and not found.too_few_seeds
     ]
     few = seeds_needed([condition], keys)
-    return [Statement(_title(key), _groups(condition, key)) for key in tested] + (
+    return [Statement(metric_words(key), _groups(condition, key)) for key in tested] + (
         [Statement("Seeds", few.strip())] if few else []
     )
 
@@ -72,10 +71,6 @@ def _keys(condition: Condition) -> list[str]:
     """Return the metrics by which the verdict names a first."""
     more = [key for name in RANKED_BY for key in condition.keys(name)]
     return [*condition.headline, *more]
-
-
-def _title(key: str) -> str:
-    return " of ".join(filter(None, (metric_label(key), metric_signal(key))))
 
 
 def _groups(condition: Condition, key: str) -> Markup:
@@ -117,7 +112,7 @@ def _rows(condition: Condition, key: str) -> list[Row]:
         [_ahead(one) for one in found],
         [Cell(letters.get(one.key, MISSING)) for one in order],
     ]
-    group = " / ".join(filter(None, (_title(key), unit)))
+    group = " / ".join(filter(None, (metric_words(key), unit)))
     return [
         Row(one.label, tuple(of_one[i] for of_one in cells), one.key, one.index, group)
         for i, one in enumerate(order)

@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
-from ddpc_cosim.metrics import Metric, all_metrics, headline, metric_of, split_key
+from ddpc_cosim.metrics import Metric, all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import ReferencePoints
 from ddpc_cosim.study.following import none_follows
@@ -39,12 +39,7 @@ def spread(values: Iterable[float]) -> Spread:
     return Spread(median(known), min(known), max(known), len(known))
 
 
-STEP_TIMES = {
-    "median": "solve_time_median [s]",
-    "95\u00a0%": "solve_time_p95 [s]",
-    "99\u00a0%": "solve_time_p99 [s]",
-    "longest": "solve_time_max [s]",
-}
+STEP_TIMES = tuple(f"solve_time_{name} [s]" for name in ("median", "p95", "p99", "max"))
 """The step times that the section on them shows."""
 
 
@@ -330,7 +325,7 @@ def _controllers_in(results: StudyResults, scenario: str) -> tuple[ControllerRes
 
 def shown_metrics() -> dict[str, Metric[Any]]:
     """Return the metrics that tables show, by name."""
-    return {name: metric for name, metric in all_metrics().items() if metric.title}
+    return {name: metric for name, metric in all_metrics().items() if "report" in metric.shown}
 
 
 def response_metrics() -> dict[str, Metric[Any]]:
@@ -342,11 +337,6 @@ def outcome_words(case: CaseResult) -> str:
     """Say how a case ended; of one that completed, whether it stayed near its reference."""
     lost = case.outcome is Outcome.COMPLETED and not case.holds
     return f"{case.outcome}, reference missed" if lost else str(case.outcome)
-
-
-def metric_label(key: str) -> str:
-    """Return the name of a metric for people, without signal and unit."""
-    return metric_of(key).label
 
 
 def metric_unit(key: str) -> str:
@@ -364,6 +354,11 @@ def shown_as(key: str, values: Iterable[float]) -> Scale:
 def metric_signal(key: str) -> str:
     """Return the signal that a metric is about, in words; empty for metrics of the whole run."""
     return split_key(key)[1].replace("_", " ")
+
+
+def metric_words(key: str) -> str:
+    """Return the name of a metric and of the signal that it is about."""
+    return " of ".join(filter(None, (metric_name(key), metric_signal(key))))
 
 
 def ranked(

@@ -9,7 +9,7 @@ from typing import cast
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
-from ddpc_cosim.metrics import headline, split_key
+from ddpc_cosim.metrics import headline, metric_name, split_key
 from ddpc_cosim.study.file_format.sections import ReferencePoints
 from ddpc_cosim.study.shares import describe_shares, floored, share_runs, shares_of
 from ddpc_cosim.study.statistics import Runs, Sample, compare_all, describe
@@ -29,6 +29,7 @@ from ddpc_reports.tables.table import Column, Heading, Table, controller_table, 
 from ddpc_reports.verdict import Statement, by_signal, counted, join_words, names, some_of
 
 _NAMED = 3
+_STEP, _TRAVEL = "solve_time_median [s]", "total_variation"
 
 
 @dataclass(frozen=True)
@@ -124,9 +125,9 @@ def _costs(
     found: dict[str, dict[str, list[float]]] = {"step": {}, "recorded": {}, "travel": {}}
     for case in results.cases:
         found["recorded"].setdefault(case.controller, []).append(case.recorded_samples)
-        if not math.isnan(step := case.metrics.get("solve_time_median [s]", math.nan)):
+        if not math.isnan(step := case.metrics.get(_STEP, math.nan)):
             found["step"].setdefault(case.controller, []).append(step)
-    travels = [key for key in keys if split_key(key)[0] == "total_variation"]
+    travels = [key for key in keys if split_key(key)[0] == _TRAVEL]
     for one in share_runs(results.cases, points, travels):
         if one.full > 0 and one.case.holds:
             ratio = one.case.metrics[one.metric] / one.full
@@ -201,11 +202,11 @@ def _ahead_words(far: Distances, problem: str, by_key: Mapping[str, ControllerRe
 def _cost_words(far: Distances, key: str) -> str:
     recorded = far.recorded.get(key, 0)
     words = [
-        f"a median step of {duration(far.step.get(key, math.nan))}",
+        f"a {metric_name(_STEP)} of {duration(far.step.get(key, math.nan))}",
         f"a recording of {counted(recorded, 'sample')}" if recorded else "no recording",
     ]
     if key in far.travel:
-        words.append(f"{significant(far.travel[key], 2)} times the actuators' travel at 100\u00a0%")
+        words.append(f"{significant(far.travel[key], 2)} times the {metric_name(_TRAVEL)} at 100\u00a0%")
     return ", ".join(words)
 
 
@@ -224,9 +225,12 @@ def distance_columns(far: Distances, rows: Sequence[ControllerResults]) -> list[
         (Heading("interval", "%", group=SHARE), [share_interval(sample) for sample in samples]),
         (Heading("least", "%", group=SHARE), [share_cell(found[0] if found else None) for found in ends]),
         (Heading("most", "%", group=SHARE), [share_cell(found[-1] if found else None) for found in ends]),
-        (Heading("median step", unit, group="cost"), number_cells([t * factor for t in step], digits=3)),
+        (Heading(metric_name(_STEP), unit, group="cost"), number_cells([t * factor for t in step], digits=3)),
         (Heading("recording", "samples", group="cost"), number_cells(recorded)),
-        (Heading("travel", "of that at 100\u00a0%", group="cost"), number_cells(travel, digits=2)),
+        (
+            Heading(metric_name(_TRAVEL), "of that at 100\u00a0%", group="cost"),
+            number_cells(travel, digits=2),
+        ),
     ]
 
 

@@ -17,9 +17,9 @@ from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
     conditions,
-    metric_label,
     metric_signal,
     metric_unit,
+    metric_words,
     spread as summed_up,
 )
 from ddpc_reports.figures.charts import heat_chart
@@ -144,7 +144,7 @@ def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
 def effects_table(condition: Condition, prefix: str) -> Table | None:
     """Return how much each swept setting decides the metrics of the ranking; None without sweeps."""
     rows = [
-        Row(f"{sweep.label}: {name}", _effect_cells(sweep, name, key), group=_title(key))
+        Row(f"{sweep.label}: {name}", _effect_cells(sweep, name, key), group=metric_words(key))
         for key in condition.headline
         for sweep in sweeps(condition)
         for name in sweep.settings
@@ -182,10 +182,6 @@ def _effect_cells(sweep: Sweep, setting: str, key: str) -> tuple[Cell, ...]:
     )
 
 
-def _title(key: str) -> str:
-    return " of ".join(filter(None, (metric_label(key), metric_signal(key))))
-
-
 def sensitivity_figures(condition: Condition, prefix: str) -> list[Figure]:
     """Return one map for each sweep and controlled output; none without sweeps."""
     pairs = [(sweep, key) for sweep in sweeps(condition) for key in condition.headline]
@@ -195,10 +191,10 @@ def sensitivity_figures(condition: Condition, prefix: str) -> list[Figure]:
 
 
 def _figure(sweep: Sweep, key: str, identifier: str) -> Figure:
-    what = _title(key)
+    what = metric_words(key)
     unit = f" in {metric_unit(key)}" if metric_unit(key) else ""
     caption = (
-        f"{sweep.label}: {what.lower()}{unit} over {' and '.join(sweep.axes)}; "
+        f"{sweep.label}: {what}{unit} over {' and '.join(sweep.axes)}; "
         "the stronger the tint, the worse. Framed: the controller's own settings." + _summed_words(sweep)
     )
     rows = list(_rows(sweep, key))
@@ -263,10 +259,9 @@ def variants_table(condition: Condition, variants: Sequence[StudyResults], prefi
     columns = [
         _variant_cells([members.get(one.key) for _, members in rows], key) for one in condition.controllers
     ]
-    signal = " of ".join(filter(None, (metric_label(key), metric_signal(key))))
     return Table(
         f"{prefix}sweep",
-        f"Variants of the study: {signal}",
+        f"Variants of the study: {metric_words(key)}",
         (
             Heading("Variant", numeric=False),
             *(Heading(one.label, metric_unit(key)) for one in condition.controllers),

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
+from ddpc_cosim.metrics import metric_name
 from ddpc_cosim.study.shares import FLOOR, NEGLIGIBLE
 from ddpc_cosim.study.statistics import Sample
-from ddpc_reports.comparison import Condition, ControllerResults, metric_label, metric_signal
+from ddpc_reports.comparison import Condition, ControllerResults, metric_signal
 from ddpc_reports.numbers import MINUS, MISSING, fixed
 from ddpc_reports.tables.table import Cell, Column, Heading
 from ddpc_reports.verdict import Statement, by_signal, join_words, names
@@ -128,7 +129,7 @@ def _in_words(condition: Condition, key: str, zero: ControllerResults, full: Con
             if not full.holding
             else f"there is no seed on which {zero.label} completed and {full.label} stays near its reference"
             if not {case.seed for case in zero.completed} & {case.seed for case in full.holding}
-            else f"in {metric_label(key).lower()}, {full.label} is not better than {zero.label} by more than "
+            else f"in {metric_name(key)}, {full.label} is not better than {zero.label} by more than "
             f"{100 * NEGLIGIBLE:.0f}\u00a0% on any seed"
         )
         return Markup("there is no way to go: {}.").format(why)

@@ -8,14 +8,13 @@ import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
-from ddpc_cosim.metrics import split_key
+from ddpc_cosim.metrics import metric_name, split_key
 from ddpc_cosim.study.statistics import Difference
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
     Spread,
     metric_keys,
-    metric_label,
     metric_signal,
     metric_unit,
     ranked,
@@ -23,7 +22,7 @@ from ddpc_reports.comparison import (
 from ddpc_reports.numbers import duration, given_duration, integer, significant, with_unit
 
 _POOR = 3.0
-"""From this many times the best tracking error on, little actuator travel is not a merit."""
+"""From this many times the best error on, a small total variation is not a merit."""
 
 
 RANKED_BY = ("settled_error", "total_variation")
@@ -125,9 +124,10 @@ def _times(condition: Condition) -> Markup:
     text = Markup("")
     if len(order) > 1:
         (best, winner), (worst, last) = order[0], order[-1]
-        text = Markup("{}{} is fastest: median step {}{}; slowest is <i>{}</i> with {}. ").format(
+        text = Markup("{}{} is fastest: {} {}{}; slowest is <i>{}</i> with {}. ").format(
             _among(condition),
             _first(condition, key, winner),
+            metric_name(key),
             duration(best),
             _unsure_words(condition, key),
             last.label,
@@ -218,7 +218,7 @@ def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> State
     seeds = len(condition.seeds)
     over = f", medians over {seeds} seeds and ranges" if seeds > 1 else ""
     lines = [(metric_signal(key), _in_short(condition, key)) for key in keys]
-    text = Markup("{}{}:").format(metric_label(keys[0]), over) + by_signal(lines)
+    text = Markup("In {}{}:").format(metric_name(keys[0]), over) + by_signal(lines)
     return Statement(topic, text + seeds_needed([condition], keys))
 
 
@@ -289,7 +289,7 @@ def least_travel(condition: Condition) -> list[Statement]:
         return statements
     show = formatter(costs[0], 3)
     text = Markup(" Its {} is far from the best, though: {} against {}.").format(
-        "cost" if _is_cost(costs[0]) else "tracking error", show(own), show(tracks[0][0])
+        metric_name(costs[0]), show(own), show(tracks[0][0])
     )
     return [Statement(topic, sentence + text) for topic, sentence in statements]
 
@@ -302,7 +302,7 @@ def _first_seed(condition: Condition, key: str) -> Markup:
     if not order:
         return Markup("No controller stays near its reference on seed {}.").format(seed)
     show = formatter(key)
-    what = metric_label(key).lower()
+    what = metric_name(key)
     if len(order) == 1:
         alone = "no other case stays near its reference, to" if others else "there is no other controller to"
         return Markup("On seed {}, <b>{}</b> reaches a {} of {}; {} compare with.").format(
@@ -447,7 +447,7 @@ def _leader(
 ) -> Markup:
     show = formatter(key, 3)
     (best, winner), (second, next_one), (worst, last) = order[0], order[1], order[-1]
-    what = metric_label(key).lower() + (" (median of the seeds)" if len(condition.seeds) > 1 else "")
+    what = metric_name(key) + (" (median of the seeds)" if len(condition.seeds) > 1 else "")
     if show(best) == show(second):
         alike = _alike(order, show)
         return Markup("{} share the smallest {}: {}.").format(join_words(names(alike)), what, show(best))
@@ -529,7 +529,7 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
     parts: list[Markup] = []
     for winners, where in won.items():
         verb = "share" if len(winners) > 1 else "has"
-        claim = "" if parts else f" {verb} the smallest {metric_label(key).lower()}"
+        claim = "" if parts else f" {verb} the smallest {metric_name(key)}"
         who = join_words([Markup("<b>{}</b>").format(label) for label in winners])
         parts.append(Markup("{}{} in {}").format(who, claim, join_words(where)))
     among = ", of those that stay near their reference in every case there" if lost else ""

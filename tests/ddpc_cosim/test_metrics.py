@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 
 from ddpc_cosim import DisplayUnit, FloatArray, Outcome, Trace, Variable
 from ddpc_cosim.controller import Bounds
-from ddpc_cosim.metrics import METRICS, MetricSettings, split_key
+from ddpc_cosim.metrics import METRICS, MetricSettings, metric_name, split_key
 
 DEGREES = DisplayUnit("deg", 180.0 / math.pi)
 H = 0.5
@@ -69,6 +69,21 @@ def test_keys_name_figure_signal_and_unit() -> None:
     assert split_key("iae.angle [deg.s]") == ("iae", "angle", "deg.s")
     assert split_key("solve_time_mean [s]") == ("solve_time_mean", "", "s")
     assert split_key("rmse.a.b[1] [1]") == ("rmse", "a.b[1]", "1")
+
+
+@pytest.mark.parametrize(
+    ("key", "name"),
+    [
+        ("mean_abs_error.angle [deg]", "mean abs error"),
+        ("rmse.a_b [1]", "RMSE"),
+        ("iae", "IAE"),
+        ("rms_change.torque [N.m]", "RMS change"),
+        ("solve_time_p95 [s]", "solve time p95"),
+        ("third-party [J]", "third-party"),
+    ],
+)
+def test_the_name_in_print_is_that_of_the_key(key: str, name: str) -> None:
+    assert metric_name(key) == name
 
 
 def test_figures_of_the_error_leave_the_last_sample_out() -> None:

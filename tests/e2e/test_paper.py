@@ -89,12 +89,12 @@ def test_figures_of_the_paper_and_of_the_authors_programs(
 
 
 NAMES = {
-    "mean_abs_error.angle [deg]": "mean |error|, angle (°)",
-    "rmse.angle [deg]": "RMSE, angle (°)",
-    "settled_error.angle [deg]": "settled error, angle (°)",
-    "overshoot.angle [%]": "overshoot, angle (%)",
-    "rise_time.angle [s]": "rise time, angle (s)",
-    "settling_time.angle [s]": "settling time, angle (s)",
+    "mean_abs_error.angle [deg]": "mean abs error of angle (°)",
+    "rmse.angle [deg]": "RMSE of angle (°)",
+    "settled_error.angle [deg]": "settled error of angle (°)",
+    "overshoot.angle [%]": "overshoot of angle (%)",
+    "rise_time.angle [s]": "rise time of angle (s)",
+    "settling_time.angle [s]": "settling time of angle (s)",
 }
 
 

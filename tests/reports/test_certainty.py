@@ -20,7 +20,7 @@ from .synthetic import FORCE, SPEED, MakeResults, make_trace
 
 THREE = {key: {"type": key} for key in ("quick", "alike", "slow")}
 COST = "mean_abs_error.angle [deg]"
-GROUP = "Mean absolute error of angle / °"
+GROUP = "mean abs error of angle / °"
 SEEDS = list(range(12))
 
 
@@ -75,7 +75,7 @@ def test_the_figures_of_the_table_are_those_of_the_cases(results: StudyResults) 
 
 def test_who_is_not_told_apart_is_not_crowned(results: StudyResults) -> None:
     condition = conditions(results)[0]
-    said = plain(certainty_statements(condition))["Mean absolute error of angle"]
+    said = plain(certainty_statements(condition))["mean abs error of angle"]
     first, second, _ = rows(table_of(results))
     assert said == f"Not told apart: {first} and {second}. Told apart from all others: slow."
     spread = next(str(text) for topic, text in verdict(condition) if topic == "Spread")
@@ -91,7 +91,7 @@ def test_who_is_told_apart_from_all_others_is_said_to_be(make_results: MakeResul
     spread = next(str(text) for topic, text in verdict(condition) if topic == "Spread")
     assert "Over 12 seeds, <b>quick</b> has" in spread
     assert "The seeds tell it apart from every other controller (corrected p &lt; 0.001)." in spread
-    said = plain(certainty_statements(condition))["Mean absolute error of angle"]
+    said = plain(certainty_statements(condition))["mean abs error of angle"]
     assert said == "All 2 controllers that stay near their reference are told apart."
 
 
@@ -115,7 +115,7 @@ def test_a_controller_that_lost_a_run_is_last_and_not_tested(make_results: MakeR
     runs, *_, p, ahead, letters = found["quick"].cells
     assert (runs.text, p.text, letters.text) == ("11 of 12", MISSING, MISSING)
     assert ahead.text.endswith(" of 11")
-    assert "quick" not in plain(certainty_statements(conditions(results)[0]))["Mean absolute error of angle"]
+    assert "quick" not in plain(certainty_statements(conditions(results)[0]))["mean abs error of angle"]
 
 
 def test_too_few_seeds_are_said_to_be_and_nothing_is_tested(make_results: MakeResults) -> None:
@@ -192,4 +192,4 @@ def test_each_of_several_signals_and_scenarios_says_how_sure_it_is(make_results:
     assert len(re.findall("not told apart from (?:quick|slow)", said)) == 2
     ((_, across),) = across_statements(conditions(results))
     assert "The seeds do not tell the first apart in" in across
-    assert {row.group for row in table_of(results).rows} >= {"Mean absolute error of force / N"}
+    assert {row.group for row in table_of(results).rows} >= {"mean abs error of force / N"}

@@ -20,8 +20,9 @@ from rich.console import Console
 
 from ddpc_cosim import CosimWarning, Outcome, StudyResults, Trace
 from ddpc_cosim.cli.summary import summary_table
+from ddpc_cosim.metrics import METRICS
 from ddpc_cosim.study.following import following_lines
-from ddpc_cosim.study.results import write_results
+from ddpc_cosim.study.results import METRICS_FILE, write_results
 from ddpc_cosim.texts import printable
 from ddpc_reports import page as page_module, write_report
 from ddpc_reports.embedding import chart_library
@@ -312,7 +313,27 @@ def test_every_table_can_be_saved_as_csv(make_results: MakeResults, tmp_path: Pa
     text = base64.b64decode(files["cases.csv"].partition(",")[2]).decode()
     rows = list(csv.DictReader(io.StringIO(text)))
     expected = [case.metrics["mean_abs_error.angle [deg]"] for case in results.cases]
-    assert [float(row["mean |error|, angle (°)"]) for row in rows] == pytest.approx(expected)
+    assert [float(row["mean abs error of angle (°)"]) for row in rows] == pytest.approx(expected)
+
+
+def test_a_metric_has_one_name_in_page_terminal_and_file(make_results: MakeResults, tmp_path: Path) -> None:
+    scenarios = {"calm": {}, "noisy": {"label": "Noisy", "noise": {"angle": 0.01}}}
+    results = several_seeds(make_results, scenarios=scenarios)
+    page = " ".join(Reader(written(tmp_path, results)).text.replace("\N{MINUS SIGN}", "-").split())
+    console = Console(width=200)
+    with console.capture() as capture:
+        console.print(summary_table(results, console))
+    write_results(results)
+    columns = (results.folder / METRICS_FILE).read_text(encoding="utf-8").splitlines()[0]
+    keys = {key for key in columns.split(",") if key.partition(".")[0].partition(" [")[0] in METRICS}
+    assert keys == {key for case in results.cases for key in case.metrics}
+    for name in METRICS.keys() & {key.partition(".")[0].partition(" [")[0] for key in keys}:
+        words = re.sub("rmse|iae|rms", lambda found: found[0].upper(), name.replace("_", " "))
+        metric = METRICS[name]
+        assert ("report" not in metric.shown) or words in page, words
+        assert ("terminal" not in metric.shown) or words in capture.get(), words
+        if metric.label.casefold() != words.casefold():
+            assert metric.label.casefold() not in (page + capture.get()).casefold()
 
 
 def test_a_thousand_cases_do_not_blow_the_page_up(make_results: MakeResults, tmp_path: Path) -> None:

@@ -12,14 +12,14 @@ from typing import Any, TypeVar
 from markupsafe import Markup
 
 from ddpc_cosim import CosimWarning
+from ddpc_cosim.metrics import metric_name
 from ddpc_cosim.texts import recorded
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
     ControllerResults,
-    metric_label,
-    metric_signal,
     metric_unit,
+    metric_words,
     outcome_words,
 )
 from ddpc_reports.embedding import static_svg
@@ -347,7 +347,7 @@ def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
 
 
 def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | None:
-    what = " of ".join(filter(None, (metric_label(key), metric_signal(key))))
+    what = metric_words(key)
     axis = f"{what} / {metric_unit(key)}" if metric_unit(key) else what
     rows = [row for one in condition.controllers for row in _spread_rows(condition, one, key)]
     if not rows:
@@ -356,7 +356,7 @@ def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | 
     if len(condition.seeds) > _MOST_DOTS:
         dots = f"{_MOST_DOTS} dots at most, even in rank from the lowest value to the highest"
     caption = (
-        f"{what} over {len(condition.seeds)} seeds, cases that stay near their reference only; "
+        f"Over {len(condition.seeds)} seeds, {what} in the cases that stay near their reference; "
         f"{dots}, upright line: median, diamond: seed {condition.seeds[0]}."
         + (" Logarithmic axis." if ranges_widely([row["value"] for row in rows]) else "")
     )
@@ -394,9 +394,9 @@ def _spread_out(ranked_seeds: Sequence[int]) -> list[int]:
 def step_time_figure(condition: Condition, prefix: str) -> Figure | None:
     """Return the step times of all controllers on a logarithmic axis; None if nothing was timed."""
     rows = [
-        _step_time_row(one, words, one.summed(key))
+        _step_time_row(one, metric_name(key), one.summed(key))
         for one in condition.controllers
-        for words, key in STEP_TIMES.items()
+        for key in STEP_TIMES
     ]
     rows = [row for row in rows if math.isfinite(row["value"]) and row["value"] > 0]
     if not rows:

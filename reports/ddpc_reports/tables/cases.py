@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ddpc_cosim import OK, CaseResult, Outcome, StudyResults, judge_prediction
-from ddpc_cosim.metrics import metric_of
+from ddpc_cosim.metrics import metric_name, metric_of
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
@@ -15,7 +15,7 @@ from ddpc_reports.comparison import (
     indices,
     labels,
     metric_keys,
-    metric_signal,
+    metric_words,
     outcome_words,
     response_metrics,
     shown_as,
@@ -46,20 +46,22 @@ _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
 def step_time_table(condition: Condition, prefix: str) -> Table:
-    """Return median, 95 %, 99 % and longest step time per controller, and deadline misses."""
+    """Return the times of a step per controller, and deadline misses."""
     everyone = condition.controllers
     eligible = [one.holds_all and not one.is_point for one in everyone]
     columns: list[Column] = []
-    for words, key in STEP_TIMES.items():
+    for key in STEP_TIMES:
         seconds = [one.summed(key) for one in everyone]
         unit, factor = time_scale(seconds)
         alike = condition.alike(key, everyone)
         shown = [value * factor for value in seconds]
         cells = number_cells(shown, eligible=eligible, digits=3, alike=alike)
-        columns.append((Heading(words, unit, group="step time"), cells))
+        columns.append((Heading(metric_name(key), unit), cells))
     sampling_time = condition.results.study.loop.sampling_time
-    share = [100 * one.summed(STEP_TIMES["longest"]) / sampling_time for one in everyone]
-    columns.append((Heading("longest", "% of the sampling time"), number_cells(share, digits=2)))
+    share = [100 * one.summed("solve_time_max [s]") / sampling_time for one in everyone]
+    columns.append(
+        (Heading(metric_name("solve_time_max"), "% of the sampling time"), number_cells(share, digits=2))
+    )
     misses = [one.total("deadline_misses [1]") for one in everyone]
     columns.append((Heading("deadline misses", "steps"), [Cell(integer(n), int(n)) for n in misses]))
     return controller_table(
@@ -68,8 +70,8 @@ def step_time_table(condition: Condition, prefix: str) -> Table:
         everyone,
         columns,
         (
-            "Wall-clock times. Median, 95\u00a0% and 99\u00a0% are medians over the completed cases; "
-            "longest is of all of them.",
+            "Wall-clock times: median, 95th and 99th percentile of a run, in medians over the completed "
+            "cases, and the longest of all of them.",
         ),
         "step-times.csv",
     )
@@ -101,7 +103,7 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
         *([Heading("scenario", numeric=False)] if several else []),
         Heading("seed"),
         Heading("outcome", numeric=False),
-        *(Heading(_case_title(key), unit) for key, (unit, _) in zip(keys, scales, strict=True)),
+        *(Heading(metric_words(key), unit) for key, (unit, _) in zip(keys, scales, strict=True)),
     ]
     total = len(results.cases)
     caption, which = f"Every case ({total})", ""
@@ -137,7 +139,7 @@ def _shown_cases(results: StudyResults) -> Sequence[CaseResult]:
     return [case for case in results.cases if case.id in shown]
 
 
-_CASE_STEP_TIMES = {STEP_TIMES["median"]: "median step", STEP_TIMES["longest"]: "longest step"}
+_CASE_STEP_TIMES = ("solve_time_median [s]", "solve_time_max [s]")
 
 
 def _case_keys(conditions: Sequence[Condition]) -> list[str]:
@@ -145,11 +147,6 @@ def _case_keys(conditions: Sequence[Condition]) -> list[str]:
     shown = (name for name, metric in response_metrics().items() if metric.better or not metric.if_held)
     keys = [key for name in shown for key in metric_keys(conditions, name)]
     return [*keys, *_CASE_STEP_TIMES]
-
-
-def _case_title(key: str) -> str:
-    title = metric_of(key).title
-    return _CASE_STEP_TIMES.get(key) or ", ".join(filter(None, (title, metric_signal(key))))
 
 
 def _value(case: CaseResult, key: str) -> float:

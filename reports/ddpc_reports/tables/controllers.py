@@ -1,13 +1,13 @@
 """Controllers compared: in one scenario, from scenario to scenario, and with published values."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
-from ddpc_cosim.metrics import Metric, all_metrics, metric_of, split_key
+from ddpc_cosim.metrics import Metric, all_metrics, metric_name, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import PublishedMethod, Reproduction
 from ddpc_reports.comparison import (
@@ -17,6 +17,7 @@ from ddpc_reports.comparison import (
     metric_keys,
     metric_signal,
     metric_unit,
+    metric_words,
     response_metrics,
     shown_as,
     shown_metrics,
@@ -49,7 +50,7 @@ from ddpc_reports.verdict import Statement
 
 
 def verdict_table(condition: Condition, prefix: str) -> Table:
-    """Return the metrics that have a title, and the cases completed: a row per controller."""
+    """Return the metrics of the report, and the cases completed: a row per controller."""
     by_name = {name: columns for name in _overall(shown_metrics()) if (columns := _columns(condition, name))}
     completed = [_counted(len(one.completed), len(one.cases)) for one in condition.controllers]
     columns = [column for columns in by_name.values() for column in columns]
@@ -87,11 +88,7 @@ def response_table(condition: Condition, prefix: str) -> Table | None:
     notes = [
         f"From each step of the reference until {preview} before the next one: until then, every controller "
         "answers the same step. Of a run that does not stay near its reference there are none.",
-        *(
-            f"{metric.title.capitalize()}: {metric.description}."
-            for metric in shown_metrics().values()
-            if metric.if_held
-        ),
+        _meanings(name for name, metric in shown_metrics().items() if metric.if_held),
         "A dash: a time is not reached, an output was not at rest to leave, or its reference has no steps.",
         *(
             ("Medians over the seeds; a time that is not reached counts as longer than any.",)
@@ -110,10 +107,9 @@ def response_table(condition: Condition, prefix: str) -> Table | None:
 
 
 def _response_column(condition: Condition, key: str) -> Column:
-    metric = metric_of(key)
     values = [one.summed(key) for one in condition.controllers]
     cells = _median_cells(condition, key, values, 3)
-    return Heading(metric.title, metric_unit(key), group=metric_signal(key)), cells
+    return Heading(metric_name(key), metric_unit(key), group=metric_signal(key)), cells
 
 
 def _counted(count: int, total: int) -> Cell:
@@ -134,26 +130,24 @@ def _columns(condition: Condition, name: str) -> list[Column]:
 def _column(condition: Condition, key: str) -> Column:
     """Return the column of a metric, under the head of the metric where several signals have it."""
     name = split_key(key)[0]
-    metric = metric_of(key)
     values = [one.summed(key) for one in condition.controllers]
     unit, factor = shown_as(key, values)
     shown = [value * factor for value in values]
     digits = 4 if key in condition.headline else 3
     cells = _median_cells(condition, key, shown, digits)
     if len(condition.keys(name)) > 1:
-        return Heading(metric_signal(key), unit, group=metric.title), cells
-    return Heading(metric.title, unit, group=metric.group), cells
+        return Heading(metric_signal(key), unit, group=metric_name(key)), cells
+    return Heading(metric_name(key), unit), cells
 
 
 def _tracking(condition: Condition, key: str) -> list[Column]:
     """Return first seed, median and range; with several outputs there is room for the medians only."""
-    metric = metric_of(key)
-    group = " / ".join(filter(None, (metric.title, metric_unit(key))))
+    group = " / ".join(filter(None, (metric_name(key), metric_unit(key))))
     firsts = [one.at_first(key) for one in condition.controllers]
     eligible = [
         one.holds_first and not one.is_point and not condition.none_follows for one in condition.controllers
     ]
-    cells = number_cells(firsts, eligible=eligible, better=metric.better)
+    cells = number_cells(firsts, eligible=eligible, better=metric_of(key).better)
     columns = [(Heading(f"seed {condition.seeds[0]}", group=group), cells)]
     if len(condition.seeds) > 1:
         spreads = [one.over_seeds(key) for one in condition.controllers]
@@ -186,30 +180,31 @@ def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
             ", among controllers that stay near their reference in every case "
             "(for the first seed: in that one)"
         )
-    metrics = [all_metrics()[name] for name in shown]
-    meanings = [
-        f"{metric.title[0].upper()}{metric.title[1:]}: {metric.description.replace(' - ', f' {MINUS} ')}."
-        for metric in metrics
-        if metric.group != "step time"
-    ]
     # With one output, its columns say it themselves.
-    own = metric_of(condition.headline[0]) if len(condition.headline) == 1 else None
-    summed = [metric for metric in metrics if metric is not own]
+    own = split_key(condition.headline[0])[0] if len(condition.headline) == 1 else ""
+    summed = [name for name in shown if name != own]
     words = [_summing_words(condition, summed)] if len(condition.seeds) > 1 else []
     same = "not told apart" if several else "equal"
     equal = "" if condition.none_follows else f"; where most are {same}, none is marked"
     of_points = (SHARE_NOTE,) if condition.points else ()
-    return f"{best}{equal}.", " ".join([*meanings, *words]), *of_points
+    return f"{best}{equal}.", " ".join([_meanings(shown), *words]), *of_points
 
 
-def _summing_words(condition: Condition, metrics: Sequence[Metric[Any]]) -> str:
+def _meanings(shown: Iterable[str]) -> str:
+    """Say what the metrics of a table are."""
+    known = all_metrics()
+    meanings = [f"{metric_name(name)}: {known[name].description}" for name in shown]
+    return f"{'; '.join(meanings).replace(' - ', f' {MINUS} ')}."
+
+
+def _summing_words(condition: Condition, shown: Sequence[str]) -> str:
     """Say how the metrics are summed up over the seeds."""
     ways = {"median": "medians of", "largest": "the largest of", "total": "totals of"}
-    titles = {
-        words: [f"{one.title} {one.group}".strip() for one in metrics if one.over_seeds == way]
+    found = {
+        words: [metric_name(name) for name in shown if all_metrics()[name].over_seeds == way]
         for way, words in ways.items()
     }
-    parts = [f"{words} {', '.join(found)}" for words, found in titles.items() if found]
+    parts = [f"{words} {', '.join(names)}" for words, names in found.items() if names]
     return f"Over {len(condition.seeds)} seeds: {'; '.join(parts)}."
 
 
@@ -247,10 +242,7 @@ def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
 
 
 def _across_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
-    metric = metric_of(key)
-    group = " / ".join(
-        filter(None, (" of ".join(filter(None, (metric.title, metric_signal(key)))), metric_unit(key)))
-    )
+    group = " / ".join(filter(None, (metric_words(key), metric_unit(key))))
     return _side_by_side(conditions, group, partial(_across_column, key=key))
 
 
@@ -258,8 +250,9 @@ def _share_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
     """Return the shares of the way in a metric; nothing where there is no way to go."""
     if not any(condition.shares(key) for condition in conditions):
         return []
-    what = " of ".join(filter(None, (metric_of(key).title, metric_signal(key))))
-    return _side_by_side(conditions, f"Share of the way, by {what} / %", partial(share_cells, key=key))
+    return _side_by_side(
+        conditions, f"Share of the way, by {metric_words(key)} / %", partial(share_cells, key=key)
+    )
 
 
 def _side_by_side(
@@ -383,14 +376,17 @@ def _order(published: list[tuple[float, str]], here: list[tuple[float, str]]) ->
 
 def step_time_order(condition: Condition) -> list[Statement]:
     """Return the order of the median steps that this run measured; nothing for one contender alone."""
+    key = "solve_time_median [s]"
     order = [
         (value, one.label)
         for one in condition.contenders
-        if not math.isnan(value := one.over_seeds("solve_time_median [s]").median)
+        if not math.isnan(value := one.over_seeds(key).median)
     ]
     if len(order) < 2:
         return []
-    text = Markup("Median steps in this run, shortest first: {}.").format(_times_words(sorted(order)))
+    text = Markup("By {} in this run, shortest first: {}.").format(
+        metric_name(key), _times_words(sorted(order))
+    )
     return [Statement("Order", text)]
 
 

@@ -87,7 +87,7 @@ def test_a_narrow_window_loses_columns_and_no_figures(width: int) -> None:
     lines = printed(results(4), width)
     assert all(len(line) <= width for line in lines)
     assert not any("…" in line for line in lines)
-    assert any("mean |error|" in line for line in lines)
+    assert any("mean abs error" in line for line in lines)
 
 
 def test_one_seed_needs_no_range() -> None:

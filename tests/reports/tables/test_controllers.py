@@ -50,11 +50,11 @@ def test_scenarios_stand_beside_each_other(make_results: MakeResults) -> None:
     table = across_table(conditions(results), "x-")
     assert table is not None
     assert [heading.title for heading in table.headings] == ["Controller", "calm", "Noisy"]
-    row = next(row for row in table.rows if row.group == "mean |error| of angle / °" and row.key == "quick")
+    row = next(row for row in table.rows if row.group == "mean abs error of angle / °" and row.key == "quick")
     assert [cell.raw for cell in row.cells] == [median_cost(results, "quick", name) for name in SCENARIOS]
     assert [cell.best for cell in row.cells] == [True, True]
     (statement,) = across_statements(conditions(results))
-    assert plain(statement.text) == "quick has the smallest mean absolute error in calm and Noisy."
+    assert plain(statement.text) == "quick has the smallest mean abs error in calm and Noisy."
 
 
 def test_one_scenario_has_nothing_beside_it(make_results: MakeResults) -> None:
@@ -74,7 +74,7 @@ def test_different_winners_are_named_with_their_scenarios(make_results: MakeResu
         for case in results.cases
     )
     (statement,) = across_statements(conditions(replace(results, cases=swapped)))
-    assert plain(statement.text) == "quick has the smallest mean absolute error in calm; slow in Noisy."
+    assert plain(statement.text) == "quick has the smallest mean abs error in calm; slow in Noisy."
 
 
 SEEDS = [7, 0, 1, 2]
@@ -96,13 +96,11 @@ def test_a_new_metric_needs_its_entry_in_the_registry_alone(
 ) -> None:
     peak = Metric(
         Response,
-        "Peak",
+        "Highest value",
         "highest value - in full",
         lambda response: float(response.variable.shown_in.from_unit(response.values).max()),
         "value",
         better="high",
-        title="peak",
-        short="peak!",
     )
     monkeypatch.setitem(METRICS, "peak", peak)
     results = make_results(seeds=[7, 0, 1, 2, 3, 4], scenarios=SCENARIOS)
@@ -110,16 +108,16 @@ def test_a_new_metric_needs_its_entry_in_the_registry_alone(
     seen = conditions(results)
     table = verdict_table(seen[0], "x-")
     assert marked(table, "peak (°)") == ["quick"]
-    assert f"Peak: highest value {MINUS} in full." in table.notes[1]
-    assert "step time, peak; the largest of" in table.notes[1]
+    assert f"peak: highest value {MINUS} in full." in table.notes[1]
+    assert "solve time p99, peak; the largest of" in table.notes[1]
     beside = across_table(seen, "x-")
     assert beside is not None
     assert {row.header for row in beside.rows if row.group == "peak of angle / °"} == {"quick", "slow"}
-    assert "peak, angle (°)" in [heading.words for heading in cases_table(results, seen, "x-").headings]
+    assert "peak of angle (°)" in [heading.words for heading in cases_table(results, seen, "x-").headings]
     console = Console(width=200)
     with console.capture() as capture:
         console.print(summary_table(results, console))
-    assert "peak!" in capture.get()
+    assert "peak" in capture.get()
 
 
 @pytest.mark.parametrize(("better", "names"), [("low", ["quick"]), ("high", ["slow"]), ("", [])])
@@ -243,7 +241,7 @@ def test_the_order_of_steps_is_that_of_the_run(make_results: MakeResults) -> Non
     (condition,) = conditions(timed(make_results, 4e-5, 1e-5))
     (statement,) = step_time_order(condition)
     assert plain(statement.text) == (
-        "Median steps in this run, shortest first: b, a (about 4.0 times as long)."
+        "By solve time median in this run, shortest first: b, a (about 4.0 times as long)."
     )
     assert plain(statement.text) in plain(html.unescape(render_page([condition.results])))
     assert step_time_order(conditions(make_results(controllers={"quick": {"type": "quick"}}))[0]) == []
