@@ -65,6 +65,9 @@ class StudyResults:
         its name.
     damaged : dict of str to str
         Cases whose files are not what the run wrote, by id, and what is wrong: they are not among the cases.
+    peers : tuple of str
+        The controllers that a page shows, those of other problems and studies too, in their order: each looks
+        the same wherever it is drawn. Empty: its own.
     """
 
     folder: Path
@@ -72,6 +75,7 @@ class StudyResults:
     cases: tuple[CaseResult, ...]
     provenance: dict[str, str]
     damaged: dict[str, str] = field(default_factory=dict)
+    peers: tuple[str, ...] = ()
 
     @property
     def _own_name(self) -> str:
@@ -136,6 +140,7 @@ class StudyResults:
                 tuple(cases[name]),
                 facts.get(name, {}) | facts.get("", {}),
                 damaged[name],
+                self.peers,
             )
             for name in names
             if cases[name] or damaged[name]

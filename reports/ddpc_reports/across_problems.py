@@ -13,8 +13,8 @@ from ddpc_cosim.study.ranks import AverageRanks, Profile, profile_frame, ranks_f
 from ddpc_cosim.study.statistics import LEVEL, letters
 from ddpc_reports.comparison import Condition, ControllerResults, conditions
 from ddpc_reports.distances import Distances, distance_columns, distance_statements, distances
-from ddpc_reports.figures.charts import COLOURS, DASHES, profile_chart, rank_chart
-from ddpc_reports.figures.figure import Entry, Figure, dash_numbers, one_chart
+from ddpc_reports.figures.charts import profile_chart, rank_chart
+from ddpc_reports.figures.figure import Figure, entry, one_chart
 from ddpc_reports.figures.samples import column_name
 from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.shares import SHARE_NOTE
@@ -225,8 +225,6 @@ def _rank_figure(found: Overall, identifier: str) -> Figure:
 def _profile_figure(found: Overall, identifier: str) -> Figure:
     controllers = [*found.controllers.values()]
     columns = [column_name(one) for one in controllers]
-    numbers = dash_numbers([columns], columns)
-    dashes = {column: DASHES[number % len(DASHES)] for column, number in numbers.items()}
     steps = np.searchsorted(found.profile.ratios, np.geomspace(1.0, _WIDEST, _POINTS), side="right") - 1
     drawn = np.unique(steps)  # of many thousand steps what can be seen
     rows = [
@@ -241,10 +239,7 @@ def _profile_figure(found: Overall, identifier: str) -> Figure:
         "Performance profile: share of the runs that come within a factor of the best of the same problem, "
         f"scenario and seed, each problem with the same weight. Logarithmic axis, up to {_WIDEST:g}."
     )
-    legend = tuple(
-        Entry(column, one.label, one.index % COLOURS, " ".join(map("{:g}".format, dashes[column])), "")
-        for column, one in zip(columns, controllers, strict=True)
-    )
-    chart = profile_chart(rows, dashes, _WIDEST)
+    legend = tuple(entry(one, of_first=False) for one in controllers)
+    chart = profile_chart(rows, columns, _WIDEST)
     (view,) = one_chart(identifier, "", caption, chart).views
     return Figure(identifier, "Performance profile", caption, (replace(view, names=tuple(columns)),), legend)

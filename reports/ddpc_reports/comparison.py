@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from statistics import median
 from typing import Any, NamedTuple
@@ -301,16 +301,29 @@ def labels(results: StudyResults) -> dict[str, str]:
     }
 
 
+def on_one_page(studies: Sequence[StudyResults]) -> list[StudyResults]:
+    """Return studies whose controllers of the same name look alike, as they do in all problems of a study."""
+    shown = [problem for study in studies for problem in study.problems()]
+    peers = tuple(dict.fromkeys(key for one in shown for key, base in _bases(one).items() if not base))
+    return [replace(study, peers=peers) for study in studies]
+
+
 def indices(results: StudyResults) -> dict[str, int]:
-    """Return a number for every controller, from which it gets its colour.
+    """Return a number for every controller, from which it gets its colour and its dashes.
 
     Variants of a sweep are not drawn in figures over time: they share the number of their controller, so that
     the colours are left to those who need them.
     """
+    bases = _bases(results)
+    peers = results.peers or tuple(key for key, base in bases.items() if not base)
+    numbers = {key: number for number, key in enumerate(peers)}
+    return {key: numbers.get(base or key, 0) for key, base in bases.items()}
+
+
+def _bases(results: StudyResults) -> dict[str, str]:
+    """Return for every controller of which one it is a variant; empty: of none."""
     sections = results.study.controllers
-    base = {key: sections[key].variant_of if key in sections else "" for key in labels(results)}
-    numbers = {key: number for number, key in enumerate(key for key in base if not base[key])}
-    return {key: numbers.get(base[key] or key, 0) for key in base}
+    return {key: sections[key].variant_of if key in sections else "" for key in labels(results)}
 
 
 def _controllers_in(results: StudyResults, scenario: str) -> tuple[ControllerResults, ...]:

@@ -16,7 +16,7 @@ from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.texts import printable
 from ddpc_reports.across_problems import overall, overall_figures, overall_statements, overall_table
 from ddpc_reports.certainty import certainty_statements, certainty_table
-from ddpc_reports.comparison import Condition, conditions
+from ddpc_reports.comparison import Condition, conditions, on_one_page
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.embedding import (
     Packed,
@@ -99,6 +99,7 @@ def render_page(results: Sequence[StudyResults]) -> str:
     """
     if not results:
         raise ValueError("a report needs the results of at least one study")
+    results = on_one_page(results)
     data: dict[str, dict[str, Packed]] = {}
     parts: list[StudyPart] = []
     with np.errstate(over="ignore", invalid="ignore"):  # a run can have values of any size

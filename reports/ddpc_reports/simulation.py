@@ -128,7 +128,7 @@ def _envelope(values: FloatArray) -> "np.ndarray[tuple[int], np.dtype[np.intp]]"
 
 
 def _view(simulation: Simulation, signal: Signal, *, last: bool) -> View:
-    spec = time_chart(signal, [_LINE], {_LINE: 0}, simulation.sampling_time, (), last)
+    spec = time_chart(signal, [_LINE], simulation.sampling_time, (), last)
     description = f"{signal.title} over time"
     svg = static_svg(spec, f"simulation-{signal.id}", description, {signal.id: signal.columns})
     place = f"simulation-{signal.id}"

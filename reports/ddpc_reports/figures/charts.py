@@ -8,7 +8,7 @@ a layer of marks, each with its data, what is done to them (``transform``) and w
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from ddpc_reports.figures.samples import Signal
@@ -23,9 +23,8 @@ DASHES: tuple[tuple[float, ...], ...] = (
     (8, 2, 2, 2, 2, 2),
     (3, 1.5, 1, 1.5),
 )
-"""One pattern more than colours, so that many lines run through all pairs of both before one occurs twice."""
-
 COLOURS = 7
+"""One fewer than patterns, so that numbers run through all pairs of both before one occurs twice."""
 
 LABELS = "replace(datum.label, regexp(',', 'g'), '\u202f')"
 """Labels of an axis with thousands apart as everywhere in the page."""
@@ -100,14 +99,18 @@ class Mark(NamedTuple):
 
 
 def colour(index: int) -> str:
-    """Return the colour of a controller as a CSS variable."""
+    """Return the colour of a controller, by its number in the page, as a CSS variable."""
     return f"var(--c{index % COLOURS})"
+
+
+def dash(index: int) -> tuple[float, ...]:
+    """Return the dash pattern of a controller's line, by its number in the page; the first is solid."""
+    return DASHES[index % len(DASHES)]
 
 
 def time_chart(
     signal: Signal,
     names: Sequence[str],
-    dashes: dict[str, int],
     sampling_time: float,
     marks: Sequence[Mark],
     last: bool,
@@ -120,8 +123,6 @@ def time_chart(
         What is drawn.
     names : sequence of str
         Columns of the controllers in this panel, the one drawn first at the back.
-    dashes : dict
-        Number of the dash pattern of every column.
     sampling_time : float
         Time between samples [s].
     marks : sequence of Mark
@@ -142,7 +143,7 @@ def time_chart(
         *_marks(marks, x),
         _band(x),
         *([_reference(signal, x, within)] if signal.has_reference else []),
-        _lines(signal, names, dashes, x, within),
+        _lines(signal, names, x, within),
         *_reading(signal, names, x),
     ]
     parameters = {"span": None, "band": None, "at": None, "hidden": [], "extent": list(signal.extent(names))}
@@ -192,12 +193,15 @@ def _colours(names: Sequence[str]) -> Spec:
     return _chosen_by("key", names, [colour(int(name[1:])) for name in names])
 
 
-def _lines(signal: Signal, names: Sequence[str], dashes: dict[str, int], x: Spec, within: Spec) -> Spec:
-    dash = _chosen_by("key", names, [list(DASHES[dashes[name] % len(DASHES)]) for name in names])
+def _dashes(names: Sequence[str]) -> Spec:
+    return _chosen_by("key", names, [list(dash(int(name[1:]))) for name in names])
+
+
+def _lines(signal: Signal, names: Sequence[str], x: Spec, within: Spec) -> Spec:
     shape = "step-after" if signal.held else "linear"
     return _layer(
         {"type": "line", "clip": True, "strokeWidth": 1.6, "interpolate": shape},
-        {"x": x, "y": _y(signal), "color": _colours(names), "strokeDash": dash},
+        {"x": x, "y": _y(signal), "color": _colours(names), "strokeDash": _dashes(names)},
         signal.id,
         *_folded(names),
         within,
@@ -337,15 +341,15 @@ def rank_chart(rows: list[dict[str, Any]]) -> Spec:
     return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})
 
 
-def profile_chart(rows: list[dict[str, Any]], dashes: Mapping[str, Sequence[float]], widest: float) -> Spec:
+def profile_chart(rows: list[dict[str, Any]], names: Sequence[str], widest: float) -> Spec:
     """Return a step line for each controller: which share of the runs comes within a factor of the best.
 
     Parameters
     ----------
     rows : list of dict
         ``key``, ``ratio`` (from 1 on) and ``share`` (of 1), by controller and rising.
-    dashes : mapping of str to sequence of float
-        Dash pattern of every controller.
+    names : sequence of str
+        Columns of the controllers.
     widest : float
         The largest ratio that is drawn.
     """
@@ -353,9 +357,8 @@ def profile_chart(rows: list[dict[str, Any]], dashes: Mapping[str, Sequence[floa
     axis = {"values": log_ticks(1.0, widest), "labelExpr": LABELS}
     x |= {"scale": {"type": "log", "domain": [1.0, widest], "nice": False}, "axis": axis}
     y = _field("share", "share of the runs") | {"scale": {"domain": [0, 1]}, "axis": {"format": "%"}}
-    dash = _chosen_by("key", [*dashes], [list(pattern) for pattern in dashes.values()])
     line = {"type": "line", "strokeWidth": 1.8, "interpolate": "step-after", "clip": True}
-    encoding = {"x": x, "y": y, "color": _colours([*dashes]), "strokeDash": dash}
+    encoding = {"x": x, "y": y, "color": _colours(names), "strokeDash": _dashes(names)}
     return _chart_of_rows(rows, [_layer(line, encoding, None, _NOT_HIDDEN)], 300)
 
 

@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -25,9 +25,9 @@ from ddpc_reports.comparison import (
 from ddpc_reports.embedding import static_svg
 from ddpc_reports.figures.charts import (
     COLOURS,
-    DASHES,
     Mark,
     Spec,
+    dash,
     ranges_widely,
     spread_chart,
     step_time_chart,
@@ -224,16 +224,6 @@ def _even_panels(controllers: tuple[ControllerResults, ...]) -> list[_Panel]:
     return [_Panel(f"Controllers {a + 1} to {b}", controllers[a:b]) for a, b in pairwise(ends)]
 
 
-def dash_numbers(panels: Sequence[Sequence[str]], names: Sequence[str]) -> dict[str, int]:
-    """Give every name the first dash pattern that no earlier name in a panel of its own has."""
-    numbers: dict[str, int] = {}
-    for name in names:
-        neighbours = {other for panel in panels if name in panel for other in panel}
-        taken = {numbers[other] for other in neighbours if other in numbers}
-        numbers[name] = next(number for number in range(len(names)) if number not in taken)
-    return numbers
-
-
 def _time_figure(
     condition: Condition,
     panels: Sequence[_Panel],
@@ -244,8 +234,6 @@ def _time_figure(
     identifier: str,
 ) -> Figure:
     marks, words = scenario
-    names = [column_name(one) for one in condition.controllers]
-    dashes = dash_numbers([[column_name(one) for one in panel.members] for panel in panels], names)
     places = [
         (panel, signal)
         for panel in panels
@@ -253,11 +241,11 @@ def _time_figure(
         if any(column_name(one) in signal.columns for one in panel.members)
     ]
     views = tuple(
-        _time_view(condition, place, dashes, marks, f"{identifier}-{number}", last=number == len(places))
+        _time_view(condition, place, marks, f"{identifier}-{number}", last=number == len(places))
         for number, place in enumerate(places, start=1)
     )
     shown = {one for panel in panels for one in panel.members}
-    legend = tuple(_entry(one, dashes) for one in condition.controllers if one in shown)
+    legend = tuple(entry(one) for one in condition.controllers if one in shown)
     return Figure(
         identifier,
         title,
@@ -293,18 +281,17 @@ def _leaves(values: Sequence[float], extent: tuple[float, float]) -> bool:
     return min(values) < extent[0] or max(values) > extent[1]
 
 
-def _entry(one: ControllerResults, dashes: Mapping[str, int]) -> Entry:
-    name = column_name(one)
-    pattern = DASHES[dashes[name] % len(DASHES)]
+def entry(one: ControllerResults, *, of_first: bool = True) -> Entry:
+    """Return the line of a legend of a controller; ``of_first``: with how its first seed ended."""
     case = one.first_case
-    note = "" if one.holds_first else outcome_words(case) if case else "not run"
-    return Entry(name, one.label, one.index % COLOURS, " ".join(f"{dash:g}" for dash in pattern), note)
+    note = "" if one.holds_first or not of_first else outcome_words(case) if case else "not run"
+    pattern = " ".join(f"{length:g}" for length in dash(one.index))
+    return Entry(column_name(one), one.label, one.index % COLOURS, pattern, note)
 
 
 def _time_view(
     condition: Condition,
     place: tuple[_Panel, Signal],
-    dashes: dict[str, int],
     marks: Sequence[Mark],
     identifier: str,
     *,
@@ -315,7 +302,7 @@ def _time_view(
     sampling_time = condition.results.study.loop.sampling_time
     # Restless lines at the back: they would hide the calm ones.
     order = sorted(names, key=lambda name: -_travel(signal.columns[name]))
-    spec = time_chart(signal, order, dashes, sampling_time, marks, last)
+    spec = time_chart(signal, order, sampling_time, marks, last)
     who = ", ".join(one.label for one in panel.members if column_name(one) in names)
     description = f"{signal.title} over time of {who}"
     svg = static_svg(spec, identifier, description, {signal.id: signal.columns})

@@ -1,7 +1,6 @@
 """What the axes show: no run that falls over flattens the others, and every tick has its label."""
 
 import json
-import math
 import re
 from dataclasses import replace
 from itertools import pairwise
@@ -13,10 +12,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 from ddpc_cosim import Bounds, Trace
-from ddpc_reports.comparison import conditions
+from ddpc_reports.comparison import conditions, on_one_page
 from ddpc_reports.embedding import _steps, pack
-from ddpc_reports.figures.charts import COLOURS, DASHES, log_ticks
-from ddpc_reports.figures.figure import spread_figures, time_figures
+from ddpc_reports.figures.charts import COLOURS, DASHES, colour, dash, log_ticks
+from ddpc_reports.figures.figure import Figure, spread_figures, time_figures
 from ddpc_reports.figures.samples import first_seed, trusted
 
 from ..synthetic import MakeResults, make_trace
@@ -83,8 +82,29 @@ def test_many_controllers_are_shared_out_so_that_no_two_of_a_panel_look_alike(
         assert len(set(colours)) == len(colours)
 
 
-def test_colours_and_patterns_run_through_all_pairs() -> None:
-    assert math.gcd(COLOURS, len(DASHES)) == 1
+@given(st.sets(st.integers(0, COLOURS * len(DASHES) - 1), min_size=2))
+def test_no_two_controllers_of_a_page_look_alike(numbers: set[int]) -> None:
+    assert len({(colour(number), dash(number)) for number in numbers}) == len(numbers)
+    first = min(numbers)
+    neighbours = range(first, first + COLOURS)
+    assert len({colour(number) for number in neighbours}) == len({dash(n) for n in neighbours}) == COLOURS
+
+
+def test_a_controller_looks_the_same_on_the_whole_page(make_results: MakeResults) -> None:
+    """Of two studies on one page one lacks a controller, and the other has them in another order."""
+    few, many = (
+        {key: THREE[key] for key in keys} for keys in (("slow", "falls"), ("falls", "quick", "slow"))
+    )
+    studies = on_one_page([make_results(falls, few), make_results(falls, many, seeds=[7, 8])])
+    looks: dict[str, set[tuple[str, str, str]]] = {}
+    for study in studies:
+        (condition,) = conditions(study)
+        drawn = time_figures(condition, "x-")[0]
+        for figure in (figure for figure in drawn if isinstance(figure, Figure)):
+            for one in figure.legend:
+                looks.setdefault(one.label, set()).add((one.name, str(one.colour), one.dashes))
+    assert {label: len(seen) for label, seen in looks.items()} == dict.fromkeys(many, 1)
+    assert len(set.union(*looks.values())) == len(many)
 
 
 def test_restless_lines_lie_behind_calm_ones(make_results: MakeResults) -> None:
