@@ -4,16 +4,22 @@ import re
 import shlex
 import shutil
 from pathlib import Path
+from types import ModuleType
 
 import click
 import pytest
 from click.testing import CliRunner
 
+import ddpc_controllers
+import ddpc_cosim
+import ddpc_reports
+import fmu_plants
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study.reading import read_study
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("[a-z]*.md"))]
+API = (ddpc_controllers, ddpc_cosim, ddpc_reports, fmu_plants)
 ROOMS = ("fmu_plants", "ddpc_cosim", "controllers", "reports", "tests", "docs", "benchmarks")
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -27,13 +33,43 @@ def blocks(language: str) -> list[object]:
     ]
 
 
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub and the site make them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
 @pytest.fixture
 def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder that holds the files beside the pages, and nothing else."""
     monkeypatch.chdir(tmp_path)
-    for path in (ROOT / "docs").glob("*.csv"):
+    for path in (ROOT / "docs" / "examples").glob("*.csv"):
         shutil.copy(path, tmp_path)
     return tmp_path
+
+
+@pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.name)
+def test_a_page_says_in_its_first_line_what_it_is_for(page: Path) -> None:
+    title, blank, purpose, after = page.read_text(encoding="utf-8").splitlines()[:4]
+    assert title.startswith("# ")
+    assert blank == after == ""
+    assert purpose.endswith(".")
+    assert len(purpose) <= 120
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files_and_headings_as_on_github(page: Path) -> None:
+    for target, anchor in re.findall(r"\]\(([^)#:\s]*)(#[^)]+)?\)", page.read_text(encoding="utf-8")):
+        path = page.parent / target if target else page
+        assert path.is_file(), target
+        assert not anchor or anchor.removeprefix("#") in anchors(path), anchor
+
+
+@pytest.mark.parametrize("package", API, ids=lambda package: package.__name__)
+def test_the_reference_has_every_public_name(package: ModuleType) -> None:
+    page = (ROOT / "docs" / "api" / f"{package.__name__}.md").read_text(encoding="utf-8")
+    named = re.findall(r"^   (\w+)$|`(\w+)`", page, re.MULTILINE)
+    assert {first or second for first, second in named} >= set(package.__all__)
 
 
 @pytest.mark.parametrize("code", blocks("python"))

@@ -13,7 +13,9 @@ DOCS = Path(__file__).parents[1] / "docs"
 
 @pytest.fixture(scope="module")
 def generator() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("generate_settings", DOCS / "generate_settings.py")
+    spec = importlib.util.spec_from_file_location(
+        "generate_settings", DOCS / "scripts" / "generate_settings.py"
+    )
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -23,7 +25,7 @@ def generator() -> ModuleType:
 
 def test_the_tables_are_current(generator: ModuleType) -> None:
     page = (DOCS / "methods.md").read_text(encoding="utf-8")
-    assert generator.with_tables(page) == page, "run python docs/generate_settings.py"
+    assert generator.with_tables(page) == page, "run python docs/scripts/generate_settings.py"
 
 
 @pytest.mark.parametrize("name", plugin_names("controllers"))

@@ -1,4 +1,4 @@
-"""The package of docs/write-a-controller-plug-in.md, installed into an environment of its own."""
+"""The package of docs/extend/write-a-controller-plug-in.md, installed into an environment of its own."""
 
 import os
 import re
@@ -12,7 +12,7 @@ import pytest
 # What its fixtures run or build is run and built in one process.
 pytestmark = pytest.mark.xdist_group("plug-in")
 
-PAGE = Path(__file__).parents[1] / "docs" / "write-a-controller-plug-in.md"
+PAGE = Path(__file__).parents[1] / "docs" / "extend" / "write-a-controller-plug-in.md"
 FILE = re.compile(r"^```\w+ (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMMAND = "from ddpc_cosim.cli.main import main; main()"
 

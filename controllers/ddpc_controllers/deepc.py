@@ -346,12 +346,13 @@ class DeePC(OnlineSettings, BehavioralTracking):
     plant slower than the horizon cannot rest at its end. ``artificial_setpoint`` off gives the regulation
     form of [8].
 
-    ``regulariser`` is what ``lambda_g`` weighs: ``"ridge"`` |g|^2; ``"equilibrium"``
-    |g - g_s|^2 + 0.3 |(I - Pi) g_s|^2, g_s(u_s, y_s) being the smallest combination that is at the artificial
-    setpoint all along, past and future: being there costs nothing, as far as the data say that the plant
-    rests there; ``"projection"`` |(I - Pi) g|^2, only what goes beyond the least-squares prediction;
-    ``"l1"`` |g|_1, for which no condensed form is known: the full problem is solved by PIQP's sparse backend
-    at every sample, at a cost that grows with the recording, and where that fails the last input is held.
+    ``regulariser`` is what ``lambda_g`` weighs: ``"ridge"`` ``|g|^2``; ``"equilibrium"``
+    ``|g - g_s|^2 + 0.3 |(I - Pi) g_s|^2``, g_s(u_s, y_s) being the smallest combination that is at the
+    artificial setpoint all along, past and future: being there costs nothing, as far as the data say that the
+    plant rests there; ``"projection"`` ``|(I - Pi) g|^2``, only what goes beyond the least-squares
+    prediction; ``"l1"`` ``|g|_1``, for which no condensed form is known: the full problem is solved by PIQP's
+    sparse backend at every sample, at a cost that grows with the recording, and where that fails the last
+    input is held.
 
     ``future_slack`` lets predicted outputs differ from the data rows by sigma_y too, in the cost, the
     terminal condition and the bounds, as in the robust scheme of Berberich et al.

@@ -133,7 +133,7 @@ def test_it_stands_in_files_terminal_report_and_list(site: Path, run: Run, run_p
 
 
 def test_the_one_of_the_documentation(site: Path, run: Run) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "extend" / "write-a-metric.md").read_text(encoding="utf-8")
     files = dict(re.findall(r"^```\w+ (\S+)\n(.*?)^```$", page, re.MULTILINE | re.DOTALL))
     (site / "ddpc_effort.py").write_text(files["ddpc_effort.py"], encoding="utf-8")
     ((name, target),) = tomllib.loads(files["pyproject.toml"])["project"]["entry-points"][

@@ -167,7 +167,7 @@ class _Radial(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class ThinPlate(_Radial):
-    """Thin-plate radial functions, equation (12): psi_i(x) = |x - c_i| log10 |x - c_i|.
+    """Thin-plate radial functions, equation (12): ``psi_i(x) = |x - c_i| log10 |x - c_i|``.
 
     The centres c_i are placed once per run, by default drawn uniformly from a box.
     """
@@ -194,7 +194,7 @@ def _thin_plate(states: FloatArray, centres: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Gaussian(_Radial):
-    """Gaussian radial functions: psi_i(x) = exp(-|x - c_i|^2 / (2 width^2))."""
+    """Gaussian radial functions: ``psi_i(x) = exp(-|x - c_i|^2 / (2 width^2))``."""
 
     count: int = setting(10, low=1, doc="number of functions, n_p")
     width: float = setting(1.0, above=0.0, doc="distance from the centre to the turning point")

@@ -1,6 +1,6 @@
 """Write the settings tables of methods.md from what the controllers declare.
 
-Run ``python docs/generate_settings.py``. A table stands between ``<!-- settings: NAME -->`` and
+Run ``python docs/scripts/generate_settings.py``. A table stands between ``<!-- settings: NAME -->`` and
 ``<!-- end -->``; NAME is a controller's entry point, or ``module:Class`` of anything that declares settings.
 """
 
@@ -12,7 +12,7 @@ from typing import Any
 from ddpc_cosim import declared_settings
 from ddpc_cosim.plugins import load_plugin
 
-PAGE = Path(__file__).with_name("methods.md")
+PAGE = Path(__file__).parents[1] / "methods.md"
 _TABLE = re.compile(r"(<!-- settings: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 

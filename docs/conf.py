@@ -1,0 +1,73 @@
+"""How the pages of this folder become a site: ``uv run --group docs sphinx-build -W docs docs/_build``.
+
+Neither the build nor the built pages ask anything of a network: formulas become MathML, fonts are those of
+the reader's system, and a page that would load something from elsewhere is a warning.
+"""
+
+import re
+from pathlib import Path
+
+from docutils import nodes
+from math_core import LatexToMathML
+from sphinx.application import Sphinx
+from sphinx.util import logging
+from sphinx.writers.html5 import HTML5Translator
+
+import ddpc_cosim
+
+project = "ddpc-cosim"
+author = "the ddpc-cosim developers"
+copyright = "2026, the ddpc-cosim developers"
+version = release = ddpc_cosim.__version__
+
+extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
+exclude_patterns = ["_build", "_templates"]
+highlight_language = "text"
+
+myst_enable_extensions = ["dollarmath"]
+myst_fence_as_directive = ["math"]  # as GitHub writes formulas
+myst_heading_anchors = 4
+
+autosummary_ignore_module_all = False
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "none"  # the docstrings say them, with shapes and units
+numpydoc_show_class_members = False  # autodoc shows those that have a docstring
+
+html_theme = "furo"
+html_title = "ddpc-cosim"
+templates_path = ["_templates"]
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_math_renderer = "mathml"
+html_copy_source = False
+html_show_sphinx = False
+
+_MATHML = LatexToMathML(fancy_error=False)
+_LOADED = re.compile(
+    r"""<(?:script|img|source|iframe|embed|video|audio)\b[^>]*?\bsrc=["']?(?:https?:)?//[^"'\s>]+
+      | <link\b(?=[^>]*\brel=["']?(?:stylesheet|icon|\w*pre))[^>]*?\bhref=["']?(?:https?:)?//[^"'\s>]+
+      | (?:@import\s|url\()\s*["']?(?:https?:)?//[^"'\s)]+""",
+    re.VERBOSE | re.IGNORECASE,
+)
+_log = logging.getLogger(__name__)
+
+
+def _formula(translator: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
+    block = isinstance(node, nodes.math_block)
+    formula = _MATHML.convert_with_local_state(node.astext(), displaystyle=block)
+    translator.body.append(f'<div class="math">{formula}</div>' if block else formula)
+    raise nodes.SkipNode
+
+
+def _warn_of_what_is_loaded(app: Sphinx, exception: Exception | None) -> None:
+    """Warn of every page and style that asks for something from the network when it is viewed."""
+    for path in sorted(Path(app.outdir).rglob("*")):
+        if exception is None and path.suffix in {".html", ".css"}:
+            for found in _LOADED.finditer(path.read_text(encoding="utf-8")):
+                _log.warning("%s loads from the network: %s", path.relative_to(app.outdir), found[0])
+
+
+def setup(app: Sphinx) -> None:
+    """Tell Sphinx of the formulas and of the last check."""
+    app.add_html_math_renderer("mathml", (_formula, None), (_formula, None))
+    app.connect("build-finished", _warn_of_what_is_loaded)
