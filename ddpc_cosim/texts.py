@@ -2,10 +2,18 @@
 
 import html
 import math
+import re
 import unicodedata
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 _LONGEST_RECORDED = 2000
+_FOLDER = r"""[^/\\\s"'<>|*?:;,()]+[/\\]"""
+_FOLDERS = re.compile(
+    r"""(?<=["'])(?:(?:file://|~)?/|[A-Za-z]:[/\\]|\\\\)[^"'\n]*[/\\](?=[^"'/\\\n]+["'])"""  # with blanks
+    rf"""|(?<![^\s"'(\[{{=,;:])(?:(?:file://)?/{_FOLDER}|~/|[A-Za-z]:[/\\]|\\\\)(?:{_FOLDER})*(?=[^/\\\s])"""
+)
+"""Folders of an absolute path, up to the name of the file."""
 
 
 def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
@@ -29,6 +37,16 @@ def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
     if text.isprintable():  # as nearly all are, and a page has half a million of them
         return text
     return text.translate({ord(c): repr(c)[1:-1] for c in set(text) if c not in keep and not _is_seen(c)})
+
+
+def without_folders(text: str) -> str:
+    """Return a text with file names in place of absolute paths, which tell of a machine and its user."""
+    if "/" not in text and "\\" not in text:
+        return text
+    home = Path.home()
+    if len(home.parts) > 1:  # its name may have blanks
+        text = text.replace(f"{home}/", "~/").replace(f"{home}\\", "~/")
+    return _FOLDERS.sub("", text)
 
 
 def encodable(text: str) -> str:

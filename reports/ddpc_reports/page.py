@@ -34,15 +34,7 @@ from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, st
 from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.sensitivity import effects_table, sensitivity_figures, sweep_statements, variants_table
 from ddpc_reports.shares import share_statements
-from ddpc_reports.tables.cases import (
-    cases_table,
-    diagnostics_table,
-    failures_table,
-    fallbacks_table,
-    provenance_table,
-    step_time_table,
-    warnings_table,
-)
+from ddpc_reports.tables.cases import cases_table, provenance_table, step_time_table
 from ddpc_reports.tables.controllers import (
     across_table,
     reproduction_statements,
@@ -51,6 +43,8 @@ from ddpc_reports.tables.controllers import (
     step_time_order,
     verdict_table,
 )
+from ddpc_reports.tables.diagnostics import diagnostics_tables
+from ddpc_reports.tables.failures import failures_table
 from ddpc_reports.tables.settings import compact_seeds, family_tables, settings_tables
 from ddpc_reports.tables.table import Table
 from ddpc_reports.tuning import front_figures, trials_tables
@@ -237,6 +231,7 @@ def _study_part(
 ) -> StudyPart:
     prefix = f"s{number}-"
     first = seen[0] if seen else None
+    detailed = [condition for condition in seen if condition in room.detailed]
     reproduction = results.study.report.reproduction if seen else None
 
     def each(what: str, blocks_of: Callable[[Condition, str], list[Block]]) -> list[Block]:
@@ -261,10 +256,6 @@ def _study_part(
     def overview() -> list[Block]:
         return [*_statements(across_statements(seen)), *_tables(across_table(seen, prefix))]
 
-    def lost() -> list[Block]:
-        told = _tables(warnings_table(results, prefix))
-        return [*told, *_tables(fallbacks_table(seen, prefix), failures_table(results, prefix))]
-
     def settings() -> list[Block]:
         families = family_tables(first, prefix) if first and first in room.detailed else []
         parameters = [("see parameters", reproduction.parameters)] if reproduction else _tables(*families)
@@ -275,7 +266,7 @@ def _study_part(
         ("verdict", "Verdict"): lambda title: [
             *_in_their_place(title, overview),
             *each(title, _verdict_blocks),
-            *_in_their_place("Fallbacks and failures", lost),
+            *_in_their_place("Failures and fallbacks", lambda: _tables(failures_table(results, prefix))),
         ],
         ("tuning", "Tuning"): lambda _: [
             *_tables(*trials_tables(results, prefix)),
@@ -298,9 +289,7 @@ def _study_part(
         ("time", "Computation time"): lambda title: each(
             title, lambda *one: _step_time_blocks(*one, drawn=one[0] in room.spread)
         ),
-        ("data", "Data diagnostics"): lambda title: each(
-            title, lambda *one: _tables(diagnostics_table(*one))
-        ),
+        ("data", "Data diagnostics"): lambda _: _tables(*diagnostics_tables(detailed, prefix)),
         ("settings", "Settings"): lambda _: settings(),
         ("limitations", "Known limitations"): lambda _: [
             ("notes", [*limitations(seen), *room.left_out(seen)])

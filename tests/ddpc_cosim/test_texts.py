@@ -5,7 +5,7 @@ import unicodedata
 import pytest
 from hypothesis import given, strategies as st
 
-from ddpc_cosim.texts import encodable, printable, recorded
+from ddpc_cosim.texts import encodable, printable, recorded, without_folders
 
 
 @pytest.mark.parametrize(
@@ -60,3 +60,31 @@ def test_what_a_run_keeps_is_printable_and_short_whatever_it_is() -> None:
     assert recorded("one\ntwo\0") == "one\ntwo\\x00"
     assert len(recorded("x" * 131_073)) == 2000
     assert recorded(WordlessError()) == "WordlessError without words: they raise KeyError"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("/home/jo/x/plant.fmu: cannot be read", "plant.fmu: cannot be read"),
+        ("no file '/data/John Doe/a b.csv'", "no file 'a b.csv'"),
+        ("files = [/home/x/y.fmu, ~/b.fmu]", "files = [y.fmu, b.fmu]"),
+        (r"C:\Users\jo\a.fmu and \\host\share\b.fmu", "a.fmu and b.fmu"),
+        ("run file:///home/x/y.toml --out=/tmp/z/o", "run y.toml --out=o"),
+    ],
+)
+def test_files_are_named_without_their_folders(text: str, shown: str) -> None:
+    assert without_folders(text) == shown
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["3 m/s and 2 /s", "see https://doi.org/10.1000/x and 1/2/3", r"\x1b[31m \u202e \n", "motor/speed/x"],
+)
+def test_what_is_no_path_is_left(text: str) -> None:
+    assert without_folders(text) == text
+
+
+def test_a_home_folder_with_a_blank_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/John Doe")
+    monkeypatch.setenv("USERPROFILE", "/home/John Doe")
+    assert without_folders("/home/John Doe/a.fmu: gone") == "a.fmu: gone"

@@ -224,7 +224,7 @@ def test_a_reason_for_failure_is_shown(make_results: MakeResults, tmp_path: Path
         return make_trace(0.3)
 
     text = Reader(written(tmp_path, make_results(trace_of))).text
-    assert "Cases that did not complete (1)" in text
+    assert "Runs that did not complete: 1 of 2" in text
     assert "fmi2DoStep failed at 3.0 s" in text
     assert "slow: none of its cases completed" in text
 

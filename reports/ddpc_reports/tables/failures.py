@@ -1,0 +1,181 @@
+"""What went wrong, grouped by reason: runs that were lost, fallbacks, warnings before the loop."""
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from ddpc_cosim import OK, CaseResult, Outcome, StudyResults
+from ddpc_cosim.texts import without_folders
+from ddpc_reports.comparison import labels
+from ddpc_reports.numbers import MISSING, as_given, computed, integer, with_unit
+from ddpc_reports.tables.table import Cell, Heading, Row, Table
+
+_READ = 200
+"""Cases whose samples are read for the reasons of fallbacks: as many of each controller and scenario."""
+_REASONS_SHOWN = 20
+"""Reasons of a kind that have a row each."""
+_NAMED = 4
+"""Controllers that are named of one reason."""
+_NUMBER = re.compile(r"(?<![A-Za-z_\d.])-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+"""A number, and not one in a name such as ``level_1``."""
+
+
+class _Event(NamedTuple):
+    """One reason given once: at which time [s], NaN where it is not of a time."""
+
+    text: str
+    case: CaseResult
+    time: float = math.nan
+
+
+@dataclass
+class _Reason:
+    """What was given as one reason, its numbers aside."""
+
+    first: _Event
+    texts: dict[str, None] = field(default_factory=dict)
+    cases: dict[str, CaseResult] = field(default_factory=dict)
+    events: int = 0
+
+    def add(self, event: _Event) -> None:
+        self.texts[event.text] = None
+        self.cases[event.case.id] = event.case
+        self.events += 1
+        if event.time < self.first.time:
+            self.first = event
+
+    def __str__(self) -> str:
+        """Return the words; of a number that is not always the same, smallest and largest."""
+        numbers = zip(*(_NUMBER.findall(text) for text in self.texts), strict=True)
+        spans = iter([_span(sorted(set(given), key=float)) for given in numbers])
+        return _NUMBER.sub(lambda _: next(spans), next(iter(self.texts)))
+
+
+def _span(given: list[str]) -> str:
+    return given[0] if len(given) == 1 else f"{given[0]} … {given[-1]}"
+
+
+def failures_table(results: StudyResults, prefix: str) -> Table | None:
+    """Return what went wrong in a row per reason; None if nothing did."""
+    failing, read = _failing(results.cases)
+    lost = [case for case in results.cases if case.outcome is not Outcome.COMPLETED]
+    kinds: dict[str, tuple[Iterable[_Event], bool]] = {
+        f"Runs that did not complete: {len(lost)} of {len(results.cases)}": (_ends(results, lost), False),
+        "Fallbacks of controllers": (_fallbacks(case for cases in failing for case in cases[:read]), True),
+        "Warnings before the loop": (_warnings(results.cases), False),
+    }
+    rows = tuple(
+        row
+        for kind, (events, sampled) in kinds.items()
+        for row in _rows(_grouped(events), kind, results, sampled=sampled)
+    )
+    if not rows:
+        return None
+    headings = (
+        Heading("Reason", numeric=False),
+        Heading("controllers", numeric=False),
+        Heading("cases"),
+        Heading("samples"),
+        Heading("first case", numeric=False),
+        Heading("at", numeric=False),
+    )
+    notes = ["Reasons that differ in numbers only are one, with the smallest and the largest of them."]
+    if failing:
+        notes.append(
+            "At the samples of a fallback the controller had no answer of its own and returned a substitute."
+        )
+    if any(len(cases) > read for cases in failing):
+        which = f"{read} cases" if read > 1 else "case"
+        notes.append(
+            f"Counted are the fallbacks in the first {which} with any of each controller and scenario; "
+            "metrics.csv has the number of every case."
+        )
+    return Table(
+        f"{prefix}failures",
+        "Failures, fallbacks and warnings by reason",
+        headings,
+        rows,
+        tuple(notes),
+        kind="grouped failures",
+        download="failures.csv",
+    )
+
+
+def _ends(results: StudyResults, lost: Sequence[CaseResult]) -> Iterator[_Event]:
+    """Yield how runs ended; at the time of their last sample, if they have any."""
+    loop = results.study.loop
+    for case in lost:
+        rows = case.metrics.get("samples [1]", 0.0)
+        time = loop.start_time + (rows - 1) * loop.sampling_time if rows >= 1 else math.nan
+        yield _Event(f"{case.outcome}: {case.reason}" if case.reason else str(case.outcome), case, time)
+
+
+def _failing(cases: Sequence[CaseResult]) -> tuple[list[list[CaseResult]], int]:
+    """Return the cases with fallbacks of each controller and scenario, and how many of them are read."""
+    found: dict[tuple[str, str], list[CaseResult]] = {}
+    for case in cases:
+        if case.metrics.get("failures [1]", 0.0) > 0:
+            found.setdefault((case.controller, case.scenario), []).append(case)
+    return [*found.values()], 1 + _READ // max(len(found), 1)
+
+
+def _fallbacks(cases: Iterable[CaseResult]) -> Iterator[_Event]:
+    for case in cases:
+        trace = case.trace()
+        # The fault that ended a case is not a fallback: it is told of the run.
+        statuses = trace.status[: trace.decided]
+        yield from (
+            _Event(status, case, float(trace.time[k])) for k, status in enumerate(statuses) if status != OK
+        )
+
+
+def _warnings(cases: Sequence[CaseResult]) -> Iterator[_Event]:
+    return (_Event(text, case) for case in cases for text in case.warnings)
+
+
+def _grouped(events: Iterable[_Event]) -> list[_Reason]:
+    """Return the reasons, the most frequent first."""
+    found: dict[str, _Reason] = {}
+    for event in events:
+        event = event._replace(text=without_folders(event.text))
+        found.setdefault(_NUMBER.sub("#", event.text), _Reason(event)).add(event)
+    return sorted(found.values(), key=lambda reason: -reason.events)
+
+
+def _rows(reasons: Sequence[_Reason], kind: str, results: StudyResults, *, sampled: bool) -> Iterator[Row]:
+    """Yield the rows of one kind; ``sampled`` says whether its events are samples."""
+    names, sections = labels(results), results.study.scenarios
+    scenarios = {case.scenario for case in results.cases}
+    told = {name: sections[name].label or name if name in sections else name for name in scenarios}
+
+    def case_words(case: CaseResult) -> str:
+        scenario = f", {told[case.scenario]}" if len(told) > 1 else ""
+        return f"{names[case.controller]}{scenario}, seed {case.seed}"
+
+    def row(words: str, cases: Mapping[str, CaseResult], events: int, first: _Event | None) -> Row:
+        those = [*dict.fromkeys(names[case.controller] for case in cases.values())]
+        cells = (
+            Cell(_listed(those)),
+            Cell(integer(len(cases)), len(cases)),
+            Cell(integer(events), events) if sampled else Cell(MISSING),
+            Cell(case_words(first.case) if first else MISSING),
+            Cell(MISSING if not first or math.isnan(first.time) else _time_words(first.time)),
+        )
+        return Row(words, cells, group=kind)
+
+    for reason in reasons[:_REASONS_SHOWN]:
+        yield row(str(reason), reason.cases, reason.events, reason.first)
+    if rest := reasons[_REASONS_SHOWN:]:
+        those = {id: case for reason in rest for id, case in reason.cases.items()}
+        yield row(f"{len(rest)} other reasons", those, sum(reason.events for reason in rest), None)
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _time_words(time: float) -> str:
+    return with_unit(as_given(computed(time)), "s")
