@@ -14,6 +14,7 @@ _FOLDERS = re.compile(
     rf"""|(?<![^\s"'(\[{{=,;:])(?:(?:file://)?/{_FOLDER}|~/|[A-Za-z]:[/\\]|\\\\)(?:{_FOLDER})*(?=[^/\\\s])"""
 )
 """Folders of an absolute path, up to the name of the file."""
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
 def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
@@ -47,6 +48,11 @@ def without_folders(text: str) -> str:
     if len(home.parts) > 1:  # its name may have blanks
         text = text.replace(f"{home}/", "~/").replace(f"{home}\\", "~/")
     return _FOLDERS.sub("", text)
+
+
+def alike(text: str) -> str:
+    """Return what is the same for texts that differ in their numbers only."""
+    return _NUMBER.sub("#", text)
 
 
 def encodable(text: str) -> str:

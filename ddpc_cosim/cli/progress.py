@@ -11,7 +11,7 @@ from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, TextIO
 
-from ddpc_cosim.texts import printable
+from ddpc_cosim.texts import alike, printable
 
 if TYPE_CHECKING:  # which take a while to import themselves
     from collections.abc import Iterator
@@ -177,6 +177,7 @@ class TerminalProgress:
 
         console = Console(stderr=True)
         self._progress = WithCases(progress.SpinnerColumn(), since, what, console=console, transient=True)
+        self._told: set[tuple[str, str]] = set()
         self._task = self._progress.add_task(printable(text), total=None, simulated=0.0, rate="")
 
     def __enter__(self) -> Self:
@@ -211,11 +212,13 @@ class TerminalProgress:
         self._cases.update(update)
 
     def finished(self, case: "Case", result: "CaseResult") -> None:
-        """Count a case, and keep a line about one that failed."""
+        """Count a case, and keep a line about one that failed as no other did before."""
         self._cases.finished(case)
         rate, simulated = self._cases.rate, self._cases.simulated
         self._progress.update(self._task, advance=1, description="running", simulated=simulated, rate=rate)
-        if result.reason:
+        kind = result.outcome, alike(result.reason)
+        if result.reason and kind not in self._told:
+            self._told.add(kind)
             line = printable(f"{case.name}: {result.outcome}: {result.reason}")
             self._progress.console.print(line, markup=False)
 

@@ -27,7 +27,7 @@ from ddpc_cosim.study.results import (
     write_report,
 )
 from ddpc_cosim.study.runner import Selection, run_study
-from ddpc_cosim.texts import printable
+from ddpc_cosim.texts import alike, printable
 from ddpc_cosim.trace import Outcome
 
 _WIDE = 1000
@@ -78,7 +78,7 @@ def show_results(results: StudyResults, *, report: bool = True) -> int:
         for line in following_lines(problem.study, problem.cases):
             screen.print(printable(f"{line}."), markup=False, highlight=False, style="bold")
         if problem.cases:
-            screen.print(summary_table(problem, screen))
+            screen.print(summary_table(problem, screen), crop=False)
         if several := len(results.variants(problem.study.name)):
             noun = "variant" if several == 1 else "variants"
             screen.print(
@@ -87,20 +87,24 @@ def show_results(results: StudyResults, *, report: bool = True) -> int:
     if report:
         print(_write_report([results], folder / REPORT_FILE))
     _print_warnings(results)
-    failed = [
-        f"{case.id}: {case.outcome}: {case.reason}"
-        for case in results.cases
-        if case.outcome is not Outcome.COMPLETED
-    ]
-    _print_some(failed, f": {folder / METRICS_FILE}")
+    failed: dict[tuple[Outcome, str], list[CaseResult]] = {}
+    for case in results.cases:
+        if case.outcome is not Outcome.COMPLETED:
+            failed.setdefault((case.outcome, alike(case.reason)), []).append(case)
+    lines = [f"{_first_and_more(cases)}: {cases[0].outcome}: {cases[0].reason}" for cases in failed.values()]
+    _print_some(lines, f": {folder / METRICS_FILE}")
     return 1 if failed or _damaged(results) else 0
+
+
+def _first_and_more(cases: Sequence[CaseResult]) -> str:
+    return cases[0].id + (f" and {len(cases) - 1} more" if len(cases) > 1 else "")
 
 
 def _print_some(lines: Sequence[str], rest: str) -> None:
     for line in lines[:_MOST_LISTED]:
         print(printable(line), file=sys.stderr)
     if len(lines) > _MOST_LISTED:
-        print(f"and {len(lines) - _MOST_LISTED} more{rest}", file=sys.stderr)
+        print(printable(f"and {len(lines) - _MOST_LISTED} more{rest}"), file=sys.stderr)
 
 
 def _damaged(results: StudyResults) -> bool:
@@ -115,10 +119,10 @@ def _damaged(results: StudyResults) -> bool:
 
 def _print_warnings(results: StudyResults) -> None:
     """Print what spoke against data and models before the loops were closed, each text once."""
-    cases_of: dict[str, list[CaseResult]] = {}
+    found: dict[str, tuple[str, list[CaseResult]]] = {}
     for (_, text), cases in results.warnings().items():
-        cases_of.setdefault(text, []).extend(cases)
-    for text, all_cases in cases_of.items():
+        found.setdefault(alike(text), (text, []))[1].extend(cases)
+    for text, all_cases in found.values():
         controllers = ", ".join(dict.fromkeys(case.controller for case in all_cases))
         count = f"{len(all_cases)} {'case' if len(all_cases) == 1 else 'cases'}"
         print(printable(f"warning: {controllers} ({count}): {text}"), file=sys.stderr)

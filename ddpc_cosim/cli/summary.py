@@ -1,215 +1,254 @@
-"""The result table that ``run`` prints: short enough to be read at once, also after a sweep."""
+"""The result table that ``run`` prints: who is ahead, told in the columns that fit; the others are named."""
 
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from statistics import median
+from functools import partial
+from textwrap import wrap
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
-from ddpc_cosim.study.following import none_follows
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.study.shares import marked
+from ddpc_cosim.study.standings import Standing, Standings, known_values, standings, summed
 from ddpc_cosim.texts import printable
-from ddpc_cosim.trace import Outcome
 
-_RANGE = "range"
 _STEP = "solve_time_median [s]"
 _VARIANTS_SHOWN = 2
-_LONGEST_NAME = 60
+_NAME_PART = 0.4
+"""Part of the window that names may take."""
+_SHORTEST_NAME, _SHORTEST_HEADING = 10, 5
 _UNLIMITED = 10_000
+_MISSING = "-"
 
 
 @dataclass(frozen=True)
 class _Row:
-    """One controller under one scenario; or, without cases, a note on settings that are not listed."""
+    """A controller, or a variant of one; without cases, a note on settings that are not listed."""
 
     name: str
-    scenario: str
     cases: Sequence[CaseResult] = ()
+    standing: Standing | None = None
+
+    @property
+    def lost(self) -> int:
+        """How many of its runs do not stay near their reference."""
+        return sum(not case.holds for case in self.cases)
 
 
-def summary_table(results: StudyResults, console: Console) -> Table:
-    """Return one row per controller and scenario, of a sweep the best settings, to fit the console.
+@dataclass(frozen=True)
+class _Column:
+    """A column: its heading in two lines, what stands in a row, and what is missing where it is left out."""
 
-    Each row has the values of the first seed, and median and range over all.
+    title: str
+    detail: str
+    words: str
+    key: str
+    cell: Callable[[Sequence[CaseResult]], Text]
+
+
+def summary_table(results: StudyResults, console: Console) -> RenderableType:
+    """Return the controllers of one problem, the best first; of sweeps the best settings below their own.
+
+    Of one scenario there is a column per metric, of several a column per scenario. Those that do not fit the
+    console are named below.
     """
+    found = standings(results.study, results.cases)
+    keys = tuple(dict.fromkeys(key for case in results.cases for key in case.metrics))
+    scenarios = tuple(dict.fromkeys(case.scenario for case in results.cases))
+    rows = _rows(results, found)
+    columns = _metric_columns(results, keys) if len(scenarios) < 2 else _scenario_columns(results, keys)
     unlimited = console.options.update(width=_UNLIMITED)
-    several_seeds = len({case.seed for case in results.cases}) > 1
-    # What a narrow window leaves out, one after the other: all metrics but the first, then the range.
-    metrics = [*reversed(_shown()[1:])]
-    order = [*metrics, _RANGE] if several_seeds else [_RANGE, *metrics]
-    for dropped in range(0 if several_seeds else 1, len(order) + 1):
-        table = _table(results, left_out=order[:dropped])
+    for count, wrapped in [(len(columns), False), *((n, True) for n in range(len(columns), 0, -1))]:
+        table = _table(rows, columns[:count], int(_NAME_PART * console.width), wrapped=wrapped)
         if console.measure(table, options=unlimited).maximum <= console.width:
             break
-    return table
+    left_out = [column.words for column in columns[count:]]
+    if len(scenarios) > 1:
+        of_metrics = (one.title for one in _metric_columns(results, keys) if one.key not in headline(keys))
+        left_out += dict.fromkeys(of_metrics)
+    lines = _lines(results, found, rows, left_out)
+    below = [line for text in lines for line in _wrapped(printable(text), console.width)]
+    head = Text(_title(results), style="bold")
+    return Group(head, table, *(Text(line, overflow="ignore") for line in below))
 
 
-def _shown() -> list[str]:
-    return [name for name, metric in all_metrics().items() if "terminal" in metric.shown]
-
-
-def _table(results: StudyResults, left_out: Sequence[str]) -> Table:
-    first = results.cases[0]
-    ranked = headline(first.metrics)
-    keys = [key for key in first.metrics if (name := split_key(key)[0]) in _shown() and name not in left_out]
-    keys.sort(key=lambda key: key not in ranked)
-    rows = _rows(results, keys[0] if keys else "")
-    letters, seeds_line = _told_apart(results, keys[0]) if keys and _RANGE not in left_out else ({}, "")
-    several = len({case.scenario for case in results.cases}) > 1
-    table = Table(
-        box=SIMPLE_HEAD, pad_edge=False, title=_title(results), title_justify="left", title_style="bold"
-    )
-    table.add_column("\ncontroller", max_width=_LONGEST_NAME)
-    if several:
-        table.add_column("\nscenario", max_width=_LONGEST_NAME)
-    for key in keys:
-        table.add_column(_heading(key), justify="right", no_wrap=True)
-        if key == keys[0] and _RANGE not in left_out:
-            table.add_column("over the seeds:\nmedian, range", justify="right", no_wrap=True)
-            if letters:
-                table.add_column("same letter:\nnot told apart", no_wrap=True)
-    table.add_column(f"{metric_name(_STEP)}\n", justify="right", no_wrap=True)
-    table.add_column("cases\ndone", justify="right", no_wrap=True)
-    if not all(case.holds for case in results.cases):
-        table.add_column("near their\nreference", justify="right", no_wrap=True)
+def _table(rows: Sequence[_Row], columns: Sequence[_Column], longest: int, *, wrapped: bool) -> Table:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    add = partial(table.add_column, vertical="bottom", no_wrap=True)
+    any_lost = any(row.lost for row in rows)
+    add("rank", justify="right")
+    add("controller", max_width=max(longest, _SHORTEST_NAME), overflow="ellipsis")
+    if any_lost:
+        add("lost\nruns", justify="right")
+    cells = [[column.cell(row.cases) for row in rows if row.cases] for column in columns]
+    for column, own in zip(columns, cells, strict=True):
+        room = max([_SHORTEST_HEADING, *map(len, own), *map(len, column.detail.split())])
+        texts = [text for text in (column.title, column.detail) if text]
+        lines = [line for text in texts for line in (_wrapped(text, room) if wrapped else [text])]
+        add(Text("\n".join(lines)), justify="right")
     for row in rows:
-        names = [Text(printable(name)) for name in (row.name, *([row.scenario] if several else []))]
-        values = _values(row.cases, keys, left_out) if row.cases else []
-        if letters and row.cases:
-            values.insert(2, letters.get((row.cases[0].controller, row.cases[0].scenario), "-"))
-        table.add_row(*names, *values[: len(table.columns) - len(names)])
-    hidden = any(not row.cases for row in rows)
-    where = f"every setting: {results.folder / METRICS_FILE}" if hidden else ""
-    if where or seeds_line:
-        table.caption = Text(printable("\n".join(filter(None, (seeds_line, where))), keep="\n"))
-        table.caption_justify = "left"
+        if not row.cases:
+            table.add_row("", row.name)
+            continue
+        first = row.standing is not None and row.standing.rank == 1 and not row.lost
+        name = Text(printable(row.name), style="bold" if first else "")
+        lost = Text(f"{row.lost}/{len(row.cases)}", style="red" if row.lost else "")
+        rank = str(row.standing.rank) if row.standing else _MISSING
+        table.add_row(rank, name, *([lost] if any_lost else []), *(own.pop(0) for own in cells))
     return table
 
 
-def _told_apart(results: StudyResults, key: str) -> tuple[dict[tuple[str, str], str], str]:
-    """Return the letters of controllers that the seeds do not tell apart, and a line if these are too few.
-
-    They are of controllers and scenarios; who loses a run, reference points and variants of sweeps have none.
-    """
-    from ddpc_cosim.study.statistics import compare_all  # where there is one seed, it is not needed
-
-    points = results.study.report.reference_points
-    varied = {name for name, section in results.study.controllers.items() if section.variant_of}
-    varied |= {points.zero, points.full} if points else set()
-    found = {}
-    for scenario in dict.fromkeys(case.scenario for case in results.cases):
-        cases = [case for case in results.cases if case.scenario == scenario]
-        left_out = varied | {case.controller for case in cases if not case.holds}
-        runs: dict[str, dict[tuple[Hashable, int], float]] = {}
-        for case in [] if none_follows(cases) else cases:
-            if case.controller not in left_out:
-                own = runs.setdefault(case.controller, {})
-                own[scenario, case.seed] = case.metrics.get(key, math.nan)
-        found[scenario] = compare_all(runs, metric_of(key).better)
-    seeds, tested = len({case.seed for case in results.cases}), [one for one in found.values() if one.tests]
-    needed = max((one.seeds_needed for one in tested if one.too_few_seeds), default=0)
-    few = f"{seeds} seeds are too few to test so many controllers against each other: it takes {needed}"
-    sure = {here: one for here, one in found.items() if not one.too_few_seeds}
-    if any(len(one.groups) > 1 for one in sure.values()):
-        letters = {(name, here): text for here, one in sure.items() for name, text in one.letters.items()}
-        return letters, few if needed else ""
-    return {}, few if needed else f"{seeds} seeds tell no two controllers apart" if tested else ""
+def _wrapped(text: str, room: int) -> list[str]:
+    """Return a text in lines that break no word."""
+    return wrap(text, room, break_long_words=False, break_on_hyphens=False)
 
 
-def _rows(results: StudyResults, key: str) -> list[_Row]:
-    """Return the rows in the study's order, after each controller the best of its sweeps."""
-    groups: dict[tuple[str, str], list[CaseResult]] = {}
-    for case in results.cases:
-        groups.setdefault((case.controller, case.scenario), []).append(case)
-    base = {(name, scenario): results.study.controllers[name].variant_of or name for name, scenario in groups}
-    rows = []
-    for family in dict.fromkeys((base[place], place[1]) for place in groups):
-        members = [place for place in groups if (base[place], place[1]) == family]
-        variants = [groups[place] for place in members if place[0] != family[0]]
-        own = [groups[place] for place in members if place[0] == family[0]]
-        variants.sort(key=lambda cases: _rank(cases, key))
-        points = results.study.report.reference_points
-        rows += [_Row(marked(cases[0].label, family[0], points), family[1], cases) for cases in own]
-        rows += [_Row(_indented(cases, own), family[1], cases) for cases in variants[:_VARIANTS_SHOWN]]
-        rest = len(variants) - _VARIANTS_SHOWN
-        if rest > 0:
-            rows.append(_Row(f"  and {rest} {'setting' if rest == 1 else 'settings'} more", family[1]))
-    return rows
+def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]:
+    """Return the columns of one scenario, those first that tell most."""
+    ranked, step = headline(keys), _metric_column(_STEP)
+    names = [name for name, metric in all_metrics().items() if "terminal" in metric.shown]
+    others = [key for name in names for key in keys if split_key(key)[0] == name and key not in ranked]
+    several = len({case.seed for case in results.cases}) > 1
+    spreads = [
+        _Column("range", _detail(key), "range", "", partial(_range, key=key)) for key in ranked if several
+    ]
+    own, more = [_metric_column(key) for key in ranked], [*map(_metric_column, others), step]
+    # Of several outputs the ranges would leave no room for anything else.
+    return [*own, *spreads, *more] if len(ranked) == 1 else [*own, *more, *spreads]
 
 
-def _indented(variant: Sequence[CaseResult], own: Sequence[Sequence[CaseResult]]) -> str:
-    """Return the label of a variant; below its controller, whose name it begins with, only what differs."""
-    label = variant[0].label
-    return "  " + label.removeprefix(f"{own[0][0].label}, ") if own else label
+def _metric_column(key: str) -> _Column:
+    def cell(cases: Sequence[CaseResult]) -> Text:
+        value = summed(cases, key)
+        lost = not all(case.holds for case in cases)
+        return Text(_micro(value) if key == _STEP else _number(value), style="red" if lost else "")
+
+    return _Column(metric_name(key), "" if key == _STEP else _detail(key), _words(key), key, cell)
 
 
-def _rank(cases: Sequence[CaseResult], key: str) -> tuple[int, float]:
-    """Order by cases far from their reference, then by the median of a metric, the best first."""
-    values = _completed_values(cases, key)
-    lost = sum(not case.holds for case in cases)
-    return lost, metric_of(key).rank(median(values)) if values else math.inf
-
-
-def _completed_values(cases: Sequence[CaseResult], key: str) -> list[float]:
-    values = [_value(case, key) for case in cases]
-    return [value for value in values if not math.isnan(value)]
-
-
-def _value(case: CaseResult, key: str) -> float:
-    """Return a metric of a case, NaN where it would say nothing of such a run."""
-    counts = case.holds if metric_of(key).if_held else case.outcome is Outcome.COMPLETED
-    return case.metrics.get(key, math.nan) if counts else math.nan
-
-
-def _values(cases: Sequence[CaseResult], keys: Sequence[str], left_out: Sequence[str]) -> list[str]:
-    values = [_number(_value(cases[0], key)) for key in keys]
-    if keys and _RANGE not in left_out:
-        values.insert(1, _spread(cases, keys[0]))
+def _scenario_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]:
+    """Return a column for each scenario, and for each output if there are several."""
+    ranked = headline(keys)
     return [
-        *values,
-        _micro(_value(cases[0], _STEP)),
-        _completed(cases),
-        _holding(cases),
+        _scenario_column(results, name, key, _detail(key) if len(ranked) > 1 else "")
+        for name in dict.fromkeys(case.scenario for case in results.cases)
+        for key in ranked
     ]
 
 
-def _title(results: StudyResults) -> Text:
-    return Text(printable(f"{results.study.title or results.study.name} (seed {results.cases[0].seed})"))
+def _scenario_column(results: StudyResults, name: str, key: str, detail: str) -> _Column:
+    def cell(cases: Sequence[CaseResult]) -> Text:
+        own = [case for case in cases if case.scenario == name]
+        lost = sum(not case.holds for case in own)
+        if own and lost == len(own):
+            return Text("lost", style="red")
+        return Text(_number(summed(own, key), 3) + ("*" if lost else ""), style="red" if lost else "")
+
+    section = results.study.scenarios.get(name)
+    label = printable((section.label if section else "") or name)
+    words = " ".join(filter(None, (label, detail.partition(" [")[0])))
+    return _Column(label, detail, words, key, cell)
 
 
-def _heading(key: str) -> Text:
+def _words(key: str) -> str:
+    return printable(" of ".join(filter(None, (metric_name(key), split_key(key)[1]))))
+
+
+def _detail(key: str) -> str:
+    """Return signal and unit of a metric."""
     _, signal, unit = split_key(key)
-    below = f"{signal} [{unit}]" if signal else f"[{unit}]" if unit != "1" else ""
-    return Text(f"{metric_name(key)}\n{printable(below)}")
+    return printable(" ".join(filter(None, (signal, f"[{unit}]" if unit != "1" or signal else ""))))
 
 
-def _spread(cases: Sequence[CaseResult], key: str) -> str:
-    values = _completed_values(cases, key)
-    if not values:
-        return "-"
-    if len(values) == 1 or math.isclose(min(values), max(values), rel_tol=1e-9):
-        return _number(median(values))
-    return f"{_number(median(values))}, {_number(min(values))} .. {_number(max(values))}"
+def _title(results: StudyResults) -> str:
+    seeds = list(dict.fromkeys(case.seed for case in results.cases))
+    over = f"{len(seeds)} seeds" if len(seeds) > 1 else f"seed {seeds[0]}"
+    return printable(f"{results.study.title or results.study.name} ({over})")
 
 
-def _completed(cases: Sequence[CaseResult]) -> str:
-    return f"{sum(case.outcome is Outcome.COMPLETED for case in cases)}/{len(cases)}"
+def _lines(
+    results: StudyResults, found: Standings, rows: Sequence[_Row], left_out: Sequence[str]
+) -> list[str]:
+    """Return what is to be said below the table."""
+    lines, where = [], results.folder / METRICS_FILE
+    what = dict.fromkeys(
+        f"{_words(key)} [{split_key(key)[2]}]" if len(found.keys) == 1 else metric_name(key)
+        for key in found.keys
+    )
+    of = "medians; " if found.seeds > 1 else ""
+    how = "what the seeds tell apart" if found.tested else "the medians" if found.seeds > 1 else "this value"
+    if what:
+        lines.append(f"{', '.join(what)}: {of}ranked by {how}")
+    if found.seeds > 1 and any(one.too_few_seeds for one in found.compared.values()):
+        few = "seeds are too few to test so many controllers against each other: it takes"
+        lines.append(f"{found.seeds} {few} {found.seeds_needed}")
+    elif found.tested and len(found.order) > 1 and all(one.rank == 1 for one in found.order):
+        lines.append(f"{found.seeds} seeds tell no two controllers apart")
+    if any(0 < row.lost < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:
+        lines.append("* of the runs that are left: others are lost")
+    if left_out:
+        lines.append(f"not shown: {'; '.join(left_out)}: {where}")
+    if any(not row.cases for row in rows):
+        lines.append(f"every setting: {where}")
+    return lines
 
 
-def _holding(cases: Sequence[CaseResult]) -> str:
-    return f"{sum(case.holds for case in cases)}/{len(cases)}"
+def _rows(results: StudyResults, found: Standings) -> list[_Row]:
+    """Return the rows in the order of the standings, after each controller the best of its sweeps."""
+    groups: dict[str, list[CaseResult]] = {}
+    for case in results.cases:
+        groups.setdefault(case.controller, []).append(case)
+    sections, points = results.study.controllers, results.study.report.reference_points
+    standing = {one.controller: one for one in found.order}
+    key = next(iter(found.keys), "")
+    base = {name: sections[name].variant_of or name for name in groups}
+    labels = [cases[0].label for cases in groups.values()]
+    rows = []
+    for family in dict.fromkeys([*standing, *base.values()]):
+        own = groups.get(family, [])
+        if own:
+            label = own[0].label
+            label += f" ({family})" if labels.count(label) > 1 else ""
+            rows.append(_Row(marked(label, family, points), own, standing.get(family)))
+        variants = [groups[name] for name in groups if base[name] == family != name]
+        variants.sort(key=lambda cases: _place(cases, key))
+        rows += [_Row(_indented(cases, own), cases) for cases in variants[:_VARIANTS_SHOWN]]
+        rest = len(variants) - _VARIANTS_SHOWN
+        if rest > 0:
+            rows.append(_Row(f"  and {rest} {'setting' if rest == 1 else 'settings'} more"))
+    return rows
 
 
-def _number(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.4g}"
+def _indented(variant: Sequence[CaseResult], own: Sequence[CaseResult]) -> str:
+    """Return the label of a variant; below its controller, whose name it begins with, only what differs."""
+    label = variant[0].label
+    return "  " + label.removeprefix(f"{own[0].label}, ") if own else label
+
+
+def _place(cases: Sequence[CaseResult], key: str) -> tuple[int, float]:
+    """Order by lost runs, then by the value of a metric, the best first."""
+    value = summed(cases, key) if key else math.nan
+    return sum(not case.holds for case in cases), math.inf if math.isnan(value) else metric_of(key).rank(
+        value
+    )
+
+
+def _range(cases: Sequence[CaseResult], key: str) -> Text:
+    values = known_values(cases, key)
+    if len(values) < 2 or math.isclose(min(values), max(values), rel_tol=1e-9):
+        return Text(_MISSING)
+    return Text(f"{_number(min(values))} .. {_number(max(values))}")
+
+
+def _number(value: float, digits: int = 4) -> str:
+    return _MISSING if math.isnan(value) else f"{value:.{digits}g}"
 
 
 def _micro(seconds: float) -> str:
-    return "-" if math.isnan(seconds) else f"{1e6 * seconds:.{0 if seconds >= 1e-6 else 2}f} us"
+    return _MISSING if math.isnan(seconds) else f"{1e6 * seconds:.{0 if seconds >= 1e-6 else 2}f} us"

@@ -4,7 +4,6 @@ import csv
 import io
 import math
 import os
-import re
 import tomllib
 import uuid
 from collections.abc import Iterable, Sequence
@@ -24,7 +23,7 @@ from ddpc_cosim.study.case_files import (
     sealed_json,
 )
 from ddpc_cosim.study.file_format.sweeps import variant_words
-from ddpc_cosim.texts import encodable, html_table, printable
+from ddpc_cosim.texts import alike, encodable, html_table, printable
 from ddpc_cosim.trace import Trace
 from fmu_plants.files import write_atomically
 from fmu_plants.spelling import did_you_mean
@@ -45,7 +44,6 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
 _OF_PROBLEM = ": "
 _STUDY_CHECKSUM = "study sha256"
 _MOST_LISTED = 8
-_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -309,7 +307,7 @@ class StudyResults:
         found: dict[tuple[str, str], dict[str, CaseResult]] = {}
         for case in self.cases:
             for text in case.warnings:
-                first = words.setdefault((case.controller, _NUMBER.sub("#", text)), text)
+                first = words.setdefault((case.controller, alike(text)), text)
                 found.setdefault((case.controller, first), {})[case.id] = case
         return {key: tuple(cases.values()) for key, cases in found.items()}
 

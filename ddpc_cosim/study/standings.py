@@ -1,11 +1,11 @@
 """The standings of one problem: who is ahead, whom its seeds tell apart, and who loses runs."""
 
 import math
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from statistics import fmean
+from statistics import fmean, median
 from typing import NamedTuple
 
 from ddpc_cosim.metrics import headline, metric_of
@@ -13,6 +13,7 @@ from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.following import none_follows
 from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all, describe
+from ddpc_cosim.trace import Outcome
 
 
 class Standing(NamedTuple):
@@ -143,6 +144,32 @@ class Standings:
             known = sorted(value for value in values.values() if not math.isnan(value))
             places.append(known.index(values[name]) if values[name] in known else math.inf)
         return fmean(places) if places else 0.0
+
+
+def known_values(cases: Iterable[CaseResult], key: str) -> list[float]:
+    """Return a metric of the cases that completed, or stayed near their reference, and have it."""
+    if_held = metric_of(key).if_held
+    counted = (case for case in cases if (case.holds if if_held else case.outcome is Outcome.COMPLETED))
+    return [value for case in counted if not math.isnan(value := case.metrics.get(key, math.nan))]
+
+
+def summed(cases: Sequence[CaseResult], key: str) -> float:
+    """Return a metric of one controller in one value over its cases, in the way that suits it.
+
+    Medians and largest values are those of the completed cases, totals those of all. Of figures of the step
+    response it is the median of all cases: what a case lacks is worse than any value, and where half of them
+    lack it, it is NaN.
+    """
+    metric, known = metric_of(key), known_values(cases, key)
+    if metric.if_held:
+        lacking = len(cases) - len(known)
+        worse = [math.inf] * lacking if metric.better else []
+        return median([*known, *worse]) if len(known) > lacking else math.nan
+    if metric.over_seeds == "total":
+        values = (case.metrics.get(key, math.nan) for case in cases)
+        return sum(value for value in values if not math.isnan(value))
+    how = max if metric.over_seeds == "largest" else median
+    return how(known) if known else math.nan
 
 
 def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:

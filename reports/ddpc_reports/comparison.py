@@ -13,6 +13,7 @@ from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import ReferencePoints
 from ddpc_cosim.study.following import none_follows
 from ddpc_cosim.study.shares import describe_shares, end_of, marked, shares_of
+from ddpc_cosim.study.standings import summed
 from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
 
@@ -105,26 +106,8 @@ class ControllerResults:
         return spread(self.by_seed(key).values())
 
     def summed(self, key: str) -> float:
-        """Return a metric in one value over the seeds, in the way that suits it.
-
-        Medians and largest values are those of the completed cases, totals those of all. Of figures of the
-        step response it is the median of all cases: what a case lacks is worse than any value.
-        """
-        if metric_of(key).if_held:
-            return self._median_response(key)
-        how = metric_of(key).over_seeds
-        if how == "total":
-            return self.total(key)
-        return self.over_seeds(key).high if how == "largest" else self.over_seeds(key).median
-
-    def _median_response(self, key: str) -> float:
-        """Return the median over the seeds; NaN unless more than half of the cases have a value."""
-        known = list(self.by_seed(key).values())
-        lacking = len(self.cases) - len(known)
-        if len(known) <= lacking:
-            return math.nan
-        worse = [math.inf] * lacking if metric_of(key).better else []
-        return median([*known, *worse])
+        """Return a metric in one value over the seeds, in the way that suits it."""
+        return summed(self.cases, key)
 
     def total(self, key: str) -> float:
         """Return the sum of a count over all cases."""

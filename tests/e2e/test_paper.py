@@ -63,9 +63,8 @@ def test_one_command_writes_everything(first_run: tuple[Path, str]) -> None:
         assert (folder / name).stat().st_size > 0
     assert Path(printed.splitlines()[-1]) == Path("runs/paper/report.html")
     for label in ("MFAPC-CFDL", "DeePC", "WKPC", "DeePC, published code", "WKPC, published code"):
-        assert any(
-            line.startswith(f" {label} ") and line.rstrip().endswith("1/1") for line in printed.splitlines()
-        )
+        assert any(f" {label} " in line for line in printed.splitlines())
+    assert "lost" not in printed
     with (folder / "metrics.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["outcome"] for row in rows] == ["completed"] * 7

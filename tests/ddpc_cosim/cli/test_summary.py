@@ -1,5 +1,6 @@
 """The table that `run` prints is short after a sweep, and fits the window."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,48 +54,102 @@ def results(variants: int, lost: str = "") -> StudyResults:
 def printed(some: StudyResults, width: int = 1000) -> list[str]:
     console = Console(width=width)
     with console.capture() as capture:
-        console.print(summary_table(some, console))
+        console.print(summary_table(some, console), crop=False)
     return capture.get().splitlines()
+
+
+def ranked(lines: list[str]) -> list[tuple[str, str]]:
+    """Return rank and name of each row."""
+    first = next(i for i, line in enumerate(lines) if "───" in line) + 1
+    rows = lines[first : next(i for i, line in enumerate(lines) if i >= first and not line.strip())]
+    cells = [re.split(r" {2,}", row.strip()) for row in rows]
+    return [(row[0], row[1]) if re.fullmatch(r"\d+|-", row[0]) else ("", row[0]) for row in cells]
 
 
 def test_of_a_sweep_the_two_best_settings_are_listed_and_the_others_counted() -> None:
     lines = printed(results(40))
-    rows = [line for line in lines if "/2" in line or "more" in line]
-    assert [row.strip().split("  ")[0] for row in rows] == [
-        "DeePC",
-        "horizon = 39",
-        "horizon = 38",
-        "and 38 settings more",
-        "pid",
+    assert ranked(lines) == [
+        ("1", "pid"),
+        ("2", "DeePC"),
+        ("-", "horizon = 39"),
+        ("-", "horizon = 38"),
+        ("", "and 38 settings more"),
     ]
-    assert any("out/metrics.csv" in line.replace("\\", "/") for line in lines)
+    assert any("every setting: out/metrics.csv" in line.replace("\\", "/") for line in lines)
 
 
 def test_without_a_sweep_every_controller_has_its_row() -> None:
     lines = printed(results(0))
-    assert len([line for line in lines if "/2" in line]) == 2
+    assert len(ranked(lines)) == 2
     assert not any("metrics.csv" in line for line in lines)
 
 
 def test_a_setting_that_lost_cases_is_not_among_the_best() -> None:
-    lines = printed(results(4, lost="deepc-horizon-3"))
-    assert any("horizon = 2 " in line for line in lines)
-    assert not any("horizon = 3 " in line for line in lines)
+    names = [name for _, name in ranked(printed(results(4, lost="deepc-horizon-3")))]
+    assert "horizon = 2" in names
+    assert "horizon = 3" not in names
 
 
-@pytest.mark.parametrize("width", [60, 80, 100])
-def test_a_narrow_window_loses_columns_and_no_figures(width: int) -> None:
+def test_who_loses_runs_comes_last_with_their_count_in_red() -> None:
+    some = results(0, lost="pid")
+    assert ranked(printed(some)) == [("1", "DeePC"), ("2", "pid")]
+    console = Console(width=80, force_terminal=True, color_system="standard")
+    with console.capture() as capture:
+        console.print(summary_table(some, console))
+    (pid,) = (line for line in capture.get().splitlines() if "pid" in line)
+    assert "\x1b[31m 2/2\x1b[0m" in pid
+
+
+@pytest.mark.parametrize(("width", "count"), [(40, 4), (60, 3), (80, 1), (100, 0)])
+def test_a_narrow_window_loses_columns_and_tells_which(width: int, count: int) -> None:
+    """The first to go is what says least; no line is too long, and no word is broken."""
     lines = printed(results(4), width)
     assert all(len(line) <= width for line in lines)
-    assert not any("…" in line for line in lines)
-    assert any("mean abs error" in line for line in lines)
+    text = " ".join(" ".join(lines).replace("\\", "/").split())
+    assert "mean abs error of angle [deg]: medians; ranked by" in text
+    columns = ["range", "settled error of angle", "max abs input of torque", "solve time median"]
+    told = re.search("not shown: (.*?): out/metrics.csv", text)
+    assert (told[1].split("; ") if told else []) == columns[len(columns) - count :]
+    heads = " ".join(lines[: next(i for i, line in enumerate(lines) if "───" in line)]).split()
+    assert [name.split()[0] in heads for name in columns] == [True] * (4 - count) + [False] * count
+
+
+def test_long_names_are_clipped_with_an_ellipsis() -> None:
+    some = results(0)
+    long = tuple(replace(case, label=f"{case.label} {'very ' * 40}long") for case in some.cases)
+    lines = printed(replace(some, cases=long), 80)
+    assert max(map(len, lines)) <= 80
+    assert [name[:8] + name[-1] for _, name in ranked(lines)] == ["pid very…", "DeePC ve…"]
+
+
+def test_of_several_scenarios_each_has_a_column() -> None:
+    some = results(0)
+    windy = [replace(case, scenario="windy") for case in some.cases]
+    lost = replace(windy[0], outcome=Outcome.DIVERGED, holds=False)
+    calm = [replace(case, scenario="calm") for case in some.cases]
+    study = some.study.model_copy(
+        update={
+            "scenarios": {"calm": some.study.scenarios["nominal"], "windy": some.study.scenarios["nominal"]}
+        }
+    )
+    seen = replace(some, whole=WholeStudy.of(study), cases=(*calm, lost, *windy[1:]))
+    lines = printed(seen, 80)
+    assert ranked(lines) == [("1", "pid"), ("2", "DeePC")]
+    heads = next(line for line in lines if "controller" in line)
+    assert heads.split() == ["rank", "controller", "runs", "calm", "windy"]
+    (deepc,) = (line.split() for line in lines if " DeePC " in line)
+    assert deepc[2] == "1/4"
+    assert deepc[4].endswith("*")
+    text = " ".join(" ".join(lines).split())
+    assert "not shown: range; settled error; max abs input; solve time median: " in text
 
 
 def test_one_seed_needs_no_range() -> None:
     some = results(0)
     first = replace(some, cases=tuple(case for case in some.cases if case.seed == 1))
-    assert "over the seeds" in "".join(printed(some))
-    assert "over the seeds" not in "".join(printed(first))
+    assert "range" in "".join(printed(some))
+    assert "range" not in "".join(printed(first))
+    assert "(seed 1)" in printed(first)[0]
 
 
 def seeded(seeds: int, worse: float) -> StudyResults:
@@ -109,24 +164,17 @@ def seeded(seeds: int, worse: float) -> StudyResults:
     return replace(results(0), cases=tuple(cases))
 
 
-def test_what_the_seeds_tell_apart_has_letters_of_its_own() -> None:
-    lines = printed(seeded(12, worse=9.0))
-    heads = next(i for i, line in enumerate(lines) if "same letter:" in line)
-    place = lines[heads].index("same letter:")
-    letters = {line.split()[0]: line[place:].split()[0] for line in lines if "12/12" in line}
-    assert letters == {"deepc": "a", "pid": "b"}
+def test_what_the_seeds_do_not_tell_apart_has_the_same_rank() -> None:
+    assert ranked(printed(seeded(12, worse=9.0))) == [("1", "deepc"), ("2", "pid")]
+    assert [rank for rank, _ in ranked(printed(seeded(12, worse=0.0)))] == ["1", "1"]
 
 
-def test_reference_points_are_marked_and_have_no_letters() -> None:
+def test_reference_points_are_marked_and_have_no_rank() -> None:
     seen = seeded(12, worse=9.0)
     points = ReferencePoints(zero="deepc", full="pid")
     told = seen.study.model_copy(update={"report": ReportSection(reference_points=points)})
     lines = printed(replace(seen, whole=WholeStudy.of(told)))
-    assert [line.strip().split("  ")[0] for line in lines if "12/12" in line] == [
-        "deepc (0\u00a0%)",
-        "pid (100\u00a0%)",
-    ]
-    assert not any("same letter" in line for line in lines)
+    assert ranked(lines) == [("-", "deepc (0\u00a0%)"), ("-", "pid (100\u00a0%)")]
 
 
 @pytest.mark.parametrize(
@@ -137,16 +185,14 @@ def test_reference_points_are_marked_and_have_no_letters() -> None:
     ],
 )
 def test_where_the_seeds_tell_none_apart_a_line_says_so(seeds: int, words: str) -> None:
-    lines = printed(seeded(seeds, worse=0.0))
-    assert words in [line.strip() for line in lines]
-    assert not any("same letter" in line for line in lines)
+    assert words in [line.strip() for line in printed(seeded(seeds, worse=0.0))]
 
 
 def test_the_best_settings_of_a_sweep_follow_from_the_direction_of_the_metric(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(METRICS, "mean_abs_error", replace(METRICS["mean_abs_error"], better="high"))
-    rows = [line.strip().split("  ")[0] for line in printed(results(4)) if "horizon" in line]
+    rows = [name for _, name in ranked(printed(results(4))) if "horizon" in name]
     assert rows == ["horizon = 0", "horizon = 1"]
 
 
