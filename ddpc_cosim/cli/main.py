@@ -142,6 +142,7 @@ _SCHEDULER = click.option(
 )
 _ONLY = click.option("--only", default="*", metavar="GLOB", help="Only cases of this name or label.")
 _NO_REPORT = click.option("--no-report", is_flag=True, help="Write no report.")
+_OPEN = click.option("--open", "browse", is_flag=True, help="Open the report in a browser.")
 
 
 _STEP_TIMEOUT = click.option(
@@ -174,6 +175,7 @@ _STEP_TIMEOUT = click.option(
 @click.option("--dry-run", is_flag=True, help="Run nothing: say how many cases, how long, how many bytes.")
 @_SANDBOX
 @_NO_REPORT
+@_OPEN
 def run(
     study: str,
     out: Path | None,
@@ -188,6 +190,7 @@ def run(
     dry_run: bool,
     sandbox: bool,
     no_report: bool,
+    browse: bool,
 ) -> None:
     """Run STUDY, a file or the name of a built-in study, and write its report."""
     with orderly_end():
@@ -195,8 +198,8 @@ def run(
 
         how = {"sandboxed": sandbox, "executor": executor, "scheduler": scheduler, "shard": shard}
         how |= {"storage": storage}
-        done = run_command(study, out, jobs, only, seeds, fresh, how, report=not no_report, dry_run=dry_run)
-        sys.exit(done)
+        what = {"report": not no_report, "dry_run": dry_run, "browse": browse}
+        sys.exit(run_command(study, out, jobs, only, seeds, fresh, how, **what))
 
 
 @main.command()
@@ -246,12 +249,21 @@ def tune(
 
 @main.command()
 @click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="DIR [DIR ...]")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The report [DIR/report.html].")
-def report(folders: tuple[Path, ...], out: Path | None) -> None:
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
+    metavar="FILE",
+    help="The report [DIR/report.FORMAT]; - prints it.",
+)
+@click.option(
+    "--format", "form", metavar="html|md|csv|json", help="Of the report [that of FILE's name, or html]."
+)
+@_OPEN
+def report(folders: tuple[Path, ...], out: Path | None, form: str | None, browse: bool) -> None:
     """Rebuild the report of a run, or put several runs into one."""
     from ddpc_cosim.cli.run import report_command
 
-    sys.exit(report_command(folders, out))
+    sys.exit(report_command(folders, out, form, browse=browse))
 
 
 _TOLERANCE = _FiniteRange(min=0)

@@ -3,11 +3,14 @@
 import os
 import sys
 import warnings
+import webbrowser
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import click
 from rich.console import Console
 
 from ddpc_cosim.cli.progress import shown
@@ -19,10 +22,13 @@ from ddpc_cosim.study.file_format.sections import expand_seeds
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import (
+    HTML,
     METRICS_FILE,
     REPORT_FILE,
     StudyResults,
     load_results,
+    report_formats,
+    report_writer,
     write_metrics,
     write_report,
 )
@@ -45,11 +51,14 @@ def run_command(
     *,
     report: bool,
     dry_run: bool,
+    browse: bool,
 ) -> int:
     """Run a study, print the result table and the report's path, and return the exit code.
 
     If dry, nothing is run: what would be is printed. ``how`` are other fields of :class:`Selection`.
     """
+    if browse and not report:
+        raise ConfigError("--open: with --no-report there is nothing to open")
     selection = Selection(jobs or os.cpu_count() or 1, parse_seeds(seeds), only, fresh, **how)
     with shown(f"reading {name}") as progress:
         with warnings_in_one_line():
@@ -66,10 +75,10 @@ def run_command(
     if selection.is_part:
         count = f"{len(results.cases)} {'case' if len(results.cases) == 1 else 'cases'}"
         print(f"shard {selection.shard}: {count}; metrics.csv and report: run without --shard after the last")
-    return show_results(results, report=report and not selection.is_part)
+    return show_results(results, report=report and not selection.is_part, browse=browse)
 
 
-def show_results(results: StudyResults, *, report: bool = True) -> int:
+def show_results(results: StudyResults, *, report: bool = True, browse: bool = False) -> int:
     """Print the result table, the path of the report and what has failed, and return the exit code."""
     folder = results.folder
     # Where no window limits it, the table takes the width it needs.
@@ -85,7 +94,7 @@ def show_results(results: StudyResults, *, report: bool = True) -> int:
                 printable(f"{several} {noun} by the study's sweep: {folder / METRICS_FILE}"), markup=False
             )
     if report:
-        print(_write_report([results], folder / REPORT_FILE))
+        _write_report([results], folder / REPORT_FILE, HTML, browse=browse)
     _print_warnings(results)
     failed: dict[tuple[Outcome, str], list[CaseResult]] = {}
     for case in results.cases:
@@ -148,21 +157,46 @@ def parse_seeds(text: str | None) -> list[int]:
         raise ConfigError(f"--seeds: {error}") from error
 
 
-def report_command(folders: Sequence[Path], out: Path | None) -> int:
+def report_command(folders: Sequence[Path], out: Path | None, form: str | None, *, browse: bool) -> int:
     """Write one report on several folders of results, print its path, and return the exit code.
 
-    Their ``metrics.csv`` are written again, so that they say the same.
+    Their ``metrics.csv`` are written again, so that they say the same. Without a format, the file's name says
+    which it is. To the file ``-``, the report itself is printed.
     """
+    form = form or (out.suffix[1:] if out and out.suffix[1:] in report_formats() else HTML)
+    report_writer(form)  # before the results are read, which takes a while
+    printed = out == Path("-")
+    if printed and browse:
+        raise ConfigError("--open: there is no file to open with --out -")
     with shown("reading results"):
         results = [load_results(folder) for folder in folders]
         for one in results:
             with suppress(OSError):  # what one may only read can be reported all the same
                 write_metrics(one)
-    print(_write_report(results, out or folders[0] / REPORT_FILE))
+    if printed:
+        with TemporaryDirectory() as scratch, _writing("the report"):
+            content = write_report(results, Path(scratch, f"report.{form}"), form).read_bytes()
+        click.echo(content, nl=False)
+    else:
+        file = folders[0] / REPORT_FILE
+        _write_report(results, out or file.with_suffix(f".{form}"), form, browse=browse)
     damaged = [_damaged(one) for one in results]
     return int(any(damaged))
 
 
-def _write_report(results: Sequence[StudyResults], path: Path) -> Path:
-    with shown(f"writing {path}"), warnings_in_one_line():
-        return write_report(results, path)
+def _write_report(results: Sequence[StudyResults], path: Path, form: str, *, browse: bool) -> None:
+    """Write a report, print its path, and open it if that is wanted and there is a browser."""
+    with _writing(str(path)):
+        path = write_report(results, path, form)
+    print(printable(str(path)))
+    if browse:
+        with suppress(webbrowser.Error):
+            if webbrowser.open(path.resolve().as_uri()):
+                return
+        print("no browser was found to open the report with", file=sys.stderr)
+
+
+@contextmanager
+def _writing(what: str) -> Iterator[None]:
+    with shown(f"writing {what}"), warnings_in_one_line():
+        yield

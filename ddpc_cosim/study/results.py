@@ -6,13 +6,13 @@ import math
 import os
 import tomllib
 import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ddpc_cosim.errors import ConfigError, CosimError
-from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.plugins import installed, load_plugin
 from ddpc_cosim.study.case_files import (
     DAMAGED,
     CaseResult,
@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from ddpc_cosim.study.problems import WholeStudy
 
 REPORT_FILE, TRIALS_FILE = "report.html", "trials.csv"
+HTML = "html"
+_OPEN_LOOP = "simulation"
+"""The report that is of no study."""
 STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
     "study.toml",
     "provenance.json",
@@ -317,17 +320,36 @@ def provenance_of(problem: str, key: str) -> str:
     return f"{problem}{_OF_PROBLEM}{key}"
 
 
-def write_report(results: Sequence[StudyResults], path: Path) -> Path:
-    """Write a report on several studies with the installed generator and return its path.
+def report_formats() -> list[str]:
+    """Return the formats that reports are written in: the installed writers."""
+    return [one.name for one in installed("reports") if callable(one.value) and one.name != _OPEN_LOOP]
+
+
+def report_writer(form: str) -> Callable[[Sequence[StudyResults], Path], Path]:
+    """Return the installed writer of a format.
 
     Raises
     ------
     ConfigError
-        It cannot be written.
+        There is no such format.
     """
-    generator = load_plugin("reports", "html")
+    if form != HTML and form not in (known := report_formats()):
+        raise ConfigError(f'no report format "{form}"; {did_you_mean(form, known)}')
+    writer: Callable[[Sequence[StudyResults], Path], Path] = load_plugin("reports", form)
+    return writer
+
+
+def write_report(results: Sequence[StudyResults], path: Path, form: str = HTML) -> Path:
+    """Write a report on several studies in a format and return its path.
+
+    Raises
+    ------
+    ConfigError
+        There is no such format, or it cannot be written.
+    """
+    writer = report_writer(form)
     try:
-        written: Path = generator(results, path)
+        written = writer(results, path)
     except OSError as error:
         raise ConfigError(f"{path}: the report cannot be written: {error.strerror}") from error
     return written

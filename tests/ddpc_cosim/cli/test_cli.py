@@ -4,6 +4,7 @@ import csv
 import re
 import shutil
 import subprocess
+import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 
@@ -183,6 +184,54 @@ def test_report_rebuilds_one_or_joins_several(folder: Path, write_study: WriteSt
     result = invoke("report", "a", "b", "--out", "both.html")
     assert (result.exit_code, result.stdout) == (0, "both.html\n")
     assert (folder / "both.html").stat().st_size > 0
+
+
+@pytest.fixture
+def out(folder: Path, write_study: WriteStudy) -> Path:
+    """A folder of results without a report."""
+    write_study("mfapc")
+    assert invoke("run", "study.toml", "--no-report", "--out", "out", "--jobs", "1").exit_code == 0
+    return folder / "out"
+
+
+def test_a_report_can_be_printed_and_its_format_is_one_that_is_installed(out: Path) -> None:
+    printed = invoke("report", "out", "--out", "-")
+    assert printed.exit_code == 0
+    assert printed.stdout.startswith("<!doctype html>")
+    assert not (out / "report.html").exists()
+    unknown = invoke("report", "out", "--format", "htlm")
+    assert (unknown.exit_code, unknown.stdout) == (2, "")
+    assert unknown.stderr == 'error: no report format "htlm"; did you mean "html"?\n'
+    assert "simulation" not in invoke("report", "out", "--format", "x").stderr
+
+
+@pytest.mark.parametrize("opened", [True, False])
+def test_a_report_is_opened_where_there_is_a_browser(
+    out: Path, opened: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[str] = []
+
+    def browser(address: str) -> bool:
+        seen.append(address)
+        return opened
+
+    monkeypatch.setattr(webbrowser, "open", browser)
+    for command in (("report", "out"), ("run", "study.toml", "--out", "out")):
+        result = invoke(*command, "--open")
+        assert result.exit_code == 0
+        assert Path(result.stdout.splitlines()[-1]) == Path("out/report.html")
+        assert seen.pop() == (out / "report.html").resolve().as_uri()
+        assert ("no browser was found" in result.stderr) != opened
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("report", "out", "--out", "-", "--open"), ("run", "study.toml", "--no-report", "--open")],
+)
+def test_what_is_not_written_cannot_be_opened(out: Path, command: tuple[str, ...]) -> None:
+    result = invoke(*command)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith("error: --open: ")
 
 
 def test_a_report_that_cannot_be_written_is_explained(folder: Path, write_study: WriteStudy) -> None:
