@@ -143,6 +143,12 @@ def origin(kind: str, name: str) -> str:
     return f"{packages}code {hashlib.sha256(code.encode()).hexdigest()[:10]}"
 
 
+def package_of(kind: str, name: str) -> str:
+    """Return the package that installed a plug-in, with its version; empty where there is none or several."""
+    packages = {_package(entry) for entry in _entry_points(kind) if entry.name == name}
+    return packages.pop() if len(packages) == 1 else ""
+
+
 def look_up() -> None:
     """Find what is installed, which takes a while: the workers that are forked from here know it then."""
     for kind in KINDS:

@@ -10,7 +10,7 @@ import shutil
 import stat
 import warnings
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +84,8 @@ class CaseResult:
         The problem's name; of a flat study its own.
     recorded_samples : int
         How many samples of the recording the controller learned from.
+    wall_time : float
+        How long its worker took for it [s]; NaN if it was lost.
     """
 
     id: str
@@ -103,6 +105,7 @@ class CaseResult:
     transient: bool = False
     problem: str = ""
     recorded_samples: int = 0
+    wall_time: float = field(default=math.nan, compare=False)
 
     def trace(self) -> Trace:
         """Read the samples of the run.
@@ -144,7 +147,13 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
         told, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
         transient = run["transient"] or outcome in _TRANSIENT
         return CaseResult(
-            **head, **values, outcome=outcome, warnings=told, folder=folder, transient=transient
+            **head,
+            **values,
+            outcome=outcome,
+            warnings=told,
+            folder=folder,
+            transient=transient,
+            wall_time=float(run.get("wall_time", math.nan)),
         )
     except DAMAGED as error:
         raise damaged_files(folder, error) from error

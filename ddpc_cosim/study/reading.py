@@ -39,7 +39,9 @@ def read_file(name: str) -> StudyFile:
     path = find_study(name)
     if path == Path(name):
         find_modules_in(path.parent)
-    return StudyFile.read(path)
+    file = StudyFile.read(path)
+    file.source = str(path.absolute()) if path == Path(name) else name
+    return file
 
 
 def resolve_file(file: StudyFile) -> ResolvedProblems:
@@ -83,7 +85,7 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
     first = next(iter(problems.values())).study
     if head is None and len(problems) > 1:  # a flat file with variants
         head = StudyHead.model_validate({key: getattr(first, key) for key in StudyHead.model_fields})
-    return ResolvedProblems(head or first, problems)
+    return ResolvedProblems(head or first, problems, file)
 
 
 def _in_order(found: Mapping[Fault, list[str]], parts: Sequence[FlatStudy], file: StudyFile) -> list[str]:

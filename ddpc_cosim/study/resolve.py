@@ -24,6 +24,7 @@ from ddpc_cosim.study.controllers import (
     time_limit,
 )
 from ddpc_cosim.study.file_format.sections import BoundsSection, RecordingSection, Study, StudyHead
+from ddpc_cosim.study.file_format.study_files import StudyFile
 from ddpc_cosim.study.file_format.validation_errors import Section, ValidationErrors, independent
 from ddpc_cosim.study.plants import PlantSpec, PlantVariables
 from ddpc_cosim.study.problems import WholeStudy
@@ -96,10 +97,13 @@ class ResolvedProblems:
         What the study says of itself; of a flat study that study.
     problems : dict of str to ResolvedStudy
         Each problem as a study of its own.
+    file : StudyFile
+        What it was read from.
     """
 
     head: StudyHead
     problems: dict[str, ResolvedStudy]
+    file: StudyFile
 
     @property
     def whole(self) -> WholeStudy:

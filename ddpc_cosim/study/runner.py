@@ -5,20 +5,15 @@ leaves behind in its process (floating-point errors, random numbers, modules) ch
 """
 
 import math
-import os
 import pickle
-import platform
 import re
-import shlex
 import sys
 import tempfile
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from functools import partial
-from importlib import metadata
 from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
@@ -31,7 +26,6 @@ from ddpc_cosim.plugins import (
     find_modules_in,
     keep_values,
     load_plugin,
-    package_version,
 )
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.rows import Call, RowStore
@@ -51,7 +45,6 @@ from ddpc_cosim.study.case_files import (
     accept_case,
     judge_again,
     load_case,
-    read_run,
     stage_case,
     write_case,
 )
@@ -66,6 +59,7 @@ from ddpc_cosim.study.cases import (
     run_case,
 )
 from ddpc_cosim.study.plants import PlantSpec
+from ddpc_cosim.study.provenance import facts_of_problem, facts_of_run, seed_ranges
 from ddpc_cosim.study.results import (
     CASES_FOLDER,
     StudyResults,
@@ -74,7 +68,6 @@ from ddpc_cosim.study.results import (
     provenance_of,
     write_results,
 )
-from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome
 from fmu_plants.files import cache_dir
 
@@ -99,7 +92,6 @@ _PRELOAD = (
     "scipy.special",
     "encodings.cp437",  # of zip files
 )
-_VERSIONS_OF = ("numpy", "scipy", "FMPy", "piqp", "sympy")
 
 
 class Update(NamedTuple):
@@ -199,6 +191,12 @@ class Selection:
         """Whether a shard is not the whole."""
         return int(self.shard.split("/")[1]) > 1
 
+    def options(self) -> list[str]:
+        """Return the options of ``run`` that decide which cases there are, and whether they are sandboxed."""
+        seeds = ["--seeds", seed_ranges(self.seeds)] if self.seeds else []
+        only = ["--only", self.only] if self.only != "*" else []
+        return [*seeds, *only, *(["--sandbox"] if self.sandboxed else [])]
+
     def part_of(self, cases: Sequence[Case]) -> list[Case]:
         """Return the cases of the shard: neighbours, which take about as long, are in different ones."""
         first, count = map(int, self.shard.split("/"))
@@ -228,17 +226,21 @@ def run_study(
     plants, every = selected_cases(resolved, selection, progress)
     cases, study = selection.part_of(every), resolved.whole.with_seeds(selection.seeds)
     claim_folder(folder, study)
-    run_missing(cases, folder, selection, progress, begin=True)
+    began = monotonic()
+    ran = run_missing(cases, folder, selection, progress, begin=True)
+    took = f"{monotonic() - began:.3g} s for {ran} cases, {len(cases) - ran} kept from an earlier run"
     results, damaged = load_cases(folder, study, [case.id for case in cases])
     provenance, of_problem = dict[str, str](), dict[str, list[CaseResult]]()
     for result in results:
         of_problem.setdefault(result.problem, []).append(result)
     for name, one in resolved.problems.items():
-        own = _provenance_of_problem(of_problem.get(name, []), plants[name], one.metrics.preview)
+        own = facts_of_problem(of_problem.get(name, []), plants[name], one.metrics.preview)
         provenance |= {
             provenance_of(name, key) if len(plants) > 1 else key: fact for key, fact in own.items()
         }
-    provenance |= _provenance(results, selection) | dict(facts or {})
+    workers = str(selection.jobs) if selection.executor == "local" else selection.executor
+    provenance |= facts_of_run(results, resolved.file, selection.options(), workers, took)
+    provenance |= dict(facts or {})
     whole = [case.id for case in every] if selection.is_part else None
     return write_results(StudyResults(folder, study, results, provenance, damaged), whole)
 
@@ -277,8 +279,10 @@ def selected_cases(
 
 def run_missing(
     cases: Sequence[Case], folder: Path, selection: Selection, progress: Progress, *, begin: bool = False
-) -> None:
+) -> int:
     """Run the cases that are not there, and judge the others again where what they are judged by has changed.
+
+    Returns how many were run.
 
     Parameters
     ----------
@@ -311,6 +315,7 @@ def run_missing(
     to_run = [replace(case, storage=selection.storage) for case in missing.values()]
     for case in _done(to_run, cases_folder, selection, progress):
         progress.finished(case, load_case(cases_folder / case.id))
+    return len(to_run)
 
 
 def built_plants(resolved: "ResolvedProblems", progress: Progress) -> dict[str, PlantSpec]:
@@ -342,53 +347,6 @@ def _is_there(folder: Path) -> bool:
         return not load_case(folder).transient
     except ConfigError:
         return False
-
-
-def _provenance_of_problem(results: Sequence[CaseResult], spec: PlantSpec, preview: int) -> dict[str, str]:
-    # A case that failed before its first sample does not know its plant.
-    known: Iterator[dict[str, str]] = (read_run(result.folder)["provenance"] for result in results)
-    plant = next(filter(None, known), {})
-    facts = {
-        **{key.replace("_", " "): value for key, value in plant.items()},
-        "plant content": spec.content,
-        "largest preview": f"{preview} samples",
-    }
-    return {name: recorded(fact) for name, fact in facts.items()}
-
-
-def _provenance(results: Sequence[CaseResult], selection: Selection) -> dict[str, str]:
-    is_local = selection.executor == "local"
-    versions = {f"{name.lower()} version": metadata.version(name) for name in _VERSIONS_OF}
-    facts = {
-        "sandbox": _sandboxes(results),
-        "ddpc-cosim version": package_version(),
-        "python version": platform.python_version(),
-        **versions,
-        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "cpu": _cpu() if is_local else "of dask workers, not recorded",
-        "workers": str(selection.jobs) if is_local else "dask",
-        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
-    return {name: recorded(fact) for name, fact in facts.items()}
-
-
-def _sandboxes(results: Sequence[CaseResult]) -> str:
-    """Return in words how many cases ran in which sandbox."""
-    counts = Counter(result.sandbox for result in results)
-    if list(counts) == [""]:
-        return "none"
-    return "; ".join(f"{count} of {len(results)} cases: {words or 'none'}" for words, count in counts.items())
-
-
-def _cpu() -> str:
-    """Return the processor's name and count; Linux tells it only in a file."""
-    name = platform.processor()
-    info = Path("/proc/cpuinfo")
-    if info.is_file():
-        lines = info.read_text(encoding="utf-8", errors="replace").splitlines()
-        name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), name)
-    return f"{name or 'unknown'}, {os.cpu_count()} logical processors"
 
 
 def run_cases(

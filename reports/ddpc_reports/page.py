@@ -34,7 +34,7 @@ from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, st
 from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.sensitivity import effects_table, sensitivity_figures, sweep_statements, variants_table
 from ddpc_reports.shares import share_statements
-from ddpc_reports.tables.cases import cases_table, provenance_table, step_time_table
+from ddpc_reports.tables.cases import cases_table, step_time_table
 from ddpc_reports.tables.controllers import (
     across_table,
     reproduction_statements,
@@ -45,6 +45,7 @@ from ddpc_reports.tables.controllers import (
 )
 from ddpc_reports.tables.diagnostics import diagnostics_tables
 from ddpc_reports.tables.failures import failures_table
+from ddpc_reports.tables.reproduce import reproduce_tables
 from ddpc_reports.tables.settings import compact_seeds, family_tables, settings_tables
 from ddpc_reports.tables.table import Table
 from ddpc_reports.tuning import front_figures, trials_tables
@@ -297,7 +298,7 @@ def _study_part(
         ("cases", "Every case"): lambda _: _tables(
             cases_table(results, seen, prefix) if room.cases else None
         ),
-        ("provenance", "Provenance"): lambda _: _tables(provenance_table(results, prefix)),
+        ("provenance", "How to reproduce"): lambda _: _tables(*reproduce_tables(results, prefix)),
     }
     sections = [
         Section(anchor, title, _in_their_place(title, partial(blocks_of, title)))

@@ -93,7 +93,7 @@ def test_the_page_has_every_section_in_order(make_results: MakeResults, tmp_path
         "Settings",
         "Known limitations",
         "Every case",
-        "Provenance",
+        "How to reproduce",
     ]
 
 
@@ -105,7 +105,7 @@ def test_the_same_results_give_the_same_bytes(make_results: MakeResults, tmp_pat
 def test_the_date_stands_in_the_provenance_only(make_results: MakeResults, tmp_path: Path) -> None:
     page = written(tmp_path, make_results(provenance={"date": "2031-05-06T07:08:09", "fmu sha256": "cafe"}))
     assert page.count("2031-05-06") == 1
-    assert "FMU SHA-256" in page
+    assert "plant SHA-256" in page
 
 
 def test_nothing_is_loaded_from_anywhere(make_results: MakeResults, tmp_path: Path) -> None:

@@ -52,6 +52,8 @@ class StudyFile:
         The places that it takes from other files, and where they stand there.
     faults : list of (StudyFile, Place, str)
         What it cannot take, or does not fit what it takes: where, and what is wrong.
+    source : str
+        The path or the plug-in's name by which it was asked for; empty: it was not read from a file.
     """
 
     label: str
@@ -60,6 +62,7 @@ class StudyFile:
     text: str = ""
     taken: dict[Place, tuple["StudyFile", Place]] = field(default_factory=dict)
     faults: list["Fault"] = field(default_factory=list)
+    source: str = ""
 
     @classmethod
     def read(cls, path: Path) -> Self:

@@ -1,4 +1,4 @@
-"""Tables of the cases: computation time, outcomes and main metrics, provenance."""
+"""Tables of the cases: computation time, outcomes and main metrics."""
 
 import math
 import re
@@ -18,7 +18,6 @@ from ddpc_reports.comparison import (
     shown_as,
 )
 from ddpc_reports.numbers import integer, time_scale
-from ddpc_reports.tables.settings import compact_seeds, facts_table
 from ddpc_reports.tables.table import (
     Cell,
     Column,
@@ -147,17 +146,3 @@ def _case_keys(conditions: Sequence[Condition]) -> list[str]:
 def _value(case: CaseResult, key: str) -> float:
     shown = case.holds or not metric_of(key).if_held
     return case.metrics.get(key, math.nan) if shown else math.nan
-
-
-def provenance_table(results: StudyResults, prefix: str) -> Table:
-    """Return where the results come from, as the run recorded it."""
-    facts = [(_spelled(name), value) for name, value in results.provenance.items()]
-    facts.append(("seeds", compact_seeds(results.study.seeds)))
-    return facts_table(f"{prefix}provenance", "Provenance of the results", facts, "provenance.csv")
-
-
-_ACRONYMS = {"fmu": "FMU", "fmi": "FMI", "sha256": "SHA-256", "guid": "GUID", "cpu": "CPU", "os": "OS"}
-
-
-def _spelled(name: str) -> str:
-    return " ".join(_ACRONYMS.get(word, word) for word in name.replace("_", " ").split(" "))

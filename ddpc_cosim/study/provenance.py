@@ -1,0 +1,155 @@
+"""Where results come from: what was run, by which code, on what machine, and how to have it again."""
+
+import os
+import platform
+import shlex
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import UTC, datetime
+from importlib import metadata
+from itertools import groupby
+from math import fsum, isfinite
+from pathlib import Path
+
+from ddpc_cosim.plugins import package_of, package_version, types_in
+from ddpc_cosim.study.case_files import CaseResult, checksum, read_run
+from ddpc_cosim.study.file_format.study_files import StudyFile
+from ddpc_cosim.study.plants import PlantSpec
+from ddpc_cosim.texts import recorded
+
+_VERSIONS_OF = ("numpy", "scipy", "FMPy", "piqp", "sympy", "control", "casadi", "daqp")
+_GIT_SECONDS = 5.0
+_RESOLVED = "study.toml"
+"""What a study is called that was made without a file: the results have it."""
+
+
+def facts_of_problem(results: Sequence[CaseResult], spec: PlantSpec, preview: int) -> dict[str, str]:
+    """Return what is to be said of one problem's plant."""
+    # A case that failed before its first sample does not know its plant.
+    known: Iterator[dict[str, str]] = (read_run(result.folder)["provenance"] for result in results)
+    plant = next(filter(None, known), {})
+    facts = {
+        **{key.replace("_", " "): value for key, value in plant.items()},
+        "plant content": spec.content,
+        "largest preview": f"{preview} samples",
+    }
+    return {name: recorded(fact) for name, fact in facts.items()}
+
+
+def facts_of_run(
+    results: Sequence[CaseResult], file: StudyFile, options: Sequence[str], workers: str, took: str
+) -> dict[str, str]:
+    """Return what is to be said of a run.
+
+    Parameters
+    ----------
+    results : sequence of CaseResult
+        All cases.
+    file : StudyFile
+        The study as it was read.
+    options : sequence of str
+        Those of ``run`` that decide which cases there are, and whether they are sandboxed.
+    workers : str
+        How many workers of this machine ran them; "dask" for those of a cluster.
+    took : str
+        How long it took, in words.
+    """
+    seconds = fsum(filter(isfinite, (result.wall_time for result in results)))
+    facts = {
+        "sandbox": _sandboxes(results),
+        "ddpc-cosim version": package_version(),
+        "ddpc-cosim commit": commit_of(Path(__file__)),
+        "python version": platform.python_version(),
+        **dict(_versions()),
+        "plug-ins": ", ".join(_plugins_of(file)),
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "cpu": "of dask workers, not recorded" if workers == "dask" else _cpu(),
+        "workers": workers,
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "run again": shlex.join(["ddpc-cosim", "run", Path(file.source).name or _RESOLVED, *options]),
+        **_facts_of_file(file),
+        "wall time": took,
+        "time of all cases": f"{seconds:.3g} s, one after another",
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    return {name: recorded(fact) for name, fact in facts.items() if fact}
+
+
+def seed_ranges(seeds: Iterable[int]) -> str:
+    """Write seeds as ``--seeds`` takes them: ``0:30,5489``."""
+    runs = [[seed for _, seed in run] for _, run in groupby(enumerate(seeds), lambda one: one[1] - one[0])]
+    return ",".join(str(run[0]) if len(run) == 1 else f"{run[0]}:{run[-1] + 1}" for run in runs)
+
+
+def commit_of(file: Path) -> str:
+    """Return the commit of the repository that holds a file, and whether anything was changed since.
+
+    Empty where no repository holds it, or git is not there or does not answer in time.
+    """
+    if not any((folder / ".git").exists() for folder in file.resolve().parents):
+        return ""
+    # Another repository's, as git sets them for its hooks; nothing is written, and nothing else is started.
+    own = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    own["GIT_OPTIONAL_LOCKS"] = "0"
+
+    def git(*words: str) -> str:
+        command = ["git", "-C", str(file.resolve().parent), "-c", "core.fsmonitor=false", *words]
+        done = subprocess.run(command, capture_output=True, check=True, timeout=_GIT_SECONDS, env=own)
+        return done.stdout.decode(errors="replace").strip()
+
+    try:
+        git("ls-files", "--error-unmatch", "--", file.name)
+        told = git("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    commit = told.removesuffix("-dirty")
+    return f"{commit}, {'clean' if commit == told else 'with changes that are not committed'}"
+
+
+def _facts_of_file(file: StudyFile) -> dict[str, str]:
+    """Return what is to be said of the file or the plug-in that a study was read from; nothing of another."""
+    if not file.source:
+        return {}
+    if package := package_of("studies", file.source):
+        return {"study": f"{file.source}, of {package}"}
+    path = Path(file.source)
+    try:
+        content = checksum(path.read_bytes())
+    except OSError:  # it was there before the run
+        content = ""
+    return {"study file": file.source, "study file sha256": content, "study file commit": commit_of(path)}
+
+
+def _versions() -> Iterator[tuple[str, str]]:
+    """Yield the versions of the packages that decide figures, as far as they are installed."""
+    for name in _VERSIONS_OF:
+        try:
+            yield f"{name.lower()} version", metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+
+
+def _plugins_of(file: StudyFile) -> list[str]:
+    """Return the packages of others that the study's controllers come from."""
+    packages = {package_of("controllers", name) for name in types_in(file.tables)}
+    return sorted(packages - {"", f"ddpc-cosim {package_version()}"})
+
+
+def _sandboxes(results: Sequence[CaseResult]) -> str:
+    """Return in words how many cases ran in which sandbox."""
+    counts = Counter(result.sandbox for result in results)
+    if list(counts) == [""]:
+        return "none"
+    return "; ".join(f"{count} of {len(results)} cases: {words or 'none'}" for words, count in counts.items())
+
+
+def _cpu() -> str:
+    """Return the processor's name and count; Linux tells it only in a file."""
+    name = platform.processor()
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        lines = info.read_text(encoding="utf-8", errors="replace").splitlines()
+        name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), name)
+    return f"{name or 'unknown'}, {os.cpu_count()} logical processors"

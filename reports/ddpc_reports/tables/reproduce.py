@@ -1,0 +1,91 @@
+"""How to have the results again: the command, the study, the code, the machine, and the plants."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from ddpc_cosim import StudyResults
+from ddpc_cosim.texts import without_folders
+from ddpc_reports.numbers import MISSING
+from ddpc_reports.tables.settings import compact_seeds, facts_table
+from ddpc_reports.tables.table import Cell, Row, Table, text_headings
+
+_VERSION = " version"
+_SAID = {"run again", "command", "system", "cpu", "date", "ddpc-cosim commit"}
+_SAID |= {"study", "study file", "study file sha256", "study file commit", "study sha256"}
+_OF_PLANT = ("fmu", "fmi version", "plant content")
+_WORDS = {
+    "fmi version": "FMI {}",
+    "fmu model": "model {}",
+    "fmu tool": "made by {}",
+    "fmu guid": "GUID {}",
+    "fmu tolerance": "tolerance {}",
+}
+
+
+def reproduce_tables(results: StudyResults, prefix: str) -> list[Table]:
+    """Return what was run, by what and on what, as the run recorded it, and the plants, each once."""
+    parts = results.problems()
+    several = len(parts) > 1
+    plants: dict[tuple[tuple[str, str], ...], list[str]] = {}
+    common = dict[str, str]()
+    for part in parts:
+        told = {name: without_folders(fact) for name, fact in part.provenance.items()}
+        # Of several problems, what is of one plant stands with the problem's name.
+        own = {
+            name: fact
+            for name, fact in told.items()
+            if (name not in results.provenance if several else name in _OF_PLANT or name.startswith("fmu "))
+        }
+        common = {name: fact for name, fact in told.items() if name not in own}
+        plants.setdefault(tuple(own.items()), []).append(part.study.title or part.study.name)
+    facts = dict(_facts(results, common))
+    if not several and any(plants):
+        (told,) = (dict(one) for one in plants)
+        facts = {**facts, "plant": _plant_words(told), "plant SHA-256": _content(told)}
+    date = {"date": common["date"]} if "date" in common else {}
+    run = facts_table(f"{prefix}run", "What was run", (facts | date).items(), "run.csv")
+    return [run, *([_plants_table(plants, prefix)] if several else [])]
+
+
+def _facts(results: StudyResults, told: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """Yield names and values, as far as they are known: what to type, what it was done with, how it went."""
+    versions = {name.removesuffix(_VERSION): fact for name, fact in told.items() if name.endswith(_VERSION)}
+    facts = {
+        # Earlier versions kept what was typed, and nothing else of it.
+        "command": told.get("run again") or told.get("command"),
+        "study": told.get("study"),
+        "study file": told.get("study file"),
+        "study file SHA-256": told.get("study file sha256"),
+        "study file commit": told.get("study file commit"),
+        "study.toml SHA-256": told.get("study sha256"),
+        "seeds": compact_seeds([*dict.fromkeys(case.seed for case in results.cases)]),
+        "ddpc-cosim": versions.pop("ddpc-cosim", ""),
+        "ddpc-cosim commit": told.get("ddpc-cosim commit"),
+        "packages": ", ".join(f"{name} {fact}" for name, fact in versions.items()),
+        "machine": ", ".join(told[name] for name in ("system", "cpu") if name in told),
+    }
+    known = {name for name in told if name in _SAID or name.endswith(_VERSION)}
+    facts |= {name.replace("_", " "): fact for name, fact in told.items() if name not in known}
+    return ((name, fact) for name, fact in facts.items() if fact)
+
+
+def _plants_table(plants: Mapping[tuple[tuple[str, str], ...], Sequence[str]], prefix: str) -> Table:
+    rows = tuple(
+        Row(", ".join(titles), (Cell(_plant_words(dict(facts))), Cell(_content(dict(facts)))))
+        for facts, titles in plants.items()
+    )
+    headings = text_headings("Problem", "plant", "SHA-256")
+    return Table(f"{prefix}plants", "The plants", headings, rows, kind="facts", download="plants.csv")
+
+
+def _plant_words(told: Mapping[str, str]) -> str:
+    """Return all that is said of a plant besides its hash, and nothing twice."""
+    file = told.get("fmu", "")
+    known = {"fmu": file, "fmu model": file.removesuffix(".fmu"), "fmu sha256": _content(told)}
+    known["plant content"] = _content(told)
+    rest = {name: fact for name, fact in told.items() if fact != known.get(name)}
+    words = [_WORDS.get(name, f"{name.replace('_', ' ')} {{}}").format(fact) for name, fact in rest.items()]
+    return ", ".join(filter(None, [file, *words])) or MISSING
+
+
+def _content(told: Mapping[str, str]) -> str:
+    return told.get("plant content") or told.get("fmu sha256", MISSING)

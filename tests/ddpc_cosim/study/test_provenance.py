@@ -1,0 +1,91 @@
+"""Where results come from: the command to have them again, the files, commits and times."""
+
+import hashlib
+import io
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+from hypothesis import given, strategies as st
+
+from ddpc_cosim import StudyResults
+from ddpc_cosim.cli.progress import LineProgress
+from ddpc_cosim.plugins import package_version
+from ddpc_cosim.study.file_format.sections import expand_seeds
+from ddpc_cosim.study.file_format.study_files import StudyFile
+from ddpc_cosim.study.provenance import commit_of, facts_of_run, seed_ranges
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.runner import Selection, run_study
+
+STUDY = """
+plant = { name = "pendulum", inputs = ["torque"], outputs = ["angle"] }
+loop = { sampling_time = 0.1, duration = 1.0 }
+reference.angle = { kind = "constant", value = 0.1 }
+controllers.mfapc.type = "mfapc"
+controllers.other.type = "mfapc"
+"""
+
+
+@given(st.lists(st.integers(0, 50), unique=True, min_size=1))
+def test_seeds_are_written_as_the_option_takes_them(seeds: list[int]) -> None:
+    assert expand_seeds(seed_ranges(seeds).split(",")) == seeds
+
+
+def test_a_run_records_how_to_have_it_again(tmp_path: Path) -> None:
+    path = tmp_path / "my own.toml"
+    path.write_text(STUDY, encoding="utf-8")
+
+    def run() -> StudyResults:
+        selection = Selection(jobs=1, seeds=[4, 5], only="mfapc*")
+        return run_study(read_study(str(path)), tmp_path / "out", selection, LineProgress(io.StringIO()))
+
+    results = run()
+    facts = results.provenance
+    assert facts["run again"] == "ddpc-cosim run 'my own.toml' --seeds 4:6 --only 'mfapc*'"
+    assert facts["study file"] == str(path)
+    assert facts["study file sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert "study file commit" not in facts
+    assert facts["wall time"].endswith(" s for 2 cases, 0 kept from an earlier run")
+    runs = [json.loads((case.folder / "run.json").read_text(encoding="utf-8")) for case in results.cases]
+    assert facts["time of all cases"] == f"{sum(one['wall_time'] for one in runs):.3g} s, one after another"
+    again = run().provenance
+    assert again["wall time"].endswith(" s for 0 cases, 2 kept from an earlier run")
+    assert again["time of all cases"] == facts["time of all cases"]
+
+
+def test_studies_without_a_file_of_their_own_are_run_by_name_or_from_the_results() -> None:
+    built_in = facts_of_run([], StudyFile("paper.toml", Path(), {}, source="paper"), [], "1", "1 s")
+    assert (built_in["run again"], built_in["study"]) == (
+        "ddpc-cosim run paper",
+        f"paper, of ddpc-cosim {package_version()}",
+    )
+    made = facts_of_run([], StudyFile("made", Path(), {}), ["--sandbox"], "1", "1 s")
+    assert made["run again"] == "ddpc-cosim run study.toml --sandbox"
+    assert not {"study", "study file"} & made.keys()
+
+
+def git(folder: Path, *words: str) -> str:
+    me = ("-c", "user.name=me", "-c", "user.email=me@example.org")
+    done = subprocess.run(["git", *me, *words], cwd=folder, check=True, capture_output=True, text=True)
+    return done.stdout.strip()
+
+
+def test_the_commit_is_told_and_whether_anything_was_changed_since(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, other = tmp_path / "own.toml", tmp_path / "other.toml"
+    git(tmp_path, "init", "-q")
+    own.write_text("a = 1\n", encoding="utf-8")
+    assert commit_of(own) == ""
+    git(tmp_path, "add", "own.toml")
+    git(tmp_path, "commit", "-q", "-m", "A study")
+    commit = git(tmp_path, "rev-parse", "HEAD")
+    monkeypatch.setenv("GIT_DIR", "/of/a/hook")
+    assert commit_of(own) == f"{commit}, clean"
+    other.write_text("", encoding="utf-8")
+    assert commit_of(other) == ""
+    own.write_text("a = 2\n", encoding="utf-8")
+    assert commit_of(own) == f"{commit}, with changes that are not committed"
+    monkeypatch.setenv("PATH", "")
+    assert commit_of(own) == ""
