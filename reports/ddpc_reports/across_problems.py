@@ -17,8 +17,8 @@ from ddpc_reports.figures.charts import profile_chart, rank_chart
 from ddpc_reports.figures.figure import Figure, entry, one_chart
 from ddpc_reports.figures.samples import column_name
 from ddpc_reports.numbers import MISSING, significant
-from ddpc_reports.shares import SHARE_NOTE
-from ddpc_reports.tables.table import Cell, Heading, Table, controller_table, number_cells
+from ddpc_reports.shares import SHARE_NOTE, interval_words, share_words
+from ddpc_reports.tables.table import Cell, Column, Heading, Table, controller_table, number_cells
 from ddpc_reports.verdict import Statement, join_words, names, p_words, some_of
 
 _METRIC = "mean_abs_error"
@@ -26,6 +26,13 @@ _METRIC = "mean_abs_error"
 _FACTOR, _WIDEST = 2.0, 20.0
 """The ratio that the table shows, and the largest that is drawn."""
 _POINTS = 300
+_NAMED = 3
+RANKS_NOTE = (
+    "Ranks by mean abs error or the problem's own cost: first comes the controller with fewer runs "
+    "that do not stay near their reference, of equal ones that with the better average rank "
+    "over scenarios and signals. Group: controllers that share a letter are not told apart by Nemenyi's "
+    "test at 5\u00a0%."
+)
 
 
 @dataclass(frozen=True)
@@ -111,12 +118,63 @@ def _rows_of(condition: Condition, number: int) -> list[dict[str, Any]]:
     ]
 
 
+def overall_answer(found: Overall) -> Markup:
+    """Return who has the best average rank, from whom it is told apart, and who loses the most runs."""
+    ranks, order = found.ranks, [*found.controllers.values()]
+    first, alike = order[0], _alike(found)
+    name = (Markup("<i>{}</i>") if alike else Markup("<b>{}</b>")).format(first.label)
+    text = Markup("{} has the best average rank over {} problems, {}").format(
+        name, found.problems, significant(ranks.ranks[first.key], 3)
+    )
+    if alike:
+        shown = [
+            Markup("<i>{}</i> ({})").format(one.label, significant(ranks.ranks[one.key], 3)) for one in alike
+        ]
+        text += Markup(", but is not told apart from {}").format(some_of(shown))
+    if ranks.p <= LEVEL:
+        text += f"; ranks that are {significant(ranks.critical_difference, 2)} apart differ"
+    text += "."
+    if found.distances and (own := found.distances.overall.get(first.key)):
+        points = names([one for one in found.distances.controllers if one.is_point])
+        text += Markup(" It comes {}{} of the way between {}.").format(
+            share_words(own), interval_words(own), join_words(points)
+        )
+    lost = {one.key: runs - near for one in order for near, runs in [found.held[one.key]] if near < runs}
+    losing = sorted((one for one in order if one.key in lost), key=lambda one: -lost[one.key])
+    if losing:
+        most = [
+            Markup("<b>{}</b> ({} of {})").format(one.label, lost[one.key], found.held[one.key][1])
+            for one in losing[:_NAMED]
+        ]
+        text += Markup(" Most runs are lost by {}.").format(join_words(most))
+    if found.left_out:
+        left_out = [Markup("<i>{}</i>").format(name) for name in found.left_out]
+        text += Markup(" Not counted, as no controller follows there: {}.").format(some_of(left_out))
+    return text
+
+
+def _alike(found: Overall) -> list[ControllerResults]:
+    """Return those that the problems do not tell apart from the one with the best average rank."""
+    first = next(iter(found.controllers))
+    unsure = {name for group in found.ranks.groups if first in group for name in group} - {first}
+    return [one for key, one in found.controllers.items() if key in unsure]
+
+
+def first_columns(found: Overall, order: Sequence[ControllerResults]) -> list[Column]:
+    """Return average ranks and runs lost, for the matrix of the first screen."""
+    ranks = number_cells([found.ranks.ranks.get(one.key, math.nan) for one in order], digits=3)
+    held = [found.held.get(one.key, (0, 0)) for one in order]
+    lost = [
+        Cell(f"{runs - near} of {runs}", runs - near, failed=near < runs) if runs else Cell(MISSING)
+        for near, runs in held
+    ]
+    return [(Heading("average rank"), ranks), (Heading("lost", "runs"), lost)]
+
+
 def overall_statements(found: Overall) -> list[Statement]:
     """Say who has the best average rank, from whom it is told apart, and who is left out."""
     ranks, order = found.ranks, [*found.controllers.values()]
-    first = order[0]
-    unsure = {name for group in ranks.groups if first.key in group for name in group} - {first.key}
-    alike = [one for one in order if one.key in unsure]
+    first, alike = order[0], _alike(found)
     text = Markup("Over {} problems, {} has the best average rank, {}").format(
         found.problems,
         (Markup("<i>{}</i>") if alike else Markup("<b>{}</b>")).format(first.label),
@@ -173,10 +231,7 @@ def overall_table(found: Overall, prefix: str) -> Table:
         (Heading("near the reference", "runs"), [Cell(text) for text in near]),
     ]
     notes: tuple[str, ...] = (
-        "Ranks by mean abs error or the problem's own cost: first comes the controller with fewer runs "
-        "that do not stay near their reference, of equal ones that with the better average rank "
-        "over scenarios and signals. Group: controllers that share a letter are not told apart by Nemenyi's "
-        "test at 5\u00a0%.",
+        RANKS_NOTE,
         "Shares of runs: the best of the same problem, scenario and seed, or within twice its value, each "
         "problem with the same weight; a run that does not stay near its reference is not.",
     )

@@ -24,8 +24,8 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.figures.charts import heat_chart
 from ddpc_reports.figures.figure import Figure, one_chart
-from ddpc_reports.numbers import as_given, significant, with_unit
-from ddpc_reports.tables.table import Cell, Heading, Row, Table, number_cells
+from ddpc_reports.numbers import as_given, percent, significant, with_unit
+from ddpc_reports.tables.table import Cell, Heading, Row, Table, number_cells, text_headings
 from ddpc_reports.verdict import Statement, by_signal, formatter
 
 _LOST_SHOWN = 3
@@ -139,6 +139,74 @@ def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
     return text + Markup(". {} {} not stay near the reference in every case: {}.").format(
         len(lost), verb, some
     )
+
+
+def worth_table(condition: Condition, prefix: str) -> Table | None:
+    """Return what tuning is worth: own and best settings of each controller that was swept; None without."""
+    groups: dict[str, list[Sweep]] = {}
+    for sweep in sweeps(condition):
+        groups.setdefault(sweep.base, []).append(sweep)
+    rows = [
+        row
+        for key in condition.headline
+        for group in groups.values()
+        if (row := _worth_row(condition, group, key))
+    ]
+    if not rows:
+        return None
+    headings = (
+        Heading("Controller", numeric=False),
+        Heading("its own", group="median"),
+        Heading("best of the grid", group="median"),
+        Heading("worst", group="median"),
+        Heading("best to own", "%"),
+        *text_headings("best settings", "at the edge of the grid"),
+        Heading("lost", "settings"),
+    )
+    notes = (
+        "Of the settings that stay near the reference in every run; lost: those that do not. Where the best "
+        "lies at the edge of the grid, better settings may lie beyond it. The best of a grid is chosen from "
+        "the runs that it is shown of, which flatters it.",
+    )
+    caption, name = "What tuning is worth", f"{prefix}worth"
+    return Table(name, caption, headings, tuple(rows), notes, kind="grouped", download="worth.csv")
+
+
+def _worth_row(condition: Condition, group: Sequence[Sweep], key: str) -> Row | None:
+    members = [(sweep, one) for sweep in group for one in sweep.variants]
+    held = [(sweep, one) for sweep, one in members if one.holds_all and one.by_seed(key)]
+    if not held:
+        return None
+    held.sort(key=lambda entry: metric_of(key).rank(_median([entry[1]], key)))
+    (best_sweep, best), (_, worst) = held[0], held[-1]
+    base = [one for one in condition.controllers if one.key == group[0].base]
+    values = [_median(base, key), _median([best], key), _median([worst], key)]
+    own, least, most = number_cells(values)
+    change = 100 * (values[1] / values[0] - 1) if values[0] > 0 else math.nan
+    edges = ", ".join(_edges(best_sweep, best)) or "no"
+    cells = (
+        own,
+        replace(least, best=not values[0] <= values[1]),
+        most,
+        Cell(percent(change / 100), change),
+        Cell(best_sweep.place(best)),
+        Cell(edges, failed=edges != "no"),
+        Cell(f"{len(members) - len(held)} of {len(members)}", len(members) - len(held)),
+    )
+    index = (base or [best])[0].index
+    title = " / ".join(filter(None, (metric_words(key), metric_unit(key))))
+    return Row(group[0].label, cells, group[0].base, index, title)
+
+
+def _edges(sweep: Sweep, best: ControllerResults) -> Iterator[str]:
+    """Yield the settings of which the best value is the smallest or the largest of three or more."""
+    for setting in sweep.settings:
+        given = [sweep.value(one.key, setting) for one in sweep.variants]
+        numbers = {value for value in given if isinstance(value, int | float) and not isinstance(value, bool)}
+        value = sweep.value(best.key, setting)
+        if len(numbers) > 2 and value in (min(numbers), max(numbers)):
+            which = "smallest" if value == min(numbers) else "largest"
+            yield f"{setting}: {which}"
 
 
 def effects_table(condition: Condition, prefix: str) -> Table | None:

@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from markupsafe import Markup
 
 from ddpc_cosim import FloatArray, Simulation, Variable
 from ddpc_cosim.plugins import write_atomically
@@ -14,7 +15,8 @@ from ddpc_reports.figures.charts import time_chart
 from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import Column, Signal, level_title, rounded
 from ddpc_reports.numbers import as_given, significant, unit_symbol, with_unit
-from ddpc_reports.page import Section, StudyPart, set_page
+from ddpc_reports.page import set_page
+from ddpc_reports.sections import Section, StudyPart
 from ddpc_reports.tables.table import Cell, Heading, Row, Table
 
 _MOST_DRAWN, _MOST_POINTS = 24, 2000
@@ -49,7 +51,9 @@ def simulation_page(simulation: Simulation) -> str:
         "Outcome": simulation.outcome,
     }
     title = f"Simulation of {simulation.plant}"
-    part = StudyPart("s1-", 1, title, ended, facts, [section for section in sections if section.blocks])
+    part = StudyPart(
+        "s1-", 1, title, ended, facts, Markup(""), [], [section for section in sections if section.blocks]
+    )
     data = {one.id: {name: pack(column) for name, column in one.columns.items()} for one in signals}
     return set_page([part], data)
 

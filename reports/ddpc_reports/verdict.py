@@ -41,22 +41,24 @@ class Statement(NamedTuple):
     text: Markup
 
 
-def verdict(condition: Condition) -> list[Statement]:
-    """Return the findings of one condition, the completeness of the cases first."""
-    statements = [Statement("Completed", _completeness(condition))]
+def findings(condition: Condition) -> dict[str, list[Statement]]:
+    """Return the findings of one condition, by the section of the page that they belong to."""
+    failures = [Statement("Completed", _completeness(condition))]
+    found: dict[str, list[Statement]] = {"failures": failures, "distribution": [], "response": []}
+    found |= {"limits": [], "time": []}
     if not any(one.completed for one in condition.controllers):
-        return statements
+        return found
     if condition.none_follows:
         nothing = Markup("<b>{}</b>, so nothing is ranked.").format(condition.none_follows)
-        statements.insert(0, Statement("Reference", nothing))
+        found["distribution"].append(Statement("Reference", nothing))
     else:
-        statements += tracking(condition)
-        statements += least(condition, "settled_error", "Settling", "settles closest to the reference")
-        statements += least_travel(condition)
-    statements.append(Statement("Bounds", _violations(condition)))
-    statements.append(Statement("Step time", _times(condition)))
-    statements.append(Statement("Fallbacks", _fallbacks(condition)))
-    return statements
+        found["distribution"] += tracking(condition)
+        found["response"] += least(condition, "settled_error", "Settling", "settles closest to the reference")
+        found["limits"] += least_travel(condition)
+    found["limits"].append(Statement("Bounds", _violations(condition)))
+    found["time"].append(Statement("Step time", _times(condition)))
+    failures.append(Statement("Fallbacks", _fallbacks(condition)))
+    return found
 
 
 def _completeness(condition: Condition) -> Markup:

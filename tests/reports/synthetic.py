@@ -12,6 +12,11 @@ from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.case_files import load_case, write_case
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.problems import WholeStudy
+from ddpc_cosim.study.standings import standings
+from ddpc_reports.comparison import Condition
+from ddpc_reports.tables.ranking import ranking_table
+from ddpc_reports.tables.table import Table
+from ddpc_reports.verdict import Statement, findings
 
 SAMPLING_TIME = 0.1
 SAMPLES = 61
@@ -65,6 +70,18 @@ def make_trace(
         settings=settings or {"horizon": 5, "lambda_g": 50.0},
         diagnostics=diagnostics or {},
     )
+
+
+def findings_of(condition: Condition) -> list[Statement]:
+    """Return all findings of a condition."""
+    return [one for part in findings(condition).values() for one in part]
+
+
+def ranked(condition: Condition) -> Table:
+    """Return the ranked table of a condition as if it were the only one."""
+    results = condition.results
+    cases = [case for case in results.cases if case.scenario == condition.scenario]
+    return ranking_table(condition, standings(results.study, cases), "")
 
 
 def make_study(controllers: dict[str, dict[str, Any]], **changes: Any) -> Study:

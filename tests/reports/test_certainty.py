@@ -14,9 +14,9 @@ from ddpc_reports.comparison import conditions
 from ddpc_reports.numbers import MISSING
 from ddpc_reports.page import render_page
 from ddpc_reports.tables.table import Row, Table
-from ddpc_reports.verdict import across_statements, verdict
+from ddpc_reports.verdict import across_statements
 
-from .synthetic import FORCE, SPEED, MakeResults, make_trace
+from .synthetic import FORCE, SPEED, MakeResults, findings_of, make_trace
 
 THREE = {key: {"type": key} for key in ("quick", "alike", "slow")}
 COST = "mean_abs_error.angle [deg]"
@@ -78,7 +78,7 @@ def test_who_is_not_told_apart_is_not_crowned(results: StudyResults) -> None:
     said = plain(certainty_statements(condition))["mean abs error of angle"]
     first, second, _ = rows(table_of(results))
     assert said == f"Not told apart: {first} and {second}. Told apart from all others: slow."
-    spread = next(str(text) for topic, text in verdict(condition) if topic == "Spread")
+    spread = next(str(text) for topic, text in findings_of(condition) if topic == "Spread")
     assert f"Over 12 seeds, <i>{first}</i> has the smallest median" in spread
     assert f"The seeds do not tell it apart from <i>{second}</i> (median difference " in spread
     assert "<b>" not in spread
@@ -88,7 +88,7 @@ def test_who_is_told_apart_from_all_others_is_said_to_be(make_results: MakeResul
     two = {key: THREE[key] for key in ("quick", "slow")}
     results = make_results(trace_of, two, seeds=SEEDS)
     condition = conditions(results)[0]
-    spread = next(str(text) for topic, text in verdict(condition) if topic == "Spread")
+    spread = next(str(text) for topic, text in findings_of(condition) if topic == "Spread")
     assert "Over 12 seeds, <b>quick</b> has" in spread
     assert "The seeds tell it apart from every other controller (corrected p &lt; 0.001)." in spread
     said = plain(certainty_statements(condition))["mean abs error of angle"]
@@ -123,7 +123,7 @@ def test_too_few_seeds_are_said_to_be_and_nothing_is_tested(make_results: MakeRe
     condition = conditions(make_results(trace_of, THREE, seeds=SEEDS[:6]))[0]
     few = "6 seeds are too few to test 3 controllers against each other: it takes 7."
     assert plain(certainty_statements(condition)) == {"Seeds": few}
-    spread = next(str(text) for topic, text in verdict(condition) if topic == "Spread")
+    spread = next(str(text) for topic, text in findings_of(condition) if topic == "Spread")
     assert few in spread
     assert "<b>" not in spread
     assert "apart" not in spread
@@ -140,7 +140,7 @@ def test_the_best_median_is_not_crowned_where_the_pairs_tell_another_to_be_bette
     two = {key: THREE[key] for key in ("quick", "slow")}
     results = make_results(lambda key, seed: make_trace(0.4 + 0.02 * lags[key][seed]), two, seeds=[*range(9)])
     condition = conditions(results)[0]
-    spread = next(str(text) for topic, text in verdict(condition) if topic == "Spread")
+    spread = next(str(text) for topic, text in findings_of(condition) if topic == "Spread")
     assert "Over 9 seeds, <i>quick</i> has the smallest median" in spread
     assert "it is ahead of the next, <i>slow</i>" in spread
     assert "on 1 of 9." in spread
@@ -167,7 +167,7 @@ def test_what_the_seed_does_not_change_is_exact(make_results: MakeResults) -> No
     results = make_results(lambda key, seed: make_trace(0.5 if key == "quick" else 1.0), seeds=[0, 1])
     slow = rows(table_of(results))["slow"]
     assert [cell.text for cell in slow.cells[5:]] == ["exact", "0 of 2", "b"]
-    spread = next(str(text) for topic, text in verdict(conditions(results)[0]) if topic == "Spread")
+    spread = next(str(text) for topic, text in findings_of(conditions(results)[0]) if topic == "Spread")
     assert "<b>quick</b> has the smallest median" in spread
     assert "The seeds tell it apart from every other controller." in spread
 
@@ -188,7 +188,7 @@ def test_each_of_several_signals_and_scenarios_says_how_sure_it_is(make_results:
         return make_trace(0.5 + chance, outputs=(SPEED, FORCE), noise_seed=seed)
 
     results = make_results(of_two, seeds=SEEDS, scenarios={"calm": {}, "windy": {}})
-    said = plain(verdict(conditions(results)[0]))["Tracking"]
+    said = plain(findings_of(conditions(results)[0]))["Tracking"]
     assert len(re.findall("not told apart from (?:quick|slow)", said)) == 2
     ((_, across),) = across_statements(conditions(results))
     assert "The seeds do not tell the first apart in" in across

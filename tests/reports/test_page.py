@@ -24,7 +24,7 @@ from ddpc_cosim.metrics import METRICS
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.results import METRICS_FILE, write_results
 from ddpc_cosim.texts import printable
-from ddpc_reports import page as page_module, write_report
+from ddpc_reports import sections, write_report
 from ddpc_reports.embedding import chart_library
 from ddpc_reports.figures import drawing, figure as figures
 
@@ -83,15 +83,16 @@ def test_the_page_has_every_section_in_order(make_results: MakeResults, tmp_path
     )
     headings = [text for level, text in Reader(written(tmp_path, results)).headings if level == 2]
     assert headings == [
-        "Verdict",
-        "How sure",
-        "Fairness",
-        "Figures",
-        "Spread over seeds",
+        "Responses",
+        "Control signals",
+        "Distribution over seeds and paired differences",
+        "Step response",
+        "Limits and actuators",
         "Computation time",
         "Data diagnostics",
+        "Failures and fallbacks",
+        "Fairness and known limitations",
         "Settings",
-        "Known limitations",
         "Every case",
         "How to reproduce",
     ]
@@ -386,7 +387,7 @@ def test_what_fails_costs_the_page_its_own_place(
     make_results: MakeResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sound = Reader(written(tmp_path, make_results()))
-    monkeypatch.setattr(page_module, "cases_table", fail)
+    monkeypatch.setattr(sections, "cases_table", fail)
     time_figure = figures._time_figure
 
     def fail_for_inputs(*arguments: Any) -> figures.Figure:

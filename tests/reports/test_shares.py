@@ -9,18 +9,18 @@ import pytest
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.study.file_format.sections import StudyHead
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_reports import page as page_module
+from ddpc_reports import sections
 from ddpc_reports.across_problems import overall, overall_statements, overall_table
 from ddpc_reports.certainty import certainty_table
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.page import render_page
 from ddpc_reports.shares import share_statements
-from ddpc_reports.tables.controllers import across_table, step_time_order, verdict_table
+from ddpc_reports.tables.controllers import step_time_order
 from ddpc_reports.tables.table import Table
-from ddpc_reports.verdict import Statement, verdict
+from ddpc_reports.verdict import Statement
 
-from .synthetic import MakeResults, make_trace
+from .synthetic import MakeResults, findings_of, make_trace, ranked
 
 KEY = "mean_abs_error.angle [deg]"
 LAGS = {"ideal": 0.1, "good": 0.3, "fair": 0.8, "poor": 30.0, "rest": 10.0}
@@ -59,7 +59,7 @@ def test_shares_are_those_of_the_metrics_file(results: StudyResults, seen: Condi
     errors = results.frame().pivot(index="seed", columns="controller", values=KEY)
     share = (errors["rest"] - errors["good"]) / (errors["rest"] - errors["ideal"])
     assert seen.shares(KEY)["good"].median == pytest.approx(np.median(share))
-    shown = cells(verdict_table(seen, ""), "share of the way median (%)")
+    shown = cells(ranked(seen), "share of the way median (%)")
     # What does not stay near its reference is lost; the reference points are the ends of the scale.
     assert shown == {"good": f"{100 * np.median(share):.0f}", "fair": shown["fair"], "poor": "lost"} | {
         "ideal": "100",
@@ -82,7 +82,7 @@ def test_reference_points_are_named_and_never_ranked(seen: Condition) -> None:
     assert [one.key for _, one in seen.ranking(KEY)] == ["good", "fair"]
     assert seen.compared(KEY).order == ("good", "fair")
     assert [one.key for one in seen.not_ranked] == ["poor"]
-    told = texts([*share_statements(seen), *verdict(seen), *step_time_order(seen)])
+    told = texts([*share_statements(seen), *findings_of(seen), *step_time_order(seen)])
     assert told["Distance"].startswith(
         "Of the way from Rest (0 %) to Ideal (100 %), which do not compete: Good "
     )
@@ -91,7 +91,7 @@ def test_reference_points_are_named_and_never_ranked(seen: Condition) -> None:
     assert "by Poor 8 of 8:" in told["Completed"]
     assert "Rest" not in told["Step time"].partition("No step")[0]
     assert "Ideal" not in told["Order"]
-    marks = {row.key for row in verdict_table(seen, "").rows if any(cell.best for cell in row.cells)}
+    marks = {row.key for row in ranked(seen).rows if any(cell.best for cell in row.cells)}
     assert not marks & {"ideal", "rest"}
 
 
@@ -113,8 +113,7 @@ def test_without_a_way_to_go_the_page_says_why(make_results: MakeResults, lost: 
 
     (seen,) = conditions(make_results(fallen, FIVE, seeds=[0, 1], report=POINTS))
     assert texts(share_statements(seen))["Distance"].endswith(words)
-    assert set(cells(across_table([seen, seen], ""), seen.label).values())
-    assert "share of the way" not in [heading.group for heading in verdict_table(seen, "").headings]
+    assert "share of the way" not in [heading.group for heading in ranked(seen).headings]
 
 
 def test_over_problems_ranks_distances_and_costs(make_results: MakeResults) -> None:
@@ -216,11 +215,15 @@ def test_a_page_of_many_problems_keeps_what_is_over_all(
     whole = WholeStudy(StudyHead(name="both"), {one.study.name: one.study for one in parts})
     both = StudyResults(parts[0].folder, whole, cases, {})
     page = render_page([both])
-    assert all(text in page for text in ("Every case (5)", "Figures of the step response", "Responses"))
+    assert all(
+        text in page for text in ("Every case (5)", "Step response, per controller", "Responses at seed")
+    )
     for limit in ("_MOST_LINES", "_MOST_ROWS", "_MOST_CASES"):
-        monkeypatch.setattr(page_module, limit, 9)
+        monkeypatch.setattr(sections, limit, 9)
     small = render_page([both])
-    assert not any(text in small for text in ("Every case (5)", "Figures of the step response", "Responses"))
+    assert not any(
+        text in small for text in ("Every case (5)", "Step response, per controller", "Responses at seed")
+    )
     assert "Which method where: share of the way, %" in small
     assert "these scenarios have no tables of their own: nominal." in small
     assert len(small) < len(page)

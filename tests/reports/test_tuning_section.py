@@ -54,7 +54,7 @@ def test_the_trials_of_each_controller_are_summed_up(tmp_path: Path) -> None:
     assert [cell.raw for cell in row.cells] == [3, 1, 14, 1, 0, 0.5, 0.25]
     assert "3 trials, 14 runs, which took 5 s." in trials.notes
     assert front_figures(results, "x-") == []
-    assert 'id="s1-tuning"' in render_page([results])
+    assert 'id="s1-tuned-table"' in render_page([results])
 
 
 def test_two_objectives_are_drawn_as_a_front(tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_two_objectives_are_drawn_as_a_front(tmp_path: Path) -> None:
 def test_without_trials_there_is_no_such_section(tmp_path: Path) -> None:
     results = make_results_in(tmp_path)
     assert trials_tables(results, "x-") == []
-    assert 'id="s1-tuning"' not in render_page([results])
+    assert 'id="s1-tuned-table"' not in render_page([results])
 
 
 @pytest.mark.parametrize("content", ["", "a,b\n1,2\n"])
@@ -83,4 +83,4 @@ def test_a_file_that_is_another_costs_the_section_alone(content: str, tmp_path: 
     results = tuned(tmp_path / "other", "rmse", ONE)
     (results.folder / "trials.csv").write_text(content, encoding="utf-8")
     with pytest.warns(UserWarning, match="Tuning: cannot be shown"):
-        assert 'id="s1-verdict"' in render_page([results])
+        assert 'id="s1-ranking-table"' in render_page([results])

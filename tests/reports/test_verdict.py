@@ -12,11 +12,11 @@ from ddpc_cosim.metrics import MetricSettings
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.page import render_page
 from ddpc_reports.tables.cases import cases_table
-from ddpc_reports.tables.controllers import response_table, verdict_table
+from ddpc_reports.tables.controllers import limits_table, response_table
 from ddpc_reports.tables.table import Table
-from ddpc_reports.verdict import across_statements, join_words, limitations, verdict
+from ddpc_reports.verdict import across_statements, join_words, limitations
 
-from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
+from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, findings_of, make_trace, ranked
 
 SEEDS = [7, 0, 1]
 
@@ -26,7 +26,7 @@ COST = "mean_abs_error.angle [deg]"
 
 def statements(results: StudyResults) -> dict[str, str]:
     """Return the verdict on the first condition as plain text, by topic."""
-    return {topic: re.sub("<[^>]*>", "", str(text)) for topic, text in verdict(only(results))}
+    return {topic: re.sub("<[^>]*>", "", str(text)) for topic, text in findings_of(only(results))}
 
 
 def only(results: StudyResults) -> Condition:
@@ -76,12 +76,12 @@ def test_where_nobody_follows_nobody_wins(make_results: MakeResults) -> None:
     left = min(case.metrics["settled_share.angle [%]"] for case in results.cases)
     assert all(case.holds for case in results.cases)
     sentence = f"No controller follows the reference; the best leaves {left:.0f} % of its change"
-    topic, text = verdict(only(results))[0]
-    assert (topic, str(text)) == ("Reference", f"<b>{sentence}</b>, so nothing is ranked.")
+    found = {topic: str(text) for topic, text in findings_of(only(results))}
+    assert found["Reference"] == f"<b>{sentence}</b>, so nothing is ranked."
     assert {"Tracking", "Settling", "Actuator"} & statements(results).keys() == set()
-    assert not any(filter(None, best(verdict_table(only(results), "")).values()))
+    assert not any(filter(None, best(ranked(only(results))).values()))
     page = render_page([results])
-    assert f"<strong>{sentence}.</strong>" in page[: page.index("<dl")]
+    assert f"<strong>{sentence}.</strong>" in page[: page.index("<table")]
 
 
 def test_who_is_fastest_and_how_near_the_deadline(make_results: MakeResults) -> None:
@@ -118,9 +118,8 @@ def test_a_controller_that_lost_cases_is_named_and_not_ranked_over_the_seeds(
     assert said["Tracking"].startswith("On seed 7, quick tracks best")
     assert said["Spread"].startswith("Only slow stays near its reference on every seed")
     assert "smallest" not in said["Spread"]
-    marks = best(verdict_table(only(results), ""))
-    assert marks["mean abs error / ° seed 7"] == ["quick"]
-    assert marks["mean abs error / ° median"] == []
+    marks = best(ranked(only(results)))
+    assert marks["mean abs error (°)"] == []
 
 
 def losing(key: str, seed: int) -> Trace:
@@ -139,11 +138,11 @@ def test_a_run_that_does_not_hold_its_reference_is_told_and_ranked_last(make_res
     assert said["Spread"].startswith("Only slow stays near its reference on every seed")
     assert not {"Settling", "Actuator"} & said.keys()
     assert "is fastest" not in said["Step time"]
-    table = verdict_table(only(results), "")
+    table = ranked(only(results))
     marked = {who for names in best(table).values() for who in names}
     assert marked <= {"slow"}
-    ends = {row.header: [cell.text for cell in row.cells[-2:]] for row in table.rows}
-    assert ends == {"quick": ["3 of 3", "2 of 3"], "slow": ["3 of 3", "3 of 3"]}
+    ends = [(row.header, row.cells[0].text, row.cells[-1].text) for row in table.rows]
+    assert ends == [("slow", "1", "0 of 3"), ("quick", "2", "1 of 3")]
 
 
 def test_who_is_first_among_those_that_hold_is_not_said_to_be_first_of_all(make_results: MakeResults) -> None:
@@ -184,7 +183,8 @@ def test_figures_of_the_step_response_are_those_of_runs_that_hold(make_results: 
     table = response_table(only(results), "")
     assert table is not None
     quick, slow = table.rows
-    assert {cell.text for cell in quick.cells} == {"\N{EN DASH}"}
+    held = [head.title != "RMSE" for head in table.headings[1:]]
+    assert {cell.text for cell, counts in zip(quick.cells, held, strict=True) if counts} == {"\N{EN DASH}"}
     (case,) = (case for case in results.cases if case.controller == "slow")
     rise = next(value for key, value in case.metrics.items() if key.startswith("rise_time."))
     assert [
@@ -218,9 +218,12 @@ def test_what_one_seed_of_three_reaches_does_not_speak_for_all(make_results: Mak
         trace = make_trace(0.3, noise_seed=seed)
         return trace if key == "slow" or seed == 0 else replace(trace, y=trace.y / 3)
 
-    table = verdict_table(only(make_results(trace_of, seeds=[0, 7, 8])), "")
+    table = ranked(only(make_results(trace_of, seeds=[0, 7, 8])))
     place = next(i for i, head in enumerate(table.headings[1:]) if head.title == "settled error")
-    assert [row.cells[place].text == "\N{EN DASH}" for row in table.rows] == [True, False]
+    assert {row.key: row.cells[place].text == "\N{EN DASH}" for row in table.rows} == {
+        "quick": True,
+        "slow": False,
+    }
 
 
 def test_a_study_with_weights_is_ranked_by_its_cost(make_results: MakeResults) -> None:
@@ -283,7 +286,7 @@ def test_where_nothing_completed_nothing_is_ranked(make_results: MakeResults) ->
     said = statements(results)
     assert list(said) == ["Completed"]
     assert said["Completed"].startswith("No case completed, so nothing is ranked")
-    assert not any(best(verdict_table(only(results), "")).values())
+    assert not any(best(ranked(only(results))).values())
 
 
 def test_one_controller_alone_is_not_called_best(make_results: MakeResults) -> None:
@@ -291,20 +294,19 @@ def test_one_controller_alone_is_not_called_best(make_results: MakeResults) -> N
     said = statements(results)
     assert "tracks best" not in said["Tracking"]
     assert said["Tracking"].endswith("; there is no other controller to compare with.")
-    assert not any(best(verdict_table(only(results), "")).values())
+    assert not any(best(ranked(only(results))).values())
 
 
 def test_equal_controllers_share_no_prize(make_results: MakeResults) -> None:
     results = make_results(lambda key, seed: make_trace(0.5))
     assert "all controllers track alike" in statements(results)["Tracking"]
-    assert best(verdict_table(only(results), ""))["mean abs error / ° seed 7"] == []
+    assert best(ranked(only(results)))["mean abs error (°)"] == []
 
 
 def test_the_table_marks_no_median_that_the_seeds_do_not_tell_apart(make_results: MakeResults) -> None:
     results = make_results(lag_by_seed, TWO, seeds=SEEDS)
-    marks = best(verdict_table(only(results), ""))
-    assert marks["mean abs error / ° seed 7"] == ["lucky"]
-    assert marks["mean abs error / ° median"] == []
+    marks = best(ranked(only(results)))
+    assert marks["mean abs error (°)"] == []
     assert marks["solve time median (ms)"] == ["steady"]  # which the seed does not change
 
     def quick_ones(key: str, seed: int) -> Trace:
@@ -312,8 +314,8 @@ def test_the_table_marks_no_median_that_the_seeds_do_not_tell_apart(make_results
         return make_trace(lags[key], noise_seed=seed, step_time=1e-5 if key == "a" else 1e-3)
 
     results = make_results(quick_ones, {key: {"type": "a"} for key in "abcd"}, seeds=[*range(8)])
-    marks = best(verdict_table(only(results), ""))
-    assert marks["mean abs error / ° median"] == ["a", "b"]
+    marks = best(ranked(only(results)))
+    assert sorted(marks["mean abs error (°)"]) == ["a", "b"]
     assert marks["solve time median (ms)"] == ["a"]
 
 
@@ -334,15 +336,13 @@ def test_several_outputs_are_told_in_one_statement_each(make_results: MakeResult
     assert told["Tracking"].startswith("In mean abs error, medians over 3 seeds and ranges:angle: quick")
     assert "speed: quick" in told["Tracking"]
     assert "Spread" not in told
-    heads = [heading.words for heading in verdict_table(only(results), "").headings]
-    assert heads[1:7] == [
-        "mean abs error angle (°)",
-        "mean abs error speed (m/s)",
-        "RMSE angle (°)",
-        "RMSE speed (m/s)",
-        "settled error angle (°)",
-        "settled error speed (m/s)",
-    ]
+    heads = [heading.words for heading in ranked(only(results)).headings]
+    assert heads[:4] == ["Controller", "rank", "mean abs error angle (°)", "mean abs error speed (m/s)"]
+    limits = limits_table(only(results), "")
+    assert limits is not None
+    assert {"total variation torque (N·m)", "total variation force (N)"} <= {
+        heading.words for heading in limits.headings
+    }
     assert not any("beyond bounds" in head for head in heads)
 
 

@@ -40,7 +40,7 @@ _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
 def step_time_table(condition: Condition, prefix: str) -> Table:
-    """Return the times of a step per controller, and deadline misses."""
+    """Return the times of a step per controller, deadline misses, and steps with a substitute."""
     everyone = condition.controllers
     eligible = [one.holds_all and not one.is_point for one in everyone]
     columns: list[Column] = []
@@ -56,8 +56,9 @@ def step_time_table(condition: Condition, prefix: str) -> Table:
     columns.append(
         (Heading(metric_name("solve_time_max"), "% of the sampling time"), number_cells(share, digits=2))
     )
-    misses = [one.total("deadline_misses [1]") for one in everyone]
-    columns.append((Heading("deadline misses", "steps"), [Cell(integer(n), int(n)) for n in misses]))
+    for key in ("deadline_misses [1]", "failures [1]"):
+        counts = [one.total(key) for one in everyone]
+        columns.append((Heading(metric_name(key), "steps"), [Cell(integer(n), int(n)) for n in counts]))
     return controller_table(
         f"{prefix}step-times",
         "Computation time of one controller step",
@@ -65,7 +66,8 @@ def step_time_table(condition: Condition, prefix: str) -> Table:
         columns,
         (
             "Wall-clock times: median, 95th and 99th percentile of a run, in medians over the completed "
-            "cases, and the longest of all of them.",
+            "cases, and the longest of all of them. Deadline misses: steps longer than the sampling time; "
+            "failures: steps at which the controller returned a substitute.",
         ),
         "step-times.csv",
     )

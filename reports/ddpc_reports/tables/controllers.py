@@ -1,26 +1,21 @@
 """Controllers compared: in one scenario, from scenario to scenario, and with published values."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 from markupsafe import Markup
 
-from ddpc_cosim.metrics import Metric, all_metrics, metric_name, metric_of, split_key
+from ddpc_cosim.metrics import all_metrics, metric_name, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import PublishedMethod, Reproduction
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
     Spread,
-    metric_keys,
     metric_signal,
     metric_unit,
-    metric_words,
-    response_metrics,
     shown_as,
-    shown_metrics,
     spread,
 )
 from ddpc_reports.numbers import (
@@ -34,7 +29,6 @@ from ddpc_reports.numbers import (
     time_scale,
     unit_symbol,
 )
-from ddpc_reports.shares import SHARE_NOTE, share_cells, share_columns
 from ddpc_reports.tables.table import (
     Cell,
     Column,
@@ -43,119 +37,77 @@ from ddpc_reports.tables.table import (
     Table,
     controller_table,
     number_cells,
-    range_texts,
     text_headings,
 )
 from ddpc_reports.verdict import Statement
 
-
-def verdict_table(condition: Condition, prefix: str) -> Table:
-    """Return the metrics of the report, and the cases completed: a row per controller."""
-    by_name = {name: columns for name in _overall(shown_metrics()) if (columns := _columns(condition, name))}
-    completed = [_counted(len(one.completed), len(one.cases)) for one in condition.controllers]
-    columns = [column for columns in by_name.values() for column in columns]
-    columns += share_columns(condition)
-    columns.append((Heading("cases completed"), completed))
-    if condition.not_ranked:
-        held = [_counted(len(one.holding), len(one.cases)) for one in condition.controllers]
-        columns.append((Heading("near the reference"), held))
-    return controller_table(
-        f"{prefix}verdict",
-        "Verdict in numbers, per controller",
-        condition.controllers,
-        columns,
-        _notes(condition, list(by_name)),
-        "verdict.csv",
-    )
-
-
-def _overall(metrics: Mapping[str, Metric[Any]]) -> dict[str, Metric[Any]]:
-    """Return the metrics without those of the step response, of which the settled error stands for all."""
-    return {name: one for name, one in metrics.items() if not one.if_held or name == "settled_error"}
+RESPONSE = ("rise_time", "settling_time", "overshoot", "anticipation", "settled_error", "rmse")
+"""What the section on the step response shows."""
+LIMITS = (
+    "bound_violation_max",
+    "bound_violation_time",
+    "total_variation",
+    "max_abs_change",
+    "max_abs_input",
+    "time_at_bounds",
+)
+"""What the section on limits and actuators shows."""
 
 
 def response_table(condition: Condition, prefix: str) -> Table | None:
     """Return the figures of the step response, a row per controller; None if the references have no steps."""
-    columns = [
-        _response_column(condition, key)
-        for name, metric in shown_metrics().items()
-        if metric.if_held
-        for key in condition.keys(name)
-    ]
+    columns = _columns(condition, RESPONSE)
     if all(math.isnan(float(cell.raw)) for _, cells in columns for cell in cells):
         return None
     preview = condition.results.provenance.get("largest preview", "as many samples as anyone looks ahead")
-    notes = [
+    notes = (
         f"From each step of the reference until {preview} before the next one: until then, every controller "
-        "answers the same step. Of a run that does not stay near its reference there are none.",
-        _meanings(name for name, metric in shown_metrics().items() if metric.if_held),
-        "A dash: a time is not reached, an output was not at rest to leave, or its reference has no steps.",
-        *(
-            ("Medians over the seeds; a time that is not reached counts as longer than any.",)
-            if len(condition.seeds) > 1
-            else ()
-        ),
-    ]
+        "answers the same step. Of a run that does not stay near its reference there are none. "
+        + _meanings(RESPONSE)
+        + " A dash: a time is not reached, an output was not at rest to leave, or its reference has no steps."
+    )
+    if len(condition.seeds) > 1:
+        notes += " Medians over the seeds; a time that is not reached counts as longer than any."
+    caption = "Step response, per controller"
     return controller_table(
-        f"{prefix}response",
-        "Figures of the step response, per controller",
-        condition.controllers,
-        columns,
-        (" ".join(notes),),
-        "response.csv",
+        f"{prefix}response", caption, condition.controllers, columns, (notes,), "response.csv"
     )
 
 
-def _response_column(condition: Condition, key: str) -> Column:
-    values = [one.summed(key) for one in condition.controllers]
-    cells = _median_cells(condition, key, values, 3)
-    return Heading(metric_name(key), metric_unit(key), group=metric_signal(key)), cells
-
-
-def _counted(count: int, total: int) -> Cell:
-    return Cell(f"{count} of {total}", count, failed=count < total)
-
-
-def _columns(condition: Condition, name: str) -> list[Column]:
-    """Return one column for each signal that has a metric; violated bounds only where there are several."""
-    keys = condition.keys(name)
-    if len(keys) == 1 and keys == condition.headline:
-        return _tracking(condition, keys[0])
-    kept = name == "bound_violation_max" and not any(
-        one.summed(key) > 0 for one in condition.controllers for key in keys
+def limits_table(condition: Condition, prefix: str) -> Table | None:
+    """Return how far outputs went beyond their limits and how far actuators moved, a row per controller."""
+    columns = _columns(condition, LIMITS)
+    if not columns:
+        return None
+    notes = _meanings(LIMITS)
+    if len(condition.seeds) > 1:
+        notes += " Over the seeds: bound violation max is the largest, the others are medians."
+    caption = "Limits and actuators, per controller"
+    return controller_table(
+        f"{prefix}limits", caption, condition.controllers, columns, (notes,), "limits.csv"
     )
-    return [] if kept and len(keys) > 1 else [_column(condition, key) for key in keys]
 
 
-def _column(condition: Condition, key: str) -> Column:
-    """Return the column of a metric, under the head of the metric where several signals have it."""
-    name = split_key(key)[0]
+def _columns(condition: Condition, names: Sequence[str]) -> list[Column]:
+    return [metric_column(condition, key) for name in names for key in condition.keys(name)]
+
+
+def _meanings(names: Sequence[str]) -> str:
+    """Say what the metrics of a table are."""
+    metrics = all_metrics()
+    told = (f"{metric_name(name)}: {metrics[name].description}." for name in names)
+    return " ".join(told).replace(" - ", f" {MINUS} ")
+
+
+def metric_column(condition: Condition, key: str) -> Column:
+    """Return a metric of every controller, under the head of the metric where several signals have it."""
     values = [one.summed(key) for one in condition.controllers]
     unit, factor = shown_as(key, values)
     shown = [value * factor for value in values]
-    digits = 4 if key in condition.headline else 3
-    cells = _median_cells(condition, key, shown, digits)
-    if len(condition.keys(name)) > 1:
+    cells = _median_cells(condition, key, shown, 4 if key in condition.headline else 3)
+    if len(condition.keys(split_key(key)[0])) > 1:
         return Heading(metric_signal(key), unit, group=metric_name(key)), cells
     return Heading(metric_name(key), unit), cells
-
-
-def _tracking(condition: Condition, key: str) -> list[Column]:
-    """Return first seed, median and range; with several outputs there is room for the medians only."""
-    group = " / ".join(filter(None, (metric_name(key), metric_unit(key))))
-    firsts = [one.at_first(key) for one in condition.controllers]
-    eligible = [
-        one.holds_first and not one.is_point and not condition.none_follows for one in condition.controllers
-    ]
-    cells = number_cells(firsts, eligible=eligible, better=metric_of(key).better)
-    columns = [(Heading(f"seed {condition.seeds[0]}", group=group), cells)]
-    if len(condition.seeds) > 1:
-        spreads = [one.over_seeds(key) for one in condition.controllers]
-        medians = [s.median for s in spreads]
-        cells = _median_cells(condition, key, medians)
-        columns.append((Heading("median", group=group), cells))
-        columns.append((Heading("range", group=group), [Cell(text) for text in range_texts(spreads)]))
-    return columns
 
 
 def _median_cells(condition: Condition, key: str, values: Sequence[float], digits: int = 4) -> list[Cell]:
@@ -167,118 +119,6 @@ def _median_cells(condition: Condition, key: str, values: Sequence[float], digit
     eligible = [condition.may_win(one) for one in members]
     alike = condition.alike(key, members)
     return number_cells(values, eligible=eligible, better=metric_of(key).better, digits=digits, alike=alike)
-
-
-def _notes(condition: Condition, shown: Sequence[str]) -> tuple[str, ...]:
-    several = len(condition.seeds) > 1
-    best = "Bold and tinted: the best of the column"
-    best += ", with those that the seeds do not tell apart from it" if several else ""
-    if condition.none_follows:
-        best = "No controller follows the reference, so none is marked as the best"
-    elif condition.not_ranked:
-        best += (
-            ", among controllers that stay near their reference in every case "
-            "(for the first seed: in that one)"
-        )
-    # With one output, its columns say it themselves.
-    own = split_key(condition.headline[0])[0] if len(condition.headline) == 1 else ""
-    summed = [name for name in shown if name != own]
-    words = [_summing_words(condition, summed)] if len(condition.seeds) > 1 else []
-    same = "not told apart" if several else "equal"
-    equal = "" if condition.none_follows else f"; where most are {same}, none is marked"
-    of_points = (SHARE_NOTE,) if condition.points else ()
-    return f"{best}{equal}.", " ".join([_meanings(shown), *words]), *of_points
-
-
-def _meanings(shown: Iterable[str]) -> str:
-    """Say what the metrics of a table are."""
-    known = all_metrics()
-    meanings = [f"{metric_name(name)}: {known[name].description}" for name in shown]
-    return f"{'; '.join(meanings).replace(' - ', f' {MINUS} ')}."
-
-
-def _summing_words(condition: Condition, shown: Sequence[str]) -> str:
-    """Say how the metrics are summed up over the seeds."""
-    ways = {"median": "medians of", "largest": "the largest of", "total": "totals of"}
-    found = {
-        words: [metric_name(name) for name in shown if all_metrics()[name].over_seeds == way]
-        for way, words in ways.items()
-    }
-    parts = [f"{words} {', '.join(names)}" for words, names in found.items() if names]
-    return f"Over {len(condition.seeds)} seeds: {'; '.join(parts)}."
-
-
-def across_table(conditions: Sequence[Condition], prefix: str) -> Table | None:
-    """Return medians of the main metrics, a row per controller and a column per scenario; None for one."""
-    if len(conditions) < 2:
-        return None
-    rows = [
-        row
-        for name, metric in _overall(response_metrics()).items()
-        if metric.over_seeds == "median"
-        for key in metric_keys(conditions, name)
-        for row in _across_rows(conditions, key)
-    ]
-    keys = dict.fromkeys(key for one in conditions for key in (*one.headline, *one.keys("rmse")))
-    shares = [row for key in keys for row in _share_rows(conditions, key)]
-    headings = (Heading("Controller", numeric=False), *(Heading(one.label) for one in conditions))
-    over = max(len(condition.seeds) for condition in conditions)
-    notes = (
-        "Bold and tinted, in what controllers are ranked by: the best in a scenario, among controllers that "
-        "stay near their reference in every case"
-        + (", with those that the seeds do not tell apart from it." if over > 1 else "."),
-        *((f"Medians over {over} seeds.",) if over > 1 else ()),
-        *((SHARE_NOTE,) if shares else ()),
-    )
-    return Table(
-        f"{prefix}across",
-        "Scenarios side by side",
-        headings,
-        (*shares, *rows),
-        notes,
-        kind="grouped",
-        download="scenarios.csv",
-    )
-
-
-def _across_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
-    group = " / ".join(filter(None, (metric_words(key), metric_unit(key))))
-    return _side_by_side(conditions, group, partial(_across_column, key=key))
-
-
-def _share_rows(conditions: Sequence[Condition], key: str) -> list[Row]:
-    """Return the shares of the way in a metric; nothing where there is no way to go."""
-    if not any(condition.shares(key) for condition in conditions):
-        return []
-    return _side_by_side(
-        conditions, f"Share of the way, by {metric_words(key)} / %", partial(share_cells, key=key)
-    )
-
-
-def _side_by_side(
-    conditions: Sequence[Condition],
-    group: str,
-    column: Callable[[Condition, Sequence[ControllerResults | None]], list[Cell]],
-) -> list[Row]:
-    by_key = [{one.key: one for one in condition.controllers} for condition in conditions]
-    everyone = {one.key: one for members in by_key for one in members.values()}
-    columns = [
-        column(condition, [members.get(name) for name in everyone])
-        for condition, members in zip(conditions, by_key, strict=True)
-    ]
-    return [
-        Row(one.label, tuple(cells[i] for cells in columns), one.key, one.index, group)
-        for i, one in enumerate(everyone.values())
-    ]
-
-
-def _across_column(condition: Condition, members: Sequence[ControllerResults | None], key: str) -> list[Cell]:
-    values = [one.summed(key) if one else math.nan for one in members]
-    if key not in condition.headline:
-        return number_cells(values)
-    eligible = [bool(one and condition.may_win(one)) for one in members]
-    alike = condition.alike(key, members)
-    return number_cells(values, eligible=eligible, better=metric_of(key).better, alike=alike)
 
 
 _HEADINGS = (

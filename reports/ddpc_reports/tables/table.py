@@ -7,7 +7,7 @@ import re
 from base64 import b64encode
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from ddpc_cosim.texts import encodable, printable
 from ddpc_reports.comparison import ControllerResults, Spread
@@ -175,14 +175,15 @@ def controller_table(
     columns: Sequence[Column],
     notes: tuple[str, ...],
     download: str,
+    **more: Any,
 ) -> Table:
-    """Return a table with a row per controller."""
+    """Return a table with a row per controller; ``more`` are further fields of it."""
     rows = tuple(
         Row(one.label, tuple(cells[i] for _, cells in columns), one.key, one.index)
         for i, one in enumerate(controllers)
     )
     headings = (Heading("Controller", numeric=False), *(heading for heading, _ in columns))
-    return Table(identifier, caption, headings, rows, notes, download=download)
+    return Table(identifier, caption, headings, rows, notes, download=download, **more)
 
 
 def number_cells(

@@ -15,20 +15,17 @@ from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS, Metric
 from ddpc_cosim.responses import Response
 from ddpc_reports.comparison import conditions
-from ddpc_reports.numbers import MINUS
 from ddpc_reports.page import render_page
 from ddpc_reports.tables.cases import cases_table
 from ddpc_reports.tables.controllers import (
-    across_table,
     reproduction_statements,
     reproduction_table,
     step_time_order,
-    verdict_table,
 )
 from ddpc_reports.tables.table import Row, Table
 from ddpc_reports.verdict import across_statements
 
-from ..synthetic import MakeResults, make_trace
+from ..synthetic import MakeResults, make_trace, ranked
 
 COST = "sum_abs_error.angle [deg]"
 
@@ -43,25 +40,6 @@ def plain(text: object) -> str:
 def median_cost(results: StudyResults, controller: str, scenario: str) -> float:
     (case,) = (c for c in results.cases if (c.controller, c.scenario) == (controller, scenario))
     return case.metrics["mean_abs_error.angle [deg]"]
-
-
-def test_scenarios_stand_beside_each_other(make_results: MakeResults) -> None:
-    results = make_results(scenarios=SCENARIOS)
-    table = across_table(conditions(results), "x-")
-    assert table is not None
-    assert [heading.title for heading in table.headings] == ["Controller", "calm", "Noisy"]
-    row = next(row for row in table.rows if row.group == "mean abs error of angle / °" and row.key == "quick")
-    assert [cell.raw for cell in row.cells] == [median_cost(results, "quick", name) for name in SCENARIOS]
-    assert [cell.best for cell in row.cells] == [True, True]
-    (statement,) = across_statements(conditions(results))
-    assert plain(statement.text) == "quick has the smallest mean abs error in calm and Noisy."
-
-
-def test_one_scenario_has_nothing_beside_it(make_results: MakeResults) -> None:
-    results = make_results()
-    assert across_table(conditions(results), "x-") is None
-    assert across_statements(conditions(results)) == []
-    assert "Scenarios side by side" not in render_page([results])
 
 
 def test_different_winners_are_named_with_their_scenarios(make_results: MakeResults) -> None:
@@ -106,13 +84,7 @@ def test_a_new_metric_needs_its_entry_in_the_registry_alone(
     results = make_results(seeds=[7, 0, 1, 2, 3, 4], scenarios=SCENARIOS)
     assert all("peak.angle [deg]" in case.metrics for case in results.cases)
     seen = conditions(results)
-    table = verdict_table(seen[0], "x-")
-    assert marked(table, "peak (°)") == ["quick"]
-    assert f"peak: highest value {MINUS} in full." in table.notes[1]
-    assert "solve time p99, peak; the largest of" in table.notes[1]
-    beside = across_table(seen, "x-")
-    assert beside is not None
-    assert {row.header for row in beside.rows if row.group == "peak of angle / °"} == {"quick", "slow"}
+    assert marked(ranked(seen[0]), "peak (°)") == ["quick"]
     assert "peak of angle (°)" in [heading.words for heading in cases_table(results, seen, "x-").headings]
     console = Console(width=200)
     with console.capture() as capture:
@@ -125,7 +97,7 @@ def test_the_best_of_a_column_follows_from_the_direction_of_its_metric(
     make_results: MakeResults, monkeypatch: pytest.MonkeyPatch, better: Any, names: list[str]
 ) -> None:
     monkeypatch.setitem(METRICS, "settled_error", replace(METRICS["settled_error"], better=better))
-    table = verdict_table(conditions(make_results())[0], "x-")
+    table = ranked(conditions(make_results())[0])
     assert marked(table, "settled error (°)") == names
 
 

@@ -2,7 +2,10 @@
 
 from base64 import b64decode
 
-from ddpc_reports.page import Section, StudyPart, set_page
+from markupsafe import Markup
+
+from ddpc_reports.page import set_page
+from ddpc_reports.sections import Section, StudyPart
 from ddpc_reports.tables.table import Cell, Heading, Row, Table
 
 
@@ -20,7 +23,7 @@ def test_a_cell_leads_to_its_place_and_tells_failures_in_words() -> None:
     heading = Heading("calm", group="tanks", href="#a", group_href="#b")
     rows = (Row("a", (cell,)),)
     section = Section("s", "S", [("table", Table("t", "T", (Heading("controller"), heading), rows))])
-    page = set_page([StudyPart("s1-", 1, "t", [], {}, [section])], {})
+    page = set_page([StudyPart("s1-", 1, "t", [], {}, Markup(""), [], [section])], {})
     row = page[page.index('<th scope="row">') :]
     assert row.startswith(
         '<th scope="row">a</th><td class="n best" title="in &lt;deg&gt;">'

@@ -1,0 +1,252 @@
+"""The answer of a study in a few sentences: who is ahead, how sure that is, what others offer, who fails."""
+
+import math
+from collections.abc import Sequence
+
+from markupsafe import Markup
+
+from ddpc_cosim import StudyResults
+from ddpc_cosim.metrics import metric_name, metric_of
+from ddpc_cosim.study.standings import Standing, Standings
+from ddpc_cosim.study.statistics import Difference, compare
+from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
+from ddpc_reports.numbers import MINUS, significant, with_unit
+from ddpc_reports.verdict import counted, formatter, join_words, names, some_of
+
+_NAMED = 3
+"""Controllers that are named with their values where more share the first rank."""
+_LOSING = 3
+"""Controllers that are named for the runs that they lose."""
+_MUCH_LESS = 0.5
+"""From this part of a leader's on, a value of another is worth a word."""
+
+
+def answer(results: StudyResults, seen: Sequence[Condition], found: Standings) -> Markup:
+    """Return who is ahead in a problem and how sure that is, from intervals and not adjectives.
+
+    Parameters
+    ----------
+    results : StudyResults
+        The results of one problem.
+    seen : sequence of Condition
+        Its scenarios.
+    found : Standings
+        Where its controllers stand, over all scenarios that count.
+    """
+    who = {one.key: one for condition in seen for one in condition.controllers}
+    if not found.order:
+        return Markup("") if found.left_out else Markup("No controller competes here, so nothing is ranked.")
+    counting = [one for one in seen if one.scenario not in found.left_out]
+    labels = [Markup("<i>{}</i>").format(one.label) for one in seen if one.scenario in found.left_out]
+    parts = [
+        _ahead(found, who, counting) if found.leaders else _none_holds(found, who),
+        _offer(found, who, counting),
+        _lost(found, who),
+        Markup("Not counted, as no controller follows there: {}.").format(some_of(labels)) if labels else "",
+    ]
+    return Markup(" ").join(part for part in parts if part)
+
+
+def _over(found: Standings, counting: Sequence[Condition]) -> str:
+    """Say over what the medians are: ``over 6 scenarios and 10 seeds``."""
+    scenarios = f"{len(counting)} scenarios" if len(counting) > 1 else ""
+    if found.seeds > 1:
+        return "over " + " and ".join(filter(None, (scenarios, f"{found.seeds} seeds")))
+    return f"over {scenarios}, on one seed" if scenarios else "on the one seed that was run"
+
+
+def _ahead(found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]) -> Markup:
+    leaders = [who[name] for name in found.leaders]
+    over = _over(found, counting)
+    if len(leaders) == len(found.order) == 1:
+        values = _values(found, leaders[0].key)
+        return Markup("There is nothing to compare <i>{}</i> with: {} {}.").format(
+            leaders[0].label, values, over
+        )
+    if len(leaders) > 1:
+        return _level(found, leaders, over) + _unsure(found)
+    best = leaders[0]
+    name = Markup("<b>{}</b>" if found.tested else "<i>{}</i>").format(best.label)
+    medians = "has the best median" if len(found.keys) == 1 else "has the best medians"
+    verb = "is ahead" if found.tested or found.seeds < 2 else medians
+    text = Markup("{} {} {}: {}").format(name, verb, over, _values(found, best.key))
+    follower = next((one for one in found.order if not one.lost and one.rank > 1), None)
+    if follower:
+        text += Markup("; the next, <i>{}</i>, {}").format(
+            who[follower.controller].label, _behind(found, best.key, follower.controller)
+        )
+    return text + "." + _unsure(found)
+
+
+def _level(found: Standings, leaders: Sequence[ControllerResults], over: str) -> Markup:
+    """Say that several share the first rank, with their values and how far they are apart."""
+    shown = leaders[:_NAMED]
+    more = len(leaders) - len(shown)
+    who = join_words([Markup("<b>{}</b>").format(one.label) for one in shown])
+    who += Markup(" and {} more").format(more) if more else Markup("")
+    if not found.tested:
+        return Markup("{} share the best medians {}: {}.").format(who, over, _values(found, shown[0].key))
+    if len(found.keys) > 1:
+        values = [
+            Markup("<i>{}</i> {}").format(one.label, _values(found, one.key, brief=True)) for one in shown
+        ]
+        return Markup("Nobody is told to be better than {} {}: {}.").format(
+            who, over, Markup("; ").join(values)
+        )
+    key = found.keys[0]
+    show = formatter(key, 3)
+    medians = join_words([show(found.samples[key][one.key].median) for one in shown])
+    apart = [_difference(found, key, shown[0].key, one.key) for one in shown[1:]]
+    text = Markup("{} lead {} and are not told apart: {} {}").format(who, over, metric_name(key), medians)
+    words = join_words([_interval(one, key) for one in apart])
+    return text + Markup(", {} from the first {}.").format(
+        "differences" if len(apart) > 1 else "difference", words
+    )
+
+
+def _values(found: Standings, name: str, *, brief: bool = False) -> Markup:
+    """Write the medians of a controller by which it is ranked, with intervals unless brief."""
+    parts = []
+    for key in found.keys:
+        sample = found.samples[key][name]
+        interval = "" if brief else _ends(sample.low, sample.high, key)
+        of = f" of {metric_signal(key)}" if len(found.keys) > 1 else ""
+        parts.append(f"{with_unit(significant(sample.median, 3), metric_unit(key))}{interval}{of}")
+    what = "" if brief else f"{metric_name(found.keys[0])} "
+    return Markup("{}{}").format(what, join_words(parts))
+
+
+def _ends(low: float, high: float, key: str) -> str:
+    """Write a 95 % interval in brackets; nothing without one, or where both ends are the same."""
+    if math.isnan(low) or math.isclose(low, high, rel_tol=1e-9, abs_tol=0.0):
+        return ""
+    return f" [{significant(low, 3)} … {significant(high, 3)}]"
+
+
+def _difference(found: Standings, key: str, first: str, other: str) -> Difference:
+    """Return by how much another is above the first, in pairs of the same scenario and seed."""
+    runs = found.runs[key]
+    return compare(runs[other], runs[first], metric_of(key).better)
+
+
+def _interval(found: Difference, key: str) -> str:
+    sign = "+" if found.median > 0 else ""
+    value = with_unit(significant(found.median, 3), metric_unit(key))
+    return f"{sign}{value}{_ends(found.low, found.high, key)}"
+
+
+def _behind(found: Standings, first: str, other: str) -> Markup:
+    """Say how far a controller is behind the first: difference, interval, and the ratio of the medians."""
+    parts = []
+    for key in found.keys:
+        ratio = _ratio(found, key, first, other)
+        times = "" if math.isnan(ratio) else f", {_times(ratio)}"
+        of = f" in {metric_signal(key)}" if len(found.keys) > 1 else ""
+        parts.append(f"{_interval(_difference(found, key, first, other), key)}{times}{of}")
+    return Markup("differs by {}").format(join_words(parts))
+
+
+def _ratio(found: Standings, key: str, first: str, other: str) -> float:
+    best, own = (found.samples[key][name].median for name in (first, other))
+    return own / best if best > 0 and own >= 0 else math.nan
+
+
+def _times(ratio: float) -> str:
+    """Write a ratio as people say it: in percent near one, else as a factor."""
+    percent = 100 * (ratio - 1)
+    if abs(percent) < 99.5:
+        sign = "+" if percent >= 0 else MINUS
+        return f"{sign}{significant(abs(percent), 2)}\u00a0%"
+    return f"{significant(ratio, 2)} times"
+
+
+def _unsure(found: Standings) -> Markup:
+    """Say why nothing could be tested; nothing where it was."""
+    if found.tested or len(found.order) < 2:
+        return Markup("")
+    if found.seeds < 2:
+        return Markup(" How much that depends on the seed is not known.")
+    tested = max(len(one.order) for one in found.compared.values())
+    return Markup(" {} seeds are too few to test {} controllers against each other: it takes {}.").format(
+        found.seeds, tested, found.seeds_needed
+    )
+
+
+def _offer(found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]) -> Markup:
+    """Say what the best of those behind offer that the leaders do not."""
+    leaders = [who[name] for name in found.leaders]
+    rest = [who[one.controller] for one in found.order if not one.lost and one.rank > 1]
+    if not leaders or not rest or len(found.keys) > 1:
+        return Markup("")
+    offers: dict[str, list[str]] = {}
+    if all(_recorded(one) for one in leaders):
+        for one in [one for one in rest if not _recorded(one)][:1]:
+            offers.setdefault(one.key, []).append("learns from no recording")
+    if len(counting) == 1 and (settled := _settles_closest(counting[0], leaders, rest)):
+        offers.setdefault(settled[0], []).append(settled[1])
+    key = found.keys[0]
+    parts = []
+    for name, words in offers.items():
+        ratio = _ratio(found, key, leaders[0].key, name)
+        behind = "" if math.isnan(ratio) else f" ({_times(ratio)})"
+        parts.append(Markup("<i>{}</i>{} {}").format(who[name].label, behind, join_words(words)))
+    return Markup("Behind, {}.").format(join_words(parts)) if parts else Markup("")
+
+
+def _recorded(one: ControllerResults) -> bool:
+    return any(case.recorded_samples for case in one.cases)
+
+
+def _settles_closest(
+    condition: Condition, leaders: Sequence[ControllerResults], rest: Sequence[ControllerResults]
+) -> tuple[str, str] | None:
+    """Return who of the rest is told to settle closer than each leader, at half of its error or less."""
+    keys = condition.keys("settled_error")
+    if len(keys) != 1:
+        return None
+    here = {one.key: one for one in condition.controllers}
+    values = {one.key: here[one.key].over_seeds(keys[0]).median for one in (*leaders, *rest)}
+    known = [one.key for one in rest if not math.isnan(values[one.key])]
+    if not known:
+        return None
+    name = min(known, key=values.__getitem__)
+    least = min((values[one.key] for one in leaders), default=math.nan)
+    differences = condition.compared(keys[0]).differences
+    sure = all((name, one.key) in differences and differences[name, one.key].told_apart for one in leaders)
+    if not sure or not values[name] <= _MUCH_LESS * least:
+        return None
+    show = formatter(keys[0], 2)
+    more = " or more" if len(leaders) > 1 else ""
+    return name, f"settles to {show(values[name])} in place of {show(least)}{more}"
+
+
+def _lost(found: Standings, who: dict[str, ControllerResults]) -> Markup:
+    """Say who loses runs, and who of them is ahead in those that it does not lose."""
+    losing = [one for one in found.order if one.lost]
+    if not losing or not found.leaders:
+        return Markup("")
+    parts = [_lost_words(found, who, one) for one in losing]
+    shown = [*parts[:_LOSING], *([f"{len(parts) - _LOSING} more"] if parts[_LOSING:] else [])]
+    return Markup("Runs are lost by {}.").format(join_words(shown))
+
+
+def _lost_words(found: Standings, who: dict[str, ControllerResults], one: Standing) -> Markup:
+    text = Markup("<b>{}</b> ({} of {}").format(who[one.controller].label, one.lost, one.runs)
+    if len(found.keys) == 1:
+        key, first = found.keys[0], found.leaders[0]
+        gain = compare(found.runs[key][first], found.runs[key][one.controller], metric_of(key).better)
+        if metric_of(key).better == "low" and gain.low > 0:
+            ahead = Markup("; in the others ahead of <i>{}</i> by {}{}")
+            show = with_unit(significant(gain.median, 3), metric_unit(key))
+            text += ahead.format(who[first].label, show, _ends(gain.low, gain.high, key))
+    return text + ")"
+
+
+def _none_holds(found: Standings, who: dict[str, ControllerResults]) -> Markup:
+    fewest = [one for one in found.order if one.rank == 1]
+    if all(one.lost == one.runs for one in fewest):
+        return Markup("No run of any controller stays near its reference, so nothing is ranked.")
+    lost = counted(fewest[0].lost, "run")
+    return Markup(
+        "No controller stays near its reference in every run. The fewest are lost by {}: {} of {}."
+    ).format(some_of(names([who[one.controller] for one in fewest])), lost, fewest[0].runs)

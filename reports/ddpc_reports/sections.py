@@ -1,0 +1,574 @@
+"""What the page shows of each study: the answer and its table first, then section by section."""
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from itertools import islice, zip_longest
+from typing import Any, NamedTuple
+
+import numpy as np
+from markupsafe import Markup
+
+from ddpc_cosim import Outcome, StudyResults
+from ddpc_cosim.study.following import following_lines
+from ddpc_cosim.study.standings import Standings, standings
+from ddpc_reports.across_problems import (
+    RANKS_NOTE,
+    Overall,
+    first_columns,
+    overall,
+    overall_answer,
+    overall_figures,
+    overall_statements,
+    overall_table,
+)
+from ddpc_reports.answer import answer
+from ddpc_reports.certainty import certainty_statements, certainty_table
+from ddpc_reports.comparison import Condition, conditions, on_one_page
+from ddpc_reports.distances import distance_maps
+from ddpc_reports.embedding import Packed, pack
+from ddpc_reports.fairness import fairness_statements
+from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, step_time_figure, time_figures
+from ddpc_reports.numbers import as_given, with_unit
+from ddpc_reports.sensitivity import (
+    effects_table,
+    sensitivity_figures,
+    sweep_statements,
+    variants_table,
+    worth_table,
+)
+from ddpc_reports.shares import share_statements
+from ddpc_reports.tables.cases import cases_table, step_time_table
+from ddpc_reports.tables.controllers import (
+    limits_table,
+    reproduction_statements,
+    reproduction_table,
+    response_table,
+    step_time_order,
+)
+from ddpc_reports.tables.diagnostics import diagnostics_tables
+from ddpc_reports.tables.failures import failures_table
+from ddpc_reports.tables.ranking import (
+    Place,
+    in_order,
+    matrix_table,
+    rank_columns,
+    rank_notes,
+    ranking_table,
+)
+from ddpc_reports.tables.reproduce import reproduce_tables
+from ddpc_reports.tables.settings import compact_seeds, family_tables, settings_tables
+from ddpc_reports.tables.table import Table
+from ddpc_reports.tuning import front_figures, trials_tables
+from ddpc_reports.verdict import Statement, across_statements, findings, limitations
+
+_MOST_DRAWN = 4
+"""Scenarios of a problem with figures over time: each costs some 300 kB of page."""
+_MOST_LINES, _MOST_ROWS, _MOST_CASES = 45, 100, 1000
+"""Of all scenarios, controllers with figures and with tables of their own; cases of several problems."""
+
+_MOST_LISTED = 20
+Block = tuple[str, Any]
+"""A part of a section: its kind, which chooses how it is set, and what it is."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """One section of the page; one that is folded opens by a click."""
+
+    anchor: str
+    title: str
+    blocks: list[Block]
+    folded: bool = False
+
+
+@dataclass(frozen=True)
+class StudyPart:
+    """What the page shows of one study.
+
+    Parameters
+    ----------
+    id : str
+        What the names of all its parts in the page begin with.
+    number : int
+        Its place in the page, from one.
+    title : str
+        Of the study.
+    warnings : list of str
+        What must be known before anything is read.
+    facts : dict of str to str
+        Plant, times, seeds and cases, in a line.
+    answer : Markup
+        Who is ahead, and how sure that is.
+    first : list of Block
+        The table of the first screen, and what belongs to it.
+    sections : list of Section
+        All the rest, in its order.
+    summary, source : str
+        What the study says of itself.
+    """
+
+    id: str
+    number: int
+    title: str
+    warnings: list[str]
+    facts: dict[str, str]
+    answer: Markup
+    first: list[Block]
+    sections: list[Section]
+    summary: str = ""
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """The parts of a page, and the samples that its figures draw."""
+
+    title: str
+    parts: list[StudyPart]
+    data: dict[str, dict[str, Packed]]
+
+
+def gather(results: Sequence[StudyResults]) -> Gathered:
+    """Return what is to be said about the results of one or several studies.
+
+    Raises
+    ------
+    ValueError
+        There are no results at all.
+    """
+    if not results:
+        raise ValueError("a report needs the results of at least one study")
+    results = on_one_page(results)
+    data: dict[str, dict[str, Packed]] = {}
+    parts: list[StudyPart] = []
+    with np.errstate(over="ignore", invalid="ignore"):  # a run can have values of any size
+        for one in results:
+            problems = one.problems()
+            seen = [conditions(part) for part in problems]
+            drawn, detailed = _first(seen, _MOST_LINES, _MOST_DRAWN), _first(seen, _MOST_ROWS)
+            spread = drawn if len(problems) > 1 else detailed
+            room = _Room(drawn, spread, detailed, len(problems) == 1 or len(one.cases) <= _MOST_CASES)
+            number = len(parts) + 1
+            if len(problems) > 1:
+                parts.append(_overall_part(one, problems, seen, number, room))
+            for part, of_part in zip(problems, seen, strict=True):
+                variants = one.variants(part.study.name)
+                parts.append(_study_part(part, of_part, len(parts) + 1, data, room, variants))
+    head = results[0].whole.head
+    several = f"{len(parts)} studies compared"
+    title = (head.title or head.name) if len(results) == 1 else several
+    return Gathered(title, parts, data)
+
+
+class _Room(NamedTuple):
+    """What of a study the page has room for.
+
+    Parameters
+    ----------
+    drawn, spread, detailed : collection of Condition
+        Scenarios with figures over time, with figures over the seeds, and with tables of their own.
+    cases : bool
+        Whether there are tables of all cases.
+    """
+
+    drawn: Collection[Condition]
+    spread: Collection[Condition]
+    detailed: Collection[Condition]
+    cases: bool
+
+    def left_out(self, seen: Sequence[Condition]) -> list[str]:
+        """Say what of a problem is left out to keep the page small, and where it is found."""
+        kinds = {
+            "figures over time": self.drawn,
+            "figures over the seeds": self.spread,
+            "tables of their own": self.detailed,
+        }
+        missing = {
+            what: tuple(one.label for one in seen if one not in shown) for what, shown in kinds.items()
+        }
+        found = [
+            f"To keep the page small, these scenarios have no {what}: {', '.join(labels)}."
+            for what, labels in missing.items()
+            if labels
+        ]
+        if found and len(missing["figures over time"]) == len(seen):
+            found.append("With run --only and the name of a problem, a report has room for all of this.")
+        if seen and seen[0] not in self.detailed:
+            found.append("Every setting of every controller, defaults filled in, is in study.toml.")
+        return found if self.cases else [*found, "The cases are too many for a table: see metrics.csv."]
+
+
+def _first(problems: Sequence[Sequence[Condition]], most: int, places: int | None = None) -> list[Condition]:
+    """Return the first scenarios of the problems, as many of each as there is room for their controllers.
+
+    The first of the only problem is always among them.
+    """
+    chosen: list[Condition] = []
+    for of_place in islice(zip_longest(*problems), places):
+        level = [condition for condition in of_place if condition]
+        full = sum(len(one.controllers) for one in [*chosen, *level]) > most
+        if full and (chosen or len(problems) > 1):
+            break
+        chosen += level
+    return chosen
+
+
+def _overall_part(
+    results: StudyResults,
+    problems: Sequence[StudyResults],
+    seen: Sequence[Sequence[Condition]],
+    number: int,
+    room: _Room,
+) -> StudyPart:
+    """Return what is to be said over all problems of a study."""
+    prefix, head = f"s{number}-", results.whole.head
+    found = in_its_place("Ranks", lambda: overall(problems))
+    answered, first, sections = Markup(""), list[Block](), list[Section]()
+    if isinstance(found, Overall):
+        places = [
+            place
+            for i, (part, of_part) in enumerate(zip(problems, seen, strict=True), start=number + 1)
+            for place in _places(part, of_part, f"s{i}-", room)
+        ]
+        answered = overall_answer(found)
+        first = _in_their_place("Matrix", lambda: _tables(_overall_matrix(found, places, prefix)))
+        what = "Performance profile and critical differences"
+        blocks = partial(_overall_blocks, found, prefix)
+        sections = [Section("problems", what, _in_their_place(what, blocks))]
+    else:
+        few = "Fewer than two problems have controllers in common that follow their reference."
+        first = [("notes", [found or few])]
+    facts = {"Problems": str(len(problems))} | _counts(results)
+    title = f"{head.title or head.name}: all problems"
+    return StudyPart(
+        prefix, number, title, [], facts, answered, first, sections, summary=head.summary.strip()
+    )
+
+
+def _overall_blocks(found: Overall, prefix: str) -> list[Block]:
+    maps = distance_maps(found.distances, prefix) if found.distances else []
+    return [
+        *_statements(overall_statements(found)),
+        *_tables(overall_table(found, prefix), *maps),
+        *_figures(overall_figures(found, prefix), prefix),
+    ]
+
+
+def _overall_matrix(found: Overall, places: Sequence[Place], prefix: str) -> Table:
+    members = {one.key: one for place in places for one in place.condition.controllers}
+    order = [*found.controllers, *(key for key in members if key not in found.controllers)]
+    rows = [members[key] for key in order if key in members]
+    return matrix_table(places, rows, first_columns(found, rows), [RANKS_NOTE], prefix)
+
+
+def _places(results: StudyResults, seen: Sequence[Condition], prefix: str, room: _Room) -> list[Place]:
+    """Return the scenarios of a problem, each with where the page has its figures, or its problem's part."""
+    title = results.study.title or results.study.name
+    return [
+        Place(title, one, f"#{prefix}{number}-responses" if one in room.drawn else f"#{prefix}study")
+        for number, one in enumerate(seen, start=1)
+        if one.controllers
+    ]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One problem while its part of the page is made."""
+
+    results: StudyResults
+    seen: Sequence[Condition]
+    prefix: str
+    data: dict[str, dict[str, Packed]]
+    room: _Room
+    variants: Sequence[StudyResults]
+    _over_time: dict[str, dict[str, list[Block]]] = field(default_factory=dict)
+
+    @cached_property
+    def standings(self) -> Standings:
+        """Where the controllers stand, over all scenarios."""
+        return standings(self.results.study, self.results.cases)
+
+    def each(self, what: str, blocks_of: Callable[[Condition, str], list[Block]]) -> list[Block]:
+        """Return the blocks of every condition that has any, below its label where there are several."""
+        found: list[Block] = []
+        for place, condition in enumerate(self.seen, start=1):
+            if condition not in self.room.detailed:
+                continue
+            if blocks := _in_their_place(what, partial(blocks_of, condition, f"{self.prefix}{place}-")):
+                found += [("condition", condition.label)] if len(self.seen) > 1 else []
+                found += blocks
+        return found
+
+    def over_time(self, kinds: Collection[str], condition: Condition, place: str) -> list[Block]:
+        """Return the figures over time of some kinds; they are made together, and their samples kept."""
+        if not condition.controllers or condition not in self.room.drawn:
+            return []
+        if place not in self._over_time:
+            figures, samples = time_figures(condition, place)
+            self.data.update(
+                {name: {key: pack(column) for key, column in s.items()} for name, s in samples.items()}
+            )
+            by_kind = self._over_time[place] = {}
+            for figure in figures:
+                kind = "responses" if isinstance(figure, str) else figure.id.removeprefix(place)
+                by_kind.setdefault(kind, []).extend(_figures([figure], place))
+        return [block for kind in kinds for block in self._over_time[place].get(kind, [])]
+
+    def table(self) -> list[Block]:
+        """Return the table of the first screen: of one scenario its ranking, of several a matrix."""
+        shown = [one for one in self.seen if one.controllers]
+        if len(shown) == 1:
+            return _tables(ranking_table(shown[0], self.standings, self.prefix))
+        if not shown:
+            return []
+        members = {one.key: one for condition in shown for one in condition.controllers}
+        order = in_order([*members.values()], self.standings)
+        labels = {one.scenario: one.label for one in self.seen}
+        return _tables(
+            matrix_table(
+                _places(self.results, self.seen, self.prefix, self.room),
+                order,
+                rank_columns(self.standings, order),
+                rank_notes(self.standings, labels),
+                self.prefix,
+            )
+        )
+
+    def first(self) -> list[Block]:
+        """Return what stands below the answer: the table, what settings of sweeps and tuning are worth."""
+        return [
+            *_in_their_place("Ranking", self.table),
+            *_in_their_place("Sweeps", self._swept),
+            *_in_their_place("Tuning", self._tuned),
+        ]
+
+    def _swept(self) -> list[Block]:
+        places = [(one, f"{self.prefix}{i}-") for i, one in enumerate(self.seen, start=1)]
+        worth = [worth_table(*place) for place in places]
+        return _tables(*worth, *(variants_table(one, self.variants, place) for one, place in places[:1]))
+
+    def _tuned(self) -> list[Block]:
+        fronts = _figures(front_figures(self.results, self.prefix), self.prefix)
+        return [*_tables(*trials_tables(self.results, self.prefix)), *fronts]
+
+    def sections(self) -> list[Section]:
+        """Return the sections in their order, those without anything to show left out."""
+        parts: list[tuple[str, str, Callable[[str], list[Block]]]] = [
+            ("responses", "Responses", self._drawn("responses")),
+            ("errors", "Errors", self._drawn("errors")),
+            (
+                "control",
+                "Control signals",
+                self._drawn("control-signals", "change-of-control-signals", "info"),
+            ),
+            ("distribution", "Distribution over seeds and paired differences", self._distribution),
+            ("response", "Step response", self._each(_response_blocks)),
+            ("limits", "Limits and actuators", self._each(_limits_blocks)),
+            ("time", "Computation time", self._each(self._step_times)),
+            ("reproduction", "Reproduction", lambda _: self._reproduction()),
+            ("sensitivity", "Sensitivity", self._each(_sensitivity_blocks)),
+            ("data", "Data diagnostics", lambda _: self._diagnostics()),
+            ("failures", "Failures and fallbacks", self._failures),
+            ("fairness", "Fairness and known limitations", lambda _: self._fairness()),
+            ("settings", "Settings", lambda _: self._settings()),
+            ("cases", "Every case", lambda _: self._cases()),
+            (
+                "provenance",
+                "How to reproduce",
+                lambda _: _tables(*reproduce_tables(self.results, self.prefix)),
+            ),
+        ]
+        made = [
+            Section(anchor, title, _in_their_place(title, partial(blocks_of, title)), anchor in _FOLDED)
+            for anchor, title, blocks_of in parts
+        ]
+        return [section for section in made if section.blocks]
+
+    def _drawn(self, *kinds: str) -> Callable[[str], list[Block]]:
+        return self._each(partial(self.over_time, kinds))
+
+    def _each(self, blocks_of: Callable[[Condition, str], list[Block]]) -> Callable[[str], list[Block]]:
+        return lambda title: self.each(title, blocks_of)
+
+    def _distribution(self, title: str) -> list[Block]:
+        return [*_statements(across_statements(self.seen)), *self.each(title, self._spread)]
+
+    def _spread(self, condition: Condition, prefix: str) -> list[Block]:
+        said = [*share_statements(condition), *findings(condition)["distribution"]]
+        return [
+            *_figures(spread_figures(condition, prefix) if condition in self.room.spread else [], prefix),
+            *_statements([*said, *certainty_statements(condition)]),
+            *_tables(certainty_table(condition, prefix)),
+        ]
+
+    def _step_times(self, condition: Condition, prefix: str) -> list[Block]:
+        if not condition.controllers:
+            return []
+        drawn = condition in self.room.spread
+        return [
+            *_statements([*findings(condition)["time"], *step_time_order(condition)]),
+            *_tables(step_time_table(condition, prefix)),
+            *_figures([step_time_figure(condition, prefix)] if drawn else [], prefix),
+        ]
+
+    def _reproduction(self) -> list[Block]:
+        reproduction = self.results.study.report.reproduction if self.seen else None
+        if not reproduction:
+            return []
+        return [
+            *_tables(reproduction_table(self.seen[0], reproduction, self.prefix)),
+            *_statements(reproduction_statements(self.seen[0], reproduction)),
+            *([("notes", reproduction.notes)] if reproduction.notes else []),
+        ]
+
+    def _failures(self, title: str) -> list[Block]:
+        return [
+            *self.each(title, lambda one, _: _statements(findings(one)["failures"])),
+            *_tables(failures_table(self.results, self.prefix)),
+        ]
+
+    def _diagnostics(self) -> list[Block]:
+        detailed = [one for one in self.seen if one in self.room.detailed]
+        return _tables(*diagnostics_tables(detailed, self.prefix))
+
+    def _fairness(self) -> list[Block]:
+        notes = [*limitations(self.seen), *self.room.left_out(self.seen)]
+        return [*_statements(fairness_statements(self.results, self.seen)), ("notes", notes)]
+
+    def _settings(self) -> list[Block]:
+        first = self.seen[0] if self.seen else None
+        families = family_tables(first, self.prefix) if first and first in self.room.detailed else []
+        reproduction = self.results.study.report.reproduction if first else None
+        return [
+            *_tables(*settings_tables(self.results, first, self.prefix)),
+            *([("condition", reproduction.parameters)] if reproduction else []),
+            *_tables(*families),
+        ]
+
+    def _cases(self) -> list[Block]:
+        return _tables(cases_table(self.results, self.seen, self.prefix) if self.room.cases else None)
+
+
+_FOLDED = ("settings", "cases")
+
+
+def _study_part(
+    results: StudyResults,
+    seen: Sequence[Condition],
+    number: int,
+    data: dict[str, dict[str, Packed]],
+    room: _Room,
+    variants: Sequence[StudyResults] = (),
+) -> StudyPart:
+    prefix = f"s{number}-"
+    part = _Part(results, seen, prefix, data, room, variants)
+    said = in_its_place("Answer", lambda: answer(results, seen, part.standings))
+    return StudyPart(
+        prefix,
+        number,
+        results.study.title or results.study.name,
+        following_lines(results.study, results.cases),
+        _facts(results),
+        said if isinstance(said, Markup) else Markup.escape(said),
+        [*_damaged_blocks(results), *part.first()],
+        part.sections(),
+        results.study.summary.strip(),
+        results.study.source,
+    )
+
+
+def _response_blocks(condition: Condition, prefix: str) -> list[Block]:
+    if not condition.controllers:
+        return []
+    return [*_statements(findings(condition)["response"]), *_tables(response_table(condition, prefix))]
+
+
+def _limits_blocks(condition: Condition, prefix: str) -> list[Block]:
+    if not condition.controllers:
+        return []
+    return [*_statements(findings(condition)["limits"]), *_tables(limits_table(condition, prefix))]
+
+
+def _sensitivity_blocks(condition: Condition, prefix: str) -> list[Block]:
+    return [
+        *_statements(sweep_statements(condition)),
+        *_figures(sensitivity_figures(condition, prefix), prefix),
+        *_tables(effects_table(condition, prefix)),
+    ]
+
+
+def _damaged_blocks(results: StudyResults) -> list[Block]:
+    """Say which cases are left out because their files are not what the run wrote."""
+    if not results.damaged:
+        return []
+    damaged, total = list(results.damaged.values()), len(results.damaged) + len(results.cases)
+    first = (
+        f"{len(damaged)} of {total} cases are damaged and left out: all that follows is of the others. "
+        "Run the study again with the same folder of results: only they are run."
+    )
+    more = len(damaged) - _MOST_LISTED
+    rest = [f"and {more} more"] if more > 0 else []
+    return [("notes", [first, *damaged[:_MOST_LISTED], *rest])]
+
+
+def _tables(*tables: Table | None) -> list[Block]:
+    return [("table", table) for table in tables if table]
+
+
+def _statements(statements: list[Statement]) -> list[Block]:
+    return [("statements", statements)] if statements else []
+
+
+def _figures(figures: Iterable[Figure | str | None], group: str) -> list[Block]:
+    """Return figures, and the sentences in the place of others."""
+    return [
+        ("notes", [figure]) if isinstance(figure, str) else ("figure", (figure, group))
+        for figure in figures
+        if figure
+    ]
+
+
+def _in_their_place(what: str, blocks_of: Callable[[], list[Block]]) -> list[Block]:
+    blocks = in_its_place(what, blocks_of)
+    return [("notes", [blocks])] if isinstance(blocks, str) else blocks
+
+
+def _facts(results: StudyResults) -> dict[str, str]:
+    """Return the strip of key facts under the title."""
+    study = results.study
+    facts = {
+        "Plant": study.plant.name or study.plant.fmu,
+        "Sampling time": with_unit(as_given(study.loop.sampling_time), "s"),
+        "Duration": with_unit(as_given(study.loop.duration), "s"),
+        "Controllers": _controllers_words(results),
+        "Scenarios": str(len({case.scenario for case in results.cases})),
+        **_counts(results),
+    }
+    if facts["Scenarios"] == "1":
+        del facts["Scenarios"]
+    return facts
+
+
+def _counts(results: StudyResults) -> dict[str, str]:
+    """Return the seeds, and how many cases there are and came to something."""
+    total = len(results.cases)
+    done = sum(case.outcome is Outcome.COMPLETED for case in results.cases)
+    held = sum(case.holds for case in results.cases)
+    facts = {
+        "Seeds": compact_seeds(list(dict.fromkeys(case.seed for case in results.cases))),
+        "Cases completed": f"{done} of {total}",
+        "Near the reference": f"{held} of {total}",
+    }
+    if held == total:
+        del facts["Near the reference"]
+    return facts
+
+
+def _controllers_words(results: StudyResults) -> str:
+    sections = results.study.controllers
+    names = {case.controller for case in results.cases}
+    varied = {name for name in names if name in sections and sections[name].variant_of}
+    settings = f"{len(varied)} {'setting' if len(varied) == 1 else 'settings'} in sweeps"
+    own = str(len(names - varied))
+    return f"{own}, and {settings}" if varied and names - varied else settings if varied else own

@@ -1,0 +1,282 @@
+"""The tables of the first screen: controllers ranked, and a matrix where there are scenarios or problems."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from ddpc_cosim.metrics import metric_name, metric_of, split_key
+from ddpc_cosim.study.standings import Standings
+from ddpc_reports.comparison import (
+    Condition,
+    ControllerResults,
+    metric_signal,
+    metric_unit,
+    outcome_words,
+    response_metrics,
+)
+from ddpc_reports.numbers import MISSING, significant
+from ddpc_reports.shares import SHARE_NOTE, share_columns
+from ddpc_reports.tables.controllers import LIMITS, RESPONSE, metric_column
+from ddpc_reports.tables.table import (
+    Cell,
+    Column,
+    Heading,
+    Table,
+    controller_table,
+    interval_texts,
+    number_cells,
+)
+
+_RATIOS = (1.1, 1.25, 1.5, 2.0)
+"""Ratios to the best of a column at which the tint of a cell changes."""
+_MORE = ("settled_error", "overshoot", "total_variation", "solve_time_median")
+"""What stands beside what is ranked by."""
+_RANK_NOTE = (
+    "Rank: one more than the number of controllers that are better. One is better if Wilcoxon's signed-rank "
+    "test of pairs of the same scenario and seed says so at 5\u00a0%, after Holm's correction for all pairs; "
+    "of several outputs in one of them, and worse in none."
+)
+_MEDIANS_NOTE = "Rank: by the medians, as the seeds are too few for a test."
+_LOST_NOTE = (
+    "A lost run does not stay near its reference, or does not complete: who loses one comes after all that "
+    "lose none, and medians are of the runs that are left."
+)
+
+
+def ranking_table(condition: Condition, found: Standings, prefix: str) -> Table:
+    """Return the controllers of one scenario in the order of their ranks, with what else decides.
+
+    Parameters
+    ----------
+    condition : Condition
+        The scenario.
+    found : Standings
+        Its standings.
+    prefix : str
+        What the table's name in the page begins with.
+    """
+    order = in_order(condition.controllers, found)
+    ranked = replace(condition, controllers=tuple(order))
+    keys = condition.headline
+    own = [column for key in keys for column in _headline_columns(ranked, found, key)]
+    more = [
+        metric_column(ranked, key)
+        for name in (*_MORE, *_others(keys))
+        for key in condition.keys(name)
+        if len(keys) == 1 or name == "solve_time_median"
+    ]
+    columns = [
+        _rank_column(found, order),
+        *own,
+        *share_columns(ranked),
+        *more,
+        *_terms_columns(ranked, order),
+        *_lost_columns(found, order),
+    ]
+    what = " and ".join(filter(None, (metric_name(keys[0]) if keys else "", _of_signals(keys))))
+    return controller_table(
+        f"{prefix}ranking",
+        f"Ranked by {what}" if keys and found.order else "Controllers",
+        order,
+        columns,
+        _notes(condition, found),
+        "ranking.csv",
+        kind="ranking",
+        sortable=True,
+    )
+
+
+def _others(ranked_by: Sequence[str]) -> list[str]:
+    """Return what no section has of its own: metrics of third parties, and mean errors beside a cost."""
+    own = {*_MORE, *RESPONSE, *LIMITS, *(split_key(key)[0] for key in ranked_by)}
+    return [name for name in response_metrics() if name not in own]
+
+
+def _of_signals(keys: Sequence[str]) -> str:
+    return f"by each of {len(keys)} outputs" if len(keys) > 1 else ""
+
+
+def in_order(controllers: Sequence[ControllerResults], found: Standings) -> list[ControllerResults]:
+    """Return controllers in the order of their standings, those that do not compete last."""
+    place = {one.controller: i for i, one in enumerate(found.order)}
+    return sorted(controllers, key=lambda one: place.get(one.key, math.inf))
+
+
+def _rank_column(found: Standings, order: Sequence[ControllerResults]) -> Column:
+    ranks = {one.controller: one.rank for one in found.order}
+    cells = [
+        Cell(str(ranks[one.key]), ranks[one.key]) if one.key in ranks else Cell(MISSING) for one in order
+    ]
+    return Heading("rank"), cells
+
+
+def _headline_columns(ranked: Condition, found: Standings, key: str) -> list[Column]:
+    """Return the medians of what is ranked by and, of one output, their 95 % intervals."""
+    heading, cells = metric_column(ranked, key)
+    if len(ranked.headline) > 1 or len(ranked.seeds) < 2:
+        return [(heading, cells)]
+    samples = [found.samples.get(key, {}).get(one.key) for one in ranked.controllers]
+    ends = [(one.low, one.high) if one and one.low != one.high else (math.nan, math.nan) for one in samples]
+    intervals = [Cell(text) for text in interval_texts(ends)]
+    return [(heading, cells), (Heading("interval", "95\u00a0%"), intervals)]
+
+
+def _terms_columns(ranked: Condition, order: Sequence[ControllerResults]) -> list[Column]:
+    """Return how much of the future each sees, and from how much it learns."""
+    traces = ranked.first_traces
+    ahead = [float(traces[one.key].preview) if one.key in traces else math.nan for one in order]
+    recorded = [float(max((case.recorded_samples for case in one.cases), default=0)) for one in order]
+    return [
+        (Heading("sees ahead", "samples"), number_cells(ahead, better="")),
+        (Heading("learns from", "samples"), number_cells(recorded, better="")),
+    ]
+
+
+def _lost_columns(found: Standings, order: Sequence[ControllerResults]) -> list[Column]:
+    """Return how many runs each loses, where any does."""
+    standing = {one.controller: one for one in found.order}
+    if not any(one.lost for one in found.order):
+        return []
+    cells = [
+        Cell(f"{own.lost} of {own.runs}", own.lost, failed=own.lost > 0)
+        if (own := standing.get(one.key))
+        else Cell(MISSING)
+        for one in order
+    ]
+    return [(Heading("lost", "runs"), cells)]
+
+
+def _notes(condition: Condition, found: Standings) -> tuple[str, ...]:
+    several = len(condition.seeds) > 1
+    best = "Bold and tinted: the best of a column"
+    best += ", with those that the seeds do not tell apart from it" if several else ""
+    best += "; where that is most of them, none is marked."
+    notes = [best]
+    if found.order:
+        notes.append(_RANK_NOTE if found.tested else _MEDIANS_NOTE)
+    if any(one.lost for one in found.order):
+        notes.append(_LOST_NOTE)
+    if several:
+        notes.append(
+            f"Medians over {len(condition.seeds)} seeds; 95\u00a0% bootstrap interval of the median, where "
+            "the seed changes anything."
+        )
+    notes.append("Sees ahead: of the reference. Learns from: a recording, which the controller is handed.")
+    return (*notes, *((SHARE_NOTE,) if condition.points else ()))
+
+
+@dataclass(frozen=True)
+class Place:
+    """A scenario of a problem in the matrix, and where the page has its figures."""
+
+    problem: str
+    condition: Condition
+    href: str
+
+
+def matrix_table(
+    places: Sequence[Place],
+    order: Sequence[ControllerResults],
+    first: Sequence[Column],
+    notes: Sequence[str],
+    prefix: str,
+) -> Table:
+    """Return a row per controller and a column per problem and scenario: medians, ranges, and who fails.
+
+    Parameters
+    ----------
+    places : sequence of Place
+        The scenarios, problem by problem.
+    order : sequence of ControllerResults
+        The controllers, the best first.
+    first : sequence of (Heading, list of Cell)
+        Columns before the matrix: ranks.
+    notes : sequence of str
+        What the ranks are.
+    prefix : str
+        What the table's name in the page begins with.
+    """
+    problems = {place.problem for place in places}
+    columns = [
+        _place_column(place, key, order, several=len(problems) > 1)
+        for place in places
+        for key in place.condition.headline
+    ]
+    keys = dict.fromkeys(metric_name(key) for place in places for key in place.condition.headline)
+    caption = f"{' or '.join(keys)}: medians over the seeds, and ranges"
+    said = (
+        *notes,
+        "Tint: ratio to the best of the column that loses no run, up to "
+        + ", ".join(f"{ratio:g}" for ratio in _RATIOS)
+        + ", and more. Bold: the best, with those that the seeds do not tell apart from it. "
+        "Each number leads to its figures.",
+        _LOST_NOTE,
+    )
+    return controller_table(
+        f"{prefix}matrix",
+        caption[0].upper() + caption[1:],
+        order,
+        [*first, *columns],
+        said,
+        "matrix.csv",
+        kind="ranking matrix",
+        sortable=True,
+    )
+
+
+def _place_column(place: Place, key: str, order: Sequence[ControllerResults], *, several: bool) -> Column:
+    condition = place.condition
+    here = {one.key: one for one in condition.controllers}
+    members = [here.get(one.key) for one in order]
+    marked = [bool(one and condition.may_win(one)) for one in members]
+    medians = [one.over_seeds(key).median if one else math.nan for one in members]
+    cells = number_cells(
+        medians, eligible=marked, better=metric_of(key).better, digits=3, alike=condition.alike(key, members)
+    )
+    best = min((value for value, able in zip(medians, marked, strict=True) if able), default=math.nan)
+    signal = metric_signal(key) if len(condition.headline) > 1 else ""
+    detail = " / ".join(filter(None, (signal, metric_unit(key))))
+    title = condition.label if condition.label != condition.scenario or not several else condition.scenario
+    heading = Heading(title, detail, group=place.problem if several else "", href=place.href)
+    return heading, [
+        _place_cell(cell, one, key, best, place.href, ranked=able)
+        for cell, one, able in zip(cells, members, marked, strict=True)
+    ]
+
+
+def _place_cell(
+    cell: Cell, one: ControllerResults | None, key: str, best: float, href: str, *, ranked: bool
+) -> Cell:
+    if one is None:
+        return Cell("")
+    lost = len(one.cases) - len(one.holding)
+    if lost == len(one.cases):
+        told = dict.fromkeys(outcome_words(case) for case in one.cases)
+        return Cell("lost", math.nan, failed=True, tone="share-0", href=href, title="; ".join(told))
+    spread = one.over_seeds(key)
+    detail = f"{significant(spread.low, 3)} … {significant(spread.high, 3)}" if spread.varies else ""
+    failures = f"{lost} of {len(one.cases)} lost" if lost and not one.is_point else ""
+    tone = "share-0" if failures else _tone(float(cell.raw), best) if ranked else ""
+    return replace(cell, href=href, detail=detail, failures=failures, tone=tone)
+
+
+def _tone(value: float, best: float) -> str:
+    """Return the tint of a value: the stronger, the nearer it is to the best of its column."""
+    if not best > 0 or math.isnan(value):
+        return ""
+    return f"share-{5 - sum(value / best > ratio for ratio in _RATIOS)}"
+
+
+def rank_columns(found: Standings, order: Sequence[ControllerResults]) -> list[Column]:
+    """Return the ranks over all scenarios of a problem, and the runs lost."""
+    return [_rank_column(found, order), *_lost_columns(found, order)]
+
+
+def rank_notes(found: Standings, left_out: Mapping[str, str]) -> list[str]:
+    """Say what the ranks over all scenarios of a problem are."""
+    notes = [_RANK_NOTE if found.tested else _MEDIANS_NOTE]
+    notes.append(
+        "Of each seed the median of its scenarios counts, so that scenarios do not multiply the seeds."
+    )
+    names = [left_out[name] for name in found.left_out]
+    return [*notes, f"Not counted, as no controller follows there: {', '.join(names)}."] if names else notes
