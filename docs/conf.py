@@ -6,12 +6,15 @@ the reader's system, and a page that would load something from elsewhere is a wa
 
 import re
 from pathlib import Path
+from typing import Any
 
+import altair
 from docutils import nodes
 from math_core import LatexToMathML
 from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.writers.html5 import HTML5Translator
+from sphinx_gallery.scrapers import figure_rst
 
 import ddpc_cosim
 
@@ -20,9 +23,16 @@ author = "the ddpc-cosim developers"
 copyright = "2026, the ddpc-cosim developers"
 version = release = ddpc_cosim.__version__
 
-extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
-exclude_patterns = ["_build", "_templates"]
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["_build", "_templates", "examples"]
 highlight_language = "text"
+suppress_warnings = ["config.cache"]  # a function in sphinx_gallery_conf: pages are read anew every time
 
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["math"]  # as GitHub writes formulas
@@ -32,6 +42,32 @@ autosummary_ignore_module_all = False
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints = "none"  # the docstrings say them, with shapes and units
 numpydoc_show_class_members = False  # autodoc shows those that have a docstring
+
+
+def save_chart(block: object, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
+    """Keep the chart that a cell of an example ends with."""
+    chart = block_vars["example_globals"].get("___")
+    if not isinstance(chart, altair.TopLevelMixin):
+        return ""
+    block_vars["example_globals"]["___"] = None  # later cells have figures of their own
+    path = next(block_vars["image_path_iterator"]).replace(".png", ".svg")
+    chart.save(path)
+    return figure_rst([path], gallery_conf["src_dir"], "The run over time")
+
+
+sphinx_gallery_conf = {
+    "examples_dirs": "examples",
+    "gallery_dirs": "generated/examples",
+    "ignore_repr_types": "altair|NoneType",
+    "filename_pattern": r"\.py$",  # run them all
+    "image_scrapers": (save_chart,),
+    "reset_modules": (),
+    "abort_on_example_error": True,
+    "min_reported_time": 3600,
+    "show_memory": False,
+    "show_signature": False,
+    "write_computation_times": False,
+}
 
 html_theme = "furo"
 html_title = "ddpc-cosim"

@@ -1,6 +1,7 @@
 """Every code block of the README and of docs/ runs."""
 
 import re
+import runpy
 import shlex
 import shutil
 from pathlib import Path
@@ -20,6 +21,7 @@ from ddpc_cosim.study.reading import read_study
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("[a-z]*.md"))]
 API = (ddpc_controllers, ddpc_cosim, ddpc_reports, fmu_plants)
+EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
 ROOMS = ("fmu_plants", "ddpc_cosim", "controllers", "reports", "tests", "docs", "benchmarks")
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -76,6 +78,11 @@ def test_the_reference_has_every_public_name(package: ModuleType) -> None:
 def test_python_blocks_run(code: str, empty_folder: Path) -> None:
     assert CliRunner().invoke(main, ["export", "pendulum"]).exit_code == 0
     exec(compile(code, "documentation", "exec"), {})
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_examples_run(path: Path, empty_folder: Path) -> None:
+    runpy.run_path(str(path))
 
 
 @pytest.mark.parametrize("text", blocks("toml"))
