@@ -12,12 +12,13 @@ from ddpc_reports.embedding import (
     Packed,
     chart_library,
     content_policy,
+    deflated,
     drawable,
-    json_for_script,
+    json_of,
     page_script,
     stylesheet,
 )
-from ddpc_reports.figures.charts import COLOURS, CONFIG
+from ddpc_reports.figures.charts import COLOURS
 from ddpc_reports.sections import StudyPart, gather
 
 
@@ -35,7 +36,7 @@ def render_page(results: Sequence[StudyResults]) -> str:
 
 def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]], title: str = "") -> str:
     """Return the page of studies, or of what is set like one, with the samples that their figures draw."""
-    scripts = [chart_library(), page_script()]
+    library, script = chart_library(), page_script()
     environment = Environment(
         loader=PackageLoader("ddpc_reports"),
         autoescape=True,
@@ -49,9 +50,9 @@ def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]
         studies=studies,
         title=title or (studies[0].title if len(studies) == 1 else f"{len(studies)} studies compared"),
         style=Markup(stylesheet()),
-        scripts=[_Script(script) for script in scripts],
-        policy=content_policy(scripts),
-        data=Markup(json_for_script(_data(studies, data))),
+        script=_Script(script),
+        policy=content_policy([script, library]),
+        embedded={"chart-library": deflated(library), "report-data": deflated(json_of(_data(studies, data)))},
         colours=COLOURS,
     )
 
@@ -66,20 +67,20 @@ def _shown(value: Any) -> Any:
 
 
 def _data(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -> dict[str, Any]:
-    """Return what the script draws from: samples once, and a specification for each chart."""
-    blocks = [block for study in studies for section in study.sections for block in section.blocks]
+    """Return what the script draws from: samples once, and of each chart its specification and its names."""
+    parts = [blocks for study in studies for blocks in (study.first, *(one.blocks for one in study.sections))]
     views = {}
-    for figure, group in (content for kind, content in blocks if kind == "figure"):
+    for figure, group in (content for blocks in parts for kind, content in blocks if kind == "figure"):
         labels = {entry.name: entry.label for entry in figure.legend}
-        for view in figure.views:
+        for view in filter(lambda view: view.drawing.vega, figure.views):
             views[view.id] = {
                 "group": group,
                 "figure": figure.id,
-                "spec": view.spec,
+                "spec": view.drawing.vega,
                 "data": view.data,
                 "lines": {name: labels[name] for name in view.names},
                 "unit": view.unit,
                 "scaled": list(view.scaled_by),
                 "limits": list(view.limits),
             }
-    return {"config": CONFIG, "colours": COLOURS, "data": data, "views": drawable(views)}
+    return {"colours": COLOURS, "data": data, "views": drawable(views)}

@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from ddpc_cosim import FloatArray, Simulation, Variable
 from ddpc_cosim.plugins import write_atomically
-from ddpc_reports.embedding import pack, static_svg, stylesheet
+from ddpc_reports.embedding import drawing, pack, stylesheet
 from ddpc_reports.figures.charts import time_chart
 from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import Column, Signal, level_title, rounded
@@ -71,7 +71,7 @@ def simulation_drawing(simulation: Simulation) -> str:
     parts, width, height = list[str](), _LEAST_WIDTH, _TITLE_HEIGHT
     signals = _signals(simulation)
     for signal in signals:
-        svg = str(_view(simulation, signal, last=signal is signals[-1]).svg)
+        svg = str(_view(simulation, signal, last=signal is signals[-1]).drawing.svg)
         box = _BOX.search(svg)
         if box is None:  # the words that stand in the page for a drawing that failed
             raise OSError(f"{signal.title} cannot be drawn")
@@ -134,9 +134,9 @@ def _envelope(values: FloatArray) -> "np.ndarray[tuple[int], np.dtype[np.intp]]"
 def _view(simulation: Simulation, signal: Signal, *, last: bool) -> View:
     spec = time_chart(signal, [_LINE], simulation.sampling_time, (), last)
     description = f"{signal.title} over time"
-    svg = static_svg(spec, f"simulation-{signal.id}", description, {signal.id: signal.columns})
+    picture = drawing(spec, f"simulation-{signal.id}", description, {signal.id: signal.columns})
     place = f"simulation-{signal.id}"
-    return View(place, "", description, spec, svg, signal.id, (_LINE,), signal.unit, (_LINE,))
+    return View(place, "", description, spec, picture, signal.id, (_LINE,), signal.unit, (_LINE,))
 
 
 def _caption(simulation: Simulation, signals: list[Signal]) -> str:

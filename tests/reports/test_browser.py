@@ -1,10 +1,12 @@
 """The page in a real browser: what it draws, how it answers, and what it leaves alone."""
 
 import json
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from selenium import webdriver
@@ -41,8 +43,9 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture
 def browser(chromium: webdriver.Chrome, page: str) -> Iterator[webdriver.Chrome]:
-    """Return a browser that has opened the report and drawn its charts."""
+    """Return a browser that has opened the report and whose first figure is live."""
     open_page(chromium, page)
+    make_live(chromium, ".chart")
     yield chromium
     chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
@@ -53,6 +56,15 @@ def open_page(browser: webdriver.Chrome, page: str) -> None:
     browser.get_log("performance")
     browser.get(page)
     wait(browser, lambda: browser.execute_script("return document.documentElement.dataset.ready === 'yes'"))
+
+
+def make_live(browser: webdriver.Chrome, selector: str) -> WebElement:
+    """Scroll to the first such chart and return it once it is live."""
+    chart = one(browser, selector)
+    script = "arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})"
+    browser.execute_script(script, chart)
+    wait(browser, lambda: "is-live" in str(chart.get_attribute("class")))
+    return chart
 
 
 def wait(browser: webdriver.Chrome, condition: Callable[[], Any]) -> Any:
@@ -85,11 +97,7 @@ def test_what_is_folded_is_drawn_when_it_is_opened_and_hides_what_its_neighbours
     assert not one(browser, "figure details .static").is_displayed()
     one(browser, "button.entry").click()
     one(browser, "figure details summary").click()
-    wait(
-        browser,
-        lambda: browser.execute_script("return document.querySelector('figure details').dataset.ready"),
-    )
-    chart = one(browser, "figure details .live svg")
+    chart = make_live(browser, "figure details .chart").find_element(By.CSS_SELECTOR, ".live svg")
     assert chart.is_displayed()
     assert chart.size["width"] > 300
     quick = "path[stroke^='var(--c']"
@@ -105,14 +113,54 @@ def test_it_opens_without_an_error_and_without_a_request(browser: webdriver.Chro
     assert [url for url in asked if not url.startswith(("data:", page, "chrome:"))] == []
 
 
-def test_every_chart_is_drawn_and_the_static_one_gives_way(browser: webdriver.Chrome) -> None:
-    counts = browser.execute_script(
-        "const charts = [...document.querySelectorAll('.chart:not(details .chart)')];"
-        "return [charts.length, charts.filter(c => c.querySelector('.live svg')).length,"
-        " charts.filter(c => getComputedStyle(c.querySelector('.static')).display !== 'none').length]"
-    )
-    assert counts[0] == counts[1] == 5
-    assert counts[2] == 0
+PLACES = """
+return [...document.querySelectorAll('.chart:not(details .chart)')].map((box) => {
+  const [drawing] = [...box.querySelectorAll('svg.static, .live svg')].filter((svg) => svg.checkVisibility());
+  return [box.offsetTop, box.offsetHeight, drawing.clientWidth, drawing.clientHeight].map(Math.round);
+})
+"""
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+def test_a_chart_becomes_live_in_view_and_takes_the_place_of_its_drawing(
+    chromium: webdriver.Chrome, page: str, width: int
+) -> None:
+    size = {"width": width, "height": 600, "deviceScaleFactor": 1, "mobile": False}
+    chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        open_page(chromium, page)
+        drawings = chromium.execute_script(PLACES)
+        charts = chromium.find_elements(By.CSS_SELECTOR, ".chart:not(details .chart)")
+        assert "is-live" not in str(charts[-1].get_attribute("class"))
+        for chart in charts:
+            chromium.execute_script("arguments[0].scrollIntoView({behavior: 'instant'})", chart)
+            wait(chromium, lambda chart=chart: "is-live" in str(chart.get_attribute("class")))
+        live = chromium.execute_script(PLACES)
+    finally:
+        chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    assert len(live) == len(drawings) == 5
+    assert [place[:3] for place in live] == [place[:3] for place in drawings]
+    assert all(abs(place[1] - place[3]) <= 2 for place in live)
+
+
+def test_a_live_chart_has_the_name_of_its_drawing(browser: webdriver.Chrome) -> None:
+    live, drawing = (one(browser, f".chart {part}") for part in (".live", ".static"))
+    assert live.get_attribute("aria-label") == drawing.get_attribute("aria-label") != ""
+    assert live.get_attribute("role") == drawing.get_attribute("role") == "img"
+    assert live.get_attribute("tabindex") == "0"
+
+
+def test_a_browser_that_cannot_inflate_keeps_the_drawings(chromium: webdriver.Chrome, page: str) -> None:
+    source = {"source": "delete window.DecompressionStream"}
+    script = chromium.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", source)
+    try:
+        open_page(chromium, page)
+        assert one(chromium, ".chart .static").is_displayed()
+        assert not one(chromium, ".tools").is_displayed()
+        assert not chromium.find_elements(By.CSS_SELECTOR, ".live, button.entry")
+        assert chromium.get_log("browser") == []
+    finally:
+        chromium.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", script)
 
 
 def test_a_click_on_a_legend_entry_hides_a_controller_and_a_second_shows_it(
@@ -127,8 +175,15 @@ def test_a_click_on_a_legend_entry_hides_a_controller_and_a_second_shows_it(
         for button in browser.find_elements(By.CSS_SELECTOR, "[data-name=c1]")
     }
     assert pressed == {"false"}
-    entry.click()
+    strip = make_live(browser, "[data-view$=spread-0-1]")
+    dots = "path[fill='var(--c1)']"
+    wait(browser, lambda: not strip.find_elements(By.CSS_SELECTOR, f".live {dots}"))
+    assert strip.find_elements(By.CSS_SELECTOR, f".static {dots}")
+    one(browser, "button.entry[data-name=c1]").send_keys(Keys.SPACE)
+    make_live(browser, ".chart")
     wait(browser, lambda: lines_drawn(browser) == before)
+    make_live(browser, "[data-view$=spread-0-1]")
+    wait(browser, lambda: strip.find_elements(By.CSS_SELECTOR, f".live {dots}"))
 
 
 def test_the_legend_says_which_run_did_not_complete(browser: webdriver.Chrome) -> None:
@@ -151,6 +206,24 @@ def test_the_keyboard_reads_values_too(browser: webdriver.Chrome) -> None:
     chart = one(browser, ".chart .live")
     chart.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
     wait(browser, lambda: "t = 0.2" in one(browser, ".chart .reading").text)
+    said = one(browser, "[role=status]").get_property("textContent")
+    assert str(said).startswith("t = 0.2")
+    assert "Quick" in str(said)
+    chart.send_keys(Keys.END)
+    wait(browser, lambda: "t = 6" in one(browser, ".chart .reading").text)
+    whole = time_labels(browser)
+    chart.send_keys(Keys.HOME, "+", "+", "+")
+    wait(browser, lambda: time_labels(browser) != whole)
+    chart.send_keys(Keys.ESCAPE)
+    wait(browser, lambda: time_labels(browser) == whole)
+    assert not one(browser, ".chart .reading").is_displayed()
+
+
+def test_the_keyboard_goes_from_mark_to_mark(browser: webdriver.Chrome) -> None:
+    strip = make_live(browser, "[data-view$=spread-0-1]")
+    strip.find_element(By.CSS_SELECTOR, ".live").send_keys(Keys.HOME, Keys.ARROW_RIGHT)
+    wait(browser, lambda: "Quick, seed" in strip.find_element(By.CSS_SELECTOR, ".reading").text)
+    assert "Quick, seed" in str(one(browser, "[role=status]").get_property("textContent"))
 
 
 def value_labels(browser: webdriver.Chrome) -> list[float]:
@@ -174,25 +247,107 @@ def test_a_run_that_falls_over_sets_the_range_only_where_it_is_alone(
     controllers: dict[str, dict[str, Any]] = {name: {"type": "a"} for name in ("quick", "falls", "slow")}
     results = make_results_in(tmp_path / "results", far, controllers)
     open_page(chromium, write_report([results], tmp_path / "report.html").as_uri())
+    make_live(chromium, ".chart")
     assert max(value_labels(chromium)) <= 25.0
     for name in ("c0", "c2"):
         one(chromium, f"button.entry[data-name={name}]").click()
     wait(chromium, lambda: max(value_labels(chromium)) >= 600.0)
 
 
-def test_a_drag_zooms_every_chart_and_a_double_click_resets(browser: webdriver.Chrome) -> None:
-    whole = time_labels(browser)
-    chart = one(browser, ".chart .live")
+def drag(browser: webdriver.Chrome, chart: WebElement) -> None:
     actions = ActionChains(browser).move_to_element_with_offset(chart, -50, 0).click_and_hold()
     actions.move_by_offset(150, 0).release().perform()
+
+
+def test_a_drag_zooms_and_a_button_or_a_double_click_resets(browser: webdriver.Chrome) -> None:
+    whole = time_labels(browser)
+    reset = one(browser, ".chart .reset")
+    assert not reset.is_displayed()
+    chart = one(browser, ".chart .live")
+    drag(browser, chart)
     wait(browser, lambda: time_labels(browser) != whole)
-    ActionChains(browser).double_click(chart).perform()
+    reset.click()
+    wait(browser, lambda: time_labels(browser) == whole)
+    assert not reset.is_displayed()
+    assert browser.switch_to.active_element == chart
+    drag(browser, chart)
+    wait(browser, lambda: time_labels(browser) != whole)
+    below = make_live(browser, "[data-view$=control-signals-1]")
+    assert below.find_element(By.CSS_SELECTOR, ".reset").is_displayed()
+    ActionChains(browser).double_click(below).perform()
     wait(browser, lambda: time_labels(browser) == whole)
 
 
+def touch(browser: webdriver.Chrome, kind: str, *points: tuple[float, float]) -> None:
+    found = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
+    browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": found})
+
+
+def test_fingers_read_zoom_and_scroll(browser: webdriver.Chrome) -> None:
+    whole = time_labels(browser)
+    chart, reading = one(browser, ".chart .live"), one(browser, ".chart .reading")
+    script = "const b = arguments[0].getBoundingClientRect(); return [b.left, b.top, b.width, b.height]"
+    left, top, width, height = browser.execute_script(script, chart)
+    middle = left + width / 2, top + height / 2
+    touch(browser, "Start", middle)
+    touch(browser, "End")
+    wait(browser, reading.is_displayed)
+    assert "Quick" in reading.text
+    touch(browser, "Start", (middle[0] - 50, middle[1]), (middle[0] + 50, middle[1]))
+    for apart in (80, 120, 160):
+        touch(browser, "Move", (middle[0] - apart, middle[1]), (middle[0] + apart, middle[1]))
+    touch(browser, "End")
+    wait(browser, lambda: time_labels(browser) != whole)
+    zoomed = time_labels(browser)
+    before = browser.execute_script("return scrollY")
+    touch(browser, "Start", middle)
+    for up in range(20, 121, 20):
+        touch(browser, "Move", (middle[0], middle[1] - up))
+    touch(browser, "End")
+    wait(browser, lambda: browser.execute_script("return scrollY") > before)
+    assert time_labels(browser) == zoomed
+    make_live(browser, ".chart")
+    one(browser, ".chart .reset").click()
+    wait(browser, lambda: time_labels(browser) == whole)
+
+
+def saved(browser: webdriver.Chrome, kind: str, folder: Path) -> bytes:
+    """Return the first figure as the page saves it."""
+    place = {"behavior": "allow", "downloadPath": str(folder)}
+    browser.execute_cdp_cmd("Browser.setDownloadBehavior", place)
+    one(browser, f"figure [data-save={kind}]").click()
+    (path,) = wait(browser, lambda: list(folder.glob(f"*.{kind}")))
+    assert path.name.endswith(f"-{one(browser, 'figure').get_attribute('id')}.{kind}")
+    return bytes(path.read_bytes())
+
+
+def test_a_figure_is_saved_as_a_file_that_stands_alone(browser: webdriver.Chrome, tmp_path: Path) -> None:
+    one(browser, "button.entry[data-name=c1]").click()
+    svg = saved(browser, "svg", tmp_path)
+    root = ElementTree.fromstring(svg)
+    names = "".join(root.itertext())
+    assert b"var(" not in svg
+    assert "Quick" in names
+    assert "slow" not in names
+    assert "Figure 1." in names
+    quick = browser.execute_script(
+        "return getComputedStyle(document.documentElement).getPropertyValue('--c0')"
+    )
+    red, green, blue = (int(quick.partition("#")[2][i : i + 2], 16) for i in (0, 2, 4))
+    assert f"rgb({red}, {green}, {blue})".encode() in svg
+    ground = root.find("{http://www.w3.org/2000/svg}rect")
+    assert ground is not None
+    assert ground.get("fill") == "#fff"
+    png = saved(browser, "png", tmp_path)
+    assert png.startswith(b"\x89PNG")
+    width, height = struct.unpack(">II", png[16:24])
+    assert [width, height] == [2 * float(root.get(side, 0)) for side in ("width", "height")]
+    assert browser.get_log("browser") == []
+
+
 def test_pointing_at_a_dot_of_the_strip_names_its_seed(browser: webdriver.Chrome) -> None:
-    dot = one(browser, "[data-view$=spread-0-1] .live path[fill='var(--c0)']")
-    browser.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", dot)
+    strip = make_live(browser, "[data-view$=spread-0-1]")
+    dot = strip.find_element(By.CSS_SELECTOR, ".live path[fill='var(--c0)']")
     ActionChains(browser).move_to_element(dot).perform()
     wait(browser, lambda: "Quick, seed" in one(browser, "[data-view$=spread-0-1] .reading").text)
 
@@ -222,10 +377,10 @@ def test_print_shows_the_static_figures_on_white(browser: webdriver.Chrome) -> N
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print", "features": dark})
     shown = browser.execute_script(
         "const display = (e) => getComputedStyle(e).display;"
-        "return [...document.querySelectorAll('.chart:not(details .chart)')].map(c => "
+        "return [...document.querySelectorAll('.is-live')].map(c => "
         "[display(c.querySelector('.static')), display(c.querySelector('.live'))])"
     )
-    assert shown == [["block", "none"]] * len(shown)
+    assert shown == [["block", "none"]] * len(shown) != []
     assert (
         browser.execute_script("return getComputedStyle(document.body).backgroundColor")
         == "rgb(255, 255, 255)"
@@ -285,6 +440,7 @@ def test_without_javascript_the_static_figures_are_there(chromium: webdriver.Chr
         drawings = chromium.find_elements(By.CSS_SELECTOR, ".chart:not(details .chart) svg.static")
         assert len(drawings) == 5
         assert all(drawing.is_displayed() and drawing.size["height"] > 100 for drawing in drawings)
-        assert not chromium.find_elements(By.CSS_SELECTOR, ".live")
+        assert not chromium.find_elements(By.CSS_SELECTOR, ".live, :disabled")
+        assert not one(chromium, ".tools").is_displayed()
     finally:
         chromium.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})

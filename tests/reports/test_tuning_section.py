@@ -69,7 +69,7 @@ def test_two_objectives_are_drawn_as_a_front(tmp_path: Path) -> None:
         (False, False, False),
     ]
     assert "Left out: 2 trials" in figure.caption
-    assert "<svg" in figure.views[0].svg
+    assert "<svg" in figure.views[0].drawing.svg
 
 
 def test_without_trials_there_is_no_such_section(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
-"""Pictures of charts, drawn in a process of its own.
+"""Charts compiled from Vega-Lite to Vega and drawn, in a process of its own.
 
-What draws them, V8, ends its process where it does not get the memory that it reserves (``ulimit -v``): that
+What does so, V8, ends its process where it does not get the memory that it reserves (``ulimit -v``): that
 must not cost the report. The process is started for the first picture and serves all of them.
 """
 
@@ -14,6 +14,8 @@ from collections.abc import Mapping
 from time import monotonic
 from typing import Any
 
+Spec = Mapping[str, Any]
+
 _LONGEST_SECONDS = 60.0  # for a picture that takes milliseconds, the first one a second
 _CODE = """
 import json, os, sys
@@ -22,7 +24,11 @@ os.dup2(2, 1)
 import vl_convert
 for line in sys.stdin.buffer:
     try:
-        answer = {"svg": vl_convert.vegalite_to_svg(json.loads(line))}
+        spec, samples = json.loads(line)
+        vega = vl_convert.vegalite_to_vega(spec)
+        rows = [{"values": samples[one["name"]]} if one["name"] in samples else {} for one in vega["data"]]
+        data = [one | more for one, more in zip(vega["data"], rows)]
+        answer = {"vega": vega, "svg": vl_convert.vega_to_svg(vega | {"data": data})}
     except Exception as error:
         answer = {"error": str(error)}
     answers.write(json.dumps(answer).encode() + b"\\n")
@@ -41,8 +47,8 @@ class _Painter:
         self._process: subprocess.Popen[bytes] | None = None
         self._has_drawn, self._broken = False, ""
 
-    def draw(self, spec: Mapping[str, Any]) -> str:
-        question = json.dumps(spec, allow_nan=False).encode() + b"\n"
+    def draw(self, spec: Spec, samples: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+        question = json.dumps([spec, samples], allow_nan=False).encode() + b"\n"
         if self._broken:
             raise DrawingError(self._broken)
         began = monotonic()
@@ -58,7 +64,7 @@ class _Painter:
         if "error" in answer:
             raise DrawingError(answer["error"])
         self._has_drawn = True
-        return str(answer["svg"])
+        return answer["vega"], answer["svg"]
 
     def _answer(self, question: bytes) -> bytes:
         """Return what the process answers; nothing if it ends, or is ended for taking too long."""
@@ -111,8 +117,15 @@ class _Painter:
 _painter = _Painter()
 
 
-def svg_of(spec: Mapping[str, Any]) -> str:
-    """Return the picture of a Vega-Lite specification as SVG.
+def drawn(spec: Spec, samples: Mapping[str, list[dict[str, Any]]]) -> tuple[dict[str, Any], str]:
+    """Return a Vega-Lite specification as one of Vega, without the samples, and its picture as SVG.
+
+    Parameters
+    ----------
+    spec : dict
+        Vega-Lite specification.
+    samples : mapping of str to list of dict
+        The rows of the data sets that it names.
 
     Raises
     ------
@@ -121,4 +134,4 @@ def svg_of(spec: Mapping[str, Any]) -> str:
     ValueError
         It holds numbers that are not finite.
     """
-    return _painter.draw(spec)
+    return _painter.draw(spec, samples)

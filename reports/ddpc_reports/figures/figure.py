@@ -9,8 +9,6 @@ from itertools import pairwise
 from string import ascii_lowercase
 from typing import Any, TypeVar
 
-from markupsafe import Markup
-
 from ddpc_cosim import CosimWarning
 from ddpc_cosim.metrics import metric_name
 from ddpc_cosim.texts import recorded
@@ -22,7 +20,7 @@ from ddpc_reports.comparison import (
     metric_words,
     outcome_words,
 )
-from ddpc_reports.embedding import static_svg
+from ddpc_reports.embedding import Drawing, drawing
 from ddpc_reports.figures.charts import (
     COLOURS,
     Mark,
@@ -55,13 +53,13 @@ class Entry:
 
 @dataclass(frozen=True)
 class View:
-    """One chart of a figure, as an interactive specification and as a static drawing."""
+    """One chart of a figure: as Vega-Lite, drawn, and what its readout and its ranges are made of."""
 
     id: str
     title: str
     description: str
     spec: Spec
-    svg: Markup
+    drawing: Drawing
     data: str = ""
     names: tuple[str, ...] = ()
     unit: str = ""
@@ -305,14 +303,14 @@ def _time_view(
     spec = time_chart(signal, order, sampling_time, marks, last)
     who = ", ".join(one.label for one in panel.members if column_name(one) in names)
     description = f"{signal.title} over time of {who}"
-    svg = static_svg(spec, identifier, description, {signal.id: signal.columns})
+    picture = drawing(spec, identifier, description, {signal.id: signal.columns})
     scaled_by = signal.scaling(names)
     return View(
         identifier,
         panel.title,
         description,
         spec,
-        svg,
+        picture,
         signal.id,
         tuple(names),
         signal.unit,
@@ -409,7 +407,7 @@ def _step_time_row(one: ControllerResults, words: str, seconds: float) -> dict[s
 def one_chart(identifier: str, title: str, caption: str, spec: Spec, panel: str = "") -> Figure:
     """Return a figure of one chart that needs no legend; the caption describes it."""
     name = f"{identifier}-1"
-    view = View(name, panel, caption, spec, static_svg(spec, name, caption))
+    view = View(name, panel, caption, spec, drawing(spec, name, caption))
     return Figure(identifier, title, caption, (view,))
 
 

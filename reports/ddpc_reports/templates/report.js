@@ -1,10 +1,18 @@
 "use strict";
-// What the page adds when scripts run: charts that answer the pointer and the keyboard, legends that hide
-// controllers, tables that sort, a theme switch. Without it the page shows the same figures as drawings.
+// What the page adds when scripts run: charts that answer pointer, fingers and keys, legends that hide controllers,
+// figures saved as files, tables that sort, a theme switch. Without it the page shows the same figures as drawings.
 (function () {
-  const page = JSON.parse(document.getElementById("report-data").textContent);
-  const charts = [];
-  const hidden = {};
+  // Charts are made live by a library that the page holds deflated; a browser that cannot inflate keeps the drawings.
+  const lively = "DecompressionStream" in window && "IntersectionObserver" in window;
+  document.documentElement.classList.toggle("lively", lively);
+  const narrow = window.matchMedia("(max-width: 640px)"); // as in the style: charts are laid out anew, not shrunk
+  const charts = new Map(); // live charts by their boxes
+  const begun = new Map(); // promises of them
+  const inView = new Set(); // boxes
+  const hidden = new Set(); // names of the controllers that the reader hid, on the whole page
+  const spans = {}; // the time shown, by group of figures
+  const columns = {}; // samples by data set, once they are drawn
+  let page, library, working, status;
 
   function element(tag, className, text) {
     const made = document.createElement(tag);
@@ -14,13 +22,20 @@
   }
 
   // ---- data -------------------------------------------------------------------------------------------
-  function rowsOf(columns) {
-    const names = Object.keys(columns);
-    return columns.t.map((_, i) => {
-      const row = {};
-      for (const name of names) row[name] = columns[name][i] === undefined ? null : columns[name][i];
-      return row;
-    });
+  async function inflated(id) {
+    const text = atob(document.getElementById(id).textContent);
+    const bytes = new Uint8Array(text.length);
+    for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
+    return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).text();
+  }
+
+  async function load() {
+    page = JSON.parse(await inflated("report-data"));
+    const script = element("script", "", await inflated("chart-library"));
+    await idle();
+    document.head.append(script);
+    await idle();
+    return window.chartLibrary;
   }
 
   // A column comes as decimals, first value, and changes from value to value, all whole numbers.
@@ -28,6 +43,15 @@
     let sum = 0;
     const value = decimals < 0 ? (whole) => whole * 10 ** -decimals : (whole) => whole / 10 ** decimals;
     return changes.map((change) => (change === null ? null : value((sum += change))));
+  }
+
+  function columnsOf(name) {
+    return (columns[name] ||= Object.fromEntries(Object.entries(page.data[name]).map(([key, packed]) => [key, unpacked(packed)])));
+  }
+
+  function rowsOf(name) {
+    const entries = Object.entries(columnsOf(name));
+    return columnsOf(name).t.map((_, i) => Object.fromEntries(entries.map(([key, column]) => [key, column[i] ?? null])));
   }
 
   function nearest(times, time) {
@@ -48,70 +72,89 @@
     return text.replace(/-/g, "−") + (unit === "°" ? "°" : unit ? "\u00a0" + unit : "");
   }
 
-  // ---- signals of the charts --------------------------------------------------------------------------
-  function tell(some, name, value) {
-    for (const chart of some) chart.view.signal(name, value).runAsync();
+  // ---- what the charts show: of what is hidden and of the time shown the page holds one state -----------
+  const visible = (names) => names.filter((name) => !hidden.has(name));
+  const inFigure = (chart) => [...charts.values()].filter((other) => other.figure === chart.figure);
+  const announce = (text) => { status.textContent = text; };
+
+  function tell(some, values) {
+    for (const { view, signals } of some) {
+      for (const [name, value] of Object.entries(values)) if (signals.has(name)) view.signal(name, value);
+      view.runAsync();
+    }
   }
-  const together = (chart) => charts.filter((other) => other.group === chart.group && other.times);
-  const sameFigure = (chart) => charts.filter((other) => other.figure === chart.figure);
+
+  // The charts in view follow at once, the others when they come into view.
+  function update() {
+    for (const chart of charts.values()) chart.stale = true;
+    for (const box of inView) if (charts.get(box)) follow(charts.get(box));
+  }
+
+  function follow(chart) {
+    chart.stale = false;
+    const units = narrow.matches ? chart.box.clientWidth : chart.width;
+    if (units !== chart.units) chart.view.width((chart.units = units));
+    const state = { hidden: [...hidden] };
+    if (chart.times) Object.assign(state, { span: spans[chart.group] || null, extent: extent(chart) });
+    if (!state.extent) delete state.extent;
+    if (chart.reset) chart.reset.hidden = !state.span;
+    tell([chart], state);
+  }
 
   function zoom(chart, span) {
     const ends = [chart.times[0], chart.times[chart.times.length - 1]];
     const least = 2 * (chart.times[1] - chart.times[0]);
     let asked = span && [Math.max(span[0], ends[0]), Math.min(span[1], ends[1])];
     if (asked && asked[0] === ends[0] && asked[1] === ends[1]) asked = null;
-    if (asked && asked[1] - asked[0] < least) return;
-    for (const other of together(chart)) other.span = asked;
-    tell(together(chart), "span", asked);
-    together(chart).forEach(fit);
+    if (asked && !(asked[1] - asked[0] >= least)) return;
+    spans[chart.group] = asked;
+    update();
+    announce(asked ? `${written(asked[0], "s")} to ${written(asked[1], "s")}` : "the whole time");
   }
 
   // The range of the values: of the controllers that set it, if any of them is shown, in the time shown.
-  function fit(chart) {
-    const data = page.data[chart.data];
-    const shown = (names) => names.filter((name) => !hidden[chart.group].has(name));
-    const trusted = shown(chart.scaled);
-    const columns = (trusted.length ? trusted : shown(Object.keys(chart.lines))).map((name) => data[name]);
-    if (data.r) columns.push(data.r);
-    const [first, last] = chart.span || [-Infinity, Infinity];
-    const values = chart.span ? [] : [...chart.limits];
+  function extent(chart) {
+    const data = columnsOf(chart.data);
+    const trusted = visible(chart.scaled);
+    const drawn = (trusted.length ? trusted : visible(Object.keys(chart.lines))).map((name) => data[name]);
+    if (data.r) drawn.push(data.r);
+    const [first, last] = spans[chart.group] || [-Infinity, Infinity];
+    const values = spans[chart.group] ? [] : [...chart.limits];
     data.t.forEach((time, i) => {
       if (time < first || time > last) return;
-      for (const column of columns) if (column[i] !== null && column[i] !== undefined) values.push(column[i]);
+      for (const column of drawn) if (column[i] !== null && column[i] !== undefined) values.push(column[i]);
     });
     const low = values.reduce((a, b) => Math.min(a, b), Infinity);
     const high = values.reduce((a, b) => Math.max(a, b), -Infinity);
-    if (low > high) return;
     const margin = 0.05 * (high - low) || 0.1 * Math.abs(high) || 1;
-    tell([chart], "extent", [low - margin, high + margin]);
+    return low > high ? null : [low - margin, high + margin];
   }
 
   function zoomAbout(chart, time, factor) {
-    const [first, last] = chart.span || [chart.times[0], chart.times[chart.times.length - 1]];
+    const [first, last] = spans[chart.group] || [chart.times[0], chart.times[chart.times.length - 1]];
     zoom(chart, [time - (time - first) * factor, time + (last - time) * factor]);
   }
 
   // ---- reading values ---------------------------------------------------------------------------------
+  const scaleOf = (chart) => chart.live.clientWidth / chart.units; // pixels a unit of the drawing
+
   function place(chart, x, y) {
-    const box = chart.box.getBoundingClientRect();
     const note = chart.reading;
-    const left = x + 16 + note.offsetWidth > box.width ? x - 16 - note.offsetWidth : x + 16;
+    const left = x + 16 + note.offsetWidth > chart.box.clientWidth ? x - 16 - note.offsetWidth : x + 16;
     note.style.left = Math.max(0, left) + "px";
     note.style.top = Math.max(0, y) + "px";
   }
 
   function read(chart, index) {
-    const data = page.data[chart.data];
+    const data = columnsOf(chart.data);
     const note = chart.reading;
     chart.index = index;
     note.replaceChildren(element("b", "", "t = " + written(data.t[index], "s")));
     if (data.r) line(note, "var(--ink)", "reference", written(data.r[index], chart.unit));
-    for (const [name, label] of Object.entries(chart.lines)) {
-      if (!hidden[chart.group].has(name)) line(note, colour(name), label, written(data[name][index], chart.unit));
-    }
+    for (const name of visible(Object.keys(chart.lines))) line(note, colour(name), chart.lines[name], written(data[name][index], chart.unit));
     note.hidden = false;
-    place(chart, chart.view.origin()[0] + chart.view.scale("x")(data.t[index]), 8);
-    tell(sameFigure(chart), "at", data.t[index]);
+    place(chart, scaleOf(chart) * (chart.view.origin()[0] + chart.view.scale("x")(data.t[index])), 8);
+    tell(inFigure(chart), { at: data.t[index] });
   }
 
   function colour(name) {
@@ -122,41 +165,57 @@
     const row = element("div");
     const dot = element("i");
     dot.style.background = paint;
-    row.append(dot, element("span", "", label), element("span", "", value));
-    note.append(row);
+    row.append(dot, element("span", "", label), " ", element("span", "", value), " ");
+    note.append(" ", row);
   }
 
   function forget(chart) {
     chart.reading.hidden = true;
-    tell(sameFigure(chart), "at", null);
+    if (chart.times) tell(inFigure(chart), { at: null, band: null });
   }
 
-  // ---- pointer and keys on a chart over time ----------------------------------------------------------
+  // ---- pointer, fingers and keys on a chart over time ---------------------------------------------------
   function timeAt(chart, event) {
-    const left = chart.live.getBoundingClientRect().left + chart.view.origin()[0];
-    return chart.view.scale("x").invert(event.clientX - left);
+    const x = (event.clientX - chart.live.getBoundingClientRect().left) / scaleOf(chart);
+    return chart.view.scale("x").invert(x - chart.view.origin()[0]);
   }
 
   function listenOverTime(chart) {
     const live = chart.live;
+    const fingers = new Map(); // the time that each one holds, and where it is
     let from = null;
     live.addEventListener("pointerdown", (event) => {
-      if (event.button === 0 && event.pointerType !== "touch") from = timeAt(chart, event);
+      const time = timeAt(chart, event);
+      if (event.pointerType === "touch") {
+        fingers.set(event.pointerId, { time, event });
+        read(chart, nearest(chart.times, time));
+      } else if (event.button === 0) {
+        live.setPointerCapture(event.pointerId);
+        from = time;
+      }
     });
     live.addEventListener("pointermove", (event) => {
+      if (fingers.has(event.pointerId)) fingers.get(event.pointerId).event = event;
+      if (fingers.size === 2) return pinch(chart, [...fingers.values()]);
       const time = timeAt(chart, event);
       read(chart, nearest(chart.times, time));
-      if (from !== null) tell(sameFigure(chart), "band", [Math.min(from, time), Math.max(from, time)]);
+      if (from !== null) tell(inFigure(chart), { band: [Math.min(from, time), Math.max(from, time)] });
     });
-    window.addEventListener("pointerup", (event) => {
+    live.addEventListener("pointerup", (event) => {
+      fingers.delete(event.pointerId);
       if (from === null) return;
       const span = [from, timeAt(chart, event)].sort((a, b) => a - b);
       from = null;
-      tell(sameFigure(chart), "band", null);
       forget(chart);
       zoom(chart, span);
     });
-    live.addEventListener("pointerleave", () => forget(chart));
+    live.addEventListener("pointercancel", (event) => {
+      fingers.delete(event.pointerId);
+      from = null;
+      forget(chart);
+    });
+    // What a finger read stays until another place is touched.
+    live.addEventListener("pointerleave", (event) => { if (event.pointerType !== "touch") forget(chart); });
     live.addEventListener("dblclick", () => zoom(chart, null));
     live.addEventListener("wheel", (event) => {
       // The wheel alone belongs to the page: a report is scrolled far more often than a chart is zoomed.
@@ -165,96 +224,266 @@
       zoomAbout(chart, timeAt(chart, event), event.deltaY + event.deltaX > 0 ? 1.25 : 0.8);
     }, { passive: false });
     live.addEventListener("keydown", (event) => onKey(chart, event));
-    live.addEventListener("blur", () => forget(chart));
+  }
+
+  // Two fingers keep the times that they hold.
+  function pinch(chart, fingers) {
+    const [left, right] = fingers.sort((a, b) => a.time - b.time);
+    const box = chart.live.getBoundingClientRect();
+    const scale = chart.view.scale("x");
+    const [start, end] = scale.range().map((x) => box.left + scaleOf(chart) * (chart.view.origin()[0] + x));
+    const perPixel = (right.time - left.time) / (right.event.clientX - left.event.clientX);
+    const at = (x) => left.time + (x - left.event.clientX) * perPixel;
+    chart.reading.hidden = true;
+    if (perPixel > 0 && Number.isFinite(perPixel)) zoom(chart, [at(start), at(end)]);
   }
 
   function onKey(chart, event) {
-    const steps = { ArrowLeft: -1, ArrowRight: 1 };
     const last = chart.times.length - 1;
-    const index = chart.index === undefined ? 0 : chart.index;
-    if (event.key in steps) read(chart, Math.min(last, Math.max(0, index + steps[event.key] * (event.shiftKey ? 10 : 1))));
-    else if (event.key === "+" || event.key === "=") zoomAbout(chart, chart.times[index], 0.8);
+    const step = event.shiftKey ? 10 : 1;
+    const index = chart.index ?? 0;
+    const places = { ArrowLeft: index - step, ArrowRight: index + step, Home: 0, End: last };
+    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    if (event.key in places) {
+      read(chart, Math.min(last, Math.max(0, places[event.key])));
+      announce(chart.reading.textContent);
+    } else if (event.key === "+" || event.key === "=") zoomAbout(chart, chart.times[index], 0.8);
     else if (event.key === "-") zoomAbout(chart, chart.times[index], 1.25);
     else if (event.key === "Escape") { zoom(chart, null); forget(chart); }
     else return;
     event.preventDefault();
   }
 
-  function listenToMarks(chart) {
-    chart.view.addEventListener("pointermove", (event, item) => {
-      const text = item && item.datum && item.datum.text;
-      chart.reading.hidden = !text;
-      if (!text) return;
-      const box = chart.box.getBoundingClientRect();
-      chart.reading.textContent = text;
-      place(chart, event.clientX - box.left, event.clientY - box.top + 12);
-    });
-    chart.live.addEventListener("pointerleave", () => { chart.reading.hidden = true; });
+  // ---- pointer and keys on a chart of marks that have words ---------------------------------------------
+  function say(chart, text, x, y) {
+    chart.reading.hidden = !text;
+    if (!text) return;
+    chart.reading.textContent = text;
+    place(chart, x, y + 12);
   }
 
-  // ---- making the charts ------------------------------------------------------------------------------
-  function prepare(box) {
-    const told = page.views[box.dataset.view];
-    const live = element("div", "live");
-    const reading = element("div", "reading");
-    reading.hidden = true;
-    reading.setAttribute("role", "status");
-    live.setAttribute("role", "img");
-    live.setAttribute("aria-label", box.dataset.label);
-    if (told.data) live.tabIndex = 0;
-    hidden[told.group] = hidden[told.group] || new Set();
-    return { ...told, box, live, reading, times: told.data ? page.data[told.data].t : null, span: null };
+  // The marks with words and where they are, from above to below and from left to right.
+  function marksOf(chart) {
+    const found = [];
+    const walk = (item, x, y) => {
+      if (item.marktype) return item.items.forEach((one) => walk(one, x, y));
+      if (item.datum && item.datum.text && item.mark.marktype !== "group") found.push([item.datum.text, x + (item.x || 0), y + (item.y || 0)]);
+      (item.items || []).forEach((one) => walk(one, x + (item.x || 0), y + (item.y || 0)));
+    };
+    walk(chart.view.scenegraph().root, ...chart.view.origin());
+    return found.sort((a, b) => a[2] - b[2] || a[1] - b[1]).filter(([text], i, all) => all.findIndex((one) => one[0] === text) === i);
+  }
+
+  function listenToMarks(chart) {
+    const { live, box } = chart;
+    chart.view.addEventListener("pointermove", (event, item) => {
+      const { left, top } = box.getBoundingClientRect();
+      say(chart, item && item.datum && item.datum.text, event.clientX - left, event.clientY - top);
+    });
+    live.addEventListener("pointerleave", (event) => { if (event.pointerType !== "touch") forget(chart); });
+    live.addEventListener("keydown", (event) => {
+      const marks = marksOf(chart);
+      const last = marks.length - 1;
+      const index = Math.min(chart.index ?? -1, last);
+      const places = { ArrowLeft: index - 1, ArrowUp: index - 1, ArrowRight: index + 1, ArrowDown: index + 1, Home: 0, End: last };
+      if (last < 0 || event.ctrlKey || event.altKey || event.metaKey) return;
+      if (event.key === "Escape") forget(chart);
+      if (!(event.key in places)) return;
+      event.preventDefault();
+      chart.index = Math.min(last, Math.max(0, places[event.key]));
+      const [text, x, y] = marks[chart.index];
+      say(chart, text, scaleOf(chart) * x, scaleOf(chart) * y);
+      announce(text);
+    });
+  }
+
+  // ---- making the charts: those in view, one after the other, while the browser has nothing else to do ----
+  const idle = () => new Promise((go) => (window.requestIdleCallback ? requestIdleCallback(go, { timeout: 500 }) : setTimeout(go, 20)));
+
+  async function work() {
+    if (working) return;
+    working = true;
+    const next = () => [...inView].find((box) => !begun.has(box) || (charts.has(box) && charts.get(box).stale));
+    for (let box = next(); box; box = next()) {
+      await idle();
+      await current(box);
+    }
+    working = false;
+    document.documentElement.dataset.ready = "yes";
+  }
+
+  // Make a chart live, or have a live one show what the others show; a drawing that cannot be made live stays.
+  function current(box) {
+    if (charts.has(box)) follow(charts.get(box));
+    else if (!begun.has(box)) begun.set(box, draw(box).catch(reportError));
+    return begun.get(box);
   }
 
   async function draw(box) {
-    const chart = prepare(box);
-    const spec = { ...chart.spec, width: "container", autosize: { type: "fit-x", contains: "padding" } };
-    if (chart.data) spec.datasets = { ...spec.datasets, [chart.data]: rowsOf(page.data[chart.data]) };
-    box.append(chart.live, chart.reading);
-    box.classList.add("is-live");
-    const options = { mode: "vega-lite", renderer: "svg", actions: false, ast: true, config: page.config, defaultStyle: false, tooltip: false, logLevel: 1 };
-    try {
-      chart.view = (await vegaEmbed(chart.live, spec, options)).view;
-    } catch (error) {
-      box.classList.remove("is-live");
-      chart.live.remove();
-      throw error;
-    }
+    const { View, parse, expressionInterpreter } = await (library ||= load());
+    const told = page.views[box.dataset.view];
+    if (!told) return;
+    const live = element("div", "live");
+    const inner = element("div"); // Vega writes a role of its own onto what it draws into
+    const reading = element("div", "reading");
+    const width = told.spec.width;
+    const units = narrow.matches ? box.clientWidth : width;
+    reading.hidden = true;
+    reading.setAttribute("aria-hidden", "true"); // what keys read is announced
     // The label of the box says what the drawing shows; its parts say nothing more.
-    chart.live.querySelector("svg").setAttribute("aria-hidden", "true");
-    charts.push(chart);
+    inner.setAttribute("aria-hidden", "true");
+    live.setAttribute("role", "img");
+    live.setAttribute("aria-label", box.querySelector(".static").getAttribute("aria-label"));
+    live.tabIndex = 0;
+    live.append(inner);
+    box.append(live, reading);
+    const data = told.spec.data.map((one) => (one.name === told.data ? { ...one, values: rowsOf(told.data) } : one));
+    const view = new View(parse({ ...told.spec, width: units, data }, null, { ast: true }), {
+      renderer: "svg", container: inner, hover: false, expr: expressionInterpreter, logLevel: 1,
+    });
+    const signals = new Set((told.spec.signals || []).map((signal) => signal.name));
+    const chart = { ...told, box, live, reading, view, signals, width, units, times: told.data ? columnsOf(told.data).t : null };
+    if (chart.times) addReset(chart);
+    charts.set(box, chart);
+    follow(chart);
+    await view.runAsync();
+    box.classList.add("is-live");
+    live.addEventListener("blur", () => forget(chart));
     if (chart.times) listenOverTime(chart);
     else listenToMarks(chart);
-    return chart;
   }
 
-  // What is folded has no width before it is opened; then it shows what its neighbours show.
-  function drawOnceOpen(fold) {
-    fold.addEventListener("toggle", async () => {
-      for (const box of fold.querySelectorAll(".chart")) {
-        const chart = await draw(box);
-        chart.span = together(chart)[0].span;
-        tell([chart], "span", chart.span);
-        tell([chart], "hidden", [...hidden[chart.group]]);
-        fit(chart);
+  function addReset(chart) {
+    chart.reset = element("button", "reset", "Reset zoom");
+    chart.reset.type = "button";
+    chart.reset.hidden = true;
+    chart.reset.addEventListener("click", () => {
+      zoom(chart, null);
+      chart.live.focus({ preventScroll: true });
+    });
+    chart.box.append(chart.reset);
+  }
+
+  // What is folded is not in view before it is opened; then it shows what its neighbours show.
+  function watchCharts() {
+    const seen = new IntersectionObserver((entries) => {
+      for (const { target, isIntersecting } of entries) {
+        if (isIntersecting) inView.add(target);
+        else inView.delete(target);
       }
-      fold.dataset.ready = "yes";
-    }, { once: true });
+      work();
+    }, { rootMargin: "150px 0px" });
+    const boxes = document.querySelectorAll(".chart");
+    boxes.forEach((box) => seen.observe(box));
+    if (!boxes.length) work();
+    narrow.addEventListener("change", update);
+    window.addEventListener("resize", () => { if (narrow.matches) update(); });
+  }
+
+  // ---- figures as files: what is shown, in the colours of the light page, on white -----------------------
+  const MARGIN = 16;
+
+  function drawn(tag, attributes, text) {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    if (text !== undefined) made.textContent = text;
+    return made;
+  }
+
+  function picture(figure) {
+    const caption = figure.querySelector("figcaption").textContent;
+    const style = { "font-family": "system-ui, Arial, sans-serif", "font-size": 13, fill: "var(--ink)" };
+    const pen = document.createElement("canvas").getContext("2d");
+    pen.font = "13px system-ui, Arial, sans-serif";
+    const boxes = [...figure.querySelectorAll(".chart")].map((box) => box.querySelector(".is-live > .live svg") || box.querySelector("svg")).filter(Boolean);
+    const width = 2 * MARGIN + Math.max(...boxes.map((svg) => svg.viewBox.baseVal.width));
+    const all = drawn("svg", { xmlns: "http://www.w3.org/2000/svg", role: "img", "aria-label": caption });
+    const ground = drawn("rect", { width: "100%", height: "100%", fill: "#fff" });
+    all.append(drawn("title", {}, caption), ground);
+    let [x, y] = [MARGIN, MARGIN];
+    for (const entry of figure.querySelectorAll(".legend .entry:not([aria-pressed=false])")) {
+      const text = entry.textContent.trim();
+      const room = 34 + pen.measureText(text).width + 22;
+      if (x > MARGIN && x + room > width) [x, y] = [MARGIN, y + 20];
+      const swatch = entry.querySelector("line").cloneNode();
+      swatch.setAttribute("stroke-width", 2);
+      const group = drawn("g", { transform: `translate(${x},${y})` });
+      group.append(swatch, drawn("text", { x: 34, y: 8, ...style }, text));
+      all.append(group);
+      x += room;
+    }
+    if (x > MARGIN) y += 28;
+    for (const part of figure.querySelectorAll(".panel, .chart")) {
+      const svg = part.querySelector(":scope.is-live > .live svg") || part.querySelector("svg");
+      if (svg) {
+        const copy = svg.cloneNode(true);
+        const { width: wide, height: high } = svg.viewBox.baseVal;
+        ["class", "style", "aria-label", "role"].forEach((name) => copy.removeAttribute(name));
+        for (const [name, value] of Object.entries({ x: MARGIN, y, width: wide, height: high })) copy.setAttribute(name, value);
+        all.append(copy);
+        y += high + 8;
+      } else if (part.matches(".panel")) {
+        all.append(drawn("text", { x: MARGIN, y: y + 14, "font-weight": 600, ...style }, part.textContent));
+        y += 24;
+      }
+    }
+    const height = Math.ceil(y + MARGIN);
+    for (const [name, value] of Object.entries({ width, height, viewBox: `0 0 ${width} ${height}` })) all.setAttribute(name, value);
+    return { text: inLight(new XMLSerializer().serializeToString(all)), width, height };
+  }
+
+  function inLight(text) {
+    const probe = element("span");
+    probe.style.colorScheme = "light";
+    document.body.append(probe);
+    const found = text.replace(/var\((--[\w-]+)\)/g, (variable) => {
+      probe.style.color = variable;
+      return getComputedStyle(probe).color;
+    });
+    probe.remove();
+    return found;
+  }
+
+  async function painted({ text, width, height }) {
+    const image = new Image();
+    image.src = "data:image/svg+xml;charset=utf-8," + encodeURIComponent(text);
+    await image.decode();
+    const canvas = element("canvas");
+    [canvas.width, canvas.height] = [2 * width, 2 * height];
+    const pen = canvas.getContext("2d");
+    pen.drawImage(image, 0, 0, canvas.width, canvas.height);
+    return new Promise((done) => canvas.toBlob(done, "image/png"));
+  }
+
+  async function save(figure, kind) {
+    for (const box of figure.querySelectorAll(".chart")) {
+      await current(box);
+      if (charts.has(box)) await charts.get(box).view.runAsync();
+    }
+    const made = picture(figure);
+    const link = element("a");
+    link.download = `${document.title.replace(/[^\p{L}\p{N}]+/gu, "-").slice(0, 60)}-${figure.id}.${kind}`;
+    link.href = URL.createObjectURL(kind === "svg" ? new Blob([made.text], { type: "image/svg+xml" }) : await painted(made));
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 60000);
+    announce(`Saved as ${link.download}`);
   }
 
   // ---- legends, tables, contents, theme ---------------------------------------------------------------
-  function enableLegend(button) {
-    button.disabled = false;
+  function enableLegend(entry) {
+    const button = element("button", "entry");
+    button.type = "button";
+    Object.assign(button.dataset, entry.dataset);
+    button.setAttribute("aria-pressed", "true");
+    button.append(...entry.childNodes);
+    entry.replaceWith(button);
     button.addEventListener("click", () => {
-      const { group, name } = button.dataset;
-      const set = hidden[group];
-      if (!set.delete(name)) set.add(name);
+      const { name } = button.dataset;
+      if (!hidden.delete(name)) hidden.add(name);
       for (const twin of document.querySelectorAll("button.entry")) {
-        if (twin.dataset.group === group && twin.dataset.name === name) twin.setAttribute("aria-pressed", String(!set.has(name)));
+        if (twin.dataset.name === name) twin.setAttribute("aria-pressed", String(!hidden.has(name)));
       }
-      const mine = charts.filter((chart) => chart.group === group);
-      tell(mine, "hidden", [...set]);
-      mine.filter((chart) => chart.times).forEach(fit);
+      update();
     });
   }
 
@@ -309,16 +538,20 @@
     });
   }
 
-  for (const columns of Object.values(page.data)) {
-    for (const [name, packed] of Object.entries(columns)) columns[name] = unpacked(packed);
-  }
-  document.querySelectorAll(".help").forEach((help) => { help.hidden = false; });
-  document.querySelectorAll("table.sortable").forEach(enableSorting);
-  document.querySelectorAll("button.theme").forEach(enableTheme);
-  document.querySelectorAll("details").forEach(drawOnceOpen);
-  followContents();
-  Promise.all([...document.querySelectorAll(".chart:not(details .chart)")].map(draw)).then(() => {
-    document.querySelectorAll("button.entry").forEach(enableLegend);
-    document.documentElement.dataset.ready = "yes";
+  document.addEventListener("DOMContentLoaded", () => {
+    document.querySelectorAll(".help").forEach((help) => { help.hidden = false; });
+    document.querySelectorAll("table.sortable").forEach(enableSorting);
+    document.querySelectorAll("button.theme").forEach(enableTheme);
+    followContents();
+    if (!lively) return;
+    status = element("p", "unseen");
+    status.setAttribute("role", "status");
+    document.body.append(status);
+    document.querySelectorAll(".entry[data-name]").forEach(enableLegend);
+    document.querySelectorAll("[data-save]").forEach((button) => button.addEventListener("click", () => save(button.closest("figure"), button.dataset.save)));
+  });
+  window.addEventListener("load", () => {
+    if (lively) watchCharts();
+    else document.documentElement.dataset.ready = "yes";
   });
 })();

@@ -225,7 +225,7 @@ def test_what_a_scenario_does_is_marked_and_told_in_words(make_results: MakeResu
         labels, spans = marked(figure.views[0].spec)
         assert labels == {(0.5, "d"), (1.0, "a, b, c"), (1.5, "d"), (2.0, "f"), (2.5, "e")}
         assert spans == {(1.0, 2.0), (2.5, 99.0)}
-        assert figure.views[0].svg.count(">a, b, c<") == 1
+        assert figure.views[0].drawing.svg.count(">a, b, c<") == 1
     for told in (
         "(a) at 1 s: mass = 0.5",
         "(c) damping from 1 to 0.5 between 1 s and 2 s",

@@ -15,6 +15,7 @@ from ddpc_cosim import StudyResults, Trace
 from ddpc_cosim.study.file_format.sections import ReferencePoints, ReportSection, SearchSection, Study
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_reports.comparison import conditions
+from ddpc_reports.embedding import Drawing
 from ddpc_reports.figures import figure as figures
 from ddpc_reports.page import render_page
 from ddpc_reports.tables import settings as settings_module
@@ -391,7 +392,7 @@ def test_what_the_study_says_of_itself_is_in_the_page(
 ) -> None:
     # Drawing takes most of the time, and what is drawn does not follow from these texts.
     monkeypatch.setattr(figures, "time_chart", lambda *given: {"mark": "point"})
-    monkeypatch.setattr(figures, "static_svg", lambda *drawing: Markup(""))
+    monkeypatch.setattr(figures, "drawing", lambda *given: Drawing(Markup("")))
     content = {key: CONTENT[key] for key in sorted(TEXTS)}
     results = make_results(**content)
     content = results.study.model_dump()
