@@ -4,7 +4,7 @@
 (function () {
   // Charts are made live by a library that the page holds deflated; a browser that cannot inflate keeps the drawings.
   const lively = "DecompressionStream" in window && "IntersectionObserver" in window;
-  document.documentElement.classList.toggle("lively", lively);
+  document.documentElement.classList.add("scripted", ...(lively ? ["lively"] : []));
   const narrow = window.matchMedia("(max-width: 640px)"); // as in the style: charts are laid out anew, not shrunk
   const charts = new Map(); // live charts by their boxes
   const begun = new Map(); // promises of them
@@ -529,7 +529,6 @@
   function enableTheme(button) {
     const themes = ["system", "light", "dark"];
     let chosen = 0;
-    button.hidden = false;
     button.addEventListener("click", () => {
       chosen = (chosen + 1) % themes.length;
       if (chosen) document.documentElement.dataset.theme = themes[chosen];
