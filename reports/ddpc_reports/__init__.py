@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from ddpc_cosim import Simulation, StudyResults
 
-__all__ = ["write_report", "write_simulation"]
+__all__ = ["write_csv", "write_report", "write_simulation"]
 
 
 def write_report(results: "Sequence[StudyResults]", path: Path) -> Path:
@@ -43,12 +43,26 @@ def write_report(results: "Sequence[StudyResults]", path: Path) -> Path:
     CosimWarning
         A part of the page fails: a sentence in its place says why.
     """
-    from ddpc_cosim.plugins import write_atomically
     from ddpc_reports.page import render_page
 
-    page = render_page(results).encode("utf-8", "backslashreplace")
+    return _written(render_page(results), path)
+
+
+def write_csv(results: "Sequence[StudyResults]", path: Path) -> Path:
+    """Write one tidy table as CSV: a row for each metric of a controller in a scenario.
+
+    Parameters and errors are those of :func:`write_report`; ``docs/report-formats.md`` has the columns.
+    """
+    from ddpc_reports.tidy import tidy_table
+
+    return _written(tidy_table(results), path)
+
+
+def _written(text: str, path: Path) -> Path:
+    from ddpc_cosim.plugins import write_atomically
+
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, page)
+    write_atomically(path, text.encode("utf-8", "backslashreplace"))
     return path
 
 

@@ -141,11 +141,11 @@ class Table:
         buffer = io.StringIO(newline="")
         writer = csv.writer(buffer, lineterminator="\n")
         grouped = any(row.group for row in self.rows)
-        heads = [_csv_text(heading.words) for heading in self.headings]
+        heads = [csv_text(heading.words) for heading in self.headings]
         writer.writerow(["group", *heads] if grouped else heads)
         for row in self.rows:
             texts = [row.group] * grouped + [row.header]
-            writer.writerow([*map(_csv_text, texts), *(_csv_value(cell) for cell in row.cells)])
+            writer.writerow([*map(csv_text, texts), *(_csv_value(cell) for cell in row.cells)])
         content = encodable(buffer.getvalue()).encode()
         return "data:text/csv;charset=utf-8;base64," + b64encode(content).decode("ascii")
 
@@ -153,10 +153,10 @@ class Table:
 def _csv_value(cell: Cell) -> str:
     if isinstance(cell.raw, float):
         return "" if math.isnan(cell.raw) else repr(cell.raw)
-    return _csv_text(str(cell.raw) if cell.raw != "" else cell.text)
+    return csv_text(str(cell.raw) if cell.raw != "" else cell.text)
 
 
-def _csv_text(text: str) -> str:
+def csv_text(text: str) -> str:
     """Return a text that a spreadsheet does not take for a formula."""
     text = printable(text, keep="\n")
     return f"'{text}" if _FORMULA.match(text) else text

@@ -1,0 +1,62 @@
+"""The report as one tidy table in CSV: a row for each metric of a controller in a scenario."""
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from ddpc_cosim import CaseResult, StudyResults
+from ddpc_cosim.metrics import metric_of, split_key
+from ddpc_cosim.study.file_format.sweeps import variant_words
+from ddpc_cosim.study.standings import standings, summed
+from ddpc_cosim.study.statistics import describe
+from ddpc_cosim.texts import encodable
+from ddpc_reports.comparison import conditions
+from ddpc_reports.tables.table import csv_text
+
+COLUMNS = (
+    *("study", "problem", "variant", "plant", "scenario", "controller", "label", "rank", "lost", "runs"),
+    *("metric", "signal", "unit", "better", "value"),
+    *("median", "low", "high", "interval_low", "interval_high"),
+)
+
+
+def tidy_table(results: Sequence[StudyResults]) -> str:
+    """Return the table; numbers in full, and an empty cell where there is none."""
+    file = io.StringIO(newline="")
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for one in results:
+        names = one.whole.problems
+        views = {part.study.name: part for part in one.problems()}
+        views |= {part.study.name: part for name in names for part in one.variants(name)}
+        writer.writerows(row for part in views.values() for row in _rows(one, part))
+    return encodable(file.getvalue())
+
+
+def _rows(results: StudyResults, part: StudyResults) -> Iterator[list[str]]:
+    """Yield the rows of one problem, or of a variant of one by the study's sweep."""
+    study = part.study
+    plant = study.plant.name or Path(study.plant.fmu).name
+    ranks = {one.controller: one.rank for one in standings(study, part.cases).order}
+    words = variant_words(study.varied)
+    for condition in conditions(part):
+        for one in (*condition.controllers, *condition.variants):
+            lost = len(one.cases) - len(one.holding)
+            of_whom = [results.whole.head.name, study.variant_of or study.name, words, plant]
+            of_whom += [condition.scenario, one.key, one.label]
+            counts = [str(ranks.get(one.key, "")), str(lost), str(len(one.cases))]
+            for key in dict.fromkeys(key for case in one.cases for key in case.metrics):
+                yield [*map(csv_text, of_whom), *counts, *_of_metric(key, one.cases)]
+
+
+def _of_metric(key: str, cases: Sequence[CaseResult]) -> list[str]:
+    """Return the cells of a metric: its value as the page sums it up, and what the runs that hold come to."""
+    runs = [(case.seed, case.metrics.get(key, math.nan) if case.holds else math.nan) for case in cases]
+    known = [value for _, value in runs if not math.isnan(value)]
+    found = describe({("", seed): value for seed, value in runs})
+    ends = (min(known), max(known)) if known else (math.nan, math.nan)
+    values = (summed(cases, key), found.median, *ends, found.low, found.high)
+    shown = ["" if math.isnan(value) else repr(float(value)) for value in values]
+    return [*map(csv_text, split_key(key)), metric_of(key).better, *shown]
