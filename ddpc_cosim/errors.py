@@ -70,6 +70,12 @@ def is_of_the_machine(error: BaseException) -> bool:
     return any(isinstance(one, FMUImportError | OSError | MemoryError | ImportError) for one in causes)
 
 
+def is_of_usage(error: CosimError) -> bool:
+    """Return whether an error is of what was asked for (names, settings, files): nothing failed in a run."""
+    usage = (ConfigError, DataError, PluginError, FMUImportError)
+    return isinstance(error, usage) and not isinstance(error, DivergenceError)
+
+
 class StepStatus(StrEnum):
     """What a plant's call that did not succeed returned, why it did not return, or that it ended the run."""
 

@@ -30,6 +30,10 @@ class ExportError(RuntimeError):
     """The FMU could not be built; the message says what to do about it."""
 
 
+class ExportUsageError(ExportError):
+    """What was asked for is not possible: a platform, a version, or where the FMU is to be written."""
+
+
 class Symbols(Protocol):
     """What the equations are written in: one SymPy symbol per variable, and ``time``.
 

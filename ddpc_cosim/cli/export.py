@@ -10,6 +10,7 @@ from typing import Any
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.errors import ConfigError, CosimError, PluginError
 from ddpc_cosim.plugins import find_modules_in, load_plugin
+from ddpc_cosim.texts import printable
 
 _MATRICES = ("A", "B", "C", "D")
 
@@ -39,6 +40,7 @@ def export_command(target: str, fmi_version: str, out: Path | None, platforms: s
         The FMU could not be built.
     """
     from fmu_plants import ExportError, ModelError, PlantModel, export_fmu
+    from fmu_plants.model import ExportUsageError
 
     with shown(f"loading {target}"):
         model = _load(target)
@@ -56,15 +58,15 @@ def export_command(target: str, fmi_version: str, out: Path | None, platforms: s
             platforms=platforms,
             progress=None if platforms is None else _say,
         )
-    except ModelError as error:
+    except (ModelError, ExportUsageError) as error:
         raise ConfigError(str(error)) from error
     except ExportError as error:
         raise CosimError(str(error)) from error
-    print(path)
+    print(printable(str(path)))
 
 
 def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    print(printable(line), file=sys.stderr, flush=True)
 
 
 def _load(target: str) -> Any:

@@ -9,7 +9,7 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
 from pathlib import Path
@@ -17,6 +17,7 @@ from types import FrameType
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 _STDOUT, _NOT_WRITTEN = 1, (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EPIPE)
 FAILED, MISUSED, INTERRUPTED, TERMINATED = 1, 2, 130, 143
@@ -66,6 +67,20 @@ def _complain(error: str) -> None:
     click.echo(f"error: {lines}", err=True)
 
 
+@contextmanager
+def _harmless_usage_errors() -> Iterator[None]:
+    """Write out in click's own messages, too, what would act on a terminal."""
+    from ddpc_cosim.texts import printable
+
+    try:
+        yield
+    except click.UsageError as error:
+        words = error.format_message()
+        if (harmless := printable(words, _LONGEST_ERROR, keep="\n")) == words:
+            raise
+        raise click.UsageError(harmless, error.ctx) from None
+
+
 class _Commands(click.Group):
     """A group whose commands report errors of this project in their own words."""
 
@@ -85,8 +100,13 @@ class _Commands(click.Group):
             os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)  # for what is left of it
             sys.exit(FAILED)
 
+    def make_context(self, *arguments: Any, **more: Any) -> click.Context:
+        """Parse what stands before the command."""
+        with _harmless_usage_errors():
+            return super().make_context(*arguments, **more)
+
     def invoke(self, context: click.Context) -> object:
-        from ddpc_cosim.errors import ConfigError, CosimError
+        from ddpc_cosim.errors import CosimError, is_of_usage
 
         for name in ("stdout", "stderr"):
             if getattr(sys, name) is None:  # closed by whoever started this process
@@ -94,20 +114,28 @@ class _Commands(click.Group):
             if isinstance(stream := getattr(sys, name), TextIOWrapper):
                 stream.reconfigure(errors="backslashreplace")  # for what its encoding does not have
         try:
-            return super().invoke(context)
-        except ConfigError as error:
-            for fault in error.faults:
-                _complain(fault)
-            sys.exit(MISUSED)
+            with _harmless_usage_errors():
+                return super().invoke(context)
         except CosimError as error:
-            _complain(str(error))
-            sys.exit(FAILED)
+            for fault in getattr(error, "faults", (str(error),)):
+                _complain(fault)
+            sys.exit(MISUSED if is_of_usage(error) else FAILED)
         except Terminated:
             click.echo(f"terminated: {_GOES_ON}", err=True)
             sys.exit(TERMINATED)
         except KeyboardInterrupt:
             click.echo(f"interrupted: {_GOES_ON}", err=True)
             sys.exit(INTERRUPTED)
+
+
+class _Choice(click.Choice[str]):
+    """One of a few words; for another one the nearest is told."""
+
+    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
+        """Say what was probably meant."""
+        from fmu_plants.spelling import did_you_mean
+
+        return f'"{value}" is not possible; {did_you_mean(str(value), self.choices)}'
 
 
 class _FiniteRange(click.FloatRange):
@@ -124,6 +152,18 @@ class _FiniteRange(click.FloatRange):
 _POSITIVE = _FiniteRange(min=0, min_open=True)
 
 
+def _names(*kinds: str) -> Callable[..., list[CompletionItem]]:
+    """Return what a shell completes: names of plug-ins of some kinds, and files."""
+
+    def complete(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+        from ddpc_cosim.plugins import plugin_names
+
+        names = [name for kind in kinds for name in plugin_names(kind) if name.startswith(begun)]
+        return [*map(CompletionItem, names), CompletionItem(begun, type="file")]
+
+    return complete
+
+
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="ddpc-cosim", message="%(version)s")
 def main() -> None:
@@ -135,7 +175,7 @@ _SANDBOX = click.option(
 )
 
 _EXECUTOR = click.option(
-    "--executor", type=click.Choice(["local", "dask"]), default="local", help="Where cases run [local]."
+    "--executor", type=_Choice(["local", "dask"]), default="local", help="Where cases run [local]."
 )
 _SCHEDULER = click.option(
     "--scheduler", default="", metavar="ADDRESS", help="The dask scheduler's: tcp://host:8786."
@@ -155,7 +195,7 @@ _STEP_TIMEOUT = click.option(
 
 
 @main.command()
-@click.argument("study")
+@click.argument("study", shell_complete=_names("studies"))
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of results [runs/STUDY]."
 )
@@ -168,7 +208,7 @@ _STEP_TIMEOUT = click.option(
 @_SCHEDULER
 @click.option(
     "--storage",
-    type=click.Choice(["csv", "parquet"]),
+    type=_Choice(["csv", "parquet"]),
     default="csv",
     help="File of each case's samples [csv]; parquet needs pyarrow.",
 )
@@ -203,7 +243,7 @@ def run(
 
 
 @main.command()
-@click.argument("study")
+@click.argument("study", shell_complete=_names("studies"))
 @click.option(
     "--trials", type=click.IntRange(min=1), default=50, show_default=True, help="For each controller."
 )
@@ -290,39 +330,13 @@ def diff(folders: tuple[Path, Path], absolute: float, relative: float) -> None:
 
 
 @main.command("list")
-@click.argument("kind", required=False, type=click.Choice(_LISTED))
-def list_(kind: str | None) -> None:
+@click.argument("kind", required=False, type=_Choice(_LISTED))
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output (JSON).")
+def list_(kind: str | None, as_json: bool) -> None:
     """List what is installed, built-in and third-party; a broken plug-in is shown with its error."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+    from ddpc_cosim.cli.listing import list_command
 
-    from ddpc_cosim.cli.progress import shown
-    from ddpc_cosim.metrics import METRICS, describe_metric
-    from ddpc_cosim.plugins import describe, installed, package_version
-    from ddpc_cosim.texts import printable
-
-    console, broken = Console(), False
-    for each in (kind,) if kind else _LISTED:
-        table = Table(title=each, title_justify="left", title_style="bold", box=None, pad_edge=False)
-        for column in ("name", "what", "from"):
-            table.add_column(column, overflow="fold")
-        built_in = METRICS if each == "metrics" else {}
-        for name, metric in built_in.items():
-            table.add_row(name, Text(str(metric)), f"ddpc-cosim {package_version()}")
-        with shown(f"loading {each}"):
-            plugins = [
-                (plugin, *(describe_metric(plugin) if each == "metrics" else describe(plugin)))
-                for plugin in installed(each)
-            ]
-        for plugin, what, works in plugins:
-            broken = broken or not works
-            cells = (plugin.name, what, f"{plugin.package} ({plugin.target})")
-            named, about, origin = (Text(printable(cell)) for cell in cells)
-            about.stylize("" if works else "red")
-            table.add_row(named, about, origin)
-        console.print(table, "")
-    sys.exit(FAILED if broken else 0)
+    sys.exit(list_command((kind,) if kind else _LISTED, as_json=as_json))
 
 
 _FMU = click.argument("fmu", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="FILE.fmu")
@@ -407,7 +421,7 @@ def init(
 
 
 @main.command()
-@click.argument("plant", metavar="FILE.fmu|PLANT")
+@click.argument("plant", metavar="FILE.fmu|PLANT", shell_complete=_names("plants"))
 @click.option(
     "--inputs",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -450,7 +464,7 @@ def init(
     show_default=True,
     help="Allowed difference, relative to a signal's range in the golden file.",
 )
-@click.option("--fmi-type", type=click.Choice(_FMI_TYPES), default="auto", show_default=True)
+@click.option("--fmi-type", type=_Choice(_FMI_TYPES), default="auto", show_default=True)
 @_STEP_TIMEOUT
 @click.option(
     "--trace-calls",
@@ -473,7 +487,9 @@ def simulate(**options: Any) -> None:
 
 
 @main.command()
-@click.argument("subject", metavar="NAME|MODULE:CLASS|FILE.fmu")
+@click.argument(
+    "subject", metavar="NAME|MODULE:CLASS|FILE.fmu", shell_complete=_names("controllers", "plants")
+)
 @click.option(
     "--sampling-time",
     type=_POSITIVE,
@@ -500,10 +516,8 @@ def check(
 
 
 @main.command()
-@click.argument("plant")
-@click.option(
-    "--fmi", type=click.Choice(["2.0", "3.0"]), default="2.0", show_default=True, help="FMI version."
-)
+@click.argument("plant", shell_complete=_names("plants"))
+@click.option("--fmi", type=_Choice(["2.0", "3.0"]), default="2.0", show_default=True, help="FMI version.")
 @click.option("--platforms", metavar="all|NAME,...", help="Platforms to compile for [this one].")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The FMU [PLANT.fmu].")
 def export(plant: str, fmi: str, platforms: str | None, out: Path | None) -> None:

@@ -11,9 +11,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import click
-from rich.console import Console
 
-from ddpc_cosim.cli.progress import shown
+from ddpc_cosim.cli.progress import screen, shown
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.study.case_files import CaseResult
@@ -36,7 +35,6 @@ from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_cosim.texts import alike, printable
 from ddpc_cosim.trace import Outcome
 
-_WIDE = 1000
 _MOST_LISTED = 20
 
 
@@ -70,7 +68,7 @@ def run_command(
             else:
                 results = run_study(resolved, folder, selection, progress)
     if dry_run:  # what is printed while progress is shown is dropped
-        print(would_be)
+        print(printable(would_be, keep="\n"))
         return 0
     if selection.is_part:
         count = f"{len(results.cases)} {'case' if len(results.cases) == 1 else 'cases'}"
@@ -81,16 +79,15 @@ def run_command(
 def show_results(results: StudyResults, *, report: bool = True, browse: bool = False) -> int:
     """Print the result table, the path of the report and what has failed, and return the exit code."""
     folder = results.folder
-    # Where no window limits it, the table takes the width it needs.
-    screen = Console(width=None if sys.stdout.isatty() else _WIDE)
+    console = screen()
     for problem in results.problems():
         for line in following_lines(problem.study, problem.cases):
-            screen.print(printable(f"{line}."), markup=False, highlight=False, style="bold")
+            console.print(printable(f"{line}."), markup=False, highlight=False, style="bold")
         if problem.cases:
-            screen.print(summary_table(problem, screen), crop=False)
+            console.print(summary_table(problem, console), crop=False)
         if several := len(results.variants(problem.study.name)):
             noun = "variant" if several == 1 else "variants"
-            screen.print(
+            console.print(
                 printable(f"{several} {noun} by the study's sweep: {folder / METRICS_FILE}"), markup=False
             )
     if report:

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from ddpc_cosim.cli.init import assignments
-from ddpc_cosim.cli.progress import shown
+from ddpc_cosim.cli.progress import screen, shown
 from ddpc_cosim.csv_files import CSVFile
 from ddpc_cosim.errors import ConfigError, CosimWarning, DataError
 from ddpc_cosim.plant import FMIType
@@ -24,7 +23,6 @@ from ddpc_cosim.texts import printable
 # A comma between names: those of indices are part of a name.
 _COMMA = re.compile(r",(?![^\[(]*[\])])")
 _SUFFIXES = (".csv", ".html", ".svg")
-_WIDE = 1000
 
 
 def simulate_command(
@@ -89,7 +87,7 @@ def simulate_command(
     difference = simulation.compare(prepared, rel)
     _print(simulation)
     for path in out:
-        print(path)
+        print(printable(str(path)))
     if difference is not None:
         print(printable(difference.words))
         code = 0 if difference.agrees else 1
@@ -144,4 +142,4 @@ def _print(simulation: Simulation) -> None:
         cells = [f"{value:.6g}" for value in found] or ["-"] * 4
         name = Text(printable(variable.name) + kind)
         table.add_row(name, *cells, Text(printable(variable.unit or "1")))
-    Console(width=None if sys.stdout.isatty() else _WIDE).print(table)
+    screen().print(table)

@@ -53,7 +53,7 @@ def tune_command(
         folder = out or Path("runs") / f"{resolved.head.name}-tuning"
         tuned = tune_study(resolved, folder, request, selection, progress)
     _print_found(tuned, request, named=not resolved.whole.is_flat)
-    print(folder / TUNED_FILE)
+    print(printable(str(folder / TUNED_FILE)))
     return show_results(tuned.results, report=report)
 
 

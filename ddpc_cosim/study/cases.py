@@ -35,6 +35,7 @@ from ddpc_cosim.study.controller_plugins import controller_class, make_controlle
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import Variable, names
+from fmu_plants.spelling import did_you_mean
 
 if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
     from ddpc_cosim.study.file_format.sections import (
@@ -42,10 +43,10 @@ if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
         LoopSection,
         ScenarioSection,
         StabiliserSection,
+        Study,
     )
     from ddpc_cosim.study.resolve import ResolvedStudy
 
-_MOST_LISTED = 8
 # What a case has besides all that decides its result.
 _NAMES, _SURROUNDINGS = (
     ("label", "id", "problem"),
@@ -209,11 +210,22 @@ def cases_of_problems(
         for case in _cases_of_problem(resolved, plant, problem, seeds, only)
     ]
     if not chosen:
-        cases = [case for name, pair in problems.items() for case in _cases_of_problem(*pair, name, seeds)]
-        listed = ", ".join(case.name for case in cases[:_MOST_LISTED])
-        more = f" and {len(cases) - _MOST_LISTED} more" if len(cases) > _MOST_LISTED else ""
-        raise ConfigError(f"--only {only}: no case matches; there are {listed}{more}")
+        known = {
+            word
+            for problem, (resolved, _) in problems.items()
+            for controller in resolved.study.controllers
+            for scenario in resolved.study.scenarios
+            for word in _words(resolved.study, problem, controller, scenario)
+            if word
+        }
+        raise ConfigError(f"--only {only}: no case matches; {did_you_mean(only, known)}")
     return chosen
+
+
+def _words(study: "Study", problem: str, controller: str, scenario: str) -> tuple[str, ...]:
+    """Return names and labels by which a case can be selected."""
+    words = (controller, study.controllers[controller].label, scenario, study.scenarios[scenario].label)
+    return (*words, problem, study.title) if problem else words
 
 
 def _code_and_files(case: Case) -> dict[str, Any]:
@@ -442,14 +454,9 @@ def _cases_of_problem(
     for controller, section in study.controllers.items():
         content: dict[str, Any] = {}
         for name, scenario in study.scenarios.items():
-            words = (
-                controller,
-                section.label,
-                name,
-                scenario.label,
-                *((problem, study.title) if problem else ()),
-            )
-            matches = any(fnmatch(word, only) for word in words)
+            words = _words(study, problem, controller, name)
+            # A label may have brackets, which mean something else in a pattern.
+            matches = only in words or any(fnmatch(word, only) for word in words)
             case = Case(
                 problem=problem,
                 controller=controller,

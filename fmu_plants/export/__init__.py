@@ -17,7 +17,7 @@ from fmu_plants.export.compiler import Compiler, compile_library, cross_compiler
 from fmu_plants.export.description import Description
 from fmu_plants.export.platforms import Platform, binary_files, parse_platforms
 from fmu_plants.files import cached, write_atomically, zip_bytes
-from fmu_plants.model import ExportError, PlantModel
+from fmu_plants.model import ExportError, ExportUsageError, PlantModel
 
 DEFAULT_TOLERANCE = 1e-10
 FMI_VERSIONS = ("2.0", "3.0")
@@ -131,7 +131,7 @@ def export_fmu(
     try:
         write_atomically(path, content)
     except OSError as error:
-        raise ExportError(f"the FMU cannot be written to {path}: {error}") from error
+        raise ExportUsageError(f"the FMU cannot be written to {path}: {error}") from error
     return path
 
 
@@ -172,11 +172,11 @@ def fmu_source(
 
     if fmi_version not in _FRONT_ENDS:
         available = ", ".join(FMI_VERSIONS)
-        raise ExportError(f"FMI version {fmi_version!r} cannot be exported; available: {available}")
+        raise ExportUsageError(f"FMI version {fmi_version!r} cannot be exported; available: {available}")
     tolerances = (relative_tolerance, absolute_tolerance)
     for name, value in zip(("relative_tolerance", "absolute_tolerance"), tolerances, strict=True):
         if not (isfinite(value) and value > 0):
-            raise ExportError(f"{name} must be positive and finite, not {value}")
+            raise ExportUsageError(f"{name} must be positive and finite, not {value}")
     symbolic = resolve(model)
     uses = symbolic.dependencies()
     runtime = package_files("fmu_plants") / "runtime"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from fmu_plants.export.binaries import universal_binary
-from fmu_plants.model import ExportError
+from fmu_plants.model import ExportError, ExportUsageError
 from fmu_plants.spelling import did_you_mean
 
 
@@ -87,7 +87,8 @@ def parse_platforms(names: str | Sequence[str]) -> tuple[Platform, ...]:
     unknown = [word for word in words if word not in by_name] or ([] if words else [""])
     if unknown:
         known = (ALL, *by_name)
-        raise ExportError("\n".join(f'no platform "{word}"; {did_you_mean(word, known)}' for word in unknown))
+        faults = (f'no platform "{word}"; {did_you_mean(word, known)}' for word in unknown)
+        raise ExportUsageError("\n".join(faults))
     return tuple(platform for platform in PLATFORMS if platform.name in words)
 
 

@@ -1,6 +1,7 @@
 """The command line: what is printed where, and the exit codes."""
 
 import csv
+import json
 import re
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 import click
 import fmpy
 import pytest
+from click.shell_completion import ShellComplete
 from click.testing import CliRunner, Result
 from fmus.builder import Fault
 
@@ -90,28 +92,6 @@ def test_times_that_are_not_finite_are_refused() -> None:
         assert (done.exit_code, f"error: stop = {text} s is not possible" in done.stderr) == (2, True)
         done = invoke("simulate", "pendulum", "--step", text)
         assert (done.exit_code, f"error: step = {text} s is not possible" in done.stderr) == (2, True)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["run", "papre"], 'error: no study "papre"; did you mean "paper"?'),
-        (["run", "paper", "--seeds", "3:1"], "error: --seeds: '3:1' is not a seed; allowed"),
-        (["run", "paper", "--seeds", "x"], "error: --seeds: 'x' is not a seed; allowed"),
-        (["run", "paper", "--seeds", "-1"], "error: --seeds: '-1' is not a seed"),
-        (["run", "study.toml", "--only", "lqr"], "error: --only lqr: no case matches"),
-        (["report", "nowhere"], "error: nowhere: no results: study.toml is missing"),
-    ],
-)
-def test_impossible_arguments_exit_with_2_and_write_nothing(
-    arguments: list[str], words: str, folder: Path, write_study: WriteStudy
-) -> None:
-    write_study("mfapc")
-    before = sorted(folder.iterdir())
-    result = invoke(*arguments)
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert result.stderr.startswith(words)
-    assert sorted(folder.iterdir()) == before
 
 
 def test_run_prints_the_table_and_writes_everything(folder: Path, write_study: WriteStudy) -> None:
@@ -278,27 +258,6 @@ def test_export_writes_an_fmu_that_others_can_read(folder: Path) -> None:
     assert invoke("export", "pendulum", "--out", "other.fmu").stdout == "other.fmu\n"
 
 
-@pytest.mark.parametrize(
-    ("name", "exit_code", "words"),
-    [
-        ("pendulm", 1, 'error: no plant "pendulm"; did you mean "pendulum"?'),
-        ("ddpc_cosim:FMUPlant", 2, 'error: plant "ddpc_cosim:FMUPlant" is not given by equations'),
-    ],
-)
-def test_a_plant_that_cannot_be_exported(name: str, exit_code: int, words: str, folder: Path) -> None:
-    result = invoke("export", name)
-    assert result.exit_code == exit_code
-    assert result.stderr.startswith(words)
-    assert list(folder.iterdir()) == []
-
-
-def test_an_fmu_that_cannot_be_written_is_explained(folder: Path) -> None:
-    (folder / "file").touch()
-    result = invoke("export", "pendulum", "--out", "file/pendulum.fmu")
-    assert result.exit_code == 1
-    assert result.stderr.startswith("error: ")
-
-
 def test_as_a_process_results_go_to_stdout_and_the_rest_to_stderr(
     run_program: Run, write_study: WriteStudy
 ) -> None:
@@ -321,3 +280,65 @@ def test_equal_failures_stand_in_one_line(folder: Path, write_study: WriteStudy)
     assert result.exit_code == 1
     (line,) = (line for line in result.stderr.splitlines() if "fmu-error" in line)
     assert re.match(r"mfapc_seed0_\w+ and 9 more: fmu-error: return_error.fmu: ", line)
+
+
+def test_what_is_installed_is_listed_as_json() -> None:
+    """The shape that docs/command-line.md tells."""
+    result = invoke("list", "--json")
+    assert result.exit_code == 0
+    listed = json.loads(result.stdout)
+    assert list(listed) == ["plants", "controllers", "studies", "metrics"]
+    for entries in listed.values():
+        assert {tuple(entry) for entry in entries} == {("name", "what", "package", "target", "works")}
+    names = {kind: [entry["name"] for entry in entries] for kind, entries in listed.items()}
+    assert "pendulum" in names["plants"]
+    assert names["metrics"][:2] == ["mean_abs_error", "rmse"]
+    assert json.loads(invoke("list", "studies", "--json").stdout) == {"studies": listed["studies"]}
+
+
+def test_on_a_terminal_of_80_columns_names_are_whole_and_no_word_is_broken() -> None:
+    listed = json.loads(invoke("list", "--json").stdout)
+    words = {word for entries in listed.values() for entry in entries for word in entry["what"].split()}
+    result = CliRunner().invoke(main, ["list"], env={"COLUMNS": "80"})
+    assert max(map(len, result.stdout.splitlines())) <= 80
+    shown = set(result.stdout.split())
+    assert {entry["name"] for entries in listed.values() for entry in entries} <= shown
+    assert {word for word in words if len(word) < 25} <= shown
+
+
+def test_cases_are_chosen_by_labels_with_brackets_too(folder: Path, write_study: WriteStudy) -> None:
+    study = write_study("mfapc", "idle")
+    text = study.read_text(encoding="utf-8").replace(
+        "[controllers.idle]", '[controllers.idle]\nlabel = "At [rest]"'
+    )
+    study.write_text(text, encoding="utf-8")
+    for only in ("At [rest]", "At *", "idle"):
+        result = invoke("run", "study.toml", "--only", only, "--dry-run")
+        assert result.stdout.startswith("1 case: ")
+
+
+@pytest.mark.parametrize(
+    ("words", "begun", "expected"),
+    [
+        (["run"], "pa", {"paper", "pa"}),
+        (["export"], "pend", {"pendulum", "pend"}),
+        (["check"], "deepc", {"deepc", "deepc-published"}),
+        (["list"], "pl", {"plants"}),
+        (["run", "paper"], "--no-r", {"--no-report"}),
+        (["run", "paper", "--executor"], "d", {"dask"}),
+        ([], "exp", {"export"}),
+    ],
+)
+def test_a_shell_completes_commands_options_and_names(
+    words: list[str], begun: str, expected: set[str]
+) -> None:
+    complete = ShellComplete(main, {}, "ddpc-cosim", "_DDPC_COSIM_COMPLETE")
+    assert {item.value for item in complete.get_completions(words, begun)} == expected
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_is_told_how_to_complete(shell: str) -> None:
+    environment = {"_DDPC_COSIM_COMPLETE": f"{shell}_source"}
+    result = CliRunner().invoke(main, [], prog_name="ddpc-cosim", env=environment)
+    assert result.exit_code == 0
+    assert f"_DDPC_COSIM_COMPLETE={shell}_complete" in result.stdout

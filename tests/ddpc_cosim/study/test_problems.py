@@ -286,7 +286,7 @@ def test_a_pattern_chooses_by_names_and_labels(tmp_path: Path, only: str, count:
     if count:
         assert len(run(tmp_path, TWO, only).cases) == count
     else:
-        with pytest.raises(ConfigError, match="--only no: no case matches; there are pendulum_mfapc_seed1"):
+        with pytest.raises(ConfigError, match="--only no: no case matches; "):
             run(tmp_path, TWO, only)
 
 

@@ -169,7 +169,7 @@ def test_only_some_cases_can_be_chosen() -> None:
         "deepc-published-code",
     }
     assert [case.name for case in cases_of(resolved, TARGET, [1, 2], "wkpc_seed2")] == ["wkpc_seed2"]
-    with pytest.raises(ConfigError, match=r"--only lqr: no case matches; there are mfapc_seed1"):
+    with pytest.raises(ConfigError, match=r"--only lqr: no case matches; there are: DeePC, "):
         cases_of(resolved, TARGET, [1], "lqr")
 
 
