@@ -35,7 +35,10 @@ import {{ expressionInterpreter }} from "{_MODULES}vega-interpreter@2.0.0/+esm";
 window.chartLibrary = {{ View, parse, expressionInterpreter }};"""
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{2,}")
 _PATH = re.compile(r' d="([^"]*)"')
-_LINES = re.compile(r"(?:[ML]-?[\d.]+(?:e-?\d+)?,-?[\d.]+(?:e-?\d+)?)+")
+_LINES = re.compile(r"(?:[ML]-?[\d.]+(?:e-?\d+)?,-?[\d.]+(?:e-?\d+)?)+Z?")
+_UNSEEN = 3
+"""Tenths of a pixel by which the line of a drawing may pass by its points."""
+_Point = tuple[int, int]
 _ID = re.compile(r' id="([^"]+)"')
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _BOX = re.compile(r' viewBox="0 0 [\d.]+ ([\d.]+)"')
@@ -165,10 +168,11 @@ def drawing(
     data : mapping of str to columns, optional
         The data sets by name.
     """
-    size = {"width": _WIDTH, "autosize": {"type": "fit-x", "contains": "padding"}}
-    samples = {name: rows_of(columns) for name, columns in (data or {}).items()}
+    autosize = {"type": "fit-x", "contains": "padding"}
+    full = {"width": _WIDTH, **drawable(spec), "autosize": autosize, "config": CONFIG}
+    samples = {name: rows_of(columns) for name, columns in (data or {}).items() if columns}
     try:
-        vega, svg = drawn({**drawable(spec), **size, "config": CONFIG}, samples)
+        vega, svg = drawn(full, samples)
     except DrawingError as error:
         words = f"This picture could not be drawn: {error}. The samples are in the files of the cases."
         return Drawing(Markup('<p class="static note">{}</p>').format(words))
@@ -204,12 +208,41 @@ def _short_path(path: re.Match[str]) -> str:
     """Round to a tenth of a pixel; write lines of many points by their steps, as these are short."""
     if not _LINES.fullmatch(path[1]):
         return _LONG_NUMBER.sub(lambda number: f"{float(number[0]):.1f}", path[0])
-    return f' d="{"".join(_steps(piece) for piece in path[1].split("M") if piece)}"'
+    pieces = [_points(piece) for piece in path[1].removesuffix("Z").split("M") if piece]
+    end = "Z" if path[1].endswith("Z") else ""
+    return f' d="{"".join(_steps(_simplified(piece)) for piece in pieces)}{end}"'
 
 
-def _steps(piece: str) -> str:
-    """Write ``x,yLx,yL...`` as a start and the steps from it, those that go straight on in one."""
-    points = [tuple(round(10 * float(number)) for number in point.split(",")) for point in piece.split("L")]
+def _points(piece: str) -> list[_Point]:
+    """Read ``x,yLx,yL...`` as points in tenths of a pixel."""
+    corners = (corner.partition(",") for corner in piece.split("L"))
+    return [(round(10 * float(x)), round(10 * float(y))) for x, _, y in corners]
+
+
+def _simplified(points: Sequence[_Point]) -> list[_Point]:
+    """Return as few of the points as have no other one farther than can be seen above or below their line.
+
+    Along a line that runs in one direction of x, the next corner may be chosen as long as its slope, seen
+    from the last one, is among those that pass close enough to all points between.
+    """
+    kept = [points[0]]
+    lowest, highest, ahead = -math.inf, math.inf, 0
+    for before, (x, y) in pairwise(points):
+        dx, dy = x - kept[-1][0], y - kept[-1][1]
+        if before != kept[-1] and not (
+            dx * ahead > 0 and lowest * dx * ahead <= dy * ahead <= highest * dx * ahead
+        ):
+            kept.append(before)
+            lowest, highest, dx, dy = -math.inf, math.inf, x - before[0], y - before[1]
+        ahead = (dx > 0) - (dx < 0)
+        if dx:
+            ends = sorted(((dy - _UNSEEN) / dx, (dy + _UNSEEN) / dx))
+            lowest, highest = max(lowest, ends[0]), min(highest, ends[1])
+    return [*kept, points[-1]] if len(points) > 1 else kept
+
+
+def _steps(points: Sequence[_Point]) -> str:
+    """Write points as a start and the steps from it, those that go straight on in one."""
     moves = [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(points)]
     merged: list[tuple[int, int]] = []
     for dx, dy in moves:

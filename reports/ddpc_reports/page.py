@@ -82,5 +82,6 @@ def _data(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -
                 "unit": view.unit,
                 "scaled": list(view.scaled_by),
                 "limits": list(view.limits),
+                "fixed": view.fixed,
             }
     return {"colours": COLOURS, "data": data, "views": drawable(views)}

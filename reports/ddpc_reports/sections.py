@@ -28,7 +28,8 @@ from ddpc_reports.comparison import Condition, conditions, on_one_page
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.embedding import Packed, pack
 from ddpc_reports.fairness import fairness_statements
-from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, step_time_figure, time_figures
+from ddpc_reports.figures.figure import Figure, in_its_place, spread_figures, step_time_figure
+from ddpc_reports.figures.over_time import Kind, TimeFigures, time_figures
 from ddpc_reports.numbers import as_given, with_unit
 from ddpc_reports.sensitivity import (
     effects_table,
@@ -282,7 +283,7 @@ class _Part:
     data: dict[str, dict[str, Packed]]
     room: _Room
     variants: Sequence[StudyResults]
-    _over_time: dict[str, dict[str, list[Block]]] = field(default_factory=dict)
+    _over_time: dict[str, TimeFigures] = field(default_factory=dict)
 
     @cached_property
     def standings(self) -> Standings:
@@ -300,20 +301,15 @@ class _Part:
                 found += blocks
         return found
 
-    def over_time(self, kinds: Collection[str], condition: Condition, place: str) -> list[Block]:
-        """Return the figures over time of some kinds; they are made together, and their samples kept."""
+    def over_time(self, kind: Kind, condition: Condition, place: str) -> list[Block]:
+        """Return the figures over time of a kind; they are made together, and their samples kept."""
         if not condition.controllers or condition not in self.room.drawn:
             return []
         if place not in self._over_time:
-            figures, samples = time_figures(condition, place)
-            self.data.update(
-                {name: {key: pack(column) for key, column in s.items()} for name, s in samples.items()}
-            )
-            by_kind = self._over_time[place] = {}
-            for figure in figures:
-                kind = "responses" if isinstance(figure, str) else figure.id.removeprefix(place)
-                by_kind.setdefault(kind, []).extend(_figures([figure], place))
-        return [block for kind in kinds for block in self._over_time[place].get(kind, [])]
+            drawn = self._over_time[place] = time_figures(condition, place)
+            for name, columns in drawn.samples.items():
+                self.data[name] = {key: pack(column) for key, column in columns.items()}
+        return _figures(self._over_time[place].figures[kind], place)
 
     def table(self) -> list[Block]:
         """Return the table of the first screen: of one scenario its ranking, of several a matrix."""
@@ -357,11 +353,7 @@ class _Part:
         parts: list[tuple[str, str, Callable[[str], list[Block]]]] = [
             ("responses", "Responses", self._drawn("responses")),
             ("errors", "Errors", self._drawn("errors")),
-            (
-                "control",
-                "Control signals",
-                self._drawn("control-signals", "change-of-control-signals", "info"),
-            ),
+            ("control", "Control signals", self._drawn("inputs")),
             ("distribution", "Distribution over seeds and paired differences", self._distribution),
             ("response", "Step response", self._each(_response_blocks)),
             ("limits", "Limits and actuators", self._each(_limits_blocks)),
@@ -385,8 +377,8 @@ class _Part:
         ]
         return [section for section in made if section.blocks]
 
-    def _drawn(self, *kinds: str) -> Callable[[str], list[Block]]:
-        return self._each(partial(self.over_time, kinds))
+    def _drawn(self, kind: Kind) -> Callable[[str], list[Block]]:
+        return self._each(partial(self.over_time, kind))
 
     def _each(self, blocks_of: Callable[[Condition, str], list[Block]]) -> Callable[[str], list[Block]]:
         return lambda title: self.each(title, blocks_of)

@@ -11,9 +11,9 @@ from markupsafe import Markup
 from ddpc_cosim import FloatArray, Simulation, Variable
 from ddpc_cosim.plugins import write_atomically
 from ddpc_reports.embedding import drawing, pack, stylesheet
-from ddpc_reports.figures.charts import time_chart
 from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import Column, Signal, level_title, rounded
+from ddpc_reports.figures.time_charts import time_chart
 from ddpc_reports.numbers import as_given, significant, unit_symbol, with_unit
 from ddpc_reports.page import set_page
 from ddpc_reports.sections import Section, StudyPart
@@ -35,7 +35,7 @@ def simulation_page(simulation: Simulation) -> str:
         "simulation",
         "Signals",
         _caption(simulation, signals),
-        tuple(_view(simulation, signal, last=signal is signals[-1]) for signal in signals),
+        tuple(_view(simulation, signal) for signal in signals),
         (Entry(_LINE, simulation.plant, 0, "", "" if simulation.completed else simulation.outcome),),
     )
     sections = [
@@ -71,7 +71,7 @@ def simulation_drawing(simulation: Simulation) -> str:
     parts, width, height = list[str](), _LEAST_WIDTH, _TITLE_HEIGHT
     signals = _signals(simulation)
     for signal in signals:
-        svg = str(_view(simulation, signal, last=signal is signals[-1]).drawing.svg)
+        svg = str(_view(simulation, signal).drawing.svg)
         box = _BOX.search(svg)
         if box is None:  # the words that stand in the page for a drawing that failed
             raise OSError(f"{signal.title} cannot be drawn")
@@ -131,8 +131,8 @@ def _envelope(values: FloatArray) -> "np.ndarray[tuple[int], np.dtype[np.intp]]"
     return np.unique(np.array([0, *found, count - 1], dtype=np.intp))
 
 
-def _view(simulation: Simulation, signal: Signal, *, last: bool) -> View:
-    spec = time_chart(signal, [_LINE], simulation.sampling_time, (), last)
+def _view(simulation: Simulation, signal: Signal) -> View:
+    spec = time_chart(signal, [_LINE], simulation.sampling_time)
     description = f"{signal.title} over time"
     picture = drawing(spec, f"simulation-{signal.id}", description, {signal.id: signal.columns})
     place = f"simulation-{signal.id}"

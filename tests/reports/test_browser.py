@@ -77,8 +77,8 @@ def one(browser: webdriver.Chrome, selector: str) -> WebElement:
 
 def lines_drawn(browser: webdriver.Chrome) -> int:
     """Return how many controllers the first chart draws."""
-    lines = one(browser, ".chart .live svg").find_elements(By.CSS_SELECTOR, "path[stroke^='var(--c']")
-    return len(lines)
+    lines = "path[stroke^='var(--c'][stroke-width='1.6']"  # medians are thinner
+    return len(one(browser, ".chart .live svg").find_elements(By.CSS_SELECTOR, lines))
 
 
 def time_labels(browser: webdriver.Chrome) -> set[str]:
@@ -93,17 +93,18 @@ def time_labels(browser: webdriver.Chrome) -> set[str]:
 def test_what_is_folded_is_drawn_when_it_is_opened_and_hides_what_its_neighbours_hide(
     browser: webdriver.Chrome,
 ) -> None:
+    fold = "#s1-1-what-controllers-said-of-their-steps details"
     assert not browser.find_elements(By.CSS_SELECTOR, "figure details .live")
-    assert not one(browser, "figure details .static").is_displayed()
+    assert not one(browser, f"{fold} .static").is_displayed()
     one(browser, "button.entry").click()
-    one(browser, "figure details summary").click()
-    chart = make_live(browser, "figure details .chart").find_element(By.CSS_SELECTOR, ".live svg")
+    one(browser, f"{fold} summary").click()
+    chart = make_live(browser, f"{fold} .chart").find_element(By.CSS_SELECTOR, ".live svg")
     assert chart.is_displayed()
     assert chart.size["width"] > 300
     quick = "path[stroke^='var(--c']"
     assert not chart.find_elements(By.CSS_SELECTOR, quick)
-    one(browser, "figure details button.entry").click()
-    wait(browser, lambda: one(browser, "figure details .live svg").find_elements(By.CSS_SELECTOR, quick))
+    one(browser, f"{fold} button.entry").click()
+    wait(browser, lambda: one(browser, f"{fold} .live svg").find_elements(By.CSS_SELECTOR, quick))
 
 
 def test_it_opens_without_an_error_and_without_a_request(browser: webdriver.Chrome, page: str) -> None:
@@ -275,6 +276,7 @@ def test_a_drag_zooms_and_a_button_or_a_double_click_resets(browser: webdriver.C
     below = make_live(browser, "[data-view$=control-signals-1]")
     assert below.find_element(By.CSS_SELECTOR, ".reset").is_displayed()
     ActionChains(browser).double_click(below).perform()
+    make_live(browser, ".chart")  # it follows when it comes into view
     wait(browser, lambda: time_labels(browser) == whole)
 
 

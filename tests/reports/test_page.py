@@ -27,7 +27,7 @@ from ddpc_cosim.study.results import METRICS_FILE, write_results
 from ddpc_cosim.texts import printable
 from ddpc_reports import sections, write_report
 from ddpc_reports.embedding import chart_library
-from ddpc_reports.figures import drawing, figure as figures
+from ddpc_reports.figures import drawing, over_time
 
 from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, make_trace
 
@@ -85,6 +85,7 @@ def test_the_page_has_every_section_in_order(make_results: MakeResults, tmp_path
     headings = [text for level, text in Reader(written(tmp_path, results)).headings if level == 2]
     assert headings == [
         "Responses",
+        "Errors",
         "Control signals",
         "Distribution over seeds and paired differences",
         "Step response",
@@ -254,7 +255,7 @@ def test_every_output_and_input_has_its_row_of_charts(make_results: MakeResults,
 
     data = json.loads(Reader(written(tmp_path, make_results(trace_of))).json)
     drawn = {view["data"] for view in data["views"].values() if view["data"]}
-    assert drawn == {"s1-1-y0", "s1-1-y1", "s1-1-u0", "s1-1-u1", "s1-1-d0", "s1-1-d1"}
+    assert drawn == {f"s1-1-{kind}{i}" for kind in "yeud" for i in range(2)}
 
 
 def test_figures_show_the_samples_of_the_first_seed_in_display_units(
@@ -277,14 +278,14 @@ def samples(packed: list[int]) -> list[float]:
     return [total / 10.0**decimals for total in accumulate(changes)]
 
 
-def test_panels_of_the_study_are_kept_in_all_three_figures(make_results: MakeResults, tmp_path: Path) -> None:
+def test_panels_of_the_study_are_kept_in_all_figures(make_results: MakeResults, tmp_path: Path) -> None:
     panels = [
         {"title": "First", "controllers": ["quick"]},
         {"title": "Both", "controllers": ["quick", "slow"]},
     ]
     data = json.loads(Reader(written(tmp_path, make_results(report={"panels": panels}))).json)
     lines = [list(view["lines"]) for view in data["views"].values() if view["data"]]
-    assert lines == [["c0"], ["c0", "c1"]] * 3
+    assert lines == [["c0"], ["c0", "c1"]] * 4
 
 
 def test_several_studies_share_one_list_of_contents(make_results: MakeResults, tmp_path: Path) -> None:
@@ -391,12 +392,12 @@ def test_what_fails_costs_the_page_its_own_place(
 ) -> None:
     sound = Reader(written(tmp_path, make_results()))
     monkeypatch.setattr(sections, "cases_table", fail)
-    time_figure = figures._time_figure
+    time_figure = over_time._time_figure
 
-    def fail_for_inputs(*arguments: Any) -> figures.Figure:
-        return fail() if arguments[3] == "Control signals" else time_figure(*arguments)  # type: ignore[return-value]
+    def fail_for_inputs(*arguments: Any) -> over_time.Figure:
+        return fail() if arguments[2] == "Control signals" else time_figure(*arguments)  # type: ignore[return-value]
 
-    monkeypatch.setattr(figures, "_time_figure", fail_for_inputs)
+    monkeypatch.setattr(over_time, "_time_figure", fail_for_inputs)
     with pytest.warns(CosimWarning, match="cannot be shown: KeyError: 'broken'") as told:
         page = Reader(written(tmp_path, make_results()))
     assert len(told) == 2

@@ -1,4 +1,4 @@
-"""Vega-Lite specifications: signals over time, strips over seeds, step times, maps.
+"""Vega-Lite specifications: strips over seeds, step times, ranks, profiles, maps; what all charts share.
 
 Colours are CSS variables of the page (``var(--c0)``), so that one specification serves light, dark and print.
 Five parameters are driven by the script of the page: ``span`` (the time shown), ``extent`` (the range of the
@@ -9,9 +9,7 @@ a layer of marks, each with its data, what is done to them (``transform``) and w
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
-
-from ddpc_reports.figures.samples import Signal
+from typing import Any
 
 DASHES: tuple[tuple[float, ...], ...] = (
     (1, 0),
@@ -29,13 +27,8 @@ COLOURS = 7
 LABELS = "replace(datum.label, regexp(',', 'g'), '\u202f')"
 """Labels of an axis with thousands apart as everywhere in the page."""
 
-_VALUE_LABELS = (
-    "datum.value !== 0 && (abs(datum.value) >= 1e5 || abs(datum.value) < 1e-3)"
-    " ? replace(format(datum.value, '~e'), 'e+', 'e') : " + LABELS
-)
-_LABEL_ROOM = 44
+LABEL_ROOM = 44
 _LOGARITHMIC_FROM = 8.0
-_PANEL_HEIGHT = 168
 
 _MANTISSAS = {
     0.5: (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9),
@@ -77,7 +70,7 @@ CONFIG: dict[str, Any] = {
         "titleAngle": 0,
         "titleAlign": "left",
         "titleBaseline": "bottom",
-        "titleX": -_LABEL_ROOM,
+        "titleX": -LABEL_ROOM,
         "titleY": -7,
         "titleLimit": 700,
         "tickCount": 5,
@@ -90,14 +83,6 @@ Spec = dict[str, Any]
 _NOT_HIDDEN = {"filter": "indexof(hidden, datum.key) < 0"}
 
 
-class Mark(NamedTuple):
-    """Something that happens during a run: its label, and from when to when [s], which may be an instant."""
-
-    label: str
-    begin: float
-    end: float
-
-
 def colour(index: int) -> str:
     """Return the colour of a controller, by its number in the page, as a CSS variable."""
     return f"var(--c{index % COLOURS})"
@@ -108,57 +93,12 @@ def dash(index: int) -> tuple[float, ...]:
     return DASHES[index % len(DASHES)]
 
 
-def time_chart(
-    signal: Signal,
-    names: Sequence[str],
-    sampling_time: float,
-    marks: Sequence[Mark],
-    last: bool,
-) -> Spec:
-    """Return the chart of one signal over time, for the controllers of one panel.
-
-    Parameters
-    ----------
-    signal : Signal
-        What is drawn.
-    names : sequence of str
-        Columns of the controllers in this panel, the one drawn first at the back.
-    sampling_time : float
-        Time between samples [s].
-    marks : sequence of Mark
-        What happens at an instant or during a span of time.
-    last : bool
-        Whether this is the lowest chart of the figure, which carries the title of the time axis.
-    """
-    x = {
-        **_field("t", "time / s" if last else None),
-        "scale": {"domain": list(signal.end), "domainRaw": {"expr": "span"}, "nice": False},
-        "axis": {"tickCount": 8, "grid": False, "labelExpr": LABELS},
-    }
-    # One sample more on both sides, so that lines reach the edge.
-    margin = f"{1.01 * sampling_time:g}"
-    within = {"filter": f"span == null || (datum.t >= span[0] - {margin} && datum.t <= span[1] + {margin})"}
-    layers = [
-        *_limits(signal),
-        *_marks(marks, x),
-        _band(x),
-        *([_reference(signal, x, within)] if signal.has_reference else []),
-        _lines(signal, names, x, within),
-        *_reading(signal, names, x),
-    ]
-    parameters = {"span": None, "band": None, "at": None, "hidden": [], "extent": list(signal.extent(names))}
-    return {
-        "layer": layers,
-        "height": _PANEL_HEIGHT,
-        "params": [{"name": name, "value": value} for name, value in parameters.items()],
-    }
-
-
-def _field(name: str, title: str | None, kind: str = "quantitative") -> Spec:
+def field(name: str, title: str | None, kind: str = "quantitative") -> Spec:
+    """Return the encoding of a field of the data."""
     return {"field": name, "type": kind, "title": title}
 
 
-def _layer(
+def layer(
     mark: Spec, encoding: Spec, data: str | list[dict[str, Any]] | None = None, *transform: Spec
 ) -> Spec:
     """Return marks of the data of a name, of rows, or of what the whole chart is of."""
@@ -168,97 +108,20 @@ def _layer(
     return layer | ({"transform": list(transform)} if transform else {})
 
 
-def _y(signal: Signal, field: str = "value") -> Spec:
-    return {
-        **_field(field, signal.title),
-        "scale": {"domainRaw": {"expr": "extent"}, "zero": False, "nice": False},
-        "axis": {"minExtent": _LABEL_ROOM, "maxExtent": _LABEL_ROOM, "labelExpr": _VALUE_LABELS},
-    }
-
-
-def _folded(names: Sequence[str]) -> list[Spec]:
-    return [
-        {"fold": list(names), "as": ["key", "value"]},
-        {"filter": "isValid(datum.value) && indexof(hidden, datum.key) < 0"},
-    ]
-
-
-def _chosen_by(field: str, domain: Sequence[str], values: Sequence[Any]) -> Spec:
+def chosen_by(field: str, domain: Sequence[str], values: Sequence[Any]) -> Spec:
     """Return a channel with a value for each text of a field, and no legend."""
     scale = {"domain": list(domain), "range": list(values)}
     return {"field": field, "type": "nominal", "legend": None, "scale": scale}
 
 
-def _colours(names: Sequence[str]) -> Spec:
-    return _chosen_by("key", names, [colour(int(name[1:])) for name in names])
+def colours_of(names: Sequence[str]) -> Spec:
+    """Return the channel of the colours of controllers, by column."""
+    return chosen_by("key", names, [colour(int(name[1:])) for name in names])
 
 
-def _dashes(names: Sequence[str]) -> Spec:
-    return _chosen_by("key", names, [list(dash(int(name[1:]))) for name in names])
-
-
-def _lines(signal: Signal, names: Sequence[str], x: Spec, within: Spec) -> Spec:
-    shape = "step-after" if signal.held else "linear"
-    return _layer(
-        {"type": "line", "clip": True, "strokeWidth": 1.6, "interpolate": shape},
-        {"x": x, "y": _y(signal), "color": _colours(names), "strokeDash": _dashes(names)},
-        signal.id,
-        *_folded(names),
-        within,
-    )
-
-
-def _reference(signal: Signal, x: Spec, within: Spec) -> Spec:
-    line = {"type": "line", "clip": True, "strokeWidth": 1, "interpolate": "step-after", "opacity": 0.75}
-    return _layer(line | {"color": "var(--ink)"}, {"x": x, "y": _y(signal, "r")}, signal.id, within)
-
-
-def _limits(signal: Signal) -> list[Spec]:
-    if not signal.limits:
-        return []
-    rows = [{"value": limit} for limit in signal.limits]
-    rule = {"type": "rule", "color": "var(--limit)", "strokeDash": [3, 3]}
-    return [_layer(rule, {"y": _y(signal)}, rows)]
-
-
-def _marks(marks: Sequence[Mark], x: Spec) -> list[Spec]:
-    """Shade spans and rule instants, their labels at the upper edge: once for all that begin at one time."""
-    labels: dict[float, str] = {}
-    for mark in marks:
-        labels[mark.begin] = ", ".join(filter(None, (labels.get(mark.begin), mark.label)))
-    spans = [{"t": mark.begin, "to": mark.end} for mark in marks if mark.end > mark.begin]
-    rules = [{"t": time, "label": label} for time, label in labels.items()]
-    shade = {"type": "rect", "clip": True, "color": "var(--ink)", "opacity": 0.06}
-    faint = {"clip": True, "color": "var(--ink-soft)"}
-    rule = {"type": "rule", "strokeWidth": 0.8, "strokeDash": [1, 2]} | faint
-    words = {"type": "text", "align": "left", "baseline": "top", "dx": 3, "dy": 3, "fontSize": 11} | faint
-    named = {"x": x, "y": {"value": 0}, "text": {"field": "label", "type": "nominal"}}
-    return [
-        *([_layer(shade, {"x": x, "x2": {"field": "to"}}, spans)] if spans else []),
-        *([_layer(rule, {"x": x}, rules), _layer(words, named, rules)] if rules else []),
-    ]
-
-
-def _band(x: Spec) -> Spec:
-    return _layer(
-        {"type": "rect", "clip": True, "color": "var(--accent)", "opacity": 0.15},
-        {"x": x, "x2": {"field": "to"}},
-        [{"chosen": 1}],
-        {"filter": "band != null"},
-        {"calculate": "band[0]", "as": "t"},
-        {"calculate": "band[1]", "as": "to"},
-    )
-
-
-def _reading(signal: Signal, names: Sequence[str], x: Spec) -> list[Spec]:
-    here = {"filter": "datum.t === at"}
-    rule = {"type": "rule", "clip": True, "color": "var(--ink-soft)"}
-    dots = {"type": "point", "clip": True, "filled": True, "size": 36, "opacity": 1}
-    values = {"x": x, "y": _y(signal), "color": _colours(names)}
-    return [
-        _layer(rule, {"x": x}, signal.id, here),
-        _layer(dots, values, signal.id, here, *_folded(names)),
-    ]
+def dashes_of(names: Sequence[str]) -> Spec:
+    """Return the channel of the dash patterns of controllers, by column."""
+    return chosen_by("key", names, [list(dash(int(name[1:]))) for name in names])
 
 
 def spread_chart(rows: list[dict[str, Any]], title: str) -> Spec:
@@ -273,7 +136,7 @@ def spread_chart(rows: list[dict[str, Any]], title: str) -> Spec:
         Metric and unit.
     """
     labels, hue, y = _rows(rows)
-    x = _field("value", title) | _axis_of([row["value"] for row in rows])
+    x = field("value", title) | _axis_of([row["value"] for row in rows])
     ink = {"color": "var(--ink)"}
     dots = {"filter": "!datum.extra"}
     median = {"aggregate": [{"op": "median", "field": "value", "as": "value"}], "groupby": ["label"]}
@@ -281,9 +144,9 @@ def spread_chart(rows: list[dict[str, Any]], title: str) -> Spec:
     middle = {"type": "tick", "thickness": 2.5, "size": 18} | ink
     first = {"type": "point", "shape": "diamond", "size": 90, "filled": False, "strokeWidth": 1.8} | ink
     layers = [
-        _layer(seeds, {"x": x, "y": y, "color": hue}, None, _NOT_HIDDEN, dots),
-        _layer(middle, {"x": x, "y": y}, None, _NOT_HIDDEN, dots, median),
-        _layer(first, {"x": x, "y": y}, None, _NOT_HIDDEN, {"filter": "datum.first"}),
+        layer(seeds, {"x": x, "y": y, "color": hue}, None, _NOT_HIDDEN, dots),
+        layer(middle, {"x": x, "y": y}, None, _NOT_HIDDEN, dots, median),
+        layer(first, {"x": x, "y": y}, None, _NOT_HIDDEN, {"filter": "datum.first"}),
     ]
     return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})
 
@@ -301,22 +164,22 @@ def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Spec:
     labels, hue, y = _rows(rows)
     figures = list(dict.fromkeys(row["figure"] for row in rows))
     times = [*(row["value"] for row in rows), sampling_time]
-    x = _field("value", "time of one step") | _logarithmic(times, _TIME_LABELS)
-    shape = _chosen_by("figure", figures, ["circle", "triangle-up", "diamond", "cross"])
+    x = field("value", "time of one step") | _logarithmic(times, _TIME_LABELS)
+    shape = chosen_by("figure", figures, ["circle", "triangle-up", "diamond", "cross"])
     ends = [{"op": op, "field": "value", "as": name} for op, name in (("min", "low"), ("max", "high"))]
     deadline = {"type": "rule", "color": "var(--limit)", "strokeDash": [4, 3], "strokeWidth": 1.5}
     span = {"x": {"field": "low", "type": "quantitative"}, "x2": {"field": "high"}, "y": y, "color": hue}
     points = {"type": "point", "filled": True, "size": 55, "opacity": 1}
     layers = [
-        _layer(deadline, {"x": x}, [{"value": sampling_time}]),
-        _layer(
+        layer(deadline, {"x": x}, [{"value": sampling_time}]),
+        layer(
             {"type": "rule", "strokeWidth": 1.2},
             span,
             None,
             _NOT_HIDDEN,
             {"aggregate": ends, "groupby": ["label"]},
         ),
-        _layer(points, {"x": x, "y": y, "color": hue, "shape": shape}, None, _NOT_HIDDEN),
+        layer(points, {"x": x, "y": y, "color": hue, "shape": shape}, None, _NOT_HIDDEN),
     ]
     return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})
 
@@ -330,13 +193,13 @@ def rank_chart(rows: list[dict[str, Any]]) -> Spec:
         ``label``, ``key``, ``value`` (average rank), ``low`` and ``high`` (ends of the bar), the best first.
     """
     labels, hue, y = _rows(rows)
-    x = _field("value", "average rank")
+    x = field("value", "average rank")
     x |= {"scale": {"zero": False, "nice": False}, "axis": {"tickCount": 8, "labelExpr": LABELS}}
     ends = {"x": x | {"field": "low"}, "x2": {"field": "high"}, "y": y, "color": hue}
     bar = {"type": "rule", "strokeWidth": 7, "opacity": 0.35}
     layers = [
-        _layer(bar, ends),
-        _layer({"type": "circle", "size": 70, "opacity": 1}, {"x": x, "y": y, "color": hue}),
+        layer(bar, ends),
+        layer({"type": "circle", "size": 70, "opacity": 1}, {"x": x, "y": y, "color": hue}),
     ]
     return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})
 
@@ -353,13 +216,13 @@ def profile_chart(rows: list[dict[str, Any]], names: Sequence[str], widest: floa
     widest : float
         The largest ratio that is drawn.
     """
-    x = _field("ratio", "ratio to the best")
+    x = field("ratio", "ratio to the best")
     axis = {"values": log_ticks(1.0, widest), "labelExpr": LABELS}
     x |= {"scale": {"type": "log", "domain": [1.0, widest], "nice": False}, "axis": axis}
-    y = _field("share", "share of the runs") | {"scale": {"domain": [0, 1]}, "axis": {"format": "%"}}
+    y = field("share", "share of the runs") | {"scale": {"domain": [0, 1]}, "axis": {"format": "%"}}
     line = {"type": "line", "strokeWidth": 1.8, "interpolate": "step-after", "clip": True}
-    encoding = {"x": x, "y": y, "color": _colours(names), "strokeDash": _dashes(names)}
-    return _chart_of_rows(rows, [_layer(line, encoding, None, _NOT_HIDDEN)], 300)
+    encoding = {"x": x, "y": y, "color": colours_of(names), "strokeDash": dashes_of(names)}
+    return _chart_of_rows(rows, [layer(line, encoding, None, _NOT_HIDDEN)], 300)
 
 
 def _logarithmic(values: Sequence[float], labels: str) -> Spec:
@@ -393,8 +256,8 @@ def heat_chart(rows: list[dict[str, Any]], titles: Sequence[str]) -> Spec:
     """
     across, down = (list(dict.fromkeys(row[side] for row in rows)) for side in ("x", "y"))
     bare = {"domain": False, "ticks": False, "grid": False, "labelAngle": 0, "labelLimit": 160}
-    x = _field("x", titles[1], "nominal") | {"sort": across, "axis": {**bare, "labelOverlap": "greedy"}}
-    y = _field("y", titles[0] or None, "nominal") | {"sort": down, "axis": {**bare, "minExtent": 44}}
+    x = field("x", titles[1], "nominal") | {"sort": across, "axis": {**bare, "labelOverlap": "greedy"}}
+    y = field("y", titles[0] or None, "nominal") | {"sort": down, "axis": {**bare, "minExtent": 44}}
     known = [row["value"] for row in rows if row["value"] is not None]
     best, worst = min(known, default=1.0), max(known, default=1.0)
     # Small differences stay pale: full shade is for three times the best at least.
@@ -407,19 +270,19 @@ def heat_chart(rows: list[dict[str, Any]], titles: Sequence[str]) -> Spec:
     words = {"text": {"field": "shown", "type": "nominal"}, "color": paint}
     place = {"x": x, "y": y}
     layers = [
-        _layer(
+        layer(
             {"type": "rect", "color": "var(--accent)"},
             {**place, "opacity": opacity},
             None,
             {"filter": "datum.value !== null"},
         ),
-        _layer(
+        layer(
             {"type": "rect", "fill": None, "stroke": "var(--ink)", "strokeWidth": 2},
             place,
             None,
             {"filter": "datum.own"},
         ),
-        _layer({"type": "text", "fontSize": 12, "opacity": room}, {**place, **words}),
+        layer({"type": "text", "fontSize": 12, "opacity": room}, {**place, **words}),
     ]
     return _chart_of_rows(rows, layers, 34 * len(down) + 8)
 
@@ -437,7 +300,7 @@ def front_chart(rows: list[dict[str, Any]], titles: Sequence[str], *, joined: bo
         Whether a line joins them: it means something where there are no more objectives.
     """
     x, y = (
-        _field(side, title) | _axis_of([row[side] for row in rows])
+        field(side, title) | _axis_of([row[side] for row in rows])
         for side, title in zip("xy", titles, strict=True)
     )
     place = {"x": x, "y": y}
@@ -448,9 +311,9 @@ def front_chart(rows: list[dict[str, Any]], titles: Sequence[str], *, joined: bo
     framed = {"type": "point", "filled": False, "strokeWidth": 1.8, "color": "var(--ink)"}
     marks = {"chosen": {"shape": "diamond", "size": 150}, "given": {"shape": "square", "size": 110}}
     layers = [
-        *([_layer(line, place, None, on_front)] if joined else []),
-        _layer(dots, {**place, "opacity": shown}),
-        *(_layer(framed | mark, place, None, {"filter": f"datum.{what}"}) for what, mark in marks.items()),
+        *([layer(line, place, None, on_front)] if joined else []),
+        layer(dots, {**place, "opacity": shown}),
+        *(layer(framed | mark, place, None, {"filter": f"datum.{what}"}) for what, mark in marks.items()),
     ]
     return _chart_of_rows(rows, layers, 260)
 
@@ -483,8 +346,8 @@ def _rows(rows: list[dict[str, Any]]) -> tuple[list[str], Spec, Spec]:
         "minExtent": 0,
         "maxExtent": 0,
     }
-    y = _field("label", None, "nominal") | {"sort": labels, "axis": axis}
-    return labels, _chosen_by("label", labels, [colour(index) for index in indices.values()]), y
+    y = field("label", None, "nominal") | {"sort": labels, "axis": axis}
+    return labels, chosen_by("label", labels, [colour(index) for index in indices.values()]), y
 
 
 def _chart_of_rows(rows: list[dict[str, Any]], layers: list[Spec], height: int, **more: Any) -> Spec:

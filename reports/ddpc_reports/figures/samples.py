@@ -1,8 +1,10 @@
-"""The samples that the figures draw: first seed, display units, one table for each signal."""
+"""The samples that the figures draw: first seed and bands over the seeds, display units, a table a signal."""
 
 import math
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from statistics import median_low
 
 import numpy as np
@@ -11,9 +13,22 @@ from ddpc_cosim import FloatArray, Trace, Variable
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.numbers import difference_symbol, unit_symbol
 
-_DIGITS = 6
+_DIGITS, _BAND_DIGITS = 6, 4
 _FAR = 5.0
 _MOST_SAID, _MOST_DRAWN = 4, 200
+_MOST_SEEDS, _MOST_ROWS = 40, 250_000
+"""Of a band: seeds that are read, and samples of all controllers: these take a second."""
+_BAND_POINTS = 150
+_QUANTILES, _FEWEST_FOR_QUANTILES = (0.1, 0.9), 10
+_THINNEST = 0.004
+"""Of the height of a chart, narrower than a line: such a band is not drawn."""
+_SETTLED_QUANTILE = 0.95
+_LEAST_OF_STEP, _USUAL_OF_STEP = 0.02, 0.1
+"""Of the largest step: how far the axis of errors goes at least, and how far to show all that is settled."""
+_FEWEST_CONSTANT = 4
+_LONGEST_LABEL = 60
+BAND = "-band"
+"""What follows the name of a signal's data in that of the data of its band."""
 Column = list[float | None]
 
 
@@ -33,12 +48,21 @@ class Signal:
         ``t`` [s], ``r`` (the reference, if there is one) and one column ``c<index>`` for each controller.
     scaled_by : tuple of str
         Columns of controllers that set the range of the axis.
-    limits : tuple of float
-        Limits that the axis should show because the samples come near them.
+    limits : dict of float to str
+        Limits that the axis should show because the samples come near them, and whose they are.
+    far_limits : tuple of float
+        Limits that are farther away.
     held : bool
         Values hold until the next sample.
     own_range : bool
         Every panel has its own range; otherwise all panels share one, so that they compare.
+    band : dict
+        ``t`` [s] and, of each controller whose runs differ over the seeds, the median ``c<index>`` and the
+        ends ``c<index>l`` and ``c<index>h``; empty without a band.
+    settled : dict, optional
+        Of errors: how large those outside the transients are, by column; it sets the range of the axis.
+    step : float
+        Of errors: the largest step of the reference.
     """
 
     id: str
@@ -46,9 +70,13 @@ class Signal:
     unit: str
     columns: dict[str, Column]
     scaled_by: tuple[str, ...]
-    limits: tuple[float, ...] = ()
+    limits: dict[float, str] = field(default_factory=dict)
+    far_limits: tuple[float, ...] = ()
     held: bool = False
     own_range: bool = False
+    band: dict[str, Column] = field(default_factory=dict)
+    settled: dict[str, float] | None = None
+    step: float = 0.0
 
     @property
     def has_reference(self) -> bool:
@@ -70,20 +98,56 @@ class Signal:
 
     def extent(self, names: Sequence[str]) -> tuple[float, float]:
         """Return the range of the axis of a panel with these controllers, with a margin."""
-        columns = [*self.scaling(names), *(["r"] if self.has_reference else [])]
+        if self.settled is not None:
+            return self._extent_of_errors([self.settled[name] for name in self.scaling(names)])
+        scaling = self.scaling(names)
+        columns = [*scaling, *(["r"] if self.has_reference else [])]
         shown = [*self.limits, *(value for name in columns for value in known(self.columns[name]))]
+        shown += [value for name in scaling for end in "lh" for value in known(self.band.get(name + end, []))]
         low, high = min(shown, default=0.0), max(shown, default=1.0)
-        margin = 0.05 * (high - low) or 0.1 * abs(high) or 1.0
+        room = 0.1 if self.limits else 0.05  # their words stand outside
+        margin = room * (high - low) or 0.1 * abs(high) or 1.0
         return (low - margin, high + margin)
+
+    def _extent_of_errors(self, sizes: Sequence[float]) -> tuple[float, float]:
+        """Show what is settled, but for those that are far worse: a hundredth of a step stays visible."""
+        usual = max(_USUAL_OF_STEP * self.step, 1.5 * median_low(sizes or [0.0]))
+        half = max(min(1.25 * max(sizes, default=0.0), usual), _LEAST_OF_STEP * self.step) or 1.0
+        half = min(half, sys.float_info.max)
+        return (-half, half)
 
 
 @dataclass(frozen=True)
-class FirstSeed:
-    """The signals of all controllers at the first seed of a condition."""
+class Over:
+    """Of which seeds the bands are.
+
+    Parameters
+    ----------
+    seeds : int
+        How many were read.
+    left_out : int
+        How many were not, to keep the report quick.
+    lost : dict of str to int
+        By column, how many of those runs do not stay near their reference: these are not in the band.
+    is_range : bool
+        Whether the bands go from the least to the most; otherwise from quantile to quantile.
+    """
+
+    seeds: int = 0
+    left_out: int = 0
+    lost: dict[str, int] = field(default_factory=dict)
+    is_range: bool = False
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The signals of all controllers of a condition: first seed, and bands over the seeds."""
 
     outputs: list[Signal] = field(default_factory=list)
+    errors: list[Signal] = field(default_factory=list)
     inputs: list[Signal] = field(default_factory=list)
     changes: list[Signal] = field(default_factory=list)
+    over: Over = Over()
 
 
 def column_name(controller: ControllerResults) -> str:
@@ -91,18 +155,42 @@ def column_name(controller: ControllerResults) -> str:
     return f"c{controller.index}"
 
 
-def first_seed(condition: Condition, prefix: str) -> FirstSeed:
-    """Read the traces of the first seed and return their signals."""
-    found = condition.first_traces
-    traces = {column_name(one): found[one.key] for one in condition.controllers if one.key in found}
+def seen(condition: Condition, prefix: str) -> Seen:
+    """Read the traces of the first seed, and of others for bands, and return their signals."""
+    traces = _first_runs(condition)
     if not traces:
-        return FirstSeed()
-    runs = _Runs(traces, max(traces.values(), key=len), trusted(traces))
-    return FirstSeed(
-        [_level(runs, i, f"{prefix}y{i}", is_input=False) for i in range(len(runs.longest.outputs))],
-        [_level(runs, i, f"{prefix}u{i}", is_input=True) for i in range(len(runs.longest.inputs))],
-        [_change(runs, i, f"{prefix}d{i}") for i in range(len(runs.longest.inputs))],
+        return Seen()
+    everyone, over = _over_seeds(condition, sum(map(len, traces.values())))
+    labels = {column_name(one): clipped(one.label) for one in condition.controllers}
+    runs = _Runs(traces, max(traces.values(), key=len), trusted(traces), everyone, labels)
+    outputs, inputs = range(len(runs.longest.outputs)), range(len(runs.longest.inputs))
+    return Seen(
+        [_level(runs, i, f"{prefix}y{i}", is_input=False) for i in outputs],
+        [_error(runs, i, f"{prefix}e{i}") for i in outputs],
+        [_level(runs, i, f"{prefix}u{i}", is_input=True) for i in inputs],
+        [_change(runs, i, f"{prefix}d{i}") for i in inputs],
+        over,
     )
+
+
+def _first_runs(condition: Condition) -> dict[str, Trace]:
+    found = condition.first_traces
+    return {column_name(one): found[one.key] for one in condition.controllers if one.key in found}
+
+
+def _over_seeds(condition: Condition, rows: int) -> tuple[dict[str, list[Trace]], Over]:
+    """Read the runs that stay near their reference, by column, of as many seeds as there is time for."""
+    seeds = condition.seeds[: min(_MOST_SEEDS, _MOST_ROWS // rows)]
+    if len(seeds) < 2:
+        return {}, Over()
+    runs, lost, firsts = dict[str, list[Trace]](), dict[str, int](), condition.first_traces
+    for one in condition.controllers:
+        asked = [case for case in one.cases if case.seed in seeds]
+        name, holding = column_name(one), [case for case in asked if case.holds]
+        runs[name] = [firsts[one.key] if case is one.first_case else case.trace() for case in holding]
+        lost[name] = len(asked) - len(holding)
+    few = len(seeds) < _FEWEST_FOR_QUANTILES
+    return runs, Over(len(seeds), len(condition.seeds) - len(seeds), lost, few)
 
 
 @dataclass(frozen=True)
@@ -126,8 +214,7 @@ class Said:
 
 def said(condition: Condition, prefix: str) -> Said:
     """Read ``Trace.info`` of the first seed and return it as signals; none where nothing was said."""
-    found = condition.first_traces
-    traces = {column_name(one): found[one.key] for one in condition.controllers if one.key in found}
+    traces = _first_runs(condition)
     names = list(dict.fromkeys(name for trace in traces.values() for name in trace.info))
     if not names:
         return Said([], 1, 0)
@@ -144,11 +231,44 @@ def said(condition: Condition, prefix: str) -> Said:
 
 @dataclass(frozen=True)
 class _Runs:
-    """The runs by column, the longest of them, and those that set the ranges of the axes."""
+    """First runs by column, the longest of them, who sets the ranges of the axes, and runs of all seeds."""
 
     traces: dict[str, Trace]
     longest: Trace
     trusted: tuple[str, ...]
+    everyone: dict[str, list[Trace]]
+    labels: dict[str, str]
+
+    def band(
+        self, columns: Mapping[str, Column], values_of: Callable[[Trace], FloatArray], *, held: bool
+    ) -> dict[str, Column]:
+        """Return median and ends of a signal over the seeds, thinned out to what a chart can show."""
+        drawn = [value for name in ("r", *self.trusted) for value in known(columns.get(name, []))]
+        thinnest = _THINNEST * (max(drawn, default=0.0) - min(drawn, default=0.0))
+        found: dict[str, Column] = {}
+        for name, traces in self.everyone.items():
+            if len(traces) < 2:
+                continue
+            values = np.stack([values_of(trace) for trace in traces])
+            count = values.shape[1]  # the same of all, as they are complete
+            every = -(-count // _BAND_POINTS)
+            starts = np.arange(0, count, every)
+            middles = starts if held else np.minimum(starts + every // 2, count - 1)
+            low, high = band_ends(values)
+            low, high = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
+            if (high - low).max() > thinnest:
+                middle = np.median(values, axis=0)[middles]
+                found["t"] = rounded(traces[0].time[middles])
+                columns_of = zip(("", "l", "h"), (middle, low, high), strict=True)
+                found |= {name + end: rounded(column, _BAND_DIGITS) for end, column in columns_of}
+        return found
+
+
+def band_ends(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the ends of a band over runs, shape (runs, samples): quantiles, or of few runs the range."""
+    few = len(values) < _FEWEST_FOR_QUANTILES
+    low, high = np.quantile(values, (0.0, 1.0) if few else _QUANTILES, axis=0)
+    return low, high
 
 
 def trusted(traces: Mapping[str, Trace]) -> tuple[str, ...]:
@@ -179,18 +299,71 @@ def _within_limits(trace: Trace, i: int) -> bool:
 
 def _level(runs: _Runs, i: int, name: str, *, is_input: bool) -> Signal:
     """Return a controlled output with its reference, or an input."""
-    longest, bounds = runs.longest, runs.longest.bounds
+    longest = runs.longest
     variable = (longest.inputs if is_input else longest.outputs)[i]
-    ends = (bounds.u_min, bounds.u_max) if is_input else (bounds.y_min, bounds.y_max)
+
+    def shown(trace: Trace) -> FloatArray:
+        return variable.shown_in.from_unit((trace.u if is_input else trace.y)[:, i])
+
     columns = {"t": rounded(longest.time)}
     if not is_input:
-        columns["r"] = _shown(variable, longest.reference[:, i])
-    for key, trace in runs.traces.items():
-        columns[key] = _shown(variable, (trace.u if is_input else trace.y)[:, i])
-    limits = _near(runs, columns, variable, [end[i] for end in ends])
+        columns["r"] = rounded(variable.shown_in.from_unit(longest.reference[:, i]))
+    columns |= {key: rounded(shown(trace)) for key, trace in runs.traces.items()}
+    near, far = _limits(runs, columns, variable, i, is_input=is_input)
     unit = unit_symbol(variable.shown_in.name)
+    band = runs.band(columns, shown, held=is_input)
     title = level_title(variable, unit)
-    return Signal(name, title, unit, columns, runs.trusted, limits, held=is_input)
+    return Signal(name, title, unit, columns, runs.trusted, near, far, held=is_input, band=band)
+
+
+def _error(runs: _Runs, i: int, name: str) -> Signal:
+    """Return reference minus output."""
+    variable = runs.longest.outputs[i]
+
+    def shown(trace: Trace) -> FloatArray:
+        return (trace.reference[:, i] - trace.y[:, i]) * variable.shown_in.factor
+
+    errors = {key: shown(trace) for key, trace in runs.traces.items()}
+    columns = {"t": rounded(runs.longest.time)} | {key: rounded(error) for key, error in errors.items()}
+    calm = settled_samples(runs.longest.reference[:, i], runs.longest.preview)
+    settled = {key: _size(error[calm[: len(error)]]) for key, error in errors.items()}
+    reference = runs.longest.reference[:, i]
+    moves = np.abs(np.diff(reference, prepend=runs.traces[runs.trusted[0]].y[0, i]))
+    step = float(moves.max() if not calm.all() else np.ptp(reference)) * abs(variable.shown_in.factor)
+    unit = difference_symbol(variable.shown_in.name)
+    return Signal(
+        name,
+        _title(f"error of {_words(variable)}", unit),
+        unit,
+        columns,
+        runs.trusted,
+        own_range=True,
+        band=runs.band(columns, shown, held=False),
+        settled=settled,
+        step=step,
+    )
+
+
+def _size(errors: FloatArray) -> float:
+    """Return how large errors are, but for the largest few; 0 of none."""
+    known_ones = np.abs(errors[np.isfinite(errors)])
+    return float(np.quantile(known_ones, _SETTLED_QUANTILE)) if known_ones.size else 0.0
+
+
+def settled_samples(reference: FloatArray, preview: int) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
+    """Return which samples lie outside the transients; of a reference that is hardly constant: all.
+
+    They are the second half of each stretch of constant reference, up to where one may see its end coming.
+    """
+    count = len(reference)
+    moves = np.flatnonzero(np.abs(np.diff(reference)) > 1e-9 * np.ptp(reference)) + 1
+    edges = [0, *moves.tolist(), count]
+    calm = np.zeros(count, dtype=np.bool_)
+    for first, end in pairwise(edges):
+        last = end if end == count else end - preview
+        if last - first >= _FEWEST_CONSTANT:
+            calm[(first + last) // 2 : last] = True
+    return calm if 4 * calm.sum() >= count else np.ones(count, dtype=np.bool_)
 
 
 def _change(runs: _Runs, i: int, name: str) -> Signal:
@@ -206,17 +379,33 @@ def _change(runs: _Runs, i: int, name: str) -> Signal:
     return Signal(name, title, unit, columns, runs.trusted, held=True, own_range=True)
 
 
-def _near(
-    runs: _Runs, columns: dict[str, Column], variable: Variable, limits: Sequence[float]
-) -> tuple[float, ...]:
-    """Return the limits that lie so close to the samples that showing them does not squeeze these."""
-    shown = [float(variable.shown_in.from_unit(np.array(limit))) for limit in limits if math.isfinite(limit)]
+def _limits(
+    runs: _Runs, columns: dict[str, Column], variable: Variable, i: int, *, is_input: bool
+) -> tuple[dict[float, str], tuple[float, ...]]:
+    """Return the limits that can be shown without squeezing the samples, and whose; and all others."""
+    whose: dict[float, list[str]] = {}
+    for key, trace in runs.traces.items():
+        ends = ("u_min", "u_max") if is_input else ("y_min", "y_max")
+        for limit in (float(getattr(trace.bounds, end)[i]) for end in ends):
+            if math.isfinite(limit):
+                shown = float(variable.shown_in.from_unit(np.array(limit)))
+                whose.setdefault(float(f"{shown:.{_DIGITS}g}"), []).append(runs.labels[key])
     drawn = [value for key in ("r", *runs.trusted) for value in known(columns.get(key, []))]
-    if not drawn:
-        return ()
-    low, high = min(drawn), max(drawn)
+    low, high = min(drawn, default=math.nan), max(drawn, default=math.nan)
     margin = 0.25 * (high - low)
-    return tuple(limit for limit in shown if low - margin <= limit <= high + margin)
+    near = {
+        limit: "limit" if len(labels) == len(runs.traces) else f"limit of {', '.join(labels)}"
+        for limit, labels in whose.items()
+        if low - margin <= limit <= high + margin
+    }
+    return near, tuple(sorted(whose.keys() - near.keys()))
+
+
+def clipped(label: str, longest: int = _LONGEST_LABEL) -> str:
+    """Return a label as a drawing has room for it: its beginning and, as that may tell it apart, its end."""
+    if len(label) <= longest:
+        return label
+    return f"{label[: longest - longest // 3 - 1]}\N{HORIZONTAL ELLIPSIS}{label[-(longest // 3) :]}"
 
 
 def known(column: Sequence[float | None]) -> list[float]:
@@ -237,10 +426,6 @@ def _title(name: str, unit: str) -> str:
     return f"{name} / {unit}" if unit else name
 
 
-def _shown(variable: Variable, values: FloatArray) -> Column:
-    return rounded(variable.shown_in.from_unit(values))
-
-
-def rounded(values: FloatArray) -> Column:
-    """Return values as the page holds them: six digits, None for what is not finite."""
-    return [float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None for value in values.tolist()]
+def rounded(values: FloatArray, digits: int = _DIGITS) -> Column:
+    """Return values as the page holds them: so many digits, None for what is not finite."""
+    return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()]

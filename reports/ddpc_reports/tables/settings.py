@@ -23,6 +23,7 @@ from ddpc_cosim.study.file_format.sections import (
     ScenarioSection,
 )
 from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
+from ddpc_reports.figures.time_charts import Mark
 from ddpc_reports.numbers import MISSING, as_given, computed, unit_symbol, with_unit
 from ddpc_reports.tables.table import Cell, Heading, Row, Table, text_headings
 
@@ -346,11 +347,10 @@ def _signal(section: Any, own_unit: str) -> str:
 
 @dataclass(frozen=True)
 class Effect:
-    """What a scenario does: in words, and the instants and spans of time [s] at which it does it."""
+    """What a scenario does: in words, and briefly at which instants and in which spans of time it does it."""
 
     text: str
-    instants: tuple[float, ...] = ()
-    spans: tuple[tuple[float, float], ...] = ()
+    marks: tuple[Mark, ...] = ()
 
 
 def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list[Effect]:
@@ -370,11 +370,8 @@ def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list
     return [
         *([Effect(f"parameters {mapping_text(section.parameters)}")] if section.parameters else []),
         *values(section.noise, "noise of {}, standard deviation"),
-        *(
-            Effect(f"at {as_given(one.time)} s: {mapping_text(one.parameters)}", (one.time,))
-            for one in section.events
-        ),
-        *(Effect(_drift_text(one), spans=((one.from_time, one.to_time),)) for one in section.drifts),
+        *_events(section),
+        *map(_drift_effect, section.drifts),
         *(
             _signal_effect(f"disturbance of {_plain(name)}", one, units.get(name, ""))
             for name, one in disturbances
@@ -401,19 +398,40 @@ def scenario_effects(section: ScenarioSection, units: Mapping[str, str]) -> list
 
 def _signal_effect(what: str, section: Any, own_unit: str, first: int = 0) -> Effect:
     """Write a signal, and when it changes: the steps from the ``first`` on, or while it is a ramp."""
-    instants = tuple(getattr(section, "times", ()))[first:]
-    spans = ((section.from_time, section.to_time),) if section.kind == "ramp" else ()
-    return Effect(f"{what}: {_signal(section, own_unit)}", instants, spans)
+    marks: tuple[Mark, ...] = ()
+    if section.kind == "ramp":
+        values = f"{as_given(section.from_value)} → {as_given(section.to_value)}"
+        marks = (Mark(f"{what} {values}", section.from_time, section.to_time),)
+    elif steps := [*zip(getattr(section, "times", ()), getattr(section, "values", ()), strict=False)]:
+        marks = tuple(Mark(f"{what} {as_given(value)}", time, time) for time, value in steps[first:])
+    return Effect(f"{what}: {_signal(section, own_unit)}", marks)
+
+
+def _events(section: ScenarioSection) -> Iterator[Effect]:
+    """Yield the events in the order of the file; briefly from which value, where the scenario says it."""
+    before = {name: value_text(value) for name, value in section.parameters.items()}
+    briefly: dict[int, str] = {}
+    for one in sorted(section.events, key=lambda event: event.time):
+        after = {name: value_text(value) for name, value in one.parameters.items()}
+        briefly[id(one)] = ", ".join(
+            f"{_plain(name)} {before[name]} → {text}" if name in before else f"{_plain(name)} = {text}"
+            for name, text in after.items()
+        )
+        before |= after
+    for one in section.events:
+        text = f"at {as_given(one.time)} s: {mapping_text(one.parameters)}"
+        yield Effect(text, (Mark(briefly[id(one)], one.time, one.time),))
 
 
 def _recording_text(changes: RecordingChanges) -> str:
     return f"recording with {mapping_text(changes.model_dump(exclude_defaults=True))}"
 
 
-def _drift_text(drift: DriftSection) -> str:
+def _drift_effect(drift: DriftSection) -> Effect:
     first, last = as_given(drift.from_time), as_given(drift.to_time)
-    values = f"from {as_given(drift.from_value)} to {as_given(drift.to_value)}"
-    return f"{_plain(drift.parameter)} {values} between {first} s and {last} s"
+    old, new, name = as_given(drift.from_value), as_given(drift.to_value), _plain(drift.parameter)
+    text = f"{name} from {old} to {new} between {first} s and {last} s"
+    return Effect(text, (Mark(f"{name} {old} → {new}", drift.from_time, drift.to_time),))
 
 
 def _labelled(name: str, label: str) -> str:

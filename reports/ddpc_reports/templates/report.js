@@ -54,6 +54,8 @@
     return columnsOf(name).t.map((_, i) => Object.fromEntries(entries.map(([key, column]) => [key, column[i] ?? null])));
   }
 
+  const bandOf = (name) => name + "-band"; // the data of the bands over the seeds, if there are any
+
   function nearest(times, time) {
     let low = 0;
     let high = times.length - 1;
@@ -114,19 +116,25 @@
 
   // The range of the values: of the controllers that set it, if any of them is shown, in the time shown.
   function extent(chart) {
-    const data = columnsOf(chart.data);
+    const span = spans[chart.group];
+    if (chart.fixed && !span) return chart.spec.signals.find((one) => one.name === "extent").value;
     const trusted = visible(chart.scaled);
-    const drawn = (trusted.length ? trusted : visible(Object.keys(chart.lines))).map((name) => data[name]);
-    if (data.r) drawn.push(data.r);
-    const [first, last] = spans[chart.group] || [-Infinity, Infinity];
-    const values = spans[chart.group] ? [] : [...chart.limits];
-    data.t.forEach((time, i) => {
-      if (time < first || time > last) return;
-      for (const column of drawn) if (column[i] !== null && column[i] !== undefined) values.push(column[i]);
-    });
+    const names = trusted.length ? trusted : visible(Object.keys(chart.lines));
+    const [first, last] = span || [-Infinity, Infinity];
+    const values = span ? [] : [...chart.limits];
+    function collect(data, wanted) {
+      const drawn = wanted.map((name) => data[name]).filter(Boolean);
+      data.t.forEach((time, i) => {
+        if (time < first || time > last) return;
+        for (const column of drawn) if (column[i] !== null && column[i] !== undefined) values.push(column[i]);
+      });
+    }
+    collect(columnsOf(chart.data), [...names, "r"]);
+    if (page.data[bandOf(chart.data)]) collect(columnsOf(bandOf(chart.data)), names.flatMap((name) => [name + "l", name + "h"]));
     const low = values.reduce((a, b) => Math.min(a, b), Infinity);
     const high = values.reduce((a, b) => Math.max(a, b), -Infinity);
-    const margin = 0.05 * (high - low) || 0.1 * Math.abs(high) || 1;
+    const room = chart.limits.length && !span ? 0.1 : 0.05;
+    const margin = room * (high - low) || 0.1 * Math.abs(high) || 1;
     return low > high ? null : [low - margin, high + margin];
   }
 
@@ -337,7 +345,8 @@
     live.tabIndex = 0;
     live.append(inner);
     box.append(live, reading);
-    const data = told.spec.data.map((one) => (one.name === told.data ? { ...one, values: rowsOf(told.data) } : one));
+    const own = [told.data, bandOf(told.data)];
+    const data = told.spec.data.map((one) => (own.includes(one.name) ? { ...one, values: rowsOf(one.name) } : one));
     const view = new View(parse({ ...told.spec, width: units, data }, null, { ast: true }), {
       renderer: "svg", container: inner, hover: false, expr: expressionInterpreter, logLevel: 1,
     });

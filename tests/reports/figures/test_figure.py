@@ -13,10 +13,12 @@ from hypothesis import given, strategies as st
 
 from ddpc_cosim import Bounds, Trace
 from ddpc_reports.comparison import conditions, on_one_page
-from ddpc_reports.embedding import _steps, pack
+from ddpc_reports.embedding import _points, _simplified, _steps, pack
 from ddpc_reports.figures.charts import COLOURS, DASHES, colour, dash, log_ticks
-from ddpc_reports.figures.figure import Figure, spread_figures, time_figures
-from ddpc_reports.figures.samples import first_seed, trusted
+from ddpc_reports.figures.figure import Figure, spread_figures
+from ddpc_reports.figures.over_time import TimeFigures, time_figures
+from ddpc_reports.figures.samples import band_ends, clipped, seen, settled_samples, trusted
+from ddpc_reports.figures.time_charts import Mark, label_rows
 
 from ..synthetic import MakeResults, make_trace
 
@@ -34,25 +36,32 @@ def falls(key: str, seed: int) -> Trace:
     return scaled(make_trace(0.5), 50.0) if key == "falls" else make_trace(0.3 if key == "quick" else 1.0)
 
 
+def every_figure(drawn: TimeFigures) -> list[Figure]:
+    """Return all figures, none of which failed."""
+    figures = [figure for of_kind in drawn.figures.values() for figure in of_kind]
+    assert all(isinstance(figure, Figure) for figure in figures), figures
+    return [figure for figure in figures if isinstance(figure, Figure)]
+
+
 THREE: dict[str, dict[str, Any]] = {name: {"type": "a"} for name in ("quick", "slow", "falls")}
 
 
 def test_a_run_that_falls_over_does_not_set_the_range(make_results: MakeResults) -> None:
     (condition,) = conditions(make_results(falls, THREE))
-    seen = first_seed(condition, "x-")
-    low, high = seen.outputs[0].extent(["c0", "c1", "c2"])
+    drawn = seen(condition, "x-")
+    low, high = drawn.outputs[0].extent(["c0", "c1", "c2"])
     assert -5.0 < low < 0.0
     assert 20.0 < high < 25.0
-    assert all(signal.scaled_by == ("c0", "c1") for signal in (*seen.outputs, *seen.inputs, *seen.changes))
+    assert all(signal.scaled_by == ("c0", "c1") for signal in (*drawn.outputs, *drawn.inputs, *drawn.changes))
 
 
 def test_the_caption_names_who_leaves_the_axis(make_results: MakeResults) -> None:
     (condition,) = conditions(make_results(falls, THREE))
-    figures, _ = time_figures(condition, "x-")
-    assert re.search(
-        r"Beyond the axis: falls \(angle .*1 011°\)\.", figures[0].caption.replace("\u202f", " ")
-    )
-    assert "Beyond" not in figures[1].caption
+    response, error, control, _ = every_figure(time_figures(condition, "x-"))
+    beyond = r"Beyond the axis: falls \(angle .*1 011°\)\."
+    assert re.search(beyond, response.caption.replace("\u202f", " "))
+    assert "transients too: falls (error of angle up to" in error.caption
+    assert "Beyond" not in control.caption
 
 
 def test_what_swings_far_within_its_limits_sets_the_range_all_the_same() -> None:
@@ -71,7 +80,7 @@ def test_many_controllers_are_shared_out_so_that_no_two_of_a_panel_look_alike(
 ) -> None:
     many = {f"k{number}": {"type": "a"} for number in range(2 * COLOURS + 1)}
     (condition,) = conditions(make_results(controllers=many))
-    views = time_figures(condition, "x-")[0][0].views
+    views = every_figure(time_figures(condition, "x-"))[0].views
     assert [view.title for view in views] == [
         "Controllers 1 to 5",
         "Controllers 6 to 10",
@@ -99,8 +108,7 @@ def test_a_controller_looks_the_same_on_the_whole_page(make_results: MakeResults
     looks: dict[str, set[tuple[str, str, str]]] = {}
     for study in studies:
         (condition,) = conditions(study)
-        drawn = time_figures(condition, "x-")[0]
-        for figure in (figure for figure in drawn if isinstance(figure, Figure)):
+        for figure in every_figure(time_figures(condition, "x-")):
             for one in figure.legend:
                 looks.setdefault(one.label, set()).add((one.name, str(one.colour), one.dashes))
     assert {label: len(seen) for label, seen in looks.items()} == dict.fromkeys(many, 1)
@@ -115,7 +123,7 @@ def test_restless_lines_lie_behind_calm_ones(make_results: MakeResults) -> None:
         return replace(calm, u=shaken) if key == "slow" else calm
 
     (condition,) = conditions(make_results(trace_of))
-    view = time_figures(condition, "x-")[0][1].views[0]
+    (view,) = every_figure(time_figures(condition, "x-"))[2].views
     folds = re.findall(r'"fold": (\[.*?\])', json.dumps(view.spec))
     assert set(folds) == {'["c1", "c0"]'}
     assert view.names == ("c0", "c1")
@@ -150,11 +158,27 @@ POINTS = st.lists(st.tuples(*[st.integers(-9000, 9000)] * 2), min_size=1, max_si
 
 @given(POINTS)
 def test_a_path_written_in_steps_visits_the_same_corners(points: list[tuple[int, int]]) -> None:
-    corners = visited(_steps("L".join(f"{x / 10},{y / 10}" for x, y in points)))
+    corners = visited(_steps(_points("L".join(f"{x / 10},{y / 10}" for x, y in points))))
     assert corners[0] == points[0]
     assert corners[-1] == points[-1]
     turns = [b for a, b, c in zip(points, points[1:], points[2:], strict=False) if turning(a, b, c)]
     assert [point for point in turns if point not in corners] == []
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(-40, 40)), min_size=1, max_size=40))
+def test_a_simplified_line_passes_all_its_points_closer_than_can_be_seen(
+    moves: list[tuple[int, int]],
+) -> None:
+    points = [(sum(dx for dx, _ in moves[: i + 1]), moves[i][1]) for i in range(len(moves))]
+    kept = _simplified(points)
+    assert (kept[0], kept[-1]) == (points[0], points[-1])
+    assert set(kept) <= set(points)
+    for x, y in points:
+        heights = [np.interp(x, [a, c], [b, d]) for (a, b), (c, d) in pairwise(kept) if a <= x <= c and a < c]
+        uprights = [(b, d) for (a, b), (c, d) in pairwise(kept) if a == c == x]
+        near = [abs(height - y) <= 3.001 for height in heights]
+        near += [min(ends) - 3 <= y <= max(ends) + 3 for ends in uprights]
+        assert any(near) or len(points) == 1
 
 
 def turning(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> bool:
@@ -180,7 +204,7 @@ def test_a_page_of_one_sample_has_an_axis(make_results: MakeResults, tmp_path: P
         return replace(whole, **samples, planned_samples=1)
 
     (condition,) = conditions(make_results(trace_of))
-    signal = first_seed(condition, "x-").outputs[0]
+    signal = seen(condition, "x-").outputs[0]
     assert signal.end == (-0.5, 0.5)
     assert signal.extent(["c0"])[0] < signal.extent(["c0"])[1]
 
@@ -209,35 +233,65 @@ ROUGH: dict[str, Any] = {
 def marked(spec: dict[str, Any]) -> tuple[set[tuple[float, str]], set[tuple[float, float]]]:
     """Return the labelled instants and the shaded spans of a chart."""
     inline = [(layer["mark"]["type"], layer["data"].get("values", [])) for layer in spec["layer"]]
-    labels = {
-        (row["t"], row["label"]) for mark, rows in inline if mark == "rule" for row in rows if "t" in row
-    }
-    assert labels == {(row["t"], row["label"]) for mark, rows in inline if mark == "text" for row in rows}
+    labels, words = (
+        {(row["t"], row["label"]) for mark, rows in inline if mark == kind for row in rows if "t" in row}
+        for kind in ("rule", "text")
+    )
+    assert labels == words
     return labels, {
         (row["t"], row["to"]) for mark, rows in inline if mark == "rect" for row in rows if "to" in row
     }
 
 
-def test_what_a_scenario_does_is_marked_and_told_in_words(make_results: MakeResults) -> None:
+def test_what_a_scenario_does_is_marked_with_its_label_and_told_in_words(make_results: MakeResults) -> None:
     results = make_results(scenarios={"rough": ROUGH, "calm": {}})
-    rough, calm = (time_figures(condition, "x-")[0] for condition in conditions(results))
+    rough, calm = (every_figure(time_figures(condition, "x-")) for condition in conditions(results))
     for figure in rough:
         labels, spans = marked(figure.views[0].spec)
-        assert labels == {(0.5, "d"), (1.0, "a, b, c"), (1.5, "d"), (2.0, "f"), (2.5, "e")}
+        assert labels == {
+            (0.5, "disturbance of torque 0.2"),
+            (1.0, "mass 0.7 → 0.5, length 1 → 0.5, damping 1 → 0.5"),
+            (1.5, "disturbance of torque 0"),
+            (2.0, "input wind 2"),
+            (2.5, "disturbance of angle 0 → 1"),
+        }
         assert spans == {(1.0, 2.0), (2.5, 99.0)}
-        assert figure.views[0].drawing.svg.count(">a, b, c<") == 1
     for told in (
-        "(a) at 1 s: mass = 0.5",
-        "(c) damping from 1 to 0.5 between 1 s and 2 s",
-        "(d) disturbance of torque: steps: times [0.5, 1.5], values [0.2, 0] (values in N·m, its own unit)",
-        "(f) input wind: steps: times [0, 2], values [1, 2] (values in m/s)",
+        "takes a while: at 1 s: mass = 0.5;",
+        "damping from 1 to 0.5 between 1 s and 2 s",
+        "disturbance of torque: steps: times [0.5, 1.5], values [0.2, 0] (values in N·m, its own unit)",
+        "input wind: steps: times [0, 2], values [1, 2] (values in m/s)",
         "Throughout: at 0 s: mass = 0.7; disturbance of torque: noise: standard deviation 0.1, mean 0",
         "delay of torque 0.2 s; samples of angle lost with a probability of 0.05.",
     ):
         assert told in rough[0].caption
-    assert rough[1].caption.endswith("Letters as with the responses.")
     assert marked(calm[0].views[0].spec) == (set(), set())
     assert "Marked" not in calm[0].caption
+
+
+MARKS = st.lists(
+    st.tuples(st.floats(0, 100), st.text("mass", min_size=1, max_size=80)), min_size=1, max_size=30
+)
+
+
+@given(MARKS, st.floats(200, 1000))
+def test_labels_of_a_row_never_overlap_and_all_have_a_place(
+    marks: list[tuple[float, str]], width: float
+) -> None:
+    labels, _ = label_rows([Mark(text, time, time) for time, text in marks], (0.0, 100.0), width)
+    assert {label.t for label in labels} == {time for time, _ in marks}
+    assert {label.row for label in labels} <= {0, 1, 2}
+    for label in labels:
+        assert 0 <= label.begin <= label.end <= 100
+        assert label.t in (label.begin, label.end)
+    for row in range(3):
+        spans = sorted((label.begin, label.end) for label in labels if label.row == row)
+        assert all(before[1] <= after[0] + 1e-9 for before, after in pairwise(spans))
+
+
+def test_labels_that_fit_into_one_row_stand_in_one() -> None:
+    labels, _ = label_rows([Mark("mass 1 → 2", t, t) for t in (10.0, 50.0, 95.0)], (0.0, 100.0), 480)
+    assert [(label.row, label.leftwards) for label in labels] == [(0, False), (0, False), (0, True)]
 
 
 def test_a_control_signal_that_the_plant_was_not_given_is_said_to_be_a_command(
@@ -246,7 +300,7 @@ def test_a_control_signal_that_the_plant_was_not_given_is_said_to_be_a_command(
     trace = make_trace(0.3)
     changed = replace(trace, changed_inputs=trace.inputs, applied=trace.u + 1.0)
     said = [
-        time_figures(conditions(make_results(lambda *_, one=one: one))[0], "x-")[0][1].caption
+        every_figure(time_figures(conditions(make_results(lambda *_, one=one: one))[0], "x-"))[2].caption
         for one in (trace, changed)
     ]
     assert ["as commanded" in caption for caption in said] == [False, True]
@@ -292,14 +346,15 @@ def test_what_controllers_said_of_their_steps_is_folded_thinned_out_and_told(
         return replace(trace, info={"slow": many, "quick": {"b": -own}}.get(key, {}))
 
     (condition,) = conditions(make_results(says, THREE))
-    figures, data = time_figures(condition, "x-")
-    assert [figure.folded for figure in figures] == [False, False, False, True]
+    drawn = time_figures(condition, "x-")
+    figures, data = every_figure(drawn), drawn.samples
+    assert [figure.folded for figure in figures] == [False, False, False, True, True]
     figure = figures[-1]
-    assert [view.description for view in figure.views] == [
-        "b over time of quick, slow",
-        "cost over time of slow",
-        "c over time of slow",
-        "d over time of slow",
+    assert [f"{v.description.partition(', 0 to')[0]} of {', '.join(v.names)}" for v in figure.views] == [
+        "b over time of c0, c1",
+        "cost over time of c1",
+        "c over time of c1",
+        "d over time of c1",
     ]
     assert [entry.label for entry in figure.legend] == ["quick", "slow"]
     assert "1 more in signals.csv" in figure.caption
@@ -309,5 +364,121 @@ def test_what_controllers_said_of_their_steps_is_folded_thinned_out_and_told(
     assert data["x-i1"]["c1"][:2] == [None, float(every)]
     assert data["x-i0"]["c0"] == [-float(k) for k in range(0, len(trace), every)]
     assert len(data["x-i0"]["t"]) == len(data["x-i0"]["c0"]) <= 200
-    silent, _ = time_figures(conditions(make_results(falls, THREE))[0], "y-")
-    assert not any(one.folded for one in silent)
+    silent = every_figure(time_figures(conditions(make_results(falls, THREE))[0], "y-"))
+    assert [one.title for one in silent if one.folded] == ["Change of control signals"]
+
+
+def shaken(key: str, seed: int) -> Trace:
+    """A run that differs from seed to seed, but for one controller."""
+    return make_trace(0.3 if key == "quick" else 0.3 + 0.1 * (seed % 7), noise_seed=0)
+
+
+@pytest.mark.parametrize("count", [3, 9, 10, 23])
+def test_bands_go_from_quantile_to_quantile_and_of_few_seeds_from_least_to_most(
+    make_results: MakeResults, count: int
+) -> None:
+    """The oracle takes the seeds from the files, sorts, and interpolates between ranks itself."""
+    results = make_results(shaken, seeds=[*range(count)])
+    (condition,) = conditions(results)
+    drawn = seen(condition, "x-")
+    runs = [results.trace("slow", seed=seed) for seed in range(count)]
+    for signal, values_of in (
+        (drawn.outputs[0], lambda trace: np.degrees(trace.y[:, 0])),
+        (drawn.errors[0], lambda trace: np.degrees(trace.reference[:, 0] - trace.y[:, 0])),
+        (drawn.inputs[0], lambda trace: trace.u[:, 0]),
+    ):
+        assert [*signal.band] == ["t", "c1", "c1l", "c1h"]  # nothing of the one that is always the same
+        ordered = np.sort(np.stack([values_of(trace) for trace in runs]), axis=0)
+        for name, share in {"c1": 0.5, "c1l": 0.1 * (count >= 10), "c1h": 1 - 0.1 * (count >= 10)}.items():
+            rank = share * (count - 1)
+            below = int(rank)
+            above = min(below + 1, count - 1)
+            expected = ordered[below] + (rank - below) * (ordered[above] - ordered[below])
+            assert signal.band[name] == pytest.approx(expected.tolist(), rel=1e-3, abs=1e-3)
+    words = "10\u00a0% to the 90\u00a0% quantile" if count >= 10 else "least to the most"
+    caption = every_figure(time_figures(condition, "x-"))[0].caption
+    assert f"Bands: from the {words} over {count} seeds" in caption
+
+
+def test_long_runs_are_thinned_out_to_bands_that_hold_all_that_they_were(make_results: MakeResults) -> None:
+    values = np.random.default_rng(1).normal(size=(12, 50)).cumsum(axis=1)
+    low, high = band_ends(values)
+    assert (low >= values.min(axis=0)).all()
+    assert (high <= values.max(axis=0)).all()
+    assert ((values >= low) & (values <= high)).mean() == pytest.approx(8 / 12, abs=0.2)
+
+
+def test_runs_that_do_not_hold_are_left_out_of_the_band_and_counted(make_results: MakeResults) -> None:
+    def some_fall(key: str, seed: int) -> Trace:
+        lost = key == "slow" and seed in (2, 3)
+        return scaled(make_trace(0.5), 50.0) if lost else make_trace(0.3, noise_seed=seed)
+
+    (condition,) = conditions(make_results(some_fall, seeds=[1, 2, 3, 4]))
+    drawn = seen(condition, "x-")
+    assert drawn.over.lost == {"c0": 0, "c1": 2}
+    assert max(value for value in drawn.outputs[0].band["c1h"] if value is not None) < 25
+    caption = every_figure(time_figures(condition, "x-"))[0].caption
+    assert "without the runs that do not stay near their reference (slow 2)" in caption
+
+
+def test_a_steady_error_of_a_hundredth_of_the_step_can_be_seen(make_results: MakeResults) -> None:
+    """Whoever else is in the panel: it lies between a twentieth of the half height and the edge."""
+
+    def trace_of(key: str, seed: int) -> Trace:
+        gain = {"exact": 1.0, "near": 0.99, "far": 0.6}[key]
+        return scaled(make_trace(0.1, noise_seed=seed), gain)
+
+    keys = {name: {"type": "a"} for name in ("exact", "near", "far")}
+    (condition,) = conditions(make_results(trace_of, keys))
+    (signal,) = seen(condition, "x-").errors
+    trace = trace_of("near", 7)
+    expected = np.degrees(trace.reference[:, 0] - trace.y[:, 0])
+    assert signal.columns["c1"] == pytest.approx(expected.tolist(), rel=1e-4)
+    low, high = signal.extent(["c0", "c1", "c2"])
+    assert low == -high
+    assert 0.05 * high <= 0.01 * 20 <= high
+    assert 0.05 * signal.extent(["c0", "c1"])[1] <= 0.2 <= signal.extent(["c0", "c1"])[1]
+    error = every_figure(time_figures(condition, "x-"))[1]
+    assert "transients too: far (error of angle up to" in error.caption
+    assert error.views[0].fixed
+
+
+def test_of_a_stretch_of_constant_reference_the_second_half_is_settled_until_its_end_is_seen() -> None:
+    steps = np.repeat([1.0, 2.0, 0.0], 10)
+    calm = np.flatnonzero(settled_samples(steps, 2)).tolist()
+    assert calm == [*range(4, 8), *range(14, 18), *range(25, 30)]
+    assert settled_samples(np.sin(np.arange(30.0)), 2).all()
+
+
+def test_limits_are_named_where_they_are_drawn_and_told_where_they_are_not(make_results: MakeResults) -> None:
+    def own(key: str, seed: int) -> Trace:
+        return scaled(make_trace(0.3), 1.0, low=-1.0, high=0.4 if key == "quick" else 0.36)
+
+    response, _, control, _ = every_figure(time_figures(conditions(make_results(own))[0], "x-"))
+    words = [
+        {(round(row["value"], 1), row["label"]) for row in layer["data"]["values"]}
+        for figure in (response, control)
+        for layer in figure.views[0].spec["layer"]
+        if layer["mark"]["type"] == "text"
+    ]
+    assert words == [{(22.9, "limit of quick"), (20.6, "limit of slow")}, {(3.5, "limit")}]
+    assert "Limits outside the picture: angle at \u221257.2958°." in response.caption
+    assert "Limits outside the picture: torque at \u22123.5\u00a0N·m." in control.caption
+
+
+def test_who_does_not_see_a_chart_is_told_whose_lines_from_where_to_where(make_results: MakeResults) -> None:
+    (view,) = every_figure(time_figures(conditions(make_results())[0], "x-"))[0].views
+    said = r"angle / ° over time, 0 to 6 s: quick from .+ to 20\.\d, at the end (19|20)\.\d; slow from"
+    assert re.match(said, view.description)
+    assert f'role="img" aria-label="{view.description}"' in view.drawing.svg
+
+
+def test_a_long_label_is_clipped_in_a_drawing(make_results: MakeResults) -> None:
+    long = "x" * 10_000
+    (condition,) = conditions(make_results(controllers={"a": {"type": "a", "label": long}}, seeds=[7, 8]))
+    figures = [*every_figure(time_figures(condition, "x-")), *spread_figures(condition, "x-")]
+    for view in (view for figure in figures for view in figure.views):
+        assert "x" * 100 not in json.dumps(view.spec)
+        assert "x" * 100 not in view.drawing.svg
+    assert clipped("a" * 60) == "a" * 60
+    assert len(clipped("a" * 61)) == 60

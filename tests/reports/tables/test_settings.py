@@ -16,7 +16,7 @@ from ddpc_cosim.study.file_format.sections import ReferencePoints, ReportSection
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_reports.comparison import conditions
 from ddpc_reports.embedding import Drawing
-from ddpc_reports.figures import figure as figures
+from ddpc_reports.figures import figure, over_time
 from ddpc_reports.page import render_page
 from ddpc_reports.tables import settings as settings_module
 from ddpc_reports.tables.settings import family_tables, settings_tables, value_text
@@ -391,8 +391,9 @@ def test_what_the_study_says_of_itself_is_in_the_page(
     make_results: MakeResults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Drawing takes most of the time, and what is drawn does not follow from these texts.
-    monkeypatch.setattr(figures, "time_chart", lambda *given: {"mark": "point"})
-    monkeypatch.setattr(figures, "drawing", lambda *given: Drawing(Markup("")))
+    monkeypatch.setattr(over_time, "time_chart", lambda *given: {"mark": "point"})
+    for module in (figure, over_time):
+        monkeypatch.setattr(module, "drawing", lambda *given: Drawing(Markup("")))
     content = {key: CONTENT[key] for key in sorted(TEXTS)}
     results = make_results(**content)
     content = results.study.model_dump()
