@@ -137,9 +137,12 @@ def _interval(found: Difference, key: str) -> str:
 
 def _behind(found: Standings, first: str, other: str) -> Markup:
     """Say how far a controller is behind the first: difference, interval, and the ratio of the medians."""
+    ratios = {key: _ratio(found, key, first, other) for key in found.keys}
+    if len(ratios) > 1 and not any(map(math.isnan, ratios.values())):
+        parts = [f"{_times(ratio)} in {metric_signal(key)}" for key, ratio in ratios.items()]
+        return Markup("is off by {}").format(join_words(parts))
     parts = []
-    for key in found.keys:
-        ratio = _ratio(found, key, first, other)
+    for key, ratio in ratios.items():
         times = "" if math.isnan(ratio) else f", {_times(ratio)}"
         of = f" in {metric_signal(key)}" if len(found.keys) > 1 else ""
         parts.append(f"{_interval(_difference(found, key, first, other), key)}{times}{of}")

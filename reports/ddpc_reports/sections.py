@@ -241,7 +241,7 @@ def _overall_part(
         few = "Fewer than two problems have controllers in common that follow their reference."
         first = [("notes", [found or few])]
     facts = {"Problems": str(len(problems))} | _counts(results)
-    title = f"{head.title or head.name}: all problems"
+    title = "All problems" if number == 1 else f"{head.title or head.name}: all problems"
     return StudyPart(
         prefix, number, title, [], facts, answered, first, sections, summary=head.summary.strip()
     )

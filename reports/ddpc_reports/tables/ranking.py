@@ -231,7 +231,7 @@ def _place_column(place: Place, key: str, order: Sequence[ControllerResults], *,
     marked = [bool(one and condition.may_win(one)) for one in members]
     medians = [one.over_seeds(key).median if one else math.nan for one in members]
     cells = number_cells(
-        medians, eligible=marked, better=metric_of(key).better, digits=3, alike=condition.alike(key, members)
+        medians, eligible=marked, better=metric_of(key).better, alike=condition.alike(key, members)
     )
     best = min((value for value, able in zip(medians, marked, strict=True) if able), default=math.nan)
     signal = metric_signal(key) if len(condition.headline) > 1 else ""
@@ -255,7 +255,7 @@ def _place_cell(
         return Cell("lost", math.nan, failed=True, tone="share-0", href=href, title="; ".join(told))
     spread = one.over_seeds(key)
     detail = f"{significant(spread.low, 3)} … {significant(spread.high, 3)}" if spread.varies else ""
-    failures = f"{lost} of {len(one.cases)} lost" if lost and not one.is_point else ""
+    failures = f"{lost} lost" if lost and not one.is_point else ""
     tone = "share-0" if failures else _tone(float(cell.raw), best) if ranked else ""
     return replace(cell, href=href, detail=detail, failures=failures, tone=tone)
 

@@ -1,0 +1,149 @@
+"""The tables of the first screen, derived here once more from the cases."""
+
+from dataclasses import replace
+from statistics import median
+from typing import Any
+
+import numpy as np
+import pytest
+from markupsafe import Markup
+
+from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim.study.standings import standings
+from ddpc_reports.comparison import conditions
+from ddpc_reports.figures import figure
+from ddpc_reports.page import render_page
+from ddpc_reports.sections import gather
+from ddpc_reports.tables.table import Cell, Table
+
+from ..synthetic import MakeResults, make_trace, ranked
+
+SEEDS = [*range(12)]
+KEY = "mean_abs_error.angle [deg]"
+LAGS = {"slow": 0.9, "quick": 0.3, "lost": 0.2}
+NAMES = {name: {"type": "a"} for name in LAGS}
+
+
+@pytest.fixture(autouse=True)
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out what takes most of the time and what no table follows from."""
+    monkeypatch.setattr(figure, "static_svg", lambda *drawing, **more: Markup(""))
+
+
+def run_of(key: str, seed: int) -> Trace:
+    """Let one controller be the best of all but for one run."""
+    if key == "lost" and seed == 3:
+        return make_trace(0.2, outcome=Outcome.DIVERGED, reason="angle is NaN")
+    jitter = 1 + 0.02 * np.random.default_rng([seed, len(key)]).standard_normal()
+    trace = make_trace(LAGS[key] * jitter, noise_seed=seed)
+    return replace(trace, preview=5, recorded_samples=100 if key == "quick" else 0)
+
+
+def column(table: Table, words: str) -> dict[str, Cell]:
+    """Return the cells of a column by controller."""
+    number = [heading.words for heading in table.headings[1:]].index(words)
+    return {row.key: row.cells[number] for row in table.rows}
+
+
+def of(results: StudyResults, key: str, scenario: str = "nominal") -> list[float]:
+    return [
+        case.metrics[KEY]
+        for case in results.cases
+        if (case.controller, case.scenario) == (key, scenario) and case.holds
+    ]
+
+
+def test_the_ranked_table_has_ranks_medians_terms_and_runs_lost(make_results: MakeResults) -> None:
+    results = make_results(run_of, NAMES, seeds=SEEDS)
+    table = ranked(conditions(results)[0])
+    assert [row.key for row in table.rows] == ["quick", "slow", "lost"]
+    assert table.sortable
+    assert {key: cell.raw for key, cell in column(table, "rank").items()} == {
+        "quick": 1,
+        "slow": 2,
+        "lost": 3,
+    }
+    errors = column(table, "mean abs error (°)")
+    assert {key: cell.raw for key, cell in errors.items()} == {
+        key: pytest.approx(median(of(results, key))) for key in LAGS
+    }
+    assert [key for key, cell in errors.items() if cell.best] == ["quick"]
+    lost = column(table, "lost (runs)")
+    assert {key: (cell.text, cell.failed) for key, cell in lost.items()} == {
+        "quick": ("0 of 12", False),
+        "slow": ("0 of 12", False),
+        "lost": ("1 of 12", True),
+    }
+    assert {key: cell.raw for key, cell in column(table, "sees ahead (samples)").items()} == dict.fromkeys(
+        LAGS, 5.0
+    )
+    assert column(table, "learns from (samples)")["quick"].raw == 100.0
+
+
+def test_where_nobody_loses_a_run_nothing_is_said_of_it(make_results: MakeResults) -> None:
+    results = make_results(run_of, {"quick": {"type": "a"}, "slow": {"type": "a"}}, seeds=SEEDS)
+    table = ranked(conditions(results)[0])
+    assert "lost (runs)" not in [heading.words for heading in table.headings]
+
+
+def matrix(results: StudyResults) -> Table:
+    """Return the matrix of a page's first part."""
+    part = gather([results]).parts[0]
+    return next(content for kind, content in part.first if kind == "table")
+
+
+SCENARIOS: dict[str, Any] = {"calm": {}, "noisy": {"label": "Noisy", "noise": {"angle": 0.01}}}
+
+
+def test_the_matrix_has_a_cell_for_each_scenario_that_leads_to_its_figures(make_results: MakeResults) -> None:
+    results = make_results(run_of, NAMES, seeds=SEEDS, scenarios=SCENARIOS)
+    table = matrix(results)
+    found = standings(results.study, results.cases)
+    assert [row.key for row in table.rows] == [one.controller for one in found.order]
+    page = render_page([results])
+    for scenario, words in (("calm", "calm (°)"), ("noisy", "Noisy (°)")):
+        cells = column(table, words)
+        for key, cell in cells.items():
+            values = of(results, key, scenario)
+            assert cell.raw == pytest.approx(median(values))
+            low, high = (float(end) for end in cell.detail.split(" … "))
+            assert (low, high) == (pytest.approx(min(values), rel=5e-3), pytest.approx(max(values), rel=5e-3))
+            assert f'id="{cell.href.removeprefix("#")}"' in page
+        assert [key for key, cell in cells.items() if cell.best] == ["quick"]
+        assert cells["lost"].failures == "1 lost"
+        assert (cells["quick"].tone, cells["slow"].tone, cells["lost"].tone) == (
+            "share-5",
+            "share-1",
+            "share-0",
+        )
+
+
+def test_one_that_loses_every_run_of_a_scenario_has_no_value_there(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        return run_of(key, seed) if key != "lost" else make_trace(0.2, outcome=Outcome.DIVERGED)
+
+    cell = column(matrix(make_results(trace_of, NAMES, seeds=[0], scenarios=SCENARIOS)), "calm (°)")["lost"]
+    assert (cell.text, cell.failed, cell.title) == ("lost", True, "diverged")
+
+
+def test_what_tuning_is_worth_is_the_best_of_the_grid_against_the_own_settings(
+    make_results: MakeResults,
+) -> None:
+    lags = {"a": 0.5, "a1": 0.9, "a2": 0.4, "a3": 0.3, "b": 0.4}
+    weights = {"a": 2.0, "a1": 1.0, "a2": 3.0, "a3": 4.0}
+    controllers: dict[str, dict[str, Any]] = {
+        name: {"type": "a", "label": f"A, {name}", "settings": {"weight": weights.get(name, 1.0)}}
+        for name in lags
+    }
+    for name in ("a1", "a2", "a3"):
+        controllers[name] |= {"variant_of": "a", "varied": ["weight"]}
+    results = make_results(lambda key, seed: make_trace(lags[key], noise_seed=seed), controllers)
+    part = gather([results]).parts[0]
+    table = next(c for kind, c in part.first if kind == "table" and c.id.endswith("worth"))
+    (row,) = table.rows
+    value = {name: of(results, name)[0] for name in lags}
+    own, best, worst, change, settings, edge, lost = row.cells
+    assert (own.raw, best.raw, worst.raw) == (value["a"], value["a3"], value["a1"])
+    assert change.raw == pytest.approx(100 * (value["a3"] / value["a"] - 1))
+    assert best.best
+    assert (settings.text, edge.text, lost.text) == ("weight = 4", "weight: largest", "0 of 3")

@@ -1,0 +1,149 @@
+"""The answer says who is ahead, how sure that is, what others offer and who fails: no more, and no less."""
+
+import html
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from statistics import median
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim.study.standings import standings
+from ddpc_reports.answer import answer
+from ddpc_reports.comparison import conditions
+
+from .synthetic import ANGLE, SPEED, MakeResults, make_trace
+
+SEEDS = [*range(12)]
+KEY = "mean_abs_error.angle [deg]"
+Make = Callable[[str, int], Trace]
+
+
+def said(results: StudyResults) -> str:
+    """Return the answer as plain text."""
+    found = standings(results.study, results.cases)
+    text = re.sub("<[^>]*>", "", str(answer(results, conditions(results), found)))
+    return html.unescape(text).translate({0xA0: " ", 0x202F: " ", 0x2212: "-"})
+
+
+def lag(of: dict[str, float], jitter: float = 0.02) -> Make:
+    def trace_of(key: str, seed: int) -> Trace:
+        own = np.random.default_rng([seed, len(key), ord(key[0])]).standard_normal()
+        return make_trace(of[key] * (1 + jitter * own), noise_seed=seed)
+
+    return trace_of
+
+
+def study(make_results: MakeResults, trace_of: Make, *names: str, **more: object) -> StudyResults:
+    return make_results(trace_of, {name: {"type": "a"} for name in names}, **{"seeds": SEEDS, **more})
+
+
+def values(results: StudyResults, key: str) -> dict[int, float]:
+    return {case.seed: case.metrics[KEY] for case in results.cases if case.controller == key}
+
+
+def test_one_that_is_told_apart_from_all_is_ahead_by_the_difference_of_the_pairs(
+    make_results: MakeResults,
+) -> None:
+    results = study(make_results, lag({"a": 0.3, "b": 0.5, "c": 0.9}), "c", "b", "a")
+    a, b = values(results, "a"), values(results, "b")
+    difference = median(b[seed] - a[seed] for seed in SEEDS)
+    percent = 100 * (median(b.values()) / median(a.values()) - 1)
+    told = said(results)
+    assert told.startswith(f"a is ahead over 12 seeds: mean abs error {median(a.values()):.3g}° [")
+    assert re.search(rf"; the next, b, differs by \+{difference:.3g}° \[\d", told)
+    assert f"], +{percent:.2g} %." in told
+    assert "c" not in re.findall(r"\b[abc]\b", told)
+
+
+def test_those_that_are_not_told_apart_lead_together(make_results: MakeResults) -> None:
+    results = study(make_results, lag({"a": 0.5, "b": 0.5, "c": 0.9}, 0.1), "c", "b", "a")
+    told = said(results)
+    assert re.match(r"[ab] and [ab] lead over 12 seeds and are not told apart: mean abs error ", told)
+    low, high = re.findall(r"\[([-\d.]+) … ([-\d.]+)\]", told)[0]
+    assert float(low) < 0 < float(high)
+
+
+def test_too_few_seeds_make_nobody_sure(make_results: MakeResults) -> None:
+    results = study(make_results, lag({"a": 0.3, "b": 0.5}), "a", "b", seeds=[0, 1, 2])
+    assert "a has the best median over 3 seeds" in said(results)
+    assert said(results).endswith("3 seeds are too few to test 2 controllers against each other: it takes 6.")
+    alone = study(make_results, lag({"a": 0.3, "b": 0.5}), "a", "b", seeds=[4])
+    assert said(alone).startswith("a is ahead on the one seed that was run: mean abs error ")
+    assert said(alone).endswith("How much that depends on the seed is not known.")
+
+
+def test_who_loses_runs_is_told_and_that_it_is_ahead_in_the_others(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        if key == "swift" and seed == 3:
+            return make_trace(0.2, outcome=Outcome.DIVERGED, reason="angle is NaN")
+        return lag({"swift": 0.2, "a": 0.5, "b": 0.8})(key, seed)
+
+    results = study(make_results, trace_of, "swift", "a", "b")
+    swift, a = values(results, "swift"), values(results, "a")
+    gain = median(a[seed] - swift[seed] for seed in SEEDS if seed != 3)
+    told = said(results)
+    assert told.startswith("a is ahead over 12 seeds")
+    assert f"Runs are lost by swift (1 of 12; in the others ahead of a by {gain:.3g}° [" in told
+
+
+def test_where_every_controller_loses_runs_none_is_ahead(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        lost = seed < (1 if key == "a" else 2)
+        return make_trace(0.5, outcome=Outcome.DIVERGED if lost else Outcome.COMPLETED)
+
+    told = said(study(make_results, trace_of, "a", "b"))
+    assert told == (
+        "No controller stays near its reference in every run. The fewest are lost by a: 1 run of 12."
+    )
+
+
+def test_who_learns_from_no_recording_is_told_with_how_far_it_is_behind(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        trace = lag({"a": 0.3, "b": 0.9, "c": 1.1})(key, seed)
+        return replace(trace, recorded_samples=200 if key == "a" else 0)
+
+    results = study(make_results, trace_of, "a", "b", "c")
+    ratio = median(values(results, "b").values()) / median(values(results, "a").values())
+    assert f"Behind, b ({ratio:.2g} times) learns from no recording." in said(results)
+
+
+def test_scenarios_count_together_but_for_those_in_which_nobody_follows(make_results: MakeResults) -> None:
+    scenarios = {"calm": {}, "wild": {}, "dead": {"label": "No power"}}
+    results = study(make_results, lag({"a": 0.3, "b": 0.9}), "a", "b", scenarios=scenarios)
+    cases = tuple(
+        replace(case, metrics=case.metrics | {"settled_share.angle [%]": 90.0})
+        if case.scenario == "dead"
+        else case
+        for case in results.cases
+    )
+    told = said(replace(results, cases=cases))
+    assert told.startswith("a is ahead over 2 scenarios and 12 seeds")
+    assert told.endswith("Not counted, as no controller follows there: No power.")
+
+
+def test_of_several_outputs_each_has_its_value(make_results: MakeResults) -> None:
+    def trace_of(key: str, seed: int) -> Trace:
+        return make_trace(0.3 if key == "a" else 0.9, outputs=(ANGLE, SPEED), noise_seed=seed)
+
+    told = said(study(make_results, trace_of, "a", "b"))
+    assert re.match(
+        r"a is ahead over 12 seeds: mean abs error [\d.]+° \[[\d. …]+\] of angle and [\d.]+ m/s", told
+    )
+    assert re.search(r"the next, b, is off by [\d.]+ times in angle and [\d.]+ times in speed\.", told)
+
+
+@pytest.mark.parametrize("name", ["<b>x</b>", 'a "quoted" & more'])
+def test_names_are_text(make_results: MakeResults, name: str) -> None:
+    results = make_results(
+        lag({"a": 0.3, "b": 0.9}), {"a": {"type": "a", "label": name}, "b": {"type": "a"}}, seeds=SEEDS
+    )
+    text = str(answer(results, conditions(results), standings(results.study, results.cases)))
+    assert html.escape(name, quote=True).replace("&quot;", "&#34;") in text.replace("&quot;", "&#34;")
+
+
+def test_alone_nobody_is_ahead(make_results: MakeResults) -> None:
+    told = said(study(make_results, lag({"a": 0.3}), "a"))
+    assert told.startswith("There is nothing to compare a with: mean abs error ")
