@@ -16,7 +16,6 @@ from ddpc_cosim.cli.progress import screen, shown
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.study.case_files import CaseResult
-from ddpc_cosim.study.dry_run import expected
 from ddpc_cosim.study.file_format.sections import expand_seeds
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.reading import read_study
@@ -32,6 +31,7 @@ from ddpc_cosim.study.results import (
     write_report,
 )
 from ddpc_cosim.study.runner import Selection, run_study
+from ddpc_cosim.study.running.dry_run import expected
 from ddpc_cosim.texts import alike, printable
 from ddpc_cosim.trace import Outcome
 

@@ -59,7 +59,6 @@ from ddpc_cosim.study.cases import (
     run_case,
 )
 from ddpc_cosim.study.plants import PlantSpec
-from ddpc_cosim.study.provenance import facts_of_problem, facts_of_run, seed_ranges
 from ddpc_cosim.study.results import (
     CASES_FOLDER,
     StudyResults,
@@ -68,6 +67,7 @@ from ddpc_cosim.study.results import (
     provenance_of,
     write_results,
 )
+from ddpc_cosim.study.running.provenance import facts_of_problem, facts_of_run, seed_ranges
 from ddpc_cosim.trace import Outcome
 from fmu_plants.files import cache_dir
 
@@ -252,7 +252,7 @@ def _done(cases: Sequence[Case], folder: Path, selection: Selection, progress: P
         return iter(())
     if selection.executor == "local":
         return run_cases(cases, folder, selection.jobs, progress.update, sandboxed=sandboxed)
-    from ddpc_cosim.study.cluster import run_on_cluster  # which few runs need
+    from ddpc_cosim.study.running.cluster import run_on_cluster  # which few runs need
 
     return run_on_cluster(cases, folder, selection.scheduler, run_cases, sandboxed=sandboxed)
 

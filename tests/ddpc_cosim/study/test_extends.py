@@ -11,10 +11,10 @@ import pytest
 from ddpc_cosim import ConfigError, Study
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.studies import __file__ as built_in
-from ddpc_cosim.study.dry_run import expected
 from ddpc_cosim.study.reading import read_file, read_study
 from ddpc_cosim.study.resolve import ResolvedProblems
 from ddpc_cosim.study.runner import Selection, run_study, selected_cases
+from ddpc_cosim.study.running.dry_run import expected
 
 BASE = """
 title = "Of the base"

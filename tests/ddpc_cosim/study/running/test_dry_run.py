@@ -8,9 +8,9 @@ import pytest
 
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.study.case_files import load_case, write_case
-from ddpc_cosim.study.dry_run import expected
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study, selected_cases
+from ddpc_cosim.study.running.dry_run import expected
 
 SWEPT = """
 seeds = ["0:2"]

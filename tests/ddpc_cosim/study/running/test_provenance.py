@@ -14,9 +14,9 @@ from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.plugins import package_version
 from ddpc_cosim.study.file_format.sections import expand_seeds
 from ddpc_cosim.study.file_format.study_files import StudyFile
-from ddpc_cosim.study.provenance import commit_of, facts_of_run, seed_ranges
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
+from ddpc_cosim.study.running.provenance import commit_of, facts_of_run, seed_ranges
 
 STUDY = """
 plant = { name = "pendulum", inputs = ["torque"], outputs = ["angle"] }
