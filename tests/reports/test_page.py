@@ -429,22 +429,43 @@ def test_a_process_that_does_not_answer_is_ended(monkeypatch: pytest.MonkeyPatch
     painter = drawing._Painter()
     for _ in range(2):  # and not started again
         with pytest.raises(drawing.DrawingError, match=r"took longer than 0\.01 s and was ended"):
-            painter.draw({}, {})
+            painter.draw(b"[]\n")
     assert painter.end() is None
 
 
 def test_a_process_that_dies_on_one_picture_draws_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
     painter = drawing._Painter()
-    code = drawing._CODE.replace(
-        "vl_convert.vegalite_to_vega(spec)", "sys.exit(5) if spec == 'bad' else {'data': []}"
-    )
-    code = code.replace('vl_convert.vega_to_svg(vega | {"data": data})', "spec")
+    draws = "vega = vl_convert.vegalite_to_vega(spec)"
+    code = drawing._CODE.replace(draws, f"if spec == 'bad': sys.exit(5)\n        {draws}")
     monkeypatch.setattr(drawing, "_CODE", code)
     for _ in range(2):
-        assert painter.draw("good", {}) == ({"data": []}, "good")
+        assert b"<svg" in painter.draw(b'[{"mark": "point"}, {}]\n')
         with pytest.raises(drawing.DrawingError, match="ended with exit code 5"):
-            painter.draw("bad", {})
+            painter.draw(b'["bad", {}]\n')
     painter.end()
+
+
+def test_pictures_are_drawn_once_and_without_a_cache_every_time(
+    make_results: MakeResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = []
+    draw = drawing._Painter.draw
+    monkeypatch.setattr(drawing._Painter, "draw", lambda *given: drawn.append(given) or draw(*given))
+    monkeypatch.setattr(drawing, "_MOST_KEPT", 8)
+    monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "cache"))
+    page = written(tmp_path, make_results())
+    pictures = len(json.loads(Reader(page).json)["views"])
+    assert len(drawn) == pictures
+    assert len(list((tmp_path / "cache" / "pictures").iterdir())) <= 8
+    monkeypatch.setattr(drawing, "_MOST_KEPT", 1000)
+    assert written(tmp_path, make_results()) == page
+    drawn.clear()
+    assert written(tmp_path, make_results()) == page
+    assert not drawn
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("DDPC_COSIM_CACHE", str(tmp_path / "file" / "cache"))
+    assert written(tmp_path, make_results()) == page
+    assert len(drawn) == pictures
 
 
 def test_a_page_that_cannot_be_written_leaves_the_older_one(

@@ -1,7 +1,8 @@
 """Charts compiled from Vega-Lite to Vega and drawn, in a process of its own.
 
 What does so, V8, ends its process where it does not get the memory that it reserves (``ulimit -v``): that
-must not cost the report. The process is started for the first picture and serves all of them.
+must not cost the report. The process is started for the first picture and serves all of them. What was drawn
+is kept in the cache: a report that is written again takes half the time.
 """
 
 import atexit
@@ -10,10 +11,17 @@ import signal
 import subprocess
 import sys
 import threading
+import zlib
 from collections.abc import Mapping
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
 from time import monotonic
 from typing import Any
 
+from ddpc_cosim.plugins import cached
+
+_MOST_KEPT = 4000  # files of the cache, two of each picture, which takes some 10 kB
 Spec = Mapping[str, Any]
 
 _LONGEST_SECONDS = 60.0  # for a picture that takes milliseconds, the first one a second
@@ -47,8 +55,8 @@ class _Painter:
         self._process: subprocess.Popen[bytes] | None = None
         self._has_drawn, self._broken = False, ""
 
-    def draw(self, spec: Spec, samples: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
-        question = json.dumps([spec, samples], allow_nan=False).encode() + b"\n"
+    def draw(self, question: bytes) -> bytes:
+        """Return the answer to a line of JSON, which is JSON too."""
         if self._broken:
             raise DrawingError(self._broken)
         began = monotonic()
@@ -60,11 +68,10 @@ class _Painter:
             words = self._lost(late=monotonic() - began >= _LONGEST_SECONDS)
             self._broken = "" if self._has_drawn else words
             raise DrawingError(words)
-        answer = json.loads(line)
-        if "error" in answer:
-            raise DrawingError(answer["error"])
+        if error := json.loads(line).get("error"):
+            raise DrawingError(error)
         self._has_drawn = True
-        return answer["vega"], answer["svg"]
+        return line
 
     def _answer(self, question: bytes) -> bytes:
         """Return what the process answers; nothing if it ends, or is ended for taking too long."""
@@ -134,4 +141,28 @@ def drawn(spec: Spec, samples: Mapping[str, list[dict[str, Any]]]) -> tuple[dict
     ValueError
         It holds numbers that are not finite.
     """
-    return _painter.draw(spec, samples)
+    question = json.dumps([spec, samples], allow_nan=False).encode() + b"\n"
+    key = sha256(version("vl-convert-python").encode() + _CODE.encode() + question).hexdigest()
+    new: list[bytes] = []
+
+    def make() -> bytes:
+        new.append(_painter.draw(question))
+        return zlib.compress(new[0])
+
+    try:
+        file = cached(f"pictures/{key[:32]}", make)
+        line = zlib.decompress(file.read_bytes())
+        if new:
+            _leave_newest(file.parent)
+    except OSError:  # the report can do without a cache
+        line = new[0] if new else _painter.draw(question)
+    answer = json.loads(line)
+    return answer["vega"], answer["svg"]
+
+
+def _leave_newest(folder: Path) -> None:
+    """Remove the older half of the pictures where there are too many."""
+    files = [*folder.iterdir()]
+    if len(files) > _MOST_KEPT:
+        for file in sorted(files, key=lambda file: file.stat().st_mtime_ns)[: len(files) // 2]:
+            file.unlink(missing_ok=True)
