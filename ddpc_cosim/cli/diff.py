@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ddpc_cosim.cli.output import say
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import StudyResults, load_results
-from ddpc_cosim.texts import printable
 from ddpc_cosim.trace import Trace
 from ddpc_cosim.variables import FloatArray
 
@@ -35,7 +35,7 @@ def diff_command(folders: Sequence[Path], absolute: float, relative: float) -> i
     total = len(one.keys() | other.keys())
     print(f"{agreeing} of {total} cases agree within max({absolute:g}, {relative:g} of the larger value)")
     for line in lines[:_MOST_LISTED]:
-        print(printable(line))
+        say(line)
     if len(lines) > _MOST_LISTED:
         print(f"and {len(lines) - _MOST_LISTED} more")
     return 1 if lines else 0

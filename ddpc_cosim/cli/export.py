@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ddpc_cosim.cli.output import say
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.errors import ConfigError, CosimError, PluginError
 from ddpc_cosim.plugins import find_modules_in, load_plugin
@@ -66,7 +67,7 @@ def export_command(target: str, fmi_version: str, out: Path | None, platforms: s
 
 
 def _say(line: str) -> None:
-    print(printable(line), file=sys.stderr, flush=True)
+    say(line, err=True)
 
 
 def _load(target: str) -> Any:

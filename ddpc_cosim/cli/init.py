@@ -5,11 +5,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import click
-
+from ddpc_cosim.cli.output import say
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.errors import ConfigError, CosimWarning
-from ddpc_cosim.texts import printable
 
 T = TypeVar("T")
 
@@ -41,10 +39,10 @@ def init_command(
         proposal = suggest_study(fmu, at=levels, ranges=limits, tell=progress, **wanted)
         path = write_study(proposal, fmu, out, replace=force)
     driven, controlled = (", ".join(v.name for v in s) for s in (proposal.inputs, proposal.outputs))
-    click.echo(printable(f"{path}: {controlled} by {driven}, every {proposal.sampling_time:g} s"))
+    say(f"{path}: {controlled} by {driven}, every {proposal.sampling_time:g} s")
     for line in proposal.comments.get("head", ()):
-        click.echo(printable(line))
-    click.echo(printable(f"run it: ddpc-cosim run {path}"))
+        say(line)
+    say(f"run it: ddpc-cosim run {path}")
 
 
 def assignments(option: str, texts: Sequence[str], value_of: Callable[[str], T]) -> dict[str, T]:

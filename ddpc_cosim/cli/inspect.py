@@ -5,6 +5,7 @@ import math
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from shlex import quote
 
@@ -14,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ddpc_cosim.cli.output import fitting
 from ddpc_cosim.fmu.description import Clock, FMUDescription, FMUVariable, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Severity
 from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu
@@ -25,6 +27,8 @@ _MOST_ROWS = 20
 _LONGEST_CELL = 10_000
 _STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: ""}
 _HEADINGS = ("name", "unit", "start", "min", "max", "nominal", "more", "description")
+_IN_WORDS = ("unit", "more", "description")
+_NARROW, _LONGEST_NAME = 14, 30
 _BYTES_PER_KILOBYTE = 1000
 
 Row = tuple[str, ...]
@@ -64,7 +68,17 @@ def _print_tables(console: Console, inspection: Inspection, *, every: bool) -> N
     console.print(facts, "")
     for section in _sections(inspection):
         if section.rows:
-            console.print(_table(section, every=every))
+            shown = section.rows if every else section.rows[:_MOST_ROWS]
+            # Columns in which nothing stands only take room.
+            used = [i for i in range(len(section.headings)) if any(row[i] for row in section.rows)]
+            table, left_out = fitting(console, used, partial(_table, section, shown))
+            console.print(table)
+            if len(shown) < len(section.rows):
+                console.print(f" and {len(section.rows) - len(shown)} more; --all shows them")
+            if left_out:
+                words = ", ".join(section.headings[i] for i in left_out)
+                console.print(f" not shown: {words}; in a wider window, and with --json")
+            console.print()
     for defect in inspection.defects:
         severity = (f"{defect.severity}: ", _STYLE[defect.severity])
         console.print(Text.assemble(severity, printable(str(defect), _LONGEST_CELL)))
@@ -72,7 +86,7 @@ def _print_tables(console: Console, inspection: Inspection, *, every: bool) -> N
         console.print("", Text(_next_step(inspection)), sep="\n")
 
 
-def _table(section: _Section, *, every: bool) -> Table:
+def _table(section: _Section, rows: Sequence[Row], columns: Sequence[int], narrow: bool) -> Table:
     table = Table(
         title=f"{section.title} ({len(section.rows)})",
         title_justify="left",
@@ -80,16 +94,15 @@ def _table(section: _Section, *, every: bool) -> Table:
         box=SIMPLE_HEAD,
         pad_edge=False,
     )
-    # Columns in which nothing stands only take room.
-    used = [i for i, heading in enumerate(section.headings) if any(row[i] for row in section.rows)]
-    for i in used:
-        table.add_column(section.headings[i], overflow="fold", justify="left")
-    shown = section.rows if every else section.rows[:_MOST_ROWS]
-    for row in shown:
-        table.add_row(*(Text(printable(row[i], _LONGEST_CELL)) for i in used))
-    hidden = len(section.rows) - len(shown)
-    if hidden:
-        table.caption, table.caption_justify = f"and {hidden} more; --all shows them", "left"
+    for i in columns:
+        heading = section.headings[i]
+        in_words = heading in _IN_WORDS
+        widest = _NARROW if in_words else _LONGEST_NAME
+        table.add_column(
+            heading, no_wrap=not in_words, overflow="ellipsis", max_width=widest if narrow else None
+        )
+    for row in rows:
+        table.add_row(*(Text(printable(row[i], _LONGEST_CELL)) for i in columns))
     return table
 
 

@@ -8,7 +8,8 @@ import click
 from rich.table import Table
 from rich.text import Text
 
-from ddpc_cosim.cli.progress import screen, shown
+from ddpc_cosim.cli.output import screen
+from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.metrics import METRICS, describe_metric
 from ddpc_cosim.plugins import describe, installed, package_version
 from ddpc_cosim.texts import printable

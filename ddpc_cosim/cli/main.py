@@ -23,7 +23,6 @@ _STDOUT, _NOT_WRITTEN = 1, (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EPIPE)
 FAILED, MISUSED, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 _LISTED = ("plants", "controllers", "studies", "metrics")
 _FMI_TYPES = ("auto", "co-simulation", "model-exchange")
-_LONGEST_ERROR = 20_000
 _GOES_ON = "finished cases are kept; the same command goes on from there"
 
 
@@ -61,24 +60,23 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 def _complain(error: str) -> None:
     """Print an error; its further lines, which may be anyone's, cannot be taken for this program's own."""
-    from ddpc_cosim.texts import printable
+    from ddpc_cosim.cli.output import say
 
-    lines = printable(error, _LONGEST_ERROR, keep="\n").replace("\n", "\n  ")
-    click.echo(f"error: {lines}", err=True)
+    say("error: " + error.replace("\n", "\n  "), err=True, keep="\n")
 
 
 @contextmanager
 def _harmless_usage_errors() -> Iterator[None]:
     """Write out in click's own messages, too, what would act on a terminal."""
-    from ddpc_cosim.texts import printable
+    from ddpc_cosim.cli.output import harmless
 
     try:
         yield
     except click.UsageError as error:
-        words = error.format_message()
-        if (harmless := printable(words, _LONGEST_ERROR, keep="\n")) == words:
+        words = f"Error: {error.format_message()}"
+        if (shown := harmless(words, err=True, keep="\n")) == words:
             raise
-        raise click.UsageError(harmless, error.ctx) from None
+        raise click.UsageError(shown.removeprefix("Error: "), error.ctx) from None
 
 
 class _Commands(click.Group):

@@ -16,7 +16,7 @@ from ddpc_cosim.texts import alike, printable
 if TYPE_CHECKING:  # which take a while to import themselves
     from collections.abc import Iterator
 
-    from rich.console import Console, RenderableType
+    from rich.console import RenderableType
 
     from ddpc_cosim.study.case_files import CaseResult
     from ddpc_cosim.study.cases import Case
@@ -26,14 +26,6 @@ if TYPE_CHECKING:  # which take a while to import themselves
 _SECONDS_BETWEEN_LINES, _PART = 1.5, 0.01
 _MOST_LISTED, _MOST_LINES = 4, 16
 _STDOUT = 1
-_WIDE = 1000
-
-
-def screen() -> "Console":
-    """Return what prints tables: where neither a terminal nor $COLUMNS limits them, as wide as they are."""
-    from rich.console import Console
-
-    return Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDE)
 
 
 class _Cases:

@@ -12,7 +12,8 @@ from typing import Any
 
 import click
 
-from ddpc_cosim.cli.progress import screen, shown
+from ddpc_cosim.cli.output import say, screen
+from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.study.case_files import CaseResult
@@ -68,7 +69,7 @@ def run_command(
             else:
                 results = run_study(resolved, folder, selection, progress)
     if dry_run:  # what is printed while progress is shown is dropped
-        print(printable(would_be, keep="\n"))
+        say(would_be, keep="\n")
         return 0
     if selection.is_part:
         count = f"{len(results.cases)} {'case' if len(results.cases) == 1 else 'cases'}"
@@ -108,9 +109,9 @@ def _first_and_more(cases: Sequence[CaseResult]) -> str:
 
 def _print_some(lines: Sequence[str], rest: str) -> None:
     for line in lines[:_MOST_LISTED]:
-        print(printable(line), file=sys.stderr)
+        say(line, err=True)
     if len(lines) > _MOST_LISTED:
-        print(printable(f"and {len(lines) - _MOST_LISTED} more{rest}"), file=sys.stderr)
+        say(f"and {len(lines) - _MOST_LISTED} more{rest}", err=True)
 
 
 def _damaged(results: StudyResults) -> bool:
@@ -119,7 +120,7 @@ def _damaged(results: StudyResults) -> bool:
     _print_some([f"error: {why}" for why in results.damaged.values()], "")
     if damaged:
         remedy = f"run the study again with --out {results.folder}: only they are run"
-        print(printable(f"{damaged} of {total} cases are damaged and left out; {remedy}"), file=sys.stderr)
+        say(f"{damaged} of {total} cases are damaged and left out; {remedy}", err=True)
     return damaged > 0
 
 
@@ -131,7 +132,7 @@ def _print_warnings(results: StudyResults) -> None:
     for text, all_cases in found.values():
         controllers = ", ".join(dict.fromkeys(case.controller for case in all_cases))
         count = f"{len(all_cases)} {'case' if len(all_cases) == 1 else 'cases'}"
-        print(printable(f"warning: {controllers} ({count}): {text}"), file=sys.stderr)
+        say(f"warning: {controllers} ({count}): {text}", err=True)
 
 
 @contextmanager
@@ -141,7 +142,7 @@ def warnings_in_one_line() -> Iterator[None]:
         warnings.simplefilter("always", CosimWarning)
         yield
     for message in dict.fromkeys(str(warning.message) for warning in caught):
-        print(printable(f"warning: {message}"), file=sys.stderr)
+        say(f"warning: {message}", err=True)
 
 
 def parse_seeds(text: str | None) -> list[int]:

@@ -11,7 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from ddpc_cosim.cli.init import assignments
-from ddpc_cosim.cli.progress import screen, shown
+from ddpc_cosim.cli.output import say, screen
+from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.csv_files import CSVFile
 from ddpc_cosim.errors import ConfigError, CosimWarning, DataError
 from ddpc_cosim.plant import FMIType
@@ -89,10 +90,10 @@ def simulate_command(
     for path in out:
         print(printable(str(path)))
     if difference is not None:
-        print(printable(difference.words))
+        say(difference.words)
         code = 0 if difference.agrees else 1
     if not simulation.completed:
-        print(printable(f"{simulation.plant}: {simulation.outcome}: {simulation.reason}"), file=sys.stderr)
+        say(f"{simulation.plant}: {simulation.outcome}: {simulation.reason}", err=True)
     if simulation.interrupted_by is not None:
         raise simulation.interrupted_by
     return 1 if simulation.failed else code
@@ -121,7 +122,7 @@ def _write(simulation: Simulation, path: Path) -> None:
 def _print(simulation: Simulation) -> None:
     """Print notes and, of each signal, its values at the start and at the end, and its range."""
     for note in simulation.notes:
-        print(printable(f"note: {note}"), file=sys.stderr)
+        say(f"note: {note}", err=True)
     title = f"{simulation.plant}: {len(simulation.time)} of {simulation.planned_samples} samples"
     if len(simulation.time):
         title += (
@@ -129,9 +130,9 @@ def _print(simulation: Simulation) -> None:
         )
     if not simulation.completed:
         title += f" ({simulation.outcome})"
-    print(printable(title))
+    say(title)
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("signal", overflow="fold")
+    table.add_column("signal", no_wrap=True, overflow="ellipsis")
     for heading in ("start", "min", "max", "end"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("unit")

@@ -4,13 +4,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from textwrap import wrap
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from ddpc_cosim.cli.output import fitting, wrapped
 from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
@@ -19,11 +19,11 @@ from ddpc_cosim.study.standings import Standing, Standings, known_values, standi
 from ddpc_cosim.texts import printable
 
 _STEP = "solve_time_median [s]"
+_RANGE = "range"
 _VARIANTS_SHOWN = 2
 _NAME_PART = 0.4
 """Part of the window that names may take."""
 _SHORTEST_NAME, _SHORTEST_HEADING = 10, 5
-_UNLIMITED = 10_000
 _MISSING = "-"
 
 
@@ -63,34 +63,36 @@ def summary_table(results: StudyResults, console: Console) -> RenderableType:
     scenarios = tuple(dict.fromkeys(case.scenario for case in results.cases))
     rows = _rows(results, found)
     columns = _metric_columns(results, keys) if len(scenarios) < 2 else _scenario_columns(results, keys)
-    unlimited = console.options.update(width=_UNLIMITED)
-    for count, wrapped in [(len(columns), False), *((n, True) for n in range(len(columns), 0, -1))]:
-        table = _table(rows, columns[:count], int(_NAME_PART * console.width), wrapped=wrapped)
-        if console.measure(table, options=unlimited).maximum <= console.width:
-            break
-    left_out = [column.words for column in columns[count:]]
+    columns = [one for one in columns if one.title != _RANGE or _has_values(one, rows)]
+    longest = max(int(_NAME_PART * console.width), _SHORTEST_NAME)
+    table, others = fitting(console, columns, partial(_table, rows, longest))
+    left_out = [column.words for column in others]
     if len(scenarios) > 1:
         of_metrics = (one.title for one in _metric_columns(results, keys) if one.key not in headline(keys))
         left_out += dict.fromkeys(of_metrics)
     lines = _lines(results, found, rows, left_out)
-    below = [line for text in lines for line in _wrapped(printable(text), console.width)]
+    below = [line for text in lines for line in wrapped(printable(text), console.width)]
     head = Text(_title(results), style="bold")
     return Group(head, table, *(Text(line, overflow="ignore") for line in below))
 
 
-def _table(rows: Sequence[_Row], columns: Sequence[_Column], longest: int, *, wrapped: bool) -> Table:
+def _has_values(column: _Column, rows: Sequence[_Row]) -> bool:
+    return any(column.cell(row.cases).plain != _MISSING for row in rows)
+
+
+def _table(rows: Sequence[_Row], longest: int, columns: Sequence[_Column], narrow: bool) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     add = partial(table.add_column, vertical="bottom", no_wrap=True)
     any_lost = any(row.lost for row in rows)
     add("rank", justify="right")
-    add("controller", max_width=max(longest, _SHORTEST_NAME), overflow="ellipsis")
+    add("controller", max_width=longest, overflow="ellipsis")
     if any_lost:
         add("lost\nruns", justify="right")
     cells = [[column.cell(row.cases) for row in rows if row.cases] for column in columns]
     for column, own in zip(columns, cells, strict=True):
         room = max([_SHORTEST_HEADING, *map(len, own), *map(len, column.detail.split())])
         texts = [text for text in (column.title, column.detail) if text]
-        lines = [line for text in texts for line in (_wrapped(text, room) if wrapped else [text])]
+        lines = [line for text in texts for line in (wrapped(text, room) if narrow else [text])]
         add(Text("\n".join(lines)), justify="right")
     for row in rows:
         if not row.cases:
@@ -104,11 +106,6 @@ def _table(rows: Sequence[_Row], columns: Sequence[_Column], longest: int, *, wr
     return table
 
 
-def _wrapped(text: str, room: int) -> list[str]:
-    """Return a text in lines that break no word."""
-    return wrap(text, room, break_long_words=False, break_on_hyphens=False)
-
-
 def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]:
     """Return the columns of one scenario, those first that tell most."""
     ranked, step = headline(keys), _metric_column(_STEP)
@@ -116,7 +113,7 @@ def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]
     others = [key for name in names for key in keys if split_key(key)[0] == name and key not in ranked]
     several = len({case.seed for case in results.cases}) > 1
     spreads = [
-        _Column("range", _detail(key), "range", "", partial(_range, key=key)) for key in ranked if several
+        _Column(_RANGE, _detail(key), _RANGE, "", partial(_range, key=key)) for key in ranked if several
     ]
     own, more = [_metric_column(key) for key in ranked], [*map(_metric_column, others), step]
     # Of several outputs the ranges would leave no room for anything else.

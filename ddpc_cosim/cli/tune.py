@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from ddpc_cosim.cli.output import say
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.run import parse_seeds, show_results, warnings_in_one_line
 from ddpc_cosim.errors import ConfigError
@@ -66,10 +67,10 @@ def _print_found(tuned: Tuned, request: Request, *, named: bool) -> None:
         figures = _figures(trials[0], trials[number], request)
         held_out = _figures(*tuned.held_out[problem, controller], request)
         who = f"{problem}, {controller}" if named else controller
-        print(printable(f"{who}: {settings} ({which}; {figures}; held out: {held_out})"))
+        say(f"{who}: {settings} ({which}; {figures}; held out: {held_out})")
     for problem, controller in tuned.kept:
         who = f"{problem}, {controller}" if named else controller
-        print(printable(f"{who}: nothing to search, left as it is"))
+        say(f"{who}: nothing to search, left as it is")
 
 
 def _figures(given: Trial, found: Trial, request: Request) -> str:

@@ -1,0 +1,72 @@
+"""What commands print: nothing in it acts on a terminal, and on one no word is broken."""
+
+import os
+import shutil
+import sys
+from collections.abc import Callable, Sequence
+from textwrap import wrap
+from typing import TYPE_CHECKING, TypeVar
+
+import click
+
+from ddpc_cosim.texts import printable
+
+if TYPE_CHECKING:  # which takes a while to import
+    from rich.console import Console
+    from rich.table import Table
+
+_WIDE, _UNLIMITED = 1000, 10_000
+_LONGEST = 20_000
+
+Column = TypeVar("Column")
+
+
+def say(text: str, *, err: bool = False, keep: str = "") -> None:
+    """Print a text on stdout or stderr, written out but for what is kept, such as line breaks."""
+    click.echo(harmless(text, err=err, keep=keep), err=err)
+
+
+def harmless(text: str, *, err: bool = False, keep: str = "") -> str:
+    """Return a text of any origin for stdout or stderr; on a terminal its lines end between words.
+
+    They go on indented, so that none of them can be taken for one of this program's own.
+    """
+    text = printable(text, _LONGEST, keep=keep)
+    if not (sys.stderr if err else sys.stdout).isatty():
+        return text
+    width = shutil.get_terminal_size().columns
+    return "\n".join(part for line in text.split("\n") for part in wrapped(line, width, indent="  ") or [""])
+
+
+def wrapped(text: str, width: int, *, indent: str = "") -> list[str]:
+    """Return a text in lines that end between words."""
+    return wrap(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
+def screen() -> "Console":
+    """Return what prints tables: where neither a terminal nor $COLUMNS limits them, as wide as they are."""
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDE)
+
+
+def fitting(
+    console: "Console", columns: Sequence[Column], table_of: Callable[[Sequence[Column], bool], "Table"]
+) -> tuple["Table", Sequence[Column]]:
+    """Return a table with as many of the first columns as fit, and the columns that are left out.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+        Where it is printed.
+    columns : sequence
+        What tells most comes first; that stays in any case.
+    table_of : callable
+        Takes columns, and whether their headings are to be narrow, and returns a table.
+    """
+    unlimited = console.options.update(width=_UNLIMITED)
+    for count, narrow in [(len(columns), False), *((n, True) for n in range(len(columns), 0, -1))]:
+        table = table_of(columns[:count], narrow)
+        if console.measure(table, options=unlimited).maximum <= console.width:
+            break
+    return table, columns[count:]
