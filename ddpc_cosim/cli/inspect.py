@@ -74,10 +74,12 @@ def _print_tables(console: Console, inspection: Inspection, *, every: bool) -> N
             table, left_out = fitting(console, used, partial(_table, section, shown))
             console.print(table)
             if len(shown) < len(section.rows):
-                console.print(f" and {len(section.rows) - len(shown)} more; --all shows them")
+                console.print(
+                    f" and {len(section.rows) - len(shown)} more; --all shows them", highlight=False
+                )
             if left_out:
                 words = ", ".join(section.headings[i] for i in left_out)
-                console.print(f" not shown: {words}; in a wider window, and with --json")
+                console.print(f" not shown: {words}; in a wider window, and with --json", highlight=False)
             console.print()
     for defect in inspection.defects:
         severity = (f"{defect.severity}: ", _STYLE[defect.severity])

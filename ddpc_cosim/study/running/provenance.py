@@ -12,12 +12,15 @@ from importlib import metadata
 from itertools import groupby
 from math import fsum, isfinite
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ddpc_cosim.plugins import package_of, package_version, types_in
 from ddpc_cosim.study.case_files import CaseResult, checksum, read_run
-from ddpc_cosim.study.file_format.study_files import StudyFile
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.texts import recorded
+
+if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
+    from ddpc_cosim.study.file_format.study_files import StudyFile
 
 _VERSIONS_OF = ("numpy", "scipy", "FMPy", "piqp", "sympy", "control", "casadi", "daqp")
 _GIT_SECONDS = 5.0
@@ -39,7 +42,7 @@ def facts_of_problem(results: Sequence[CaseResult], spec: PlantSpec, preview: in
 
 
 def facts_of_run(
-    results: Sequence[CaseResult], file: StudyFile, options: Sequence[str], workers: str, took: str
+    results: Sequence[CaseResult], file: "StudyFile", options: Sequence[str], workers: str, took: str
 ) -> dict[str, str]:
     """Return what is to be said of a run.
 
@@ -108,7 +111,7 @@ def commit_of(file: Path) -> str:
     return f"{commit}, {'clean' if commit == told else 'with changes that are not committed'}"
 
 
-def _facts_of_file(file: StudyFile) -> dict[str, str]:
+def _facts_of_file(file: "StudyFile") -> dict[str, str]:
     """Return what is to be said of the file or the plug-in that a study was read from; nothing of another."""
     if not file.source:
         return {}
@@ -131,7 +134,7 @@ def _versions() -> Iterator[tuple[str, str]]:
             continue
 
 
-def _plugins_of(file: StudyFile) -> list[str]:
+def _plugins_of(file: "StudyFile") -> list[str]:
     """Return the packages of others that the study's controllers come from."""
     packages = {package_of("controllers", name) for name in types_in(file.tables)}
     return sorted(packages - {"", f"ddpc-cosim {package_version()}"})

@@ -2,6 +2,7 @@
 
 import cProfile
 import json
+import re
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -111,6 +112,21 @@ def test_a_terminal_gets_tables_in_which_long_lists_are_cut(pendulum_fmu, mutate
     full = CliRunner().invoke(main, ["inspect", str(fmu), "--all"], env=terminal).stdout
     assert "p[29]" in full
     assert "p[29]" in run_inspect(fmu).stdout  # what is read by programs is never cut
+
+
+def test_a_narrow_terminal_breaks_no_name_and_no_number(pendulum_fmu) -> None:
+    environment = {"FORCE_COLOR": "1", "COLUMNS": "60", "TERM": "xterm"}
+    narrow = re.sub(
+        r"\x1b\[[0-9;]*m",
+        "",
+        CliRunner().invoke(main, ["inspect", str(pendulum_fmu)], env=environment).stdout,
+    )
+    assert max(map(len, narrow.splitlines())) <= 60
+    shown = set(narrow.split())
+    for variable in inspect_fmu(pendulum_fmu).inputs + inspect_fmu(pendulum_fmu).outputs:
+        assert {variable.name, f"{variable.start:g}"} <= shown
+    assert "not shown: " in narrow
+    assert "description; in a wider window, and with --json" in " ".join(narrow.split())
 
 
 def test_the_work_is_linear_in_the_number_of_variables(pendulum_fmu, mutate) -> None:
