@@ -4,6 +4,7 @@ import re
 import runpy
 import shlex
 import shutil
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
@@ -21,6 +22,7 @@ from ddpc_cosim.study.reading import read_study
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("[a-z]*.md"))]
 API = (ddpc_controllers, ddpc_cosim, ddpc_reports, fmu_plants)
+STUDIES = sorted((ROOT / "ddpc_cosim" / "studies").glob("*.toml"))
 EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
 ROOMS = ("fmu_plants", "ddpc_cosim", "controllers", "reports", "tests", "docs", "benchmarks")
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -63,8 +65,24 @@ def test_a_page_says_in_its_first_line_what_it_is_for(page: Path) -> None:
 def test_links_lead_to_files_and_headings_as_on_github(page: Path) -> None:
     for target, anchor in re.findall(r"\]\(([^)#:\s]*)(#[^)]+)?\)", page.read_text(encoding="utf-8")):
         path = page.parent / target if target else page
-        assert path.is_file(), target
+        assert path.exists(), target
         assert not anchor or anchor.removeprefix("#") in anchors(path), anchor
+
+
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+def test_the_gallery_has_every_built_in_study(study: Path) -> None:
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    assert f"## {tomllib.loads(study.read_text(encoding='utf-8'))['title']}\n" in page
+    assert f"(pictures/reports/{study.stem}.png)" in page
+
+
+def test_the_readme_leads_to_every_page_that_is_written_by_hand() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    pages = {
+        path.relative_to(ROOT).as_posix() for path in PAGES[1:] if path.parent.name in {"docs", "extend"}
+    }
+    of_the_site = {"docs/index.md", "docs/architecture.md"}  # the latter is CONTRIBUTING.md
+    assert pages - of_the_site <= set(re.findall(r"\]\(([^)#]+)", text))
 
 
 @pytest.mark.parametrize("package", API, ids=lambda package: package.__name__)
