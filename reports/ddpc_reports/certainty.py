@@ -3,8 +3,6 @@
 import math
 from collections.abc import Sequence
 
-from markupsafe import Markup
-
 from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.statistics import FEWEST, Difference, Sample, compare, describe
 from ddpc_reports.comparison import (
@@ -17,7 +15,7 @@ from ddpc_reports.comparison import (
 from ddpc_reports.numbers import MISSING, as_given
 from ddpc_reports.shares import SHARE, SHARE_NOTE, share_cells, share_interval
 from ddpc_reports.tables.table import Cell, Heading, Row, Table, interval_texts, number_cells
-from ddpc_reports.verdict import RANKED_BY, Statement, join_words, names, p_words, seeds_needed
+from ddpc_reports.verdict import RANKED_BY, p_words
 
 _NOTES = (
     "Runs: those that stay near their reference and have a value; all that follows is of them. Interval: the "
@@ -53,41 +51,10 @@ def certainty_table(condition: Condition, prefix: str) -> Table | None:
     return Table(name, caption, headings, tuple(rows), notes, kind="grouped", download="how-sure.csv")
 
 
-def certainty_statements(condition: Condition) -> list[Statement]:
-    """Return for each metric which controllers the seeds do not tell apart; nothing for one seed."""
-    if len(condition.seeds) < 2:
-        return []
-    keys = _keys(condition)
-    tested = [
-        key for key in keys if (found := condition.compared(key)).differences and not found.too_few_seeds
-    ]
-    few = seeds_needed([condition], keys)
-    return [Statement(metric_words(key), _groups(condition, key)) for key in tested] + (
-        [Statement("Seeds", few.strip())] if few else []
-    )
-
-
 def _keys(condition: Condition) -> list[str]:
     """Return the metrics by which the verdict names a first."""
     more = [key for name in RANKED_BY for key in condition.keys(name)]
     return [*condition.headline, *more]
-
-
-def _groups(condition: Condition, key: str) -> Markup:
-    compared = condition.compared(key)
-    labels = {one.key: one for one in condition.controllers}
-    alike = [
-        join_words(names([labels[name] for name in group])) for group in compared.groups if len(group) > 1
-    ]
-    if not alike:
-        return Markup("All {} controllers that stay near their reference are told apart.").format(
-            len(compared.order)
-        )
-    alone = [labels[group[0]] for group in compared.groups if len(group) == 1]
-    text = Markup("Not told apart: {}").format(Markup("; ").join(alike))
-    if alone:
-        text += Markup(". Told apart from all others: {}").format(join_words(names(alone)))
-    return text + "."
 
 
 def _rows(condition: Condition, key: str) -> list[Row]:

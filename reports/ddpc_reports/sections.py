@@ -23,7 +23,7 @@ from ddpc_reports.across_problems import (
     overall_table,
 )
 from ddpc_reports.answer import answer
-from ddpc_reports.certainty import certainty_statements, certainty_table
+from ddpc_reports.certainty import certainty_table
 from ddpc_reports.comparison import Condition, conditions, on_one_page
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.embedding import Packed, pack
@@ -45,7 +45,6 @@ from ddpc_reports.tables.controllers import (
     reproduction_statements,
     reproduction_table,
     response_table,
-    step_time_order,
 )
 from ddpc_reports.tables.diagnostics import diagnostics_tables
 from ddpc_reports.tables.failures import failures_table
@@ -390,7 +389,7 @@ class _Part:
         said = [*share_statements(condition), *findings(condition)["distribution"]]
         return [
             *_figures(spread_figures(condition, prefix) if condition in self.room.spread else [], prefix),
-            *_statements([*said, *certainty_statements(condition)]),
+            *_statements(said),
             *_tables(certainty_table(condition, prefix)),
         ]
 
@@ -399,7 +398,7 @@ class _Part:
             return []
         drawn = condition in self.room.spread
         return [
-            *_statements([*findings(condition)["time"], *step_time_order(condition)]),
+            *_statements(findings(condition)["time"]),
             *_tables(step_time_table(condition, prefix)),
             *_figures([step_time_figure(condition, prefix)] if drawn else [], prefix),
         ]

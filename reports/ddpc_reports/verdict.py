@@ -611,5 +611,5 @@ def _of_windows(conditions: Sequence[Condition]) -> list[str]:
 
 def _of_seeds(conditions: Sequence[Condition]) -> list[str]:
     if any(len(condition.seeds) > 1 for condition in conditions):
-        return ["The figures over time show the first seed only; the spread over seeds is shown on its own."]
+        return ["Lines over time are of the first seed; bands and the distribution show the others."]
     return ["One seed only: how much the results depend on it is not known."] if conditions else []

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import bootstrap, wilcoxon
 
 from ddpc_cosim import Outcome, StudyResults, Trace
-from ddpc_reports.certainty import certainty_statements, certainty_table
+from ddpc_reports.certainty import certainty_table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.numbers import MISSING
 from ddpc_reports.page import render_page
@@ -75,9 +75,7 @@ def test_the_figures_of_the_table_are_those_of_the_cases(results: StudyResults) 
 
 def test_who_is_not_told_apart_is_not_crowned(results: StudyResults) -> None:
     condition = conditions(results)[0]
-    said = plain(certainty_statements(condition))["mean abs error of angle"]
     first, second, _ = rows(table_of(results))
-    assert said == f"Not told apart: {first} and {second}. Told apart from all others: slow."
     spread = next(str(text) for topic, text in findings_of(condition) if topic == "Spread")
     assert f"Over 12 seeds, <i>{first}</i> has the smallest median" in spread
     assert f"The seeds do not tell it apart from <i>{second}</i> (median difference " in spread
@@ -91,15 +89,12 @@ def test_who_is_told_apart_from_all_others_is_said_to_be(make_results: MakeResul
     spread = next(str(text) for topic, text in findings_of(condition) if topic == "Spread")
     assert "Over 12 seeds, <b>quick</b> has" in spread
     assert "The seeds tell it apart from every other controller (corrected p &lt; 0.001)." in spread
-    said = plain(certainty_statements(condition))["mean abs error of angle"]
-    assert said == "All 2 controllers that stay near their reference are told apart."
 
 
 def test_one_seed_says_nothing_of_how_sure_it_is(make_results: MakeResults) -> None:
     results = make_results(trace_of, THREE)
     condition = conditions(results)[0]
     assert certainty_table(condition, "") is None
-    assert certainty_statements(condition) == []
     assert "How sure" not in render_page([results])
 
 
@@ -115,20 +110,18 @@ def test_a_controller_that_lost_a_run_is_last_and_not_tested(make_results: MakeR
     runs, *_, p, ahead, letters = found["quick"].cells
     assert (runs.text, p.text, letters.text) == ("11 of 12", MISSING, MISSING)
     assert ahead.text.endswith(" of 11")
-    assert "quick" not in plain(certainty_statements(conditions(results)[0]))["mean abs error of angle"]
 
 
 def test_too_few_seeds_are_said_to_be_and_nothing_is_tested(make_results: MakeResults) -> None:
     """Of three pairs, Holm multiplies the smallest p by three: 3 / 2^5 is more than 5 %, 3 / 2^6 is not."""
     condition = conditions(make_results(trace_of, THREE, seeds=SEEDS[:6]))[0]
     few = "6 seeds are too few to test 3 controllers against each other: it takes 7."
-    assert plain(certainty_statements(condition)) == {"Seeds": few}
     spread = next(str(text) for topic, text in findings_of(condition) if topic == "Spread")
     assert few in spread
     assert "<b>" not in spread
     assert "apart" not in spread
     enough = conditions(make_results(trace_of, THREE, seeds=SEEDS[:7]))[0]
-    assert "Seeds" not in plain(certainty_statements(enough))
+    assert all("too few" not in str(text) for _, text in findings_of(enough))
 
 
 def test_the_best_median_is_not_crowned_where_the_pairs_tell_another_to_be_better(

@@ -16,7 +16,6 @@ from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.page import render_page
 from ddpc_reports.shares import share_statements
-from ddpc_reports.tables.controllers import step_time_order
 from ddpc_reports.tables.table import Table
 from ddpc_reports.verdict import Statement
 
@@ -82,7 +81,7 @@ def test_reference_points_are_named_and_never_ranked(seen: Condition) -> None:
     assert [one.key for _, one in seen.ranking(KEY)] == ["good", "fair"]
     assert seen.compared(KEY).order == ("good", "fair")
     assert [one.key for one in seen.not_ranked] == ["poor"]
-    told = texts([*share_statements(seen), *findings_of(seen), *step_time_order(seen)])
+    told = texts([*share_statements(seen), *findings_of(seen)])
     assert told["Distance"].startswith(
         "Of the way from Rest (0 %) to Ideal (100 %), which do not compete: Good "
     )
@@ -90,7 +89,6 @@ def test_reference_points_are_named_and_never_ranked(seen: Condition) -> None:
     assert told["Tracking"].startswith("On seed 0, Good tracks best")
     assert "by Poor 8 of 8:" in told["Completed"]
     assert "Rest" not in told["Step time"].partition("No step")[0]
-    assert "Ideal" not in told["Order"]
     marks = {row.key for row in ranked(seen).rows if any(cell.best for cell in row.cells)}
     assert not marks & {"ideal", "rest"}
 

@@ -148,7 +148,7 @@ def spread_chart(rows: list[dict[str, Any]], title: str) -> Spec:
         layer(middle, {"x": x, "y": y}, None, _NOT_HIDDEN, dots, median),
         layer(first, {"x": x, "y": y}, None, _NOT_HIDDEN, {"filter": "datum.first"}),
     ]
-    return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})
+    return _chart_of_rows(rows, layers, 34 * len(labels) + 10, view={"stroke": None})
 
 
 def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Spec:
@@ -181,7 +181,7 @@ def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Spec:
         ),
         layer(points, {"x": x, "y": y, "color": hue, "shape": shape}, None, _NOT_HIDDEN),
     ]
-    return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})
+    return _chart_of_rows(rows, layers, 34 * len(labels) + 10, view={"stroke": None})
 
 
 def rank_chart(rows: list[dict[str, Any]]) -> Spec:
@@ -201,7 +201,7 @@ def rank_chart(rows: list[dict[str, Any]]) -> Spec:
         layer(bar, ends),
         layer({"type": "circle", "size": 70, "opacity": 1}, {"x": x, "y": y, "color": hue}),
     ]
-    return _chart_of_rows(rows, layers, 46 * len(labels) + 10, view={"stroke": None})
+    return _chart_of_rows(rows, layers, 34 * len(labels) + 10, view={"stroke": None})
 
 
 def profile_chart(rows: list[dict[str, Any]], names: Sequence[str], widest: float) -> Spec:

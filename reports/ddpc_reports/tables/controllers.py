@@ -214,22 +214,6 @@ def _order(published: list[tuple[float, str]], here: list[tuple[float, str]]) ->
     )
 
 
-def step_time_order(condition: Condition) -> list[Statement]:
-    """Return the order of the median steps that this run measured; nothing for one contender alone."""
-    key = "solve_time_median [s]"
-    order = [
-        (value, one.label)
-        for one in condition.contenders
-        if not math.isnan(value := one.over_seeds(key).median)
-    ]
-    if len(order) < 2:
-        return []
-    text = Markup("By {} in this run, shortest first: {}.").format(
-        metric_name(key), _times_words(sorted(order))
-    )
-    return [Statement("Order", text)]
-
-
 def _times_words(order: list[tuple[float, str]]) -> Markup:
     least = order[0][0]
     first = Markup("<i>{}</i>").format(order[0][1])

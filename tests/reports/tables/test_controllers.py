@@ -15,12 +15,10 @@ from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS, Metric
 from ddpc_cosim.responses import Response
 from ddpc_reports.comparison import conditions
-from ddpc_reports.page import render_page
 from ddpc_reports.tables.cases import cases_table
 from ddpc_reports.tables.controllers import (
     reproduction_statements,
     reproduction_table,
-    step_time_order,
 )
 from ddpc_reports.tables.table import Row, Table
 from ddpc_reports.verdict import across_statements
@@ -207,13 +205,3 @@ def test_of_times_on_another_machine_the_order_alone_is_compared(
     assert "A &lt;1&gt;" in statement.text
     told = html.unescape(plain(statement.text))
     assert told == f"Published, shortest first: A <1>, B (about 2.0 times as long). In this run, {words}."
-
-
-def test_the_order_of_steps_is_that_of_the_run(make_results: MakeResults) -> None:
-    (condition,) = conditions(timed(make_results, 4e-5, 1e-5))
-    (statement,) = step_time_order(condition)
-    assert plain(statement.text) == (
-        "By solve time median in this run, shortest first: b, a (about 4.0 times as long)."
-    )
-    assert plain(statement.text) in plain(html.unescape(render_page([condition.results])))
-    assert step_time_order(conditions(make_results(controllers={"quick": {"type": "quick"}}))[0]) == []
