@@ -64,8 +64,8 @@ from ddpc_reports.verdict import Statement, across_statements, findings, limitat
 
 _MOST_DRAWN = 4
 """Scenarios of a problem with figures over time: each costs some 300 kB of page."""
-_MOST_LINES, _MOST_ROWS, _MOST_CASES = 45, 100, 1000
-"""Of all scenarios, controllers with figures and with tables of their own; cases of several problems."""
+_MOST_LINES, _MOST_SKETCHED, _MOST_ROWS, _MOST_CASES = 45, 160, 100, 1000
+"""Of all scenarios, controllers with figures, with responses, with tables; cases of several problems."""
 
 _MOST_LISTED = 20
 Block = tuple[str, Any]
@@ -148,7 +148,9 @@ def gather(results: Sequence[StudyResults]) -> Gathered:
             seen = [conditions(part) for part in problems]
             drawn, detailed = _first(seen, _MOST_LINES, _MOST_DRAWN), _first(seen, _MOST_ROWS)
             spread = drawn if len(problems) > 1 else detailed
-            room = _Room(drawn, spread, detailed, len(problems) == 1 or len(one.cases) <= _MOST_CASES)
+            sketched = {*drawn, *_first(seen, _MOST_SKETCHED, 1)}
+            every_case = len(problems) == 1 or len(one.cases) <= _MOST_CASES
+            room = _Room(drawn, sketched, spread, detailed, every_case)
             number = len(parts) + 1
             if len(problems) > 1:
                 parts.append(_overall_part(one, problems, seen, number, room))
@@ -166,13 +168,15 @@ class _Room(NamedTuple):
 
     Parameters
     ----------
-    drawn, spread, detailed : collection of Condition
-        Scenarios with figures over time, with figures over the seeds, and with tables of their own.
+    drawn, sketched, spread, detailed : collection of Condition
+        Scenarios with figures over time, with responses at least, with figures over the seeds, and with
+        tables of their own.
     cases : bool
         Whether there are tables of all cases.
     """
 
     drawn: Collection[Condition]
+    sketched: Collection[Condition]
     spread: Collection[Condition]
     detailed: Collection[Condition]
     cases: bool
@@ -180,7 +184,8 @@ class _Room(NamedTuple):
     def left_out(self, seen: Sequence[Condition]) -> list[str]:
         """Say what of a problem is left out to keep the page small, and where it is found."""
         kinds = {
-            "figures over time": self.drawn,
+            "figures over time": self.sketched,
+            "figures of errors and control signals": self.drawn,
             "figures over the seeds": self.spread,
             "tables of their own": self.detailed,
         }
@@ -192,7 +197,7 @@ class _Room(NamedTuple):
             for what, labels in missing.items()
             if labels
         ]
-        if found and len(missing["figures over time"]) == len(seen):
+        if found and len(missing["figures of errors and control signals"]) == len(seen):
             found.append("With run --only and the name of a problem, a report has room for all of this.")
         if seen and seen[0] not in self.detailed:
             found.append("Every setting of every controller, defaults filled in, is in study.toml.")
@@ -266,7 +271,7 @@ def _places(results: StudyResults, seen: Sequence[Condition], prefix: str, room:
     """Return the scenarios of a problem, each with where the page has its figures, or its problem's part."""
     title = results.study.title or results.study.name
     return [
-        Place(title, one, f"#{prefix}{number}-responses" if one in room.drawn else f"#{prefix}study")
+        Place(title, one, f"#{prefix}{number}-responses" if one in room.sketched else f"#{prefix}study")
         for number, one in enumerate(seen, start=1)
         if one.controllers
     ]
@@ -289,11 +294,17 @@ class _Part:
         """Where the controllers stand, over all scenarios."""
         return standings(self.results.study, self.results.cases)
 
-    def each(self, what: str, blocks_of: Callable[[Condition, str], list[Block]]) -> list[Block]:
+    def each(
+        self,
+        what: str,
+        blocks_of: Callable[[Condition, str], list[Block]],
+        shown: Collection[Condition] | None = None,
+    ) -> list[Block]:
         """Return the blocks of every condition that has any, below its label where there are several."""
         found: list[Block] = []
+        shown = self.room.detailed if shown is None else shown
         for place, condition in enumerate(self.seen, start=1):
-            if condition not in self.room.detailed:
+            if condition not in shown:
                 continue
             if blocks := _in_their_place(what, partial(blocks_of, condition, f"{self.prefix}{place}-")):
                 found += [("condition", condition.label)] if len(self.seen) > 1 else []
@@ -302,10 +313,11 @@ class _Part:
 
     def over_time(self, kind: Kind, condition: Condition, place: str) -> list[Block]:
         """Return the figures over time of a kind; they are made together, and their samples kept."""
-        if not condition.controllers or condition not in self.room.drawn:
+        if not condition.controllers:
             return []
         if place not in self._over_time:
-            drawn = self._over_time[place] = time_figures(condition, place)
+            sketched = condition not in self.room.drawn
+            drawn = self._over_time[place] = time_figures(condition, place, sketched=sketched)
             for name, columns in drawn.samples.items():
                 self.data[name] = {key: pack(column) for key, column in columns.items()}
         return _figures(self._over_time[place].figures[kind], place)
@@ -377,7 +389,7 @@ class _Part:
         return [section for section in made if section.blocks]
 
     def _drawn(self, kind: Kind) -> Callable[[str], list[Block]]:
-        return self._each(partial(self.over_time, kind))
+        return lambda title: self.each(title, partial(self.over_time, kind), self.room.sketched)
 
     def _each(self, blocks_of: Callable[[Condition, str], list[Block]]) -> Callable[[str], list[Block]]:
         return lambda title: self.each(title, blocks_of)

@@ -216,7 +216,7 @@ def test_a_page_of_many_problems_keeps_what_is_over_all(
     assert all(
         text in page for text in ("Every case (5)", "Step response, per controller", "Responses at seed")
     )
-    for limit in ("_MOST_LINES", "_MOST_ROWS", "_MOST_CASES"):
+    for limit in ("_MOST_LINES", "_MOST_SKETCHED", "_MOST_ROWS", "_MOST_CASES"):
         monkeypatch.setattr(sections, limit, 9)
     small = render_page([both])
     assert not any(

@@ -68,9 +68,12 @@ class _Scene:
     prefix: str
 
 
-def time_figures(condition: Condition, prefix: str) -> TimeFigures:
-    """Return responses, errors and control signals: the first seed, and bands over the seeds."""
-    drawn = seen(condition, prefix)
+def time_figures(condition: Condition, prefix: str, *, sketched: bool = False) -> TimeFigures:
+    """Return responses, errors and control signals: the first seed, and bands over the seeds.
+
+    Where there is no room for all of it, it is ``sketched``: the responses of the first seed alone.
+    """
+    drawn = seen(condition, prefix, bands=not sketched)
     marks, words = _scenario(condition)
     scene = _Scene(condition, _panels(condition), marks, drawn.over, prefix)
     sent = f"control signal{_commanded(condition)}, drawn as it is held from sample to sample"
@@ -81,6 +84,9 @@ def time_figures(condition: Condition, prefix: str) -> TimeFigures:
         return [in_its_place(title, make)] if signals else []
 
     responses = figure("Responses", drawn.outputs, "controlled output and reference (thin solid line)", words)
+    if sketched:
+        samples = {signal.id: signal.columns for signal in drawn.outputs}
+        return TimeFigures({"responses": responses, "errors": [], "inputs": []}, samples)
     errors = figure("Errors", drawn.errors, "reference minus output; each panel has its own scale")
     inputs = figure("Control signals", drawn.inputs, sent)
     inputs += figure("Change of control signals", drawn.changes, change)

@@ -155,12 +155,12 @@ def column_name(controller: ControllerResults) -> str:
     return f"c{controller.index}"
 
 
-def seen(condition: Condition, prefix: str) -> Seen:
+def seen(condition: Condition, prefix: str, *, bands: bool = True) -> Seen:
     """Read the traces of the first seed, and of others for bands, and return their signals."""
     traces = _first_runs(condition)
     if not traces:
         return Seen()
-    everyone, over = _over_seeds(condition, sum(map(len, traces.values())))
+    everyone, over = _over_seeds(condition, sum(map(len, traces.values()))) if bands else ({}, Over())
     labels = {column_name(one): clipped(one.label) for one in condition.controllers}
     runs = _Runs(traces, max(traces.values(), key=len), trusted(traces), everyone, labels)
     outputs, inputs = range(len(runs.longest.outputs)), range(len(runs.longest.inputs))
