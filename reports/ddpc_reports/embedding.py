@@ -21,7 +21,7 @@ from markupsafe import Markup
 from ddpc_cosim.plugins import cached
 from ddpc_cosim.texts import printable
 from ddpc_reports.figures.charts import CONFIG
-from ddpc_reports.figures.drawing import DrawingError, drawn
+from ddpc_reports.figures.drawing import DrawingError, drawn, kept
 from ddpc_reports.figures.samples import Column
 
 _WIDTH = 900
@@ -41,6 +41,7 @@ _UNSEEN = 3
 _Point = tuple[int, int]
 _ID = re.compile(r' id="([^"]+)"')
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
+_SOURCE = (files("ddpc_reports") / "embedding.py").read_bytes()
 _BOX = re.compile(r' viewBox="0 0 [\d.]+ ([\d.]+)"')
 _NOISE = re.compile(
     r' (?:aria-[a-z]+|role|pointer-events|class|xmlns:xlink|version|stroke-miterlimit)="[^"]*"|'
@@ -170,14 +171,26 @@ def drawing(
     """
     autosize = {"type": "fit-x", "contains": "padding"}
     full = {"width": _WIDTH, **drawable(spec), "autosize": autosize, "config": CONFIG}
-    samples = {name: rows_of(columns) for name, columns in (data or {}).items() if columns}
+    text = json_of(full)
+    samples = {
+        name: {key: column for key, column in columns.items() if key in text}  # what is not drawn costs time
+        for name, columns in (data or {}).items()
+        if columns
+    }
+
+    def make() -> dict[str, Any]:
+        vega, svg = drawn(full, {name: rows_of(columns) for name, columns in samples.items()})
+        height = _BOX.search(svg)
+        svg = _finish(svg, identifier, description)
+        return {"svg": svg, "height": float(height[1]) if height else 0.0, "vega": vega}
+
+    key = json_of({"spec": full, "samples": samples, "of": [identifier, description]}).encode() + _SOURCE
     try:
-        vega, svg = drawn(full, samples)
+        found = kept(key, make)
     except DrawingError as error:
         words = f"This picture could not be drawn: {error}. The samples are in the files of the cases."
         return Drawing(Markup('<p class="static note">{}</p>').format(words))
-    height = _BOX.search(svg)
-    return Drawing(_finish(svg, identifier, description), float(height[1]) if height else 0.0, vega)
+    return Drawing(Markup(found["svg"]), found["height"], found["vega"])
 
 
 def drawable(value: Any) -> Any:
@@ -196,12 +209,12 @@ def rows_of(columns: Mapping[str, Column]) -> list[dict[str, float | None]]:
     return [dict(zip(padded, row, strict=True)) for row in zip(*padded.values(), strict=True)]
 
 
-def _finish(svg: str, identifier: str, description: str) -> Markup:
+def _finish(svg: str, identifier: str, description: str) -> str:
     """Make ids unique in the page, name the drawing, and drop what costs bytes and says nothing."""
     svg = _number_ids(_PATH.sub(_short_path, _NOISE.sub("", svg)), identifier)
     size = re.search(r' width="[\d.]+" height="[\d.]+"', svg)
     head = f' class="static" role="img" aria-label="{html.escape(description)}"'
-    return Markup(svg.replace(size[0], head, 1) if size else svg)
+    return svg.replace(size[0], head, 1) if size else svg
 
 
 def _short_path(path: re.Match[str]) -> str:

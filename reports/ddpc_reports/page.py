@@ -78,10 +78,10 @@ def _data(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]) -
                 "figure": figure.id,
                 "spec": view.drawing.vega,
                 "data": view.data,
-                "lines": {name: labels[name] for name in view.names},
-                "unit": view.unit,
+                "lines": drawable({name: labels[name] for name in view.names}),
+                "unit": drawable(view.unit),
                 "scaled": list(view.scaled_by),
                 "limits": list(view.limits),
                 "fixed": view.fixed,
             }
-    return {"colours": COLOURS, "data": data, "views": drawable(views)}
+    return {"colours": COLOURS, "data": data, "views": views}

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -141,23 +141,36 @@ def drawn(spec: Spec, samples: Mapping[str, list[dict[str, Any]]]) -> tuple[dict
     ValueError
         It holds numbers that are not finite.
     """
-    question = json.dumps([spec, samples], allow_nan=False).encode() + b"\n"
-    key = sha256(version("vl-convert-python").encode() + _CODE.encode() + question).hexdigest()
+    line = _painter.draw(json.dumps([spec, samples], allow_nan=False).encode() + b"\n")
+    answer = json.loads(line)
+    return answer["vega"], answer["svg"]
+
+
+def kept(key: bytes, make: Callable[[], Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what is made, as JSON has it, from the cache if the same was made before.
+
+    Parameters
+    ----------
+    key : bytes
+        All that decides what is made, but for what draws.
+    make : callable
+        Makes it; what it raises is raised.
+    """
+    place = sha256(version("vl-convert-python").encode() + _CODE.encode() + key).hexdigest()[:32]
     new: list[bytes] = []
 
-    def make() -> bytes:
-        new.append(_painter.draw(question))
+    def compressed() -> bytes:
+        new.append(json.dumps(make()).encode())
         return zlib.compress(new[0])
 
     try:
-        file = cached(f"pictures/{key[:32]}", make)
-        line = zlib.decompress(file.read_bytes())
+        file = cached(f"pictures/{place}", compressed)
+        content = zlib.decompress(file.read_bytes())
         if new:
             _leave_newest(file.parent)
     except OSError:  # the report can do without a cache
-        line = new[0] if new else _painter.draw(question)
-    answer = json.loads(line)
-    return answer["vega"], answer["svg"]
+        content = new[0] if new else json.dumps(make()).encode()
+    return dict(json.loads(content))
 
 
 def _leave_newest(folder: Path) -> None:
