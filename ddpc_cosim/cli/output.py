@@ -43,6 +43,12 @@ def wrapped(text: str, width: int, *, indent: str = "") -> list[str]:
     return wrap(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
+def clipped(text: str, longest: int) -> str:
+    """Return a text, written out; of a longer one the beginning, and an ellipsis."""
+    text = printable(text[: longest + 1])
+    return text if len(text) <= longest else f"{text[: longest - 1]}\u2026"
+
+
 def screen() -> "Console":
     """Return what prints tables: where neither a terminal nor $COLUMNS limits them, as wide as they are."""
     from rich.console import Console

@@ -10,7 +10,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from ddpc_cosim.cli.output import fitting, wrapped
+from ddpc_cosim.cli.output import clipped, fitting, wrapped
 from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
@@ -24,6 +24,7 @@ _VARIANTS_SHOWN = 2
 _NAME_PART = 0.4
 """Part of the window that names may take."""
 _SHORTEST_NAME, _SHORTEST_HEADING = 10, 5
+_LONGEST_SCENARIO, _LONGEST_TITLE = 30, 200
 _MISSING = "-"
 
 
@@ -99,7 +100,7 @@ def _table(rows: Sequence[_Row], longest: int, columns: Sequence[_Column], narro
             table.add_row("", row.name)
             continue
         first = row.standing is not None and row.standing.rank == 1 and not row.lost
-        name = Text(printable(row.name), style="bold" if first else "")
+        name = Text(clipped(row.name, longest), style="bold" if first else "")
         lost = Text(f"{row.lost}/{len(row.cases)}", style="red" if row.lost else "")
         rank = str(row.standing.rank) if row.standing else _MISSING
         table.add_row(rank, name, *([lost] if any_lost else []), *(own.pop(0) for own in cells))
@@ -148,7 +149,7 @@ def _scenario_column(results: StudyResults, name: str, key: str, detail: str) ->
         return Text(_number(summed(own, key), 3) + ("*" if lost else ""), style="red" if lost else "")
 
     section = results.study.scenarios.get(name)
-    label = printable((section.label if section else "") or name)
+    label = clipped((section.label if section else "") or name, _LONGEST_SCENARIO)
     words = " ".join(filter(None, (label, detail.partition(" [")[0])))
     return _Column(label, detail, words, key, cell)
 
@@ -166,7 +167,7 @@ def _detail(key: str) -> str:
 def _title(results: StudyResults) -> str:
     seeds = list(dict.fromkeys(case.seed for case in results.cases))
     over = f"{len(seeds)} seeds" if len(seeds) > 1 else f"seed {seeds[0]}"
-    return printable(f"{results.study.title or results.study.name} ({over})")
+    return f"{clipped(results.study.title or results.study.name, _LONGEST_TITLE)} ({over})"
 
 
 def _lines(

@@ -7,12 +7,14 @@ from statistics import median
 from ddpc_cosim.metrics import split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
+from ddpc_cosim.texts import printable
 from ddpc_cosim.trace import Outcome
 
 FOLLOWS = 5.0
 """A run follows its reference where it leaves less of every step, in %."""
 WHY = "Likely why no controller follows: "
 """How a limitation of a study begins that is such a reason."""
+_LONGEST_LABEL = 100
 _STUCK = 0.5  # share of the time from which on inputs at their limits are a likely reason
 
 
@@ -60,7 +62,7 @@ def following_lines(study: Study, cases: Iterable[CaseResult]) -> list[str]:
     by_scenario: dict[str, list[CaseResult]] = {}
     for case in cases:
         by_scenario.setdefault(case.scenario, []).append(case)
-    labels = {name: scenario.label or name for name, scenario in study.scenarios.items()}
+    labels = {name: printable(one.label or name, _LONGEST_LABEL) for name, one in study.scenarios.items()}
     return [
         (f"{labels.get(name, name)}: " if len(by_scenario) > 1 else "") + text + _likely_reason(own, study)
         for name, own in by_scenario.items()

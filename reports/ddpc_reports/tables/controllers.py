@@ -166,7 +166,7 @@ def reproduction_table(condition: Condition, reproduction: Reproduction, prefix:
         for method in reproduction.methods
         for key, title in reproduction.metrics.items()
         if key in method.values
-        for row in _rows(title, key, method, controllers)
+        for row in _rows(f"{metric_name(key)} ({title})", key, method, controllers)
     ]
     return Table(
         f"{prefix}reproduction",

@@ -122,6 +122,18 @@ def test_long_names_are_clipped_with_an_ellipsis() -> None:
     assert [name[:8] + name[-1] for _, name in ranked(lines)] == ["pid very…", "DeePC ve…"]
 
 
+def test_titles_and_labels_of_any_length_leave_a_table_to_read() -> None:
+    some, long = results(0), "x" * 10_000
+    scenario = some.study.scenarios["nominal"].model_copy(update={"label": long})
+    study = some.study.model_copy(update={"title": long, "scenarios": {"calm": scenario, "windy": scenario}})
+    cases = tuple(
+        replace(case, scenario=name, label=long) for case in some.cases for name in ("calm", "windy")
+    )
+    lines = printed(replace(some, whole=WholeStudy.of(study), cases=cases), 80)
+    assert len(lines) < 15
+    assert max(map(len, lines[1:])) <= 80
+
+
 def test_of_several_scenarios_each_has_a_column() -> None:
     some = results(0)
     windy = [replace(case, scenario="windy") for case in some.cases]

@@ -155,8 +155,8 @@ def test_samples_at_rest_that_the_publication_counts_have_a_row_of_their_own(
     reproduction = results.study.report.reproduction
     assert reproduction is not None
     own, counted = reproduction_table(conditions(results)[0], reproduction, "").rows
-    assert own.header == "Absolute error, from the first decision on"
-    assert counted.header == "Absolute error, 2 samples at rest counted too, as published"
+    assert own.header == "sum abs error (Absolute error), from the first decision on"
+    assert counted.header == "sum abs error (Absolute error), 2 samples at rest counted too, as published"
     assert [cell.text for cell in (own.cells[1], own.cells[6], own.cells[7])] == ["\N{EN DASH}"] * 3
     assert own.cells[3].raw == pytest.approx(costs(results, "printed")[0])
     (first, *_) = (case.trace() for case in results.cases if case.controller == "printed")
