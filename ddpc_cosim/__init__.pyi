@@ -64,6 +64,11 @@ from .signals import (
 from .simulation import Simulation as Simulation, simulate as simulate
 from .study.case_files import CaseResult as CaseResult
 from .study.objects import Problem as Problem, Scenario as Scenario, Study as Study
+from .study.report_sections import (
+    ReportBlock as ReportBlock,
+    ReportSection as ReportSection,
+    ReportTable as ReportTable,
+)
 from .study.results import StudyResults as StudyResults, load_results as load_results
 from .trace import Outcome as Outcome, Trace as Trace
 from .variables import DisplayUnit as DisplayUnit, FloatArray as FloatArray, Variable as Variable

@@ -76,7 +76,7 @@ def describe(plugin: Plugin) -> tuple[str, bool]:
 
 def _describe(value: Any) -> str:
     """Return a description, the first line of the documentation, or the title of a study file."""
-    if isinstance(value, type):
+    if isinstance(value, type | FunctionType):
         return (inspect.getdoc(value) or "").partition("\n")[0]
     if description := getattr(value, "description", ""):
         return str(description)

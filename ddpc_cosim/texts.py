@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 _LONGEST_RECORDED = 2000
+_PATH = re.compile(r"""(?:(?:file://|~)?/|[A-Za-z]:[/\\]|\\\\)(?:(?!\s(?:[/\\~]|[A-Za-z]:))[^\n:;,"'])*""")
 _FOLDER = r"""[^/\\\s"'<>|*?:;,()]+[/\\]"""
 _FOLDERS = re.compile(
     r"""(?<=["'])(?:(?:file://|~)?/|[A-Za-z]:[/\\]|\\\\)[^"'\n]*[/\\](?=[^"'/\\\n]+["'])"""  # with blanks
@@ -47,6 +48,8 @@ def without_folders(text: str) -> str:
     home = Path.home()
     if len(home.parts) > 1:  # its name may have blanks
         text = text.replace(f"{home}/", "~/").replace(f"{home}\\", "~/")
+    if _PATH.fullmatch(text):
+        return re.split(r"[/\\]", text.rstrip("/\\"))[-1]
     return _FOLDERS.sub("", text)
 
 

@@ -21,7 +21,7 @@ from click.shell_completion import CompletionItem
 
 _STDOUT, _NOT_WRITTEN = 1, (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EPIPE)
 FAILED, MISUSED, INTERRUPTED, TERMINATED = 1, 2, 130, 143
-_LISTED = ("plants", "controllers", "studies", "metrics")
+_LISTED = ("plants", "controllers", "studies", "metrics", "reports")
 _FMI_TYPES = ("auto", "co-simulation", "model-exchange")
 _GOES_ON = "finished cases are kept; the same command goes on from there"
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from ddpc_cosim import Simulation, StudyResults
 
-__all__ = ["write_csv", "write_report", "write_simulation"]
+__all__ = ["write_csv", "write_json", "write_markdown", "write_report", "write_simulation"]
 
 
 def write_report(results: "Sequence[StudyResults]", path: Path) -> Path:
@@ -56,6 +56,26 @@ def write_csv(results: "Sequence[StudyResults]", path: Path) -> Path:
     from ddpc_reports.tidy import tidy_table
 
     return _written(tidy_table(results), path)
+
+
+def write_markdown(results: "Sequence[StudyResults]", path: Path) -> Path:
+    """Write what the page says as GitHub Markdown, without its figures.
+
+    Parameters, errors and warnings are those of :func:`write_report`.
+    """
+    from ddpc_reports.markdown import markdown
+
+    return _written(markdown(results), path)
+
+
+def write_json(results: "Sequence[StudyResults]", path: Path) -> Path:
+    """Write what the page says as JSON: answer, tables, rankings, statistics, and where they come from.
+
+    Parameters, errors and warnings are those of :func:`write_report`; keys: ``docs/report-formats.md``.
+    """
+    from ddpc_reports.data import json_text
+
+    return _written(json_text(results), path)
 
 
 def _written(text: str, path: Path) -> Path:

@@ -4,14 +4,16 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import islice, zip_longest
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
 
-from ddpc_cosim import Outcome, StudyResults
+from ddpc_cosim import Outcome, ReportSection, StudyResults
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.standings import Standings, standings
+from ddpc_cosim.texts import without_folders
 from ddpc_reports.across_problems import (
     RANKS_NOTE,
     Overall,
@@ -57,8 +59,9 @@ from ddpc_reports.tables.ranking import (
     ranking_table,
 )
 from ddpc_reports.tables.reproduce import reproduce_tables
-from ddpc_reports.tables.settings import compact_seeds, family_tables, settings_tables
+from ddpc_reports.tables.settings import compact_seeds, family_tables, settings_tables, slug
 from ddpc_reports.tables.table import Table
+from ddpc_reports.third_parties import own_blocks, own_sections
 from ddpc_reports.tuning import front_figures, trials_tables
 from ddpc_reports.verdict import Statement, across_statements, findings, limitations
 
@@ -382,11 +385,19 @@ class _Part:
                 lambda _: _tables(*reproduce_tables(self.results, self.prefix)),
             ),
         ]
+        for name, own in own_sections().items():
+            titles = [title for _, title, _ in parts]
+            place = titles.index(own.after) + 1 if own.after in titles else titles.index(_LAST)
+            anchor = f"own-{slug(name)}"
+            parts.insert(place, (anchor, str(own.title), self._own(own, anchor)))
         made = [
             Section(anchor, title, _in_their_place(title, partial(blocks_of, title)), anchor in _FOLDED)
             for anchor, title, blocks_of in parts
         ]
         return [section for section in made if section.blocks]
+
+    def _own(self, own: ReportSection, anchor: str) -> Callable[[str], list[Block]]:
+        return lambda _: own_blocks(own, self.results, f"{self.prefix}{anchor}-")
 
     def _drawn(self, kind: Kind) -> Callable[[str], list[Block]]:
         return lambda title: self.each(title, partial(self.over_time, kind), self.room.sketched)
@@ -454,6 +465,8 @@ class _Part:
 
 
 _FOLDED = ("settings", "cases")
+_LAST = "Fairness and known limitations"
+"""The title before which sections of third parties stand that do not say where."""
 
 
 def _study_part(
@@ -505,7 +518,8 @@ def _damaged_blocks(results: StudyResults) -> list[Block]:
     """Say which cases are left out because their files are not what the run wrote."""
     if not results.damaged:
         return []
-    damaged, total = list(results.damaged.values()), len(results.damaged) + len(results.cases)
+    damaged = [*map(without_folders, results.damaged.values())]
+    total = len(damaged) + len(results.cases)
     first = (
         f"{len(damaged)} of {total} cases are damaged and left out: all that follows is of the others. "
         "Run the study again with the same folder of results: only they are run."
@@ -541,7 +555,7 @@ def _facts(results: StudyResults) -> dict[str, str]:
     """Return the strip of key facts under the title."""
     study = results.study
     facts = {
-        "Plant": study.plant.name or study.plant.fmu,
+        "Plant": study.plant.name or Path(study.plant.fmu).name,
         "Sampling time": with_unit(as_given(study.loop.sampling_time), "s"),
         "Duration": with_unit(as_given(study.loop.duration), "s"),
         "Controllers": _controllers_words(results),

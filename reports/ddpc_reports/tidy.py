@@ -22,20 +22,29 @@ COLUMNS = (
 )
 
 
+Value = str | int | float
+
+
 def tidy_table(results: Sequence[StudyResults]) -> str:
-    """Return the table; numbers in full, and an empty cell where there is none."""
+    """Return the table as CSV; numbers in full, and an empty cell where there is none."""
     file = io.StringIO(newline="")
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(COLUMNS)
+    for row in tidy_rows(results):
+        writer.writerow([csv_text(one) if isinstance(one, str) else _number(one) for one in row])
+    return encodable(file.getvalue())
+
+
+def tidy_rows(results: Sequence[StudyResults]) -> Iterator[tuple[Value, ...]]:
+    """Yield the rows; the rank of a controller that does not compete is empty, a missing number NaN."""
     for one in results:
         names = one.whole.problems
         views = {part.study.name: part for part in one.problems()}
         views |= {part.study.name: part for name in names for part in one.variants(name)}
-        writer.writerows(row for part in views.values() for row in _rows(one, part))
-    return encodable(file.getvalue())
+        yield from (row for part in views.values() for row in _rows(one, part))
 
 
-def _rows(results: StudyResults, part: StudyResults) -> Iterator[list[str]]:
+def _rows(results: StudyResults, part: StudyResults) -> Iterator[tuple[Value, ...]]:
     """Yield the rows of one problem, or of a variant of one by the study's sweep."""
     study = part.study
     plant = study.plant.name or Path(study.plant.fmu).name
@@ -44,19 +53,21 @@ def _rows(results: StudyResults, part: StudyResults) -> Iterator[list[str]]:
     for condition in conditions(part):
         for one in (*condition.controllers, *condition.variants):
             lost = len(one.cases) - len(one.holding)
-            of_whom = [results.whole.head.name, study.variant_of or study.name, words, plant]
-            of_whom += [condition.scenario, one.key, one.label]
-            counts = [str(ranks.get(one.key, "")), str(lost), str(len(one.cases))]
+            of_whom = (results.whole.head.name, study.variant_of or study.name, words, plant)
+            of_run = (condition.scenario, one.key, one.label, ranks.get(one.key, ""), lost, len(one.cases))
             for key in dict.fromkeys(key for case in one.cases for key in case.metrics):
-                yield [*map(csv_text, of_whom), *counts, *_of_metric(key, one.cases)]
+                yield *of_whom, *of_run, *_of_metric(key, one.cases)
 
 
-def _of_metric(key: str, cases: Sequence[CaseResult]) -> list[str]:
+def _of_metric(key: str, cases: Sequence[CaseResult]) -> tuple[Value, ...]:
     """Return the cells of a metric: its value as the page sums it up, and what the runs that hold come to."""
     runs = [(case.seed, case.metrics.get(key, math.nan) if case.holds else math.nan) for case in cases]
     known = [value for _, value in runs if not math.isnan(value)]
     found = describe({("", seed): value for seed, value in runs})
     ends = (min(known), max(known)) if known else (math.nan, math.nan)
     values = (summed(cases, key), found.median, *ends, found.low, found.high)
-    shown = ["" if math.isnan(value) else repr(float(value)) for value in values]
-    return [*map(csv_text, split_key(key)), metric_of(key).better, *shown]
+    return *split_key(key), metric_of(key).better, *map(float, values)
+
+
+def _number(value: int | float) -> str:
+    return "" if math.isnan(value) else repr(value)

@@ -67,6 +67,7 @@ def test_what_a_run_keeps_is_printable_and_short_whatever_it_is() -> None:
     [
         ("/home/jo/x/plant.fmu: cannot be read", "plant.fmu: cannot be read"),
         ("no file '/data/John Doe/a b.csv'", "no file 'a b.csv'"),
+        ("/data/John Doe/my plant.fmu", "my plant.fmu"),
         ("files = [/home/x/y.fmu, ~/b.fmu]", "files = [y.fmu, b.fmu]"),
         (r"C:\Users\jo\a.fmu and \\host\share\b.fmu", "a.fmu and b.fmu"),
         ("run file:///home/x/y.toml --out=/tmp/z/o", "run y.toml --out=o"),

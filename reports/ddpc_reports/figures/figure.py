@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from ddpc_cosim import CosimWarning
 from ddpc_cosim.metrics import metric_name
-from ddpc_cosim.texts import recorded
+from ddpc_cosim.texts import recorded, without_folders
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
@@ -96,7 +96,7 @@ def in_its_place(what: str, make: Callable[[], T]) -> T | str:
     try:
         return make()
     except Exception as error:
-        sentence = f"{what}: cannot be shown: {type(error).__name__}: {recorded(error)}"
+        sentence = f"{what}: cannot be shown: {type(error).__name__}: {without_folders(recorded(error))}"
         warnings.warn(sentence, CosimWarning, stacklevel=2)
         return sentence
 

@@ -1,11 +1,11 @@
 """Tables of the cases: computation time, outcomes and main metrics."""
 
 import math
-import re
 from collections.abc import Sequence
 
 from ddpc_cosim import CaseResult, StudyResults
 from ddpc_cosim.metrics import metric_name, metric_of
+from ddpc_cosim.texts import printable, without_folders
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
@@ -28,15 +28,10 @@ from ddpc_reports.tables.table import (
     number_cells,
 )
 
-_READ, _READ_IN_ALL = 20, 200
-"""Cases of a controller, and of all, whose samples are read: the first ones tell the reasons."""
 _MOST_CASES = 1500
 """Cases that have a row each, of 650 bytes."""
-_MOST_FAILED = 50
-"""Cases that did not complete of which each has a row."""
-_REASONS_SHOWN = 6
-"""Reasons shown of a controller."""
-_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_LONGEST_REASON = 120
+"""Characters of a reason in a row."""
 
 
 def step_time_table(condition: Condition, prefix: str) -> Table:
@@ -90,7 +85,7 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
         shown = [
             *([Cell(case.scenario, case.scenario)] if several else []),
             Cell(str(case.seed), case.seed),
-            Cell(outcome, outcome, failed=not case.holds),
+            Cell(outcome, outcome, failed=not case.holds, detail=_reason(case)),
             *(cells[i] for cells in columns),
         ]
         rows.append(Row(names[case.controller], tuple(shown), case.controller, numbers[case.controller]))
@@ -122,6 +117,11 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
         kind="cases",
         download="cases.csv",
     )
+
+
+def _reason(case: CaseResult) -> str:
+    """Return why a case ended, as far as a cell has room for it."""
+    return printable(without_folders(case.reason), _LONGEST_REASON)
 
 
 def _shown_cases(results: StudyResults) -> Sequence[CaseResult]:

@@ -22,6 +22,7 @@ from ddpc_cosim.study.file_format.sections import (
     RecordingSection,
     ScenarioSection,
 )
+from ddpc_cosim.texts import without_folders
 from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
 from ddpc_reports.figures.time_charts import Mark
 from ddpc_reports.numbers import MISSING, as_given, computed, unit_symbol, with_unit
@@ -88,7 +89,7 @@ def _family_table(
     rows = tuple(Row(name, (*_values(name, settings), Cell(docs.get(name, MISSING)))) for name in names)
     differing = any(cell.differs for row in rows for cell in row.cells)
     return Table(
-        f"{prefix}settings-{_slug(family)}",
+        f"{prefix}settings-{slug(family)}",
         f"Settings of type {family}",
         (
             Heading("Setting", numeric=False),
@@ -98,7 +99,7 @@ def _family_table(
         rows,
         ("Marked: differs from the first column.",) if differing else (),
         kind="settings",
-        download=f"settings-{_slug(family)}.csv",
+        download=f"settings-{slug(family)}.csv",
     )
 
 
@@ -262,7 +263,7 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
 def _plant_facts(plant: PlantSection, units: Mapping[str, str]) -> list[tuple[str, str]]:
     said = {"name", "fmu", "inputs", "outputs", "measurements", "parameters", "nominal"}
     return [
-        ("plant", plant.name) if plant.name else ("FMU", plant.fmu),
+        ("plant", plant.name) if plant.name else ("FMU", Path(plant.fmu).name),
         ("inputs", _names(plant.inputs) or "all of the plant"),
         ("controlled outputs", _names(plant.outputs) or "all of the plant"),
         ("measurements", _names(plant.measurements) or "the controlled outputs"),
@@ -456,7 +457,7 @@ def value_text(value: Any, *, nested: bool = False) -> str:
     if isinstance(value, Mapping):
         pairs = ", ".join(f"{_plain(name)} = {value_text(one, nested=True)}" for name, one in value.items())
         return pairs if pairs and not nested else f"{{{pairs}}}"
-    return _plain(str(value))
+    return _plain(without_folders(str(value)))
 
 
 def _names(names: Sequence[str]) -> str:
@@ -476,5 +477,6 @@ def _plain(text: str) -> str:
     return json.dumps(text, ensure_ascii=False) if _AMBIGUOUS.fullmatch(text) else text
 
 
-def _slug(text: str) -> str:
+def slug(text: str) -> str:
+    """Return a text as a part of an anchor or of a file's name."""
     return "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in text.lower())

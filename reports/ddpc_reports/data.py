@@ -1,0 +1,146 @@
+"""All that the page says as data: the answer, the tables, rankings, statistics and where they come from."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from markupsafe import Markup
+
+from ddpc_cosim import StudyResults
+from ddpc_cosim.study.standings import standings
+from ddpc_cosim.texts import encodable, printable, without_folders
+from ddpc_reports.comparison import labels
+from ddpc_reports.sections import StudyPart, gather
+from ddpc_reports.tables.table import Cell, Table
+from ddpc_reports.tidy import COLUMNS, tidy_rows
+
+SCHEMA_VERSION = 1
+"""Grows with every change by which what was read before is read wrongly or not at all."""
+
+
+def json_text(results: Sequence[StudyResults]) -> str:
+    """Return the report as JSON, keys in a fixed order; numbers that are not finite are null.
+
+    Raises
+    ------
+    ValueError
+        There are no results at all.
+    """
+    found = gather(results)
+    content = {
+        "schema_version": SCHEMA_VERSION,
+        "title": found.title,
+        "parts": [_part(part) for part in found.parts],
+        "results": [_results(one) for one in results],
+        "statistics": {"columns": COLUMNS, "rows": tidy_rows(results)},
+    }
+    text = json.dumps(_plain(content), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return encodable(text) + "\n"
+
+
+def _part(part: StudyPart) -> dict[str, Any]:
+    return {
+        "title": part.title,
+        "answer": part.answer,
+        "warnings": part.warnings,
+        "facts": part.facts,
+        "summary": part.summary,
+        "source": part.source,
+        "first": [_block(*block) for block in part.first],
+        "sections": [
+            {"title": one.title, "blocks": [_block(*block) for block in one.blocks]} for one in part.sections
+        ],
+    }
+
+
+def _block(kind: str, content: Any) -> dict[str, Any]:
+    if kind == "table":
+        return {"kind": kind, **_table(content)}
+    if kind == "figure":
+        figure, _ = content
+        return {"kind": kind, "title": figure.title, "caption": figure.caption}
+    if kind == "statements":
+        return {"kind": kind, "statements": [{"topic": one.topic, "text": one.text} for one in content]}
+    return {"kind": kind, "texts": content} if kind == "notes" else {"kind": kind, "text": content}
+
+
+def _table(table: Table) -> dict[str, Any]:
+    grouped = any(row.group for row in table.rows)
+    return {
+        "id": table.id,
+        "caption": table.caption,
+        "columns": [
+            {"title": one.title, "detail": one.detail, "group": one.group, "numeric": one.numeric}
+            for one in table.headings
+        ],
+        "rows": [
+            {
+                **({"group": row.group} if grouped else {}),
+                **({"controller": row.key} if row.key else {}),
+                "header": row.header,
+                "cells": [_cell(cell) for cell in row.cells],
+            }
+            for row in table.rows
+        ],
+        "notes": table.notes,
+    }
+
+
+def _cell(cell: Cell) -> dict[str, Any]:
+    """Return the text, the value behind it, and the marks that there are."""
+    texts = {"detail": cell.detail, "failures": cell.failures}
+    marks = {"best": cell.best, "failed": cell.failed, "differs": cell.differs}
+    more = {name: value for name, value in (texts | marks).items() if value}
+    return {"text": cell.text.strip(), "value": None if cell.raw == "" else cell.raw, **more}
+
+
+def _results(results: StudyResults) -> dict[str, Any]:
+    return {
+        "study": results.whole.head.name,
+        "folder": results.folder.name,
+        "provenance": {name: without_folders(fact) for name, fact in results.provenance.items()},
+        "damaged": {name: without_folders(why) for name, why in results.damaged.items()},
+        "rankings": [_ranking(part) for part in results.problems()],
+    }
+
+
+def _ranking(part: StudyResults) -> dict[str, Any]:
+    found, names = standings(part.study, part.cases), labels(part)
+    return {
+        "problem": part.study.name,
+        "metrics": found.keys,
+        "seeds": found.seeds,
+        "told_apart_by_seeds": found.tested,
+        "scenarios_left_out": found.left_out,
+        "order": [
+            {
+                "controller": one.controller,
+                "label": names[one.controller],
+                "rank": one.rank,
+                "lost": one.lost,
+                "runs": one.runs,
+                "medians": [found.samples[key][one.controller].median for key in found.keys],
+                "intervals": [
+                    [found.samples[key][one.controller].low, found.samples[key][one.controller].high]
+                    for key in found.keys
+                ],
+            }
+            for one in found.order
+        ],
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON has: texts without marks in which nothing acts, and null for what is not finite."""
+    if isinstance(value, Markup):
+        return printable(value.striptags())
+    if isinstance(value, str):
+        return printable(str(value), keep="\n")
+    if isinstance(value, bool) or value is None or isinstance(value, int):
+        return value
+    if isinstance(value, Mapping):
+        return {printable(str(key)): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return [_plain(entry) for entry in value]
