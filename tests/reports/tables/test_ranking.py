@@ -11,7 +11,8 @@ from markupsafe import Markup
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.study.standings import standings
 from ddpc_reports.comparison import conditions
-from ddpc_reports.figures import figure
+from ddpc_reports.embedding import Drawing
+from ddpc_reports.figures import figure, over_time
 from ddpc_reports.page import render_page
 from ddpc_reports.sections import gather
 from ddpc_reports.tables.table import Cell, Table
@@ -27,7 +28,8 @@ NAMES = {name: {"type": "a"} for name in LAGS}
 @pytest.fixture(autouse=True)
 def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out what takes most of the time and what no table follows from."""
-    monkeypatch.setattr(figure, "static_svg", lambda *drawing, **more: Markup(""))
+    for module in (figure, over_time):
+        monkeypatch.setattr(module, "drawing", lambda *chart: Drawing(Markup("")))
 
 
 def run_of(key: str, seed: int) -> Trace:

@@ -27,8 +27,8 @@ def test_a_cell_leads_to_its_place_and_tells_failures_in_words() -> None:
     row = page[page.index('<th scope="row">') :]
     assert row.startswith(
         '<th scope="row">a</th><td class="n best" title="in &lt;deg&gt;">'
-        '<b><a href="#s1-1-responses">1.2</a></b><span class="unseen"> (best)</span><small>1 … 2</small>'
-        '<small class="failed">✕\xa01 of 5</small></td>'
+        '<b><a href="#s1-1-responses">1.2</a></b><span class="unseen"> (best)</span>'
+        ' <small class="failed">✕\xa01 of 5</small><small>1 … 2</small></td>'
     )
     assert '<th scope="colgroup" colspan="1" class="over"><span><a href="#b">tanks</a></span></th>' in page
     assert '<th scope="col" class="n"><a href="#a">calm</a></th>' in page
