@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from benchmarks import cases, fmu, inspection, isolation, mfapc, online, peers, step, tuning
+from benchmarks import cases, fmu, inspection, isolation, mfapc, online, page, peers, step, tuning
 
 BENCHMARKS: Mapping[str, Callable[[], bool]] = {
     "cases": cases.main,
@@ -14,6 +14,7 @@ BENCHMARKS: Mapping[str, Callable[[], bool]] = {
     "isolation": isolation.main,
     "mfapc": mfapc.main,
     "online": online.main,
+    "page": page.main,
     "peers": peers.main,
     "step": step.main,
 }

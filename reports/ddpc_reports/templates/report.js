@@ -353,6 +353,7 @@
     const signals = new Set((told.spec.signals || []).map((signal) => signal.name));
     const chart = { ...told, box, live, reading, view, signals, width, units, times: told.data ? columnsOf(told.data).t : null };
     if (chart.times) addReset(chart);
+    await idle();
     charts.set(box, chart);
     follow(chart);
     await view.runAsync();
