@@ -22,9 +22,14 @@ from ddpc_reports import write_report
 
 PICTURES = Path(__file__).parents[1] / "pictures" / "reports"
 PARTS = {
-    "paper": {"responses": "#s1-1-responses", "spread": "#s1-1-spread-0", "step-time": "#s1-1-step-time"}
+    "paper": {
+        "responses": "#s1-1-responses",
+        "errors": "#s1-1-errors",
+        "spread": "#s1-1-spread-0",
+        "step-time": "#s1-1-step-time",
+    }
 }
-_COLOURS = 64
+_COLOURS = 256
 _WIDTH, _HEIGHT = 1280, 900
 
 
@@ -51,7 +56,9 @@ class Camera:
         how = {"format": "png", "captureBeyondViewport": True, "clip": {**clip, "scale": 1}}
         data = base64.b64decode(self._ask("Page.captureScreenshot", **how)["data"])
         image = Image.open(io.BytesIO(data)).convert("RGB")
-        image.quantize(_COLOURS, dither=Image.Dither.NONE).save(picture, optimize=True)
+        image.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE).save(
+            picture, optimize=True
+        )
         print(picture, picture.stat().st_size, "bytes")
 
     def close(self) -> None:
