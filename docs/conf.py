@@ -4,6 +4,7 @@ Neither the build nor the built pages ask anything of a network: formulas become
 the reader's system, and a page that would load something from elsewhere is a warning.
 """
 
+import dataclasses
 import re
 from pathlib import Path
 from typing import Any
@@ -103,7 +104,16 @@ def _warn_of_what_is_loaded(app: Sphinx, exception: Exception | None) -> None:
                 _log.warning("%s loads from the network: %s", path.relative_to(app.outdir), found[0])
 
 
+def _add_settings(_app: Sphinx, what: str, _name: str, obj: Any, _options: object, lines: list[str]) -> None:
+    """Add what a plug-in class declares of its settings to its docstring."""
+    if what == "class" and dataclasses.is_dataclass(obj) and (settings := ddpc_cosim.declared_settings(obj)):
+        lines += ["", "Parameters", "----------"]
+        for name, info in settings.items():
+            lines += [f"{name} : {info.allowed}", f"    {info.doc}".replace("|", r"\|")]
+
+
 def setup(app: Sphinx) -> None:
-    """Tell Sphinx of the formulas and of the last check."""
+    """Tell Sphinx of the settings, of the formulas and of the last check."""
+    app.connect("autodoc-process-docstring", _add_settings, priority=1)  # before numpydoc reads it
     app.add_html_math_renderer("mathml", (_formula, None), (_formula, None))
     app.connect("build-finished", _warn_of_what_is_loaded)
