@@ -15,7 +15,7 @@ from ddpc_reports.comparison import Condition, ControllerResults, conditions
 from ddpc_reports.distances import Distances, distance_columns, distance_statements, distances
 from ddpc_reports.figures.charts import profile_chart, rank_chart
 from ddpc_reports.figures.figure import Figure, entry, one_chart
-from ddpc_reports.figures.samples import column_name
+from ddpc_reports.figures.samples import clipped, column_name
 from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.shares import SHARE_NOTE, interval_words, share_words
 from ddpc_reports.tables.table import Cell, Column, Heading, Table, controller_table, number_cells
@@ -254,7 +254,7 @@ def _rank_figure(found: Overall, identifier: str) -> Figure:
     half = found.ranks.critical_difference / 2
     rows = [
         {
-            "label": one.label,
+            "label": clipped(one.label),
             "key": column_name(one),
             "value": rank,
             "low": rank - half,

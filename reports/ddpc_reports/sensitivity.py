@@ -24,6 +24,7 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.figures.charts import heat_chart
 from ddpc_reports.figures.figure import Figure, one_chart
+from ddpc_reports.figures.samples import clipped
 from ddpc_reports.numbers import as_given, percent, significant, with_unit
 from ddpc_reports.tables.table import Cell, Heading, Row, Table, number_cells, text_headings
 from ddpc_reports.verdict import Statement, by_signal, formatter
@@ -284,15 +285,20 @@ def _summed_words(sweep: Sweep) -> str:
 
 def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
     own = tuple(sweep.words(sweep.base, setting) for setting in sweep.axes)
+    texts = list(dict.fromkeys(text for place in sweep.cells for text in place))
+    short = {text: clipped(text) for text in texts}
+    if len(set(short.values())) < len(short):  # cells have to stay apart
+        short = {text: f"{clipped(text, 40)} ({number})" for number, text in enumerate(texts, start=1)}
     for place, members in sweep.cells.items():
         value = _median(members, key)
         done = any(one.completed for one in members)
         shown = significant(value) if math.isfinite(value) else "not held" if done else "failed"
         lost = _lost_words(members) if math.isfinite(value) else ""
-        where = ", ".join(f"{name} = {given}" for name, given in zip(sweep.axes, place, strict=True))
+        given = zip(sweep.axes, (short[text] for text in place), strict=True)
+        where = ", ".join(f"{name} = {value}" for name, value in given)
         yield {
-            "y": place[0] if len(place) > 1 else "",
-            "x": place[-1],
+            "y": short[place[0]] if len(place) > 1 else "",
+            "x": short[place[-1]],
             "value": value if math.isfinite(value) else None,
             "shown": f"{shown} *" if lost else shown,
             "own": place == own,

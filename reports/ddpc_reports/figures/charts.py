@@ -29,6 +29,9 @@ LABELS = "replace(datum.label, regexp(',', 'g'), '\u202f')"
 
 LABEL_ROOM = 44
 _LOGARITHMIC_FROM = 8.0
+_MOST_DECADES = 9
+_ROW = 34
+"""Height of a row with its label above its marks [px]."""
 
 _MANTISSAS = {
     0.5: (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9),
@@ -136,7 +139,7 @@ def spread_chart(rows: list[dict[str, Any]], title: str) -> Spec:
         Metric and unit.
     """
     labels, hue, y = _rows(rows)
-    x = field("value", title) | _axis_of([row["value"] for row in rows])
+    x = field("value", title) | _axis_of([row["value"] for row in rows], title)
     ink = {"color": "var(--ink)"}
     dots = {"filter": "!datum.extra"}
     median = {"aggregate": [{"op": "median", "field": "value", "as": "value"}], "groupby": ["label"]}
@@ -144,11 +147,12 @@ def spread_chart(rows: list[dict[str, Any]], title: str) -> Spec:
     middle = {"type": "tick", "thickness": 2.5, "size": 18} | ink
     first = {"type": "point", "shape": "diamond", "size": 90, "filled": False, "strokeWidth": 1.8} | ink
     layers = [
+        _from_least_to_most(rows, y, hue),
         layer(seeds, {"x": x, "y": y, "color": hue}, None, _NOT_HIDDEN, dots),
         layer(middle, {"x": x, "y": y}, None, _NOT_HIDDEN, dots, median),
         layer(first, {"x": x, "y": y}, None, _NOT_HIDDEN, {"filter": "datum.first"}),
     ]
-    return _chart_of_rows(rows, layers, 34 * len(labels) + 10, view={"stroke": None})
+    return _chart_of_rows(rows, layers, _ROW * len(labels) + 10, view={"stroke": None})
 
 
 def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Spec:
@@ -164,24 +168,16 @@ def step_time_chart(rows: list[dict[str, Any]], sampling_time: float) -> Spec:
     labels, hue, y = _rows(rows)
     figures = list(dict.fromkeys(row["figure"] for row in rows))
     times = [*(row["value"] for row in rows), sampling_time]
-    x = field("value", "time of one step") | _logarithmic(times, _TIME_LABELS)
+    x = field("value", None) | _logarithmic(times, _TIME_LABELS, "time of one step")
     shape = chosen_by("figure", figures, ["circle", "triangle-up", "diamond", "cross"])
-    ends = [{"op": op, "field": "value", "as": name} for op, name in (("min", "low"), ("max", "high"))]
     deadline = {"type": "rule", "color": "var(--limit)", "strokeDash": [4, 3], "strokeWidth": 1.5}
-    span = {"x": {"field": "low", "type": "quantitative"}, "x2": {"field": "high"}, "y": y, "color": hue}
     points = {"type": "point", "filled": True, "size": 55, "opacity": 1}
     layers = [
         layer(deadline, {"x": x}, [{"value": sampling_time}]),
-        layer(
-            {"type": "rule", "strokeWidth": 1.2},
-            span,
-            None,
-            _NOT_HIDDEN,
-            {"aggregate": ends, "groupby": ["label"]},
-        ),
+        _from_least_to_most(rows, y, hue),
         layer(points, {"x": x, "y": y, "color": hue, "shape": shape}, None, _NOT_HIDDEN),
     ]
-    return _chart_of_rows(rows, layers, 34 * len(labels) + 10, view={"stroke": None})
+    return _chart_of_rows(rows, layers, _ROW * len(labels) + 10, view={"stroke": None})
 
 
 def rank_chart(rows: list[dict[str, Any]]) -> Spec:
@@ -201,7 +197,7 @@ def rank_chart(rows: list[dict[str, Any]]) -> Spec:
         layer(bar, ends),
         layer({"type": "circle", "size": 70, "opacity": 1}, {"x": x, "y": y, "color": hue}),
     ]
-    return _chart_of_rows(rows, layers, 34 * len(labels) + 10, view={"stroke": None})
+    return _chart_of_rows(rows, layers, _ROW * len(labels) + 10, view={"stroke": None})
 
 
 def profile_chart(rows: list[dict[str, Any]], names: Sequence[str], widest: float) -> Spec:
@@ -216,7 +212,7 @@ def profile_chart(rows: list[dict[str, Any]], names: Sequence[str], widest: floa
     widest : float
         The largest ratio that is drawn.
     """
-    x = field("ratio", "ratio to the best")
+    x = field("ratio", "ratio to the best, logarithmic")
     axis = {"values": log_ticks(1.0, widest), "labelExpr": LABELS}
     x |= {"scale": {"type": "log", "domain": [1.0, widest], "nice": False}, "axis": axis}
     y = field("share", "share of the runs") | {"scale": {"domain": [0, 1]}, "axis": {"format": "%"}}
@@ -225,10 +221,25 @@ def profile_chart(rows: list[dict[str, Any]], names: Sequence[str], widest: floa
     return _chart_of_rows(rows, [layer(line, encoding, None, _NOT_HIDDEN)], 300)
 
 
-def _logarithmic(values: Sequence[float], labels: str) -> Spec:
+def _from_least_to_most(rows: list[dict[str, Any]], y: Spec, hue: Spec) -> Spec:
+    """Return the line of each row from its least to its largest value, dashed as its controller."""
+    patterns = {row["label"]: list(dash(int(row["key"][1:]))) for row in rows}
+    ends = [{"op": op, "field": "value", "as": name} for op, name in (("min", "low"), ("max", "high"))]
+    span = {"x": {"field": "low", "type": "quantitative"}, "x2": {"field": "high"}, "y": y, "color": hue}
+    return layer(
+        {"type": "rule", "strokeWidth": 1.2},
+        span | {"strokeDash": chosen_by("label", [*patterns], [*patterns.values()])},
+        None,
+        _NOT_HIDDEN,
+        {"aggregate": ends, "groupby": ["label"]},
+    )
+
+
+def _logarithmic(values: Sequence[float], labels: str, title: str) -> Spec:
     """Give an axis decades, and steps between them where there are few: never a tick without label."""
     low, high = min(values) / 1.25, max(values) * 1.25
     return {
+        "title": f"{title}, logarithmic",
         "scale": {"type": "log", "domain": [low, high], "nice": False},
         "axis": {"values": log_ticks(low, high), "labelExpr": labels},
     }
@@ -236,9 +247,10 @@ def _logarithmic(values: Sequence[float], labels: str) -> Spec:
 
 def log_ticks(low: float, high: float) -> list[float]:
     """Return round numbers from low to high, some four to ten of them where the range allows."""
-    decades = math.log10(high / low)
+    decades = math.log10(high) - math.log10(low)
     mantissas = next(choice for most, choice in _MANTISSAS.items() if decades < most)
-    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    every = max(math.ceil(decades / _MOST_DECADES), 1)
+    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1, every)
     ticks = [float(f"{m}e{k}") for k in exponents for m in mantissas]
     return [tick for tick in ticks if low <= tick <= high]
 
@@ -300,7 +312,7 @@ def front_chart(rows: list[dict[str, Any]], titles: Sequence[str], *, joined: bo
         Whether a line joins them: it means something where there are no more objectives.
     """
     x, y = (
-        field(side, title) | _axis_of([row[side] for row in rows])
+        field(side, title) | _axis_of([row[side] for row in rows], title)
         for side, title in zip("xy", titles, strict=True)
     )
     place = {"x": x, "y": y}
@@ -320,12 +332,12 @@ def front_chart(rows: list[dict[str, Any]], titles: Sequence[str], *, joined: bo
 
 def ranges_widely(values: Sequence[float]) -> bool:
     """Whether values ask for a logarithmic axis."""
-    return min(values) > 0 and max(values) / min(values) > _LOGARITHMIC_FROM
+    return min(values) > 0 and max(values) > _LOGARITHMIC_FROM * min(values)
 
 
-def _axis_of(values: Sequence[float]) -> Spec:
+def _axis_of(values: Sequence[float], title: str) -> Spec:
     if ranges_widely(values):
-        return _logarithmic(values, _GROUPED)
+        return _logarithmic(values, _GROUPED, title)
     return {"scale": {"zero": False, "nice": True}, "axis": {"tickCount": 6, "labelExpr": LABELS}}
 
 
@@ -336,7 +348,7 @@ def _rows(rows: list[dict[str, Any]]) -> tuple[list[str], Spec, Spec]:
     axis = {
         "labelAlign": "left",
         "labelPadding": -4,
-        "labelOffset": -18,
+        "labelOffset": -15,
         "labelBaseline": "middle",
         "labelLimit": 600,
         "labelFontSize": 12,

@@ -2,10 +2,10 @@
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Any, TypeVar
 
 from ddpc_cosim import CosimWarning
@@ -31,6 +31,7 @@ from ddpc_reports.figures.charts import (
 from ddpc_reports.figures.samples import clipped, column_name
 from ddpc_reports.numbers import duration, given_duration, significant, with_unit
 
+_LONGEST_TITLE, _MOST_TOLD = 120, 40
 _MOST_DOTS = 60
 """Seeds of a controller that are drawn as dots of one row."""
 
@@ -191,10 +192,24 @@ def _step_time_row(one: ControllerResults, words: str, seconds: float) -> dict[s
 
 
 def one_chart(identifier: str, title: str, caption: str, spec: Spec, panel: str = "") -> Figure:
-    """Return a figure of one chart that needs no legend; the caption describes it."""
+    """Return a figure of one chart that needs no legend; the caption describes it, and what its marks say."""
     name = f"{identifier}-1"
-    view = View(name, panel, caption, spec, drawing(spec, name, caption))
+    told = "; ".join(_told(spec["data"]["values"]))
+    description = f"{caption} {told}." if told else caption
+    view = View(name, clipped(panel, _LONGEST_TITLE), description, spec, drawing(spec, name, description))
     return Figure(identifier, title, caption, (view,))
+
+
+def _told(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the words of marks; of many in a row those of the least, the middle and the largest."""
+    by_row: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        by_row.setdefault(row.get("label", ""), []).append(row)
+    chosen: list[Mapping[str, Any]] = []
+    for label, marks in by_row.items():
+        ranked = sorted(marks, key=itemgetter("value")) if label else marks
+        chosen += [ranked[0], ranked[len(ranked) // 2], ranked[-1]] if label else ranked[:_MOST_TOLD]
+    return list(dict.fromkeys(row["text"] for row in chosen if "text" in row))
 
 
 def _short(value: float) -> float:

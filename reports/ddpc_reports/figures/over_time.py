@@ -262,7 +262,12 @@ def _time_view(scene: _Scene, place: tuple[_Panel, Signal], size: tuple[int, int
     order = sorted(names, key=lambda name: -_travel(signal.columns[name]))
     spec = time_chart(signal, order, sampling_time, scene.marks, size)
     description = _description(signal, members)
-    samples = {signal.id: signal.columns, f"{signal.id}{BAND}": signal.band}
+    # What is not drawn costs time.
+    of_panel = {"t", "r", *(name + end for name in names for end in ("", "l", "h"))}
+    samples = {
+        name: {key: columns[key] for key in columns if key in of_panel}
+        for name, columns in ((signal.id, signal.columns), (f"{signal.id}{BAND}", signal.band))
+    }
     return View(
         identifier,
         clipped(panel.title, 120),
@@ -274,7 +279,7 @@ def _time_view(scene: _Scene, place: tuple[_Panel, Signal], size: tuple[int, int
         signal.unit,
         signal.scaling(names),
         tuple(signal.limits),
-        fixed=signal.settled is not None,
+        fixed=signal.is_fixed,
     )
 
 

@@ -16,7 +16,7 @@ from ddpc_reports.numbers import difference_symbol, unit_symbol
 _DIGITS, _BAND_DIGITS = 6, 4
 _FAR = 5.0
 _MOST_SAID, _MOST_DRAWN = 4, 200
-_MOST_SEEDS, _MOST_ROWS = 40, 250_000
+_MOST_SEEDS, _MOST_ROWS = 20, 200_000
 """Of a band: seeds that are read, and samples of all controllers: these take a second."""
 _BAND_POINTS = 150
 _QUANTILES, _FEWEST_FOR_QUANTILES = (0.1, 0.9), 10
@@ -98,9 +98,11 @@ class Signal:
 
     def extent(self, names: Sequence[str]) -> tuple[float, float]:
         """Return the range of the axis of a panel with these controllers, with a margin."""
-        if self.settled is not None:
-            return self._extent_of_errors([self.settled[name] for name in self.scaling(names)])
         scaling = self.scaling(names)
+        if self.settled is not None:
+            return self._extent_of_errors([self.settled[name] for name in scaling if name in self.scaled_by])
+        if self.is_fixed:
+            return self._extent_of_reference(scaling)
         columns = [*scaling, *(["r"] if self.has_reference else [])]
         shown = [*self.limits, *(value for name in columns for value in known(self.columns[name]))]
         shown += [value for name in scaling for end in "lh" for value in known(self.band.get(name + end, []))]
@@ -109,12 +111,27 @@ class Signal:
         margin = room * (high - low) or 0.1 * abs(high) or 1.0
         return (low - margin, high + margin)
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether the range is not that of its values: of errors, and where none of the runs can set it."""
+        return self.settled is not None or (self.has_reference and not self.scaled_by)
+
     def _extent_of_errors(self, sizes: Sequence[float]) -> tuple[float, float]:
         """Show what is settled, but for those that are far worse: a hundredth of a step stays visible."""
         usual = max(_USUAL_OF_STEP * self.step, 1.5 * median_low(sizes or [0.0]))
-        half = max(min(1.25 * max(sizes, default=0.0), usual), _LEAST_OF_STEP * self.step) or 1.0
+        half = max(min(1.25 * max(sizes, default=self.step), usual), _LEAST_OF_STEP * self.step) or 1.0
         half = min(half, sys.float_info.max)
         return (-half, half)
+
+    def _extent_of_reference(self, names: Sequence[str]) -> tuple[float, float]:
+        """Show the reference, whence the runs begin, and as much again on both sides."""
+        wanted = [
+            *known(self.columns["r"]),
+            *(value for name in names for value in known(self.columns[name])[:1]),
+        ]
+        low, high = min(wanted, default=0.0), max(wanted, default=1.0)
+        reach = (high - low) or 1.0
+        return (low - reach, high + reach)
 
 
 @dataclass(frozen=True)
@@ -187,8 +204,10 @@ def _over_seeds(condition: Condition, rows: int) -> tuple[dict[str, list[Trace]]
     for one in condition.controllers:
         asked = [case for case in one.cases if case.seed in seeds]
         name, holding = column_name(one), [case for case in asked if case.holds]
-        runs[name] = [firsts[one.key] if case is one.first_case else case.trace() for case in holding]
         lost[name] = len(asked) - len(holding)
+        # Runs whose errors are the same to the last bit are the same, and need not be read.
+        if any(len({case.metrics.get(key) for case in holding}) > 1 for key in condition.headline):
+            runs[name] = [firsts[one.key] if case is one.first_case else case.trace() for case in holding]
     few = len(seeds) < _FEWEST_FOR_QUANTILES
     return runs, Over(len(seeds), len(condition.seeds) - len(seeds), lost, few)
 
@@ -274,12 +293,20 @@ def band_ends(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 def trusted(traces: Mapping[str, Trace]) -> tuple[str, ...]:
     """Return the runs that set the ranges of the axes: completed, if any, and not out of all proportion.
 
-    One run that falls over, though it reaches its last sample, would flatten all others to a line.
+    One run that falls over, though it reaches its last sample, would flatten all others to a line; and those
+    that do not reach it would flatten their reference.
     """
-    completed = {key: trace for key, trace in traces.items() if trace.completed} or dict(traces)
-    outputs = range(len(next(iter(completed.values())).outputs))
-    lost = {key for i in outputs for key in _lost(completed, i)}
-    return tuple(key for key in completed if key not in lost) or tuple(completed)
+    completed = {key: trace for key, trace in traces.items() if trace.completed}
+    asked = completed or dict(traces)
+    outputs = range(len(next(iter(asked.values())).outputs))
+    lost = {key for i in outputs for key in (_lost(asked, i) if completed else _far_off(asked, i))}
+    return tuple(key for key in asked if key not in lost) or tuple(completed)
+
+
+def _far_off(traces: Mapping[str, Trace], i: int) -> list[str]:
+    """Return the runs that swing many times as far as the reference asks them to."""
+    asked = {key: np.append(trace.reference[:, i], trace.y[0, i]) for key, trace in traces.items()}
+    return [key for key, trace in traces.items() if not np.ptp(trace.y[:, i]) <= _FAR * np.ptp(asked[key])]
 
 
 def _lost(traces: Mapping[str, Trace], i: int) -> list[str]:
@@ -328,7 +355,7 @@ def _error(runs: _Runs, i: int, name: str) -> Signal:
     calm = settled_samples(runs.longest.reference[:, i], runs.longest.preview)
     settled = {key: _size(error[calm[: len(error)]]) for key, error in errors.items()}
     reference = runs.longest.reference[:, i]
-    moves = np.abs(np.diff(reference, prepend=runs.traces[runs.trusted[0]].y[0, i]))
+    moves = np.abs(np.diff(reference, prepend=runs.traces[[*runs.trusted, *runs.traces][0]].y[0, i]))
     step = float(moves.max() if not calm.all() else np.ptp(reference)) * abs(variable.shown_in.factor)
     unit = difference_symbol(variable.shown_in.name)
     return Signal(
@@ -419,7 +446,7 @@ def level_title(variable: Variable, unit: str) -> str:
 
 
 def _words(variable: Variable) -> str:
-    return variable.name.replace("_", " ")
+    return clipped(variable.name.replace("_", " "))
 
 
 def _title(name: str, unit: str) -> str:

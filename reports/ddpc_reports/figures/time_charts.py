@@ -245,13 +245,13 @@ def _spread(signal: Signal, names: Sequence[str], x: Spec) -> list[Spec]:
     area = {"type": "area", "opacity": 0.16, **held}
     line = {"type": "line", "strokeWidth": 0.8, "opacity": 0.9, **held}
     ends = [{"calculate": f"datum[datum.key + '{name[0]}']", "as": name} for name in ("low", "high")]
-    data = f"{signal.id}{BAND}"
-    steps = [*_folded(those), _within(spacing)]
-    between = {"x": x, "y": _y(signal, "low"), "y2": {"field": "high"}, "color": colours_of(names)}
-    return [
-        layer(area, between, data, *steps, *ends),
-        layer(line, {"x": x, "y": _y(signal), "color": colours_of(names)}, data, *steps),
+    shared = {"x": x, "color": colours_of(names)}
+    layers = [
+        layer(area, {**shared, "y": _y(signal, "low"), "y2": {"field": "high"}}),
+        layer(line, {**shared, "y": _y(signal)}),
     ]
+    steps = [*_folded(those), _within(spacing), *ends]
+    return [{"data": {"name": f"{signal.id}{BAND}"}, "transform": steps, "layer": layers}]
 
 
 def _band(x: Spec) -> Spec:
