@@ -405,9 +405,10 @@ const faint = [];
 const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
 while (walker.nextNode()) {
   const e = walker.currentNode.parentElement;
-  if (!walker.currentNode.data.trim() || !e.offsetParent) continue;
-  if (e.closest('script, .unseen, .anchor, .skip')) continue;
-  const [a, b] = [light(channels(getComputedStyle(e).color)), light(ground(e))].sort((x, y) => y - x);
+  if (!walker.currentNode.data.trim() || !e.getClientRects().length) continue;
+  if (e.closest('script, .unseen, .anchor, .skip, [hidden]')) continue;
+  const { color, fill } = getComputedStyle(e); // of texts in drawings the fill, which axe-core does not judge
+  const [a, b] = [light(channels(e.ownerSVGElement ? fill : color)), light(ground(e))].sort((x, y) => y - x);
   const text = walker.currentNode.data.trim();
   if ((a + 0.05) / (b + 0.05) < 4.5) faint.push(e.tagName + ' ' + text.slice(0, 30));
 }

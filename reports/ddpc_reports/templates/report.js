@@ -357,6 +357,7 @@
     charts.set(box, chart);
     follow(chart);
     await view.runAsync();
+    inner.querySelector("svg > g").setAttribute("inert", ""); // as the static drawing
     box.classList.add("is-live");
     live.addEventListener("blur", () => forget(chart));
     if (chart.times) listenOverTime(chart);
@@ -503,10 +504,13 @@
     return number === undefined ? cell.textContent.trim() : number === "nan" ? Infinity : Number(number);
   }
 
+  // Below the titles of groups, if there are any, the last row of the head has a cell for each column.
+  const headOf = (table) => [...table.tHead.rows].at(-1).cells;
+
   function sortBy(table, column) {
-    const head = table.tHead.rows[0].cells[column];
+    const head = headOf(table)[column];
     const order = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
-    for (const cell of table.tHead.rows[0].cells) cell.removeAttribute("aria-sort");
+    for (const cell of headOf(table)) cell.removeAttribute("aria-sort");
     head.setAttribute("aria-sort", order > 0 ? "ascending" : "descending");
     const body = table.tBodies[0];
     const rows = [...body.rows].map((row) => [valueOf(row, column), row]);
@@ -515,10 +519,12 @@
   }
 
   function enableSorting(table) {
-    [...table.tHead.rows[0].cells].forEach((cell, column) => {
+    [...headOf(table)].forEach((cell, column) => {
       const button = element("button", "sort");
       button.type = "button";
-      button.append(...cell.childNodes);
+      // A link leads where it leads: the button stands beside it.
+      if (cell.querySelector("a")) button.setAttribute("aria-label", "Sort by " + cell.textContent);
+      else button.append(...cell.childNodes);
       button.addEventListener("click", () => sortBy(table, column));
       cell.append(button);
     });

@@ -30,5 +30,5 @@ def test_a_cell_leads_to_its_place_and_tells_failures_in_words() -> None:
         '<b><a href="#s1-1-responses">1.2</a></b><span class="unseen"> (best)</span>'
         ' <small class="failed">✕\xa01 of 5</small><small>1 … 2</small></td>'
     )
-    assert '<th scope="colgroup" colspan="1" class="over"><span><a href="#b">tanks</a></span></th>' in page
+    assert '<th scope="colgroup" colspan="1"><span><a href="#b">tanks</a></span></th>' in page
     assert '<th scope="col" class="n"><a href="#a">calm</a></th>' in page

@@ -1,0 +1,71 @@
+"""The page as axe-core judges it: nothing violated, nothing that it cannot judge."""
+
+from dataclasses import replace
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+from selenium import webdriver
+
+from ddpc_cosim import Outcome, Trace
+from ddpc_reports import write_report
+
+from .synthetic import make_results_in, make_trace
+from .test_browser import make_live, open_page
+
+pytestmark = pytest.mark.xdist_group("browser")
+
+AXE = Path(str(distribution("axe-playwright-python").locate_file("axe_playwright_python/axe.min.js")))
+FAULTS = """
+const done = arguments[arguments.length - 1];
+document.querySelectorAll("details").forEach((fold) => { fold.open = true; });
+axe.run(document, { resultTypes: ["violations", "incomplete"] }).then(({ violations, incomplete }) => done(
+  [...violations, ...incomplete].flatMap(({ id, nodes }) =>
+    nodes.map(({ html }) => id + ": " + html.slice(0, 150)))
+));
+"""
+
+
+def trace_of(key: str, seed: int) -> Trace:
+    """Return runs of every kind: one lost, one with fallbacks, one that says something of its steps."""
+    if key == "lost":
+        return make_trace(0.6, outcome=Outcome.DIVERGED, reason="angle is NaN at 3 s")
+    diagnostics = {"data_rank": 9.0, "data_columns": 20.0 + seed}
+    trace = make_trace(
+        0.3 if key == "quick" else 1.0,
+        noise_seed=seed,
+        fallbacks=3 * (key == "slow"),
+        diagnostics=diagnostics,
+    )
+    return replace(trace, info={"cost": trace.u[:, 0] ** 2} if key == "quick" else {})
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the address of a report that has every kind of block."""
+    folder = tmp_path_factory.mktemp("accessibility")
+    controllers = {key: {"type": "a", "label": f"{key} one"} for key in ("quick", "slow", "lost")}
+    scenarios = {"calm": {}, "noisy": {"label": "noisy, and with a longer name", "noise": {"angle": 0.01}}}
+    results = make_results_in(
+        folder / "results", trace_of, controllers, seeds=["0:6"], scenarios=scenarios, source="A book."
+    )
+    return write_report([results], folder / "report.html").as_uri()
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_to_fault_and_nothing_to_look_at(
+    chromium: webdriver.Chrome, page: str, scheme: str, width: int
+) -> None:
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "screen", "features": features})
+    try:
+        open_page(chromium, page)
+        make_live(chromium, ".chart")
+        chromium.execute_script(AXE.read_text(encoding="utf-8"))
+        assert chromium.execute_async_script(FAULTS) == []
+    finally:
+        chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
