@@ -136,6 +136,19 @@ class _Choice(click.Choice[str]):
         return f'"{value}" is not possible; {did_you_mean(str(value), self.choices)}'
 
 
+class _Path(click.Path):
+    """A path that is not empty, as that of an unset variable of a shell is."""
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(path_type=Path, **more)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path, or say what is wrong with it."""
+        if not str(value):
+            self.fail("it is empty; needed: a path.", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 class _FiniteRange(click.FloatRange):
     """A range of numbers that are finite, which NaN is in none of."""
 
@@ -194,9 +207,7 @@ _STEP_TIMEOUT = click.option(
 
 @main.command()
 @click.argument("study", shell_complete=_names("studies"))
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of results [runs/STUDY]."
-)
+@click.option("--out", type=_Path(file_okay=False), help="Folder of results [runs/STUDY].")
 @click.option("--jobs", type=click.IntRange(min=1), help="Worker processes [one per processor].")
 @_ONLY
 @click.option("--seeds", metavar="0:30", help="Seeds in place of the study's: 7, 0:30 or 5489,0:30.")
@@ -246,9 +257,7 @@ def run(
     "--trials", type=click.IntRange(min=1), default=50, show_default=True, help="For each controller."
 )
 @click.option("--jobs", type=click.IntRange(min=1), help="Worker processes [one per processor].")
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of results [runs/STUDY-tuning]."
-)
+@click.option("--out", type=_Path(file_okay=False), help="Folder of results [runs/STUDY-tuning].")
 @click.option(
     "--objective",
     "objectives",
@@ -286,10 +295,10 @@ def tune(
 
 
 @main.command()
-@click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="DIR [DIR ...]")
+@click.argument("folders", nargs=-1, required=True, type=_Path(), metavar="DIR [DIR ...]")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
+    type=_Path(dir_okay=False, allow_dash=True),
     metavar="FILE",
     help="The report [DIR/report.FORMAT]; - prints it.",
 )
@@ -308,7 +317,7 @@ _TOLERANCE = _FiniteRange(min=0)
 
 
 @main.command()
-@click.argument("folders", nargs=2, type=click.Path(path_type=Path), metavar="DIR_A DIR_B")
+@click.argument("folders", nargs=2, type=_Path(), metavar="DIR_A DIR_B")
 @click.option(
     "--abs", "absolute", type=_TOLERANCE, default=1e-9, show_default=True, help="Allowed difference."
 )
@@ -337,7 +346,7 @@ def list_(kind: str | None, as_json: bool) -> None:
     sys.exit(list_command((kind,) if kind else _LISTED, as_json=as_json))
 
 
-_FMU = click.argument("fmu", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="FILE.fmu")
+_FMU = click.argument("fmu", type=_Path(exists=True, dir_okay=False), metavar="FILE.fmu")
 
 
 @main.command()
@@ -356,7 +365,7 @@ def inspect(fmu: Path, as_json: bool, strict: bool, every: bool) -> None:
 @_FMU
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=_Path(dir_okay=False),
     default=Path("study.toml"),
     show_default=True,
     help="The study.",
@@ -422,7 +431,7 @@ def init(
 @click.argument("plant", metavar="FILE.fmu|PLANT", shell_complete=_names("plants"))
 @click.option(
     "--inputs",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=_Path(dir_okay=False),
     metavar="FILE.csv",
     help="Signals of inputs: a column `time`, and one for each input; others keep their start values.",
 )
@@ -443,7 +452,7 @@ def init(
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=_Path(dir_okay=False),
     metavar="FILE.csv|.html|.svg",
     help="Write samples, a page or a plot; may be repeated.",
     multiple=True,
@@ -451,7 +460,7 @@ def init(
 @click.option(
     "--compare",
     "golden",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=_Path(dir_okay=False),
     metavar="GOLDEN.csv",
     help="Compare with these samples; exit with 1 if one differs.",
 )
@@ -466,7 +475,7 @@ def init(
 @_STEP_TIMEOUT
 @click.option(
     "--trace-calls",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=_Path(dir_okay=False),
     metavar="FILE",
     help="Write every FMI call with its arguments, status and results.",
 )
@@ -517,7 +526,7 @@ def check(
 @click.argument("plant", shell_complete=_names("plants"))
 @click.option("--fmi", type=_Choice(["2.0", "3.0"]), default="2.0", show_default=True, help="FMI version.")
 @click.option("--platforms", metavar="all|NAME,...", help="Platforms to compile for [this one].")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The FMU [PLANT.fmu].")
+@click.option("--out", type=_Path(dir_okay=False), help="The FMU [PLANT.fmu].")
 def export(plant: str, fmi: str, platforms: str | None, out: Path | None) -> None:
     """Export PLANT (a name from `list plants`, module:MODEL or file.py:MODEL) as an FMU."""
     from ddpc_cosim.cli.export import export_command

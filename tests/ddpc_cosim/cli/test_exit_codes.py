@@ -1,5 +1,6 @@
 """What every command says and exits with where a name, a file or an option is wrong."""
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,6 +30,8 @@ WRONG: dict[str, str] = {
     "run study.toml --only mfacp": 'error: --only mfacp: no case matches; did you mean "mfapc"?',
     "run study.toml --out bad.fmu": "Directory 'bad.fmu' is a file",
     "run study.toml --out bad.fmu/below": "results cannot be written there",
+    "run study.toml --out ''": "Invalid value for '--out': it is empty",
+    "report ''": "it is empty; needed: a path",
     "tune papre": 'error: no study "papre"; did you mean "paper"?',
     "tune study.toml --objective rsme": 'did you mean "rmse"?',
     "tune study.toml --seeds x": "error: --seeds: 'x' is not a seed",
@@ -89,7 +92,7 @@ def invoke(*arguments: str) -> Result:
 @pytest.mark.parametrize("line", WRONG)
 def test_wrong_usage_exits_with_2_says_why_and_writes_nothing(line: str, folder: Path) -> None:
     before = sorted(folder.rglob("*"))
-    result = invoke(*line.split())
+    result = invoke(*shlex.split(line))
     assert (result.exit_code, result.stdout) == (2, ""), result.output
     assert WRONG[line] in result.stderr
     assert sorted(folder.rglob("*")) == before
