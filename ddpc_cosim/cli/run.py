@@ -14,7 +14,7 @@ import click
 
 from ddpc_cosim.cli.output import say, screen
 from ddpc_cosim.cli.progress import shown
-from ddpc_cosim.cli.summary import summary_table
+from ddpc_cosim.cli.summary import overall_table, summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import expand_seeds
@@ -81,6 +81,7 @@ def show_results(results: StudyResults, *, report: bool = True, browse: bool = F
     """Print the result table, the path of the report and what has failed, and return the exit code."""
     folder = results.folder
     console = screen()
+    ran = [problem for problem in results.problems() if problem.cases]
     for problem in results.problems():
         for line in following_lines(problem.study, problem.cases):
             console.print(printable(f"{line}."), markup=False, highlight=False, style="bold")
@@ -91,6 +92,8 @@ def show_results(results: StudyResults, *, report: bool = True, browse: bool = F
             console.print(
                 printable(f"{several} {noun} by the study's sweep: {folder / METRICS_FILE}"), markup=False
             )
+    if len(ran) > 1 and (table := overall_table(ran, console)) is not None:
+        console.print(table, crop=False)
     if report:
         _write_report([results], folder / REPORT_FILE, HTML, browse=browse)
     _print_warnings(results)

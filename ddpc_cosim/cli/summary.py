@@ -11,15 +11,19 @@ from rich.table import Table
 from rich.text import Text
 
 from ddpc_cosim.cli.output import clipped, fitting, wrapped
+from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.ranks import ranks_frame
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.study.shares import marked
 from ddpc_cosim.study.standings import Standing, Standings, known_values, standings, summed
+from ddpc_cosim.study.statistics import LEVEL
 from ddpc_cosim.texts import printable
 
 _STEP = "solve_time_median [s]"
 _RANGE = "range"
+_RANKED_BY = "mean_abs_error"
 _VARIANTS_SHOWN = 2
 _NAME_PART = 0.4
 """Part of the window that names may take."""
@@ -77,6 +81,57 @@ def summary_table(results: StudyResults, console: Console) -> RenderableType:
     return Group(head, table, *(Text(line, overflow="ignore") for line in below))
 
 
+def overall_table(problems: Sequence[StudyResults], console: Console) -> RenderableType | None:
+    """Return the controllers over all problems by average rank; None where fewer than two can be compared."""
+    import pandas as pd  # with one problem it is not needed
+
+    found = {one.study.name: standings(one.study, one.cases) for one in problems}
+    runs = [
+        (problem, key, controller, scenario, seed, value)
+        for problem, own in found.items()
+        for key, by_controller in own.runs.items()
+        for controller, values in by_controller.items()
+        for (scenario, seed), value in values.items()
+    ]
+    frame = pd.DataFrame(runs, columns=["problem", "variant", "controller", "scenario", "seed", _RANKED_BY])
+    try:
+        ranks = ranks_frame(frame.assign(holds=frame[_RANKED_BY].notna()), _RANKED_BY)
+    except ConfigError:  # no run is shared by all
+        return None
+    if ranks.problems < 2 or len(ranks.ranks) < 2:
+        return None
+    of_controller: dict[str, list[CaseResult]] = {}
+    for one in problems:
+        for case in one.cases:
+            if case.scenario not in found[one.study.name].left_out:
+                of_controller.setdefault(case.controller, []).append(case)
+    rows = [_Row(of_controller[name][0].label, of_controller[name]) for name in ranks.ranks]
+    average = _Column("average rank", "", "", "", lambda own: Text(f"{ranks.ranks[own[0].controller]:.3g}"))
+    columns = [average, *(_problem_column(name, own) for name, own in found.items() if own.order)]
+    longest = max(int(_NAME_PART * console.width), _SHORTEST_NAME)
+    table, others = fitting(console, columns, partial(_table, rows, longest))
+    apart = (
+        f"averages {ranks.critical_difference:.2g} apart differ" if ranks.p <= LEVEL else "none told apart"
+    )
+    lines = [f"ranks in {ranks.problems} problems, and their average: {apart}"]
+    lines += [f"not shown: {'; '.join(column.words for column in others)}"] if others else []
+    below = [line for text in lines for line in wrapped(text, console.width)]
+    return Group(
+        Text("All problems", style="bold"), table, *(Text(line, overflow="ignore") for line in below)
+    )
+
+
+def _problem_column(name: str, found: Standings) -> _Column:
+    standing = {one.controller: one for one in found.order}
+
+    def cell(cases: Sequence[CaseResult]) -> Text:
+        own = standing.get(cases[0].controller)
+        return Text(str(own.rank) if own else _MISSING, style="red" if own and own.lost else "")
+
+    label = clipped(name, _LONGEST_SCENARIO)
+    return _Column(label, "", label, "", cell)
+
+
 def _has_values(column: _Column, rows: Sequence[_Row]) -> bool:
     return any(column.cell(row.cases).plain != _MISSING for row in rows)
 
@@ -85,7 +140,9 @@ def _table(rows: Sequence[_Row], longest: int, columns: Sequence[_Column], narro
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     add = partial(table.add_column, vertical="bottom", no_wrap=True)
     any_lost = any(row.lost for row in rows)
-    add("rank", justify="right")
+    ranked = any(row.standing for row in rows)
+    if ranked:
+        add("rank", justify="right")
     add("controller", max_width=longest, overflow="ellipsis")
     if any_lost:
         add("lost\nruns", justify="right")
@@ -97,13 +154,13 @@ def _table(rows: Sequence[_Row], longest: int, columns: Sequence[_Column], narro
         add(Text("\n".join(lines)), justify="right")
     for row in rows:
         if not row.cases:
-            table.add_row("", row.name)
+            table.add_row(*([""] if ranked else []), row.name)
             continue
         first = row.standing is not None and row.standing.rank == 1 and not row.lost
         name = Text(clipped(row.name, longest), style="bold" if first else "")
         lost = Text(f"{row.lost}/{len(row.cases)}", style="red" if row.lost else "")
-        rank = str(row.standing.rank) if row.standing else _MISSING
-        table.add_row(rank, name, *([lost] if any_lost else []), *(own.pop(0) for own in cells))
+        rank = [str(row.standing.rank) if row.standing else _MISSING] if ranked else []
+        table.add_row(*rank, name, *([lost] if any_lost else []), *(own.pop(0) for own in cells))
     return table
 
 

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults
-from ddpc_cosim.cli.summary import summary_table
+from ddpc_cosim.cli.summary import overall_table, summary_table
 from ddpc_cosim.metrics import METRICS
 from ddpc_cosim.study.file_format.sections import ReferencePoints, ReportSection, Study
 from ddpc_cosim.study.problems import WholeStudy
@@ -186,7 +186,8 @@ def test_reference_points_are_marked_and_have_no_rank() -> None:
     points = ReferencePoints(zero="deepc", full="pid")
     told = seen.study.model_copy(update={"report": ReportSection(reference_points=points)})
     lines = printed(replace(seen, whole=WholeStudy.of(told)))
-    assert ranked(lines) == [("-", "deepc (0\u00a0%)"), ("-", "pid (100\u00a0%)")]
+    assert [name for _, name in ranked(lines)] == ["deepc (0\u00a0%)", "pid (100\u00a0%)"]
+    assert "rank" not in "".join(lines).split()
 
 
 @pytest.mark.parametrize(
@@ -215,3 +216,19 @@ def test_a_step_below_a_microsecond_is_not_zero_and_one_of_a_lost_case_is_not_sh
     deepc, pid = (line for line in printed(replace(some, cases=cases)) if "/2" in line)
     assert "0.20 us" in deepc
     assert " us" not in pid
+
+
+def test_several_problems_are_summed_up_by_average_rank() -> None:
+    """Where two agree and one does not, the average is (1 + 1 + 2) / 3 against (2 + 2 + 1) / 3."""
+    problems = [
+        replace(seen, whole=WholeStudy.of(seen.study.model_copy(update={"name": f"p{number}"})))
+        for number, seen in enumerate((seeded(12, 9.0), seeded(12, 9.0), seeded(12, -9.0)))
+    ]
+    console = Console(width=80)
+    with console.capture() as capture:
+        console.print(overall_table(problems, console))
+    rows = [line.split() for line in capture.get().splitlines()]
+    assert ["controller", "average", "rank", "p0", "p1", "p2"] in rows
+    assert ["deepc", "1.33", "1", "1", "2"] in rows
+    assert ["pid", "1.67", "2", "2", "1"] in rows
+    assert overall_table(problems[:1], console) is None
