@@ -43,10 +43,13 @@ _ID = re.compile(r' id="([^"]+)"')
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _SOURCE = (files("ddpc_reports") / "embedding.py").read_bytes()
 _BOX = re.compile(r' viewBox="0 0 [\d.]+ ([\d.]+)"')
+_TRANSFORM = re.compile(r' transform="[^"]*"')
+_FONT = f' font-family="{CONFIG["font"]}" font-size="{CONFIG["axis"]["labelFontSize"]}px"'
 _NOISE = re.compile(
     r' (?:aria-[a-z]+|role|pointer-events|class|xmlns:xlink|version|stroke-miterlimit)="[^"]*"|'
-    r'<path aria-hidden="true" d="M0,0h0v0h0Z" pointer-events="none"/>'
+    r' (?:(?:opacity|stroke-width)="1"|[xy]2="0"|transform="translate\(0,0\)")|' + _FONT
 )
+_NOTHING = re.compile(r'<path d="M0,0h0v0h0Z"/>|<path d="[^"]*" display="none"/>')
 
 
 def stylesheet() -> str:
@@ -209,16 +212,21 @@ def _finish(svg: str, identifier: str, description: str) -> str:
 
     What has a name as a whole is inert inside: checkers of contrast cannot tell what a part lies on.
     """
-    svg = _number_ids(_PATH.sub(_short_path, _NOISE.sub("", svg)), identifier)
+    svg = _NOTHING.sub("", _NOISE.sub("", _TRANSFORM.sub(_rounded, svg)))
+    svg = _number_ids(_PATH.sub(_short_path, svg), identifier)
     size = re.search(r' width="[\d.]+" height="[\d.]+"', svg)
-    head = f' class="static" role="img" aria-label="{html.escape(description)}"'
-    return svg.replace(size[0], head, 1).replace("<g", "<g inert", 1) if size else svg
+    head = f' class="static" role="img" aria-label="{html.escape(description)}"{_FONT}'
+    return svg.replace(size[0], head, 1).replace("<g", '<g inert=""', 1) if size else svg
+
+
+def _rounded(numbers: re.Match[str]) -> str:
+    return _LONG_NUMBER.sub(lambda number: f"{float(number[0]):.1f}", numbers[0])
 
 
 def _short_path(path: re.Match[str]) -> str:
     """Round to a tenth of a pixel; write lines of many points by their steps, as these are short."""
     if not _LINES.fullmatch(path[1]):
-        return _LONG_NUMBER.sub(lambda number: f"{float(number[0]):.1f}", path[0])
+        return _rounded(path)
     pieces = [_points(piece) for piece in path[1].removesuffix("Z").split("M") if piece]
     end = "Z" if path[1].endswith("Z") else ""
     return f' d="{"".join(_steps(_simplified(piece)) for piece in pieces)}{end}"'

@@ -284,10 +284,12 @@
 
   function listenToMarks(chart) {
     const { live, box } = chart;
-    chart.view.addEventListener("pointermove", (event, item) => {
-      const { left, top } = box.getBoundingClientRect();
-      say(chart, item && item.datum && item.datum.text, event.clientX - left, event.clientY - top);
-    });
+    for (const kind of ["pointermove", "pointerdown"]) {
+      chart.view.addEventListener(kind, (event, item) => {
+        const { left, top } = box.getBoundingClientRect();
+        say(chart, item && item.datum && item.datum.text, event.clientX - left, event.clientY - top);
+      });
+    }
     live.addEventListener("pointerleave", (event) => { if (event.pointerType !== "touch") forget(chart); });
     live.addEventListener("keydown", (event) => {
       const marks = marksOf(chart);
@@ -430,7 +432,7 @@
         const copy = svg.cloneNode(true);
         const { width: wide, height: high } = svg.viewBox.baseVal;
         ["class", "style", "aria-label", "role"].forEach((name) => copy.removeAttribute(name));
-        for (const [name, value] of Object.entries({ x: MARGIN, y, width: wide, height: high })) copy.setAttribute(name, value);
+        for (const [name, value] of Object.entries({ x: MARGIN, y, width: wide, height: high, overflow: "visible" })) copy.setAttribute(name, value);
         all.append(copy);
         y += high + 8;
       } else if (part.matches(".panel")) {
