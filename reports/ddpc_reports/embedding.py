@@ -22,7 +22,7 @@ from ddpc_cosim.plugins import cached
 from ddpc_cosim.texts import printable
 from ddpc_reports.figures.charts import CONFIG
 from ddpc_reports.figures.drawing import DrawingError, drawn, kept
-from ddpc_reports.figures.samples import Column
+from ddpc_reports.figures.signal import Column
 
 _WIDTH = 900
 _MOST_DECIMALS = 300

@@ -24,7 +24,7 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.figures.charts import heat_chart
 from ddpc_reports.figures.figure import Figure, one_chart
-from ddpc_reports.figures.samples import clipped
+from ddpc_reports.figures.signal import clipped
 from ddpc_reports.numbers import as_given, percent, significant, with_unit
 from ddpc_reports.tables.table import Cell, Heading, Row, Table, number_cells, text_headings
 from ddpc_reports.verdict import Statement, by_signal, formatter

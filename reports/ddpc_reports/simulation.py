@@ -12,7 +12,8 @@ from ddpc_cosim import FloatArray, Simulation, Variable
 from ddpc_cosim.plugins import write_atomically
 from ddpc_reports.embedding import drawing, pack, stylesheet
 from ddpc_reports.figures.figure import Entry, Figure, View
-from ddpc_reports.figures.samples import Column, Signal, level_title, rounded
+from ddpc_reports.figures.samples import level_title
+from ddpc_reports.figures.signal import Column, Signal, rounded
 from ddpc_reports.figures.time_charts import time_chart
 from ddpc_reports.numbers import as_given, significant, unit_symbol, with_unit
 from ddpc_reports.page import set_page

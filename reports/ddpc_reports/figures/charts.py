@@ -144,7 +144,7 @@ def spread_chart(rows: list[dict[str, Any]], title: str) -> Spec:
     dots = {"filter": "!datum.extra"}
     median = {"aggregate": [{"op": "median", "field": "value", "as": "value"}], "groupby": ["label"]}
     seeds = {"type": "circle", "size": 34, "opacity": 0.5}
-    middle = {"type": "tick", "thickness": 2.5, "size": 18} | ink
+    middle = {"type": "tick", "thickness": 2.5, "size": 14} | ink
     first = {"type": "point", "shape": "diamond", "size": 90, "filled": False, "strokeWidth": 1.8} | ink
     layers = [
         _from_least_to_most(rows, y, hue),

@@ -28,7 +28,8 @@ from ddpc_reports.figures.charts import (
     spread_chart,
     step_time_chart,
 )
-from ddpc_reports.figures.samples import clipped, column_name
+from ddpc_reports.figures.samples import column_name
+from ddpc_reports.figures.signal import clipped
 from ddpc_reports.numbers import duration, given_duration, significant, with_unit
 
 _LONGEST_TITLE, _MOST_TOLD = 120, 40

@@ -11,18 +11,8 @@ from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.embedding import drawing
 from ddpc_reports.figures.charts import COLOURS
 from ddpc_reports.figures.figure import Figure, View, entry, in_its_place
-from ddpc_reports.figures.samples import (
-    BAND,
-    Column,
-    Over,
-    Said,
-    Signal,
-    clipped,
-    column_name,
-    known,
-    said,
-    seen,
-)
+from ddpc_reports.figures.samples import Over, Said, column_name, said, seen
+from ddpc_reports.figures.signal import BAND, Column, Signal, clipped, known
 from ddpc_reports.figures.time_charts import NARROW, WIDE, Mark, time_chart
 from ddpc_reports.numbers import as_given, significant, with_unit
 from ddpc_reports.tables.settings import own_units, scenario_effects
@@ -30,7 +20,7 @@ from ddpc_reports.tables.settings import own_units, scenario_effects
 Kind = Literal["responses", "errors", "inputs"]
 
 _SAID = "What controllers said of their steps"
-_HEIGHTS = {"Responses": (236, 200), "Errors": (180, 150), "Control signals": (180, 150)}
+_HEIGHTS = {"Responses": (236, 200), "Errors": (176, 140), "Control signals": (164, 130)}
 """Of a chart that has the page to itself, and of one beside others [px]."""
 _FOLDED = (130, 130)
 

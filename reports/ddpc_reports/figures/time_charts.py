@@ -5,7 +5,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from ddpc_reports.figures.charts import LABEL_ROOM, LABELS, Spec, colours_of, dashes_of, field, layer
-from ddpc_reports.figures.samples import BAND, Signal
+from ddpc_reports.figures.signal import BAND, Signal
 
 WIDE, NARROW = 1000, 480
 """Widths of a drawing that has the page to itself, and of one beside others [px]."""

@@ -1,0 +1,138 @@
+"""A signal as one row of a figure draws it: its columns, and the range of its axis."""
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from statistics import median_low
+
+from ddpc_cosim import FloatArray
+
+DIGITS = 6
+"""Significant digits of the samples in the page."""
+BAND = "-band"
+"""What follows the name of a signal's data in that of the data of its band."""
+_LEAST_OF_STEP, _USUAL_OF_STEP = 0.02, 0.1
+"""Of the largest step: how far the axis of errors goes at least, and how far to show all that is settled."""
+_LONGEST_LABEL = 60
+
+Column = list[float | None]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One output, input, or change of an input, for all controllers: what one row of a figure draws.
+
+    Parameters
+    ----------
+    id : str
+        Name of the data set in the page.
+    title : str
+        Signal and unit, for the axis.
+    unit : str
+        Unit symbol.
+    columns : dict
+        ``t`` [s], ``r`` (the reference, if there is one) and one column ``c<index>`` for each controller.
+    scaled_by : tuple of str
+        Columns of controllers that set the range of the axis.
+    limits : dict of float to str
+        Limits that the axis should show because the samples come near them, and whose they are.
+    far_limits : tuple of float
+        Limits that are farther away.
+    held : bool
+        Values hold until the next sample.
+    own_range : bool
+        Every panel has its own range; otherwise all panels share one, so that they compare.
+    band : dict
+        ``t`` [s] and, of each controller whose runs differ over the seeds, the median ``c<index>`` and the
+        ends ``c<index>l`` and ``c<index>h``; empty without a band.
+    settled : dict, optional
+        Of errors: how large those outside the transients are, by column; it sets the range of the axis.
+    step : float
+        Of errors: the largest step of the reference.
+    """
+
+    id: str
+    title: str
+    unit: str
+    columns: dict[str, Column]
+    scaled_by: tuple[str, ...]
+    limits: dict[float, str] = field(default_factory=dict)
+    far_limits: tuple[float, ...] = ()
+    held: bool = False
+    own_range: bool = False
+    band: dict[str, Column] = field(default_factory=dict)
+    settled: dict[str, float] | None = None
+    step: float = 0.0
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether there is a reference to draw."""
+        return "r" in self.columns
+
+    @property
+    def end(self) -> tuple[float, float]:
+        """First and last time [s]."""
+        times = [value for value in self.columns["t"] if value is not None]
+        if not times:
+            return (0.0, 1.0)
+        return (times[0], times[-1]) if len(times) > 1 else (times[0] - 0.5, times[0] + 0.5)
+
+    def scaling(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return the columns that set the range of the axis of a panel with these controllers."""
+        asked = names if self.own_range else [name for name in self.columns if name.startswith("c")]
+        return tuple(name for name in asked if name in self.scaled_by) or tuple(asked)
+
+    def extent(self, names: Sequence[str]) -> tuple[float, float]:
+        """Return the range of the axis of a panel with these controllers, with a margin."""
+        scaling = self.scaling(names)
+        if self.settled is not None:
+            return self._extent_of_errors([self.settled[name] for name in scaling if name in self.scaled_by])
+        if self.is_fixed:
+            return self._extent_of_reference(scaling)
+        columns = [*scaling, *(["r"] if self.has_reference else [])]
+        shown = [*self.limits, *(value for name in columns for value in known(self.columns[name]))]
+        shown += [value for name in scaling for end in "lh" for value in known(self.band.get(name + end, []))]
+        low, high = min(shown, default=0.0), max(shown, default=1.0)
+        room = 0.1 if self.limits else 0.05  # their words stand outside
+        margin = room * (high - low) or 0.1 * abs(high) or 1.0
+        return (low - margin, high + margin)
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether the range is not that of its values: of errors, and where none of the runs can set it."""
+        return self.settled is not None or (self.has_reference and not self.scaled_by)
+
+    def _extent_of_errors(self, sizes: Sequence[float]) -> tuple[float, float]:
+        """Show what is settled, but for those that are far worse: a hundredth of a step stays visible."""
+        usual = max(_USUAL_OF_STEP * self.step, 1.5 * median_low(sizes or [0.0]))
+        half = max(min(1.25 * max(sizes, default=self.step), usual), _LEAST_OF_STEP * self.step) or 1.0
+        half = min(half, sys.float_info.max)
+        return (-half, half)
+
+    def _extent_of_reference(self, names: Sequence[str]) -> tuple[float, float]:
+        """Show the reference, whence the runs begin, and as much again on both sides."""
+        wanted = [
+            *known(self.columns["r"]),
+            *(value for name in names for value in known(self.columns[name])[:1]),
+        ]
+        low, high = min(wanted, default=0.0), max(wanted, default=1.0)
+        reach = (high - low) or 1.0
+        return (low - reach, high + reach)
+
+
+def clipped(label: str, longest: int = _LONGEST_LABEL) -> str:
+    """Return a label as a drawing has room for it: its beginning and, as that may tell it apart, its end."""
+    if len(label) <= longest:
+        return label
+    return f"{label[: longest - longest // 3 - 1]}\N{HORIZONTAL ELLIPSIS}{label[-(longest // 3) :]}"
+
+
+def known(column: Sequence[float | None]) -> list[float]:
+    """Return the values of a column that exist."""
+    return [value for value in column if value is not None]
+
+
+def rounded(values: FloatArray, digits: int = DIGITS) -> Column:
+    """Return values as the page holds them: so many digits, None for what is not finite."""
+    return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()]
