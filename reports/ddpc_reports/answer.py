@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_name, metric_of
-from ddpc_cosim.study.standings import Standing, Standings
+from ddpc_cosim.study.standings import Standing, Standings, standings
 from ddpc_cosim.study.statistics import Difference, compare
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
 from ddpc_reports.numbers import MINUS, significant, with_unit
@@ -40,6 +40,7 @@ def answer(results: StudyResults, seen: Sequence[Condition], found: Standings) -
     labels = [Markup("<i>{}</i>").format(one.label) for one in seen if one.scenario in found.left_out]
     parts = [
         _ahead(found, who, counting) if found.leaders else _none_holds(found, who),
+        _elsewhere(found, who, counting) if found.leaders else "",
         _offer(found, who, counting),
         _lost(found, who),
         Markup("Not counted, as no controller follows there: {}.").format(some_of(labels)) if labels else "",
@@ -76,6 +77,24 @@ def _ahead(found: Standings, who: dict[str, ControllerResults], counting: Sequen
             who[follower.controller].label, _behind(found, best.key, follower.controller)
         )
     return text + "." + _unsure(found)
+
+
+def _elsewhere(found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]) -> Markup:
+    """Say in how many scenarios others are ahead of the leaders, and who; nothing where none is."""
+    others: dict[str, int] = {}
+    led = 0
+    for condition in counting:
+        here = standings(condition.results.study, condition.cases).leaders
+        led += bool({*here} & {*found.leaders})
+        for name in here if not {*here} & {*found.leaders} else ():
+            others[name] = others.get(name, 0) + 1
+    if not others:
+        return Markup("")
+    most = sorted(others, key=lambda name: -others[name])
+    named = [Markup("<i>{}</i> ({})").format(who[name].label, others[name]) for name in most]
+    it = "It leads" if len(found.leaders) == 1 else "One of them leads"
+    text = "{} in {} of the {} scenarios by themselves; in the others ahead: {}."
+    return Markup(text).format(it, led, len(counting), some_of(named))
 
 
 def _level(found: Standings, leaders: Sequence[ControllerResults], over: str) -> Markup:

@@ -124,6 +124,24 @@ def test_scenarios_count_together_but_for_those_in_which_nobody_follows(make_res
     assert told.endswith("Not counted, as no controller follows there: No power.")
 
 
+def test_who_is_ahead_in_some_of_the_scenarios_is_told(make_results: MakeResults) -> None:
+    """`a` is ahead over all, and `b` in the one scenario in which their runs are exchanged."""
+    results = study(
+        make_results, lag({"a": 0.3, "b": 0.5}), "a", "b", scenarios={"one": {}, "two": {}, "turned": {}}
+    )
+    other = {"a": "b", "b": "a"}
+    cases = tuple(
+        replace(case, controller=other[case.controller], label=other[case.controller])
+        if case.scenario == "turned"
+        else case
+        for case in results.cases
+    )
+    told = said(replace(results, cases=cases))
+    assert told.startswith("a is ahead over 3 scenarios and 12 seeds")
+    assert "It leads in 2 of the 3 scenarios by themselves; in the others ahead: b (1)." in told
+    assert "by themselves" not in said(results)
+
+
 def test_of_several_outputs_each_has_its_value(make_results: MakeResults) -> None:
     def trace_of(key: str, seed: int) -> Trace:
         return make_trace(0.3 if key == "a" else 0.9, outputs=(ANGLE, SPEED), noise_seed=seed)
