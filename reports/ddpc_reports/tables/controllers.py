@@ -63,7 +63,7 @@ def response_table(condition: Condition, prefix: str) -> Table | None:
     notes = (
         f"From each step of the reference until {preview} before the next one: until then, every controller "
         "answers the same step. Of a run that does not stay near its reference there are none. "
-        + _meanings(RESPONSE)
+        + meanings(RESPONSE)
         + " A dash: a time is not reached, an output was not at rest to leave, or its reference has no steps."
     )
     if len(condition.seeds) > 1:
@@ -79,7 +79,7 @@ def limits_table(condition: Condition, prefix: str) -> Table | None:
     columns = _columns(condition, LIMITS)
     if not columns:
         return None
-    notes = _meanings(LIMITS)
+    notes = meanings(LIMITS)
     if len(condition.seeds) > 1:
         notes += " Over the seeds: bound violation max is the largest, the others are medians."
     caption = "Limits and actuators, per controller"
@@ -92,7 +92,7 @@ def _columns(condition: Condition, names: Sequence[str]) -> list[Column]:
     return [metric_column(condition, key) for name in names for key in condition.keys(name)]
 
 
-def _meanings(names: Sequence[str]) -> str:
+def meanings(names: Sequence[str]) -> str:
     """Say what the metrics of a table are."""
     metrics = all_metrics()
     told = (f"{metric_name(name)}: {metrics[name].description}." for name in names)
