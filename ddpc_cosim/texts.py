@@ -38,7 +38,8 @@ def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
         text = text[: max(longest - len(cut), 0)] + cut
     if text.isprintable():  # as nearly all are, and a page has half a million of them
         return text
-    return text.translate({ord(c): repr(c)[1:-1] for c in set(text) if c not in keep and not _is_seen(c)})
+    acting = {ord(c): repr(c)[1:-1] for c in set(text) if c not in keep and not _is_seen(c)}
+    return text.translate(acting) if acting else text
 
 
 def without_folders(text: str) -> str:
