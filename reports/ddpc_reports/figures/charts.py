@@ -52,6 +52,7 @@ _TIME_LABELS = (
 
 CONFIG: dict[str, Any] = {
     "background": None,
+    "padding": {"left": 5, "top": 2, "right": 5, "bottom": 1},
     "font": "-apple-system, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif",
     "aria": False,
     "view": {"stroke": "var(--rule)", "fill": None},

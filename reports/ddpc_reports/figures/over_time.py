@@ -20,7 +20,7 @@ from ddpc_reports.tables.settings import own_units, scenario_effects
 Kind = Literal["responses", "errors", "inputs"]
 
 _SAID = "What controllers said of their steps"
-_HEIGHTS = {"Responses": (236, 200), "Errors": (176, 140), "Control signals": (164, 130)}
+_HEIGHTS = {"Responses": (236, 188), "Errors": (176, 134), "Control signals": (164, 124)}
 """Of a chart that has the page to itself, and of one beside others [px]."""
 _FOLDED = (130, 130)
 
