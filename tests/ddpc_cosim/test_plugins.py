@@ -152,7 +152,7 @@ def test_the_list_can_be_of_one_kind(site: Path) -> None:
     result = CliRunner().invoke(main, ["list", "plants"])
     assert "lag" in result.stdout
     assert "proportional" not in result.stdout
-    assert CliRunner().invoke(main, ["list", "reports"]).exit_code == 2
+    assert CliRunner().invoke(main, ["list", "everything"]).exit_code == 2
 
 
 def test_a_broken_plug_in_is_listed_with_its_error(broken_site: Path) -> None:

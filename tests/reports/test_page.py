@@ -341,6 +341,33 @@ def test_a_metric_has_one_name_in_page_terminal_and_file(make_results: MakeResul
             assert metric.label.casefold() not in (page + capture.get()).casefold()
 
 
+@pytest.mark.parametrize("scenarios", [{"calm": {}}, {"calm": {}, "noisy": {"noise": {"angle": 0.01}}}])
+def test_page_and_terminal_rank_alike(
+    make_results: MakeResults, tmp_path: Path, scenarios: dict[str, Any]
+) -> None:
+    """In the same order, with the same ranks; who loses a run comes last."""
+
+    def trace_of(key: str, seed: int) -> Trace:
+        trace = make_trace({"slow": 1.0, "quick": 0.3, "also": 0.3, "lost": 0.2}[key], noise_seed=seed)
+        return trace if (key, seed) != ("lost", 3) else replace(trace, outcome=Outcome.DIVERGED)
+
+    controllers = {name: {"type": "a"} for name in ("lost", "slow", "also", "quick")}
+    results = make_results(trace_of, controllers, seeds=[*range(12)], scenarios=scenarios)
+    reader = Reader(written(tmp_path, results))
+    name = "ranking.csv" if len(scenarios) == 1 else "matrix.csv"
+    (packed,) = (str(a["href"]) for a in reader.all("a") if a.get("download") == name)
+    rows = csv.DictReader(io.StringIO(base64.b64decode(packed.partition(",")[2]).decode()))
+    on_page = [(row["rank"], row["Controller"]) for row in rows]
+    console = Console(width=200)
+    with console.capture() as capture:
+        console.print(summary_table(results, console))
+    lines = [line.split()[:2] for line in capture.get().splitlines()]
+    in_terminal = [(words[0], words[1]) for words in lines if words[1:] and words[1] in controllers]
+    assert in_terminal == on_page
+    assert [rank for rank, _ in on_page] == ["1", "1", "3", "4"]
+    assert on_page[-1][1] == "lost"
+
+
 def test_a_thousand_cases_do_not_blow_the_page_up(make_results: MakeResults, tmp_path: Path) -> None:
     few = make_results(controllers={"only": {"type": "x"}})
     case = few.cases[0]

@@ -164,6 +164,8 @@ def _notes(condition: Condition, found: Standings) -> tuple[str, ...]:
             "the seed changes anything."
         )
     notes.append("Sees ahead: of the reference. Learns from: a recording, which the controller is handed.")
+    if others := [name for name in _others(condition.headline) if condition.keys(name)]:
+        notes.append(meanings(others))
     return (*notes, *((SHARE_NOTE,) if condition.points else ()))
 
 

@@ -61,17 +61,6 @@ def test_version() -> None:
     assert invoke("--version").stdout == f"{package_version()}\n"
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [["rnu"], ["run"], ["run", "paper", "--jobs", "0"], ["report"], ["export", "x", "--fmi", "1.0"]],
-)
-def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
-    result = invoke(*arguments)
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert "Usage:" in result.stderr
-
-
 def test_no_range_of_numbers_has_nan_or_infinity_in_it() -> None:
     options = [
         (option, option.type)
@@ -240,15 +229,6 @@ def test_fresh_runs_everything_again(folder: Path, write_study: WriteStudy) -> N
     assert "1 case to run" in invoke(*arguments).stderr
     assert "0 cases to run, 1 kept" in invoke(*arguments).stderr
     assert "1 case to run\n" in invoke(*arguments, "--fresh").stderr
-
-
-def test_an_out_folder_that_is_a_file_exits_with_2(folder: Path, write_study: WriteStudy) -> None:
-    write_study("mfapc")
-    (folder / "file").touch()
-    assert invoke("run", "study.toml", "--out", "file").exit_code == 2
-    result = invoke("run", "study.toml", "--out", "file/below")
-    assert result.exit_code == 2
-    assert "results cannot be written there" in result.stderr
 
 
 def test_export_writes_an_fmu_that_others_can_read(folder: Path) -> None:
