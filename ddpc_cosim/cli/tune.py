@@ -11,6 +11,7 @@ from ddpc_cosim.cli.output import say
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.run import parse_seeds, show_results, warnings_in_one_line
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.metrics import metric_name
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection
 from ddpc_cosim.texts import printable
@@ -75,5 +76,5 @@ def _print_found(tuned: Tuned, request: Request, *, named: bool) -> None:
 
 def _figures(given: Trial, found: Trial, request: Request) -> str:
     pairs = zip(request.objectives, given.values, found.values, strict=True)
-    figures = [f"{objective.metric} {old:.4g} -> {new:.4g}" for objective, old, new in pairs]
+    figures = [f"{metric_name(objective.metric)} {old:.4g} -> {new:.4g}" for objective, old, new in pairs]
     return ", ".join([*figures, f"runs lost {given.lost} -> {found.lost} of {found.runs}"])

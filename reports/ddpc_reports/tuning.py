@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ddpc_cosim import StudyResults
+from ddpc_reports.comparison import metric_words
 from ddpc_reports.figures.charts import front_chart
 from ddpc_reports.figures.figure import Figure, one_chart
 from ddpc_reports.tables.settings import mapping_text
@@ -68,7 +69,8 @@ def _read(results: StudyResults) -> tuple[list[str], list[_Search]]:
         for key, trials in found.items()
         if key in sections
     ]
-    return head[len(_BEFORE) :][:count], searches
+    figures = (name.partition(",") for name in head[len(_BEFORE) :][:count])
+    return [f"{metric_words(what)}{comma}{how}" for what, comma, how in figures], searches
 
 
 def _numbers(words: Sequence[str]) -> tuple[float, ...]:
