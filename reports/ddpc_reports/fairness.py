@@ -8,10 +8,11 @@ from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.study.file_format.sections import TunedSection
+from ddpc_cosim.texts import without_folders
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.numbers import as_given, computed, with_unit
 from ddpc_reports.tables.settings import compact_seeds, limits_texts, mapping_text
-from ddpc_reports.verdict import Statement, counted, join_words, names
+from ddpc_reports.verdict import Statement, counted, join_words, names, some_of
 
 
 class _Fact(NamedTuple):
@@ -26,44 +27,56 @@ _Telling = Callable[[ControllerResults, Trace | None], _Fact]
 _NOT_KNOWN = _Fact("", "")
 _LOST = (Outcome.CRASHED, Outcome.TIMED_OUT)
 """Of runs that ended so there are the samples alone: that nothing was noted says nothing."""
+_MANY = 3
+"""From so many controllers on, those of whom most is said alike are called all others."""
 _PLANT_FMU = "{plant}"
 """What a setting says in a study that is the path of a file, for the FMU that the study controls."""
+
+
+class _Said(NamedTuple):
+    """Sentences on a topic, and whether they say the same of all controllers."""
+
+    text: Markup
+    alike: bool
 
 
 def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) -> list[Statement]:
     """Return the terms of the comparison, as the study sets them and as its first seed was run.
 
-    Of controllers that do not tell a fact, it is said that it is not known.
+    What is the same for all stands together; then, topic by topic, what is not. Of controllers that do not
+    tell a fact, it is said that it is not known.
     """
     if not conditions or not conditions[0].controllers:
         return []
     first = conditions[0]
-    return [
-        *_by_scenario("Preview", conditions, _preview),
-        Statement("Measurements", _measurements(first)),
-        Statement("Limits", _limits(first)),
-        *_by_scenario("Recording", conditions, _recording),
-        Statement("Prior knowledge", _prior_knowledge(results, first)),
-        Statement("Tuning", _tuning(results, first)),
-    ]
+    topics = {
+        "Preview": _by_scenario(conditions, _preview),
+        "Measurements": [_measurements(first)],
+        "Limits": [_limits(first)],
+        "Recording": _by_scenario(conditions, _recording),
+        "Prior knowledge": [
+            _sentence(first, partial(_told, results), "what was told beforehand of the plant")
+        ],
+        "Tuning": [_tuning(results, first)],
+    }
+    said = [(topic, one) for topic, parts in topics.items() for one in parts]
+    common = Markup(" ").join(one.text for _, one in said if one.alike)
+    differing = [Statement(topic, one.text) for topic, one in said if not one.alike]
+    return [Statement("The same for all", common), *differing] if common else differing
 
 
-def _by_scenario(
-    topic: str, conditions: Sequence[Condition], text_of: Callable[[Condition], Markup]
-) -> list[Statement]:
-    """State what may differ from scenario to scenario, once for those that are alike."""
-    said: dict[Markup, list[Markup]] = {}
+def _by_scenario(conditions: Sequence[Condition], said_in: Callable[[Condition], _Said]) -> list[_Said]:
+    """Return what may differ from scenario to scenario, once for those that are alike."""
+    said: dict[_Said, list[Markup]] = {}
     for condition in conditions:
-        said.setdefault(text_of(condition), []).append(Markup("<i>{}</i>").format(condition.label))
+        said.setdefault(said_in(condition), []).append(Markup("<i>{}</i>").format(condition.label))
     if len(said) == 1:
-        return [Statement(topic, next(iter(said)))]
-    return [
-        Statement(topic, Markup("In {}: {}").format(join_words(labels), text))
-        for text, labels in said.items()
-    ]
+        return list(said)
+    told = [(some_of(labels), one.text) for one, labels in said.items()]
+    return [_Said(Markup("In {}: {}").format(*one), alike=False) for one in told]
 
 
-def _preview(condition: Condition) -> Markup:
+def _preview(condition: Condition) -> _Said:
     return _sentence(condition, _seen, "how far ahead the reference was seen")
 
 
@@ -79,12 +92,13 @@ def _seen(one: ControllerResults, trace: Trace | None) -> _Fact:
     return _Fact(f"sees {what}", f"see {what}")
 
 
-def _measurements(first: Condition) -> Markup:
+def _measurements(first: Condition) -> _Said:
     handed = Markup("")
     for trace in first.first_traces.values():
         signals = join_words([variable.name for variable in trace.measurements])
         handed = Markup("Measured for every controller: {}. ").format(signals)
-    return handed + _sentence(first, _used, "which of them are used")
+    used = _sentence(first, _used, "which of them are used")
+    return used._replace(text=handed + used.text)
 
 
 def _used(one: ControllerResults, trace: Trace | None) -> _Fact:
@@ -92,10 +106,10 @@ def _used(one: ControllerResults, trace: Trace | None) -> _Fact:
     return _Fact(f"uses {told}", f"use {told}") if told else _NOT_KNOWN
 
 
-def _limits(first: Condition) -> Markup:
+def _limits(first: Condition) -> _Said:
     traces = list(first.first_traces.values())
     if not traces:
-        return Markup("No run tells the limits.")
+        return _Said(Markup("No run tells the limits."), alike=True)
 
     def limits(signal: int, one: ControllerResults, trace: Trace | None) -> _Fact:
         told = limits_texts(trace)[signal] if trace else ""
@@ -104,19 +118,22 @@ def _limits(first: Condition) -> Markup:
     signals = [variable.name for variable in (*traces[0].inputs, *traces[0].outputs)]
     differing = [
         Markup("Limits of {} differ: {}").format(
-            name, _sentence(first, partial(limits, i), f"what limits of {name} held")
+            name, _sentence(first, partial(limits, i), f"what limits of {name} held").text
         )
         for i, name in enumerate(signals)
         if len({limits_texts(trace)[i] for trace in traces}) > 1
     ]
-    return Markup(" ").join(differing) or Markup("The limits of inputs and outputs are the same for all.")
+    if differing:
+        return _Said(Markup(" ").join(differing), alike=False)
+    return _Said(Markup("The limits of inputs and outputs are the same."), alike=True)
 
 
-def _recording(condition: Condition) -> Markup:
+def _recording(condition: Condition) -> _Said:
     study = condition.results.study
-    text = _sentence(condition, _learned, "whether a recording was learned from")
+    said = _sentence(condition, _learned, "whether a recording was learned from")
     if study.recording is None:
-        return text
+        return said
+    text = said.text
     if stabiliser := study.recording.controller:
         settings = f" with {mapping_text(stabiliser.settings)}" if stabiliser.settings else ""
         text += Markup(
@@ -125,7 +142,7 @@ def _recording(condition: Condition) -> Markup:
         ).format(stabiliser.type, settings)
     if study.loop.start == "recording-end":
         text += " Every loop starts where its recording ended."
-    return text
+    return said._replace(text=text)
 
 
 def _learned(one: ControllerResults, trace: Trace | None) -> _Fact:
@@ -139,12 +156,8 @@ def _learned(one: ControllerResults, trace: Trace | None) -> _Fact:
     return _Fact(f"learns {what}", f"learn {what}")
 
 
-def _prior_knowledge(results: StudyResults, first: Condition) -> Markup:
-    return _sentence(first, partial(_told, results), "what was told beforehand of the plant")
-
-
 def _told(results: StudyResults, one: ControllerResults, trace: Trace | None) -> _Fact:
-    told = trace.knowledge.get("plant", "") if trace else ""
+    told = without_folders(trace.knowledge.get("plant", "")) if trace else ""
     section = results.study.controllers.get(one.key)
     if section is not None and _PLANT_FMU in _values(section.settings):
         told = f"{told or 'something not known'}; its settings name the FMU of the plant itself"
@@ -155,28 +168,26 @@ def _told(results: StudyResults, one: ControllerResults, trace: Trace | None) ->
     return _Fact(f"was told beforehand of the plant: {told}", f"were told beforehand of the plant: {told}")
 
 
-def _tuning(results: StudyResults, first: Condition) -> Markup:
-    """State which settings were found how, those together that were found alike."""
+def _tuning(results: StudyResults, first: Condition) -> _Said:
+    """Say how the settings were found; which ones stands with the settings of the controllers."""
     sections = results.study.controllers
-    tuned = {one.key: sections[one.key].tuned if one.key in sections else None for one in first.contenders}
-    alike: dict[tuple[str, str], list[Markup]] = {}
-    for one in first.contenders:
-        if table := tuned[one.key]:
-            how = counted(table.trials, "trial"), _tuned_words(table, [case.seed for case in one.cases])
-            named = Markup("<i>{}</i> ({})").format(one.label, ", ".join(table.settings))
-            alike.setdefault(how, []).append(named)
-    parts = [
-        Markup("settings found in {}{} {}: {}").format(
-            trials, " each" if len(who) > 1 else "", how, join_words(who)
+    tables = {one.key: sections[one.key].tuned if one.key in sections else None for one in first.contenders}
+
+    def found(one: ControllerResults, trace: Trace | None) -> _Fact:
+        if not (table := tables.get(one.key)):
+            return _NOT_KNOWN
+        how = _tuned_words(table, [case.seed for case in one.cases])
+        return _Fact(
+            *(f"{has} settings found in {counted(table.trials, 'trial')} {how}" for has in ("has", "have"))
         )
-        for (trials, how), who in alike.items()
-    ]
-    if unknown := [one for one in first.contenders if not tuned[one.key]]:
-        parts.append(Markup("of {} it is not known how settings were found").format(_who(unknown, first)))
-    text = _capitalised(Markup("; ").join(parts))
-    if len({table.trials if table else 0 for table in tuned.values()}) > 1:
-        text += " So the effort spent on tuning is not known to be equal."
-    return text
+
+    if not first.contenders:
+        return _Said(Markup(""), alike=True)
+    some = first.contenders if len(first.contenders) < len(first.controllers) else ()
+    said = _sentence(first, found, "how settings were found", some)
+    if len({table.trials if table else 0 for table in tables.values()}) > 1:
+        said = said._replace(text=said.text + " So the effort spent on tuning is not known to be equal.")
+    return said
 
 
 def _tuned_words(tuned: TunedSection, reported: Sequence[int]) -> str:
@@ -188,32 +199,31 @@ def _tuned_words(tuned: TunedSection, reported: Sequence[int]) -> str:
     return f"on {seeds}, by {tuned.by}{source}{again}"
 
 
-def _sentence(condition: Condition, telling: _Telling, what: str) -> Markup:
-    """Say a fact of every controller, those of whom the same is said together."""
+def _sentence(
+    condition: Condition, telling: _Telling, what: str, everyone: Sequence[ControllerResults] = ()
+) -> _Said:
+    """Say a fact of every controller, or of some: the same of several together, of most as of all others."""
+    whom, rest = (everyone, " that compete") if everyone else (condition.controllers, "")
     groups: dict[_Fact, list[ControllerResults]] = {}
-    for one in condition.controllers:
+    for one in whom:
         groups.setdefault(telling(one, condition.first_traces.get(one.key)), []).append(one)
-    unknown = groups.pop(_NOT_KNOWN, [])
-    parts = [
-        Markup("{} {}").format(who, fact.of_several if len(members) > 1 else fact.of_one)
-        for fact, members in groups.items()
-        for who in [_who(members, condition)]
-    ]
-    if unknown:
-        parts.append(Markup("of {} it is not known {}").format(_who(unknown, condition), what))
-    return _capitalised(Markup("; ").join(parts))
-
-
-def _capitalised(text: Markup) -> Markup:
-    return text[:1].upper() + text[1:] + "."
-
-
-def _who(members: Sequence[ControllerResults], condition: Condition) -> Markup:
-    return (
-        Markup("all controllers")
-        if 1 < len(members) == len(condition.controllers)
-        else join_words(names(members))
-    )
+    if _NOT_KNOWN in groups:
+        groups[_NOT_KNOWN] = groups.pop(_NOT_KNOWN)
+    most = max(groups, key=lambda fact: len(groups[fact]))
+    if many := len(groups) > 1 and len(groups[most]) >= _MANY:
+        groups[most] = groups.pop(most)  # to the end
+    parts = []
+    for fact, members in groups.items():
+        who = join_words(names(members))
+        if len(members) > 1 and len(members) == len(condition.controllers):
+            who = Markup("all controllers")
+        elif many and fact is most:
+            who = Markup(f"all others{rest}")
+        said = fact.of_several if len(members) > 1 else fact.of_one
+        unknown = Markup("of {} it is not known {}").format(who, what)
+        parts.append(unknown if fact == _NOT_KNOWN else Markup("{} {}").format(who, said))
+    text = Markup("; ").join(parts)
+    return _Said(text[:1].upper() + text[1:] + ".", alike=len(groups) == 1)
 
 
 def _values(settings: object) -> Iterator[object]:

@@ -65,15 +65,15 @@ def test_each_fact_is_told_of_those_whom_it_holds_for(make_results: MakeResults)
         "Model-based sees 1 sample of the future reference (0.1\xa0s).",
         "Measurements": "Measured for every controller: angle. Data-driven uses angle, speed; "
         "Model-based uses angle; of <b>Their</b> & own it is not known which of them are used.",
-        "Limits": "The limits of inputs and outputs are the same for all.",
+        "The same for all": "The limits of inputs and outputs are the same.",
         "Recording": "Data-driven and <b>Their</b> & own learn from a recording of 200 samples; "
         "Model-based asks for no recording.",
         "Prior knowledge": "Data-driven was told nothing of the plant beforehand; "
         "Model-based was told beforehand of the plant: a linear model, by FMUModel; "
         "of <b>Their</b> & own it is not known what was told beforehand of the plant.",
-        "Tuning": "Settings found in 20 trials on seeds 100\N{EN DASH}102, by median rmse: "
-        "Data-driven (horizon, weight); of Model-based and <b>Their</b> & own it is not known how settings "
-        "were found. So the effort spent on tuning is not known to be equal.",
+        "Tuning": "Data-driven has settings found in 20 trials on seeds 100\N{EN DASH}102, by median rmse; "
+        "of Model-based and <b>Their</b> & own it is not known how settings were found. So the effort spent "
+        "on tuning is not known to be equal.",
     }
 
 
@@ -86,10 +86,28 @@ def test_what_holds_for_all_is_told_once(make_results: MakeResults) -> None:
             scenarios={"calm": {}, "noisy": {}},
         )
     )
-    assert said["Preview"] == "All controllers see 5 samples of the future reference (0.5\xa0s)."
-    assert said["Tuning"] == (
-        "Settings found in 1 trial each on seed 3, by median rmse (a file): Data-driven (horizon, weight), "
-        "Model-based (horizon, weight) and <b>Their</b> & own (horizon, weight)."
+    assert said == {
+        "The same for all": "All controllers see 5 samples of the future reference (0.5\xa0s). "
+        "Measured for every controller: angle. All controllers use angle, speed. "
+        "The limits of inputs and outputs are the same. "
+        "All controllers learn from a recording of 200 samples. "
+        "All controllers were told nothing of the plant beforehand. All controllers have settings found in 1 trial on seed 3, by median rmse (a file)."
+    }
+
+
+def test_most_controllers_are_all_others_and_nobody_is_among_them_of_whom_nothing_is_known(
+    make_results: MakeResults,
+) -> None:
+    keys = ["a", "b", "c", "d", "e"]
+
+    def trace_of(key: str, seed: int) -> Trace:
+        knowledge = {"d": {"measures": "speed"}, "e": {}}.get(key, {"measures": "angle"})
+        return replace(make_trace(0.3), preview=5, knowledge=knowledge)
+
+    said = told(make_results(trace_of, {key: {"type": key} for key in keys}))["Measurements"]
+    assert said == (
+        "Measured for every controller: angle. d uses speed; of e it is not known which of them are used; "
+        "all others use angle."
     )
 
 
@@ -108,7 +126,7 @@ def test_limits_that_differ_are_told_of_each_signal(make_results: MakeResults) -
 
 def test_an_unlimited_view_of_nothing_is_told_as_such(make_results: MakeResults) -> None:
     said = told(make_results(lambda key, seed: replace(run(key, seed), preview=0), controllers()))
-    assert said["Preview"] == "All controllers see no future reference."
+    assert said["The same for all"].startswith("All controllers see no future reference.")
 
 
 def test_results_on_seeds_of_the_tuning_are_told(make_results: MakeResults) -> None:
@@ -147,5 +165,7 @@ def test_of_runs_without_a_sample_nothing_is_known(make_results: MakeResults) ->
         return replace(trace, **none, status=(), solve_time=trace.solve_time[:0])
 
     said = told(make_results(lost, controllers()))
-    assert said["Preview"] == "Of all controllers it is not known how far ahead the reference was seen."
-    assert said["Limits"] == "No run tells the limits."
+    assert said["The same for all"].startswith(
+        "Of all controllers it is not known how far ahead the reference was seen."
+    )
+    assert "No run tells the limits." in said["The same for all"]

@@ -136,6 +136,9 @@ def _controllers_table(results: StudyResults, units: Mapping[str, str], prefix: 
         "type": [section.type for _, section in own.values()],
         "name": [key if key != label else "" for key, (label, _) in own.items()],
         "differs from the study": [_own_words(section, units) for _, section in own.values()],
+        "tuned settings": [
+            ", ".join(section.tuned.settings) if section.tuned else "" for _, section in own.values()
+        ],
         "note": [section.note for _, section in own.values()],
     }
     shown = {title: texts for title, texts in columns.items() if title in ("type", "note") or any(texts)}
