@@ -159,7 +159,8 @@ def gather(results: Sequence[StudyResults]) -> Gathered:
                 parts.append(_overall_part(one, problems, seen, number, room))
             for part, of_part in zip(problems, seen, strict=True):
                 variants = one.variants(part.study.name)
-                parts.append(_study_part(part, of_part, len(parts) + 1, data, room, variants))
+                alone = len(problems) == 1
+                parts.append(_study_part(part, of_part, len(parts) + 1, data, room, variants, alone=alone))
     head = results[0].whole.head
     several = f"{len(parts)} studies compared"
     title = (head.title or head.name) if len(results) == 1 else several
@@ -247,6 +248,9 @@ def _overall_part(
     else:
         few = "Fewer than two problems have controllers in common that follow their reference."
         first = [("notes", [found or few])]
+    how = "How to reproduce"
+    made = _in_their_place(how, lambda: _tables(*reproduce_tables(results, prefix)))
+    sections.append(Section("provenance", how, made, folded=True))
     facts = {"Problems": str(len(problems))} | _counts(results)
     title = "All problems" if number == 1 else f"{head.title or head.name}: all problems"
     return StudyPart(
@@ -290,6 +294,7 @@ class _Part:
     data: dict[str, dict[str, Packed]]
     room: _Room
     variants: Sequence[StudyResults]
+    alone: bool
     _over_time: dict[str, TimeFigures] = field(default_factory=dict)
 
     @cached_property
@@ -379,11 +384,7 @@ class _Part:
             ("fairness", "Fairness and known limitations", lambda _: self._fairness()),
             ("settings", "Settings", lambda _: self._settings()),
             ("cases", "Every case", lambda _: self._cases()),
-            (
-                "provenance",
-                "How to reproduce",
-                lambda _: _tables(*reproduce_tables(self.results, self.prefix)),
-            ),
+            ("provenance", "How to reproduce", lambda _: self._how_to_reproduce()),
         ]
         for name, own in own_sections().items():
             titles = [title for _, title, _ in parts]
@@ -395,6 +396,10 @@ class _Part:
             for anchor, title, blocks_of in parts
         ]
         return [section for section in made if section.blocks]
+
+    def _how_to_reproduce(self) -> list[Block]:
+        """Return what was run; of one of several problems that stands with what is said over all of them."""
+        return _tables(*reproduce_tables(self.results, self.prefix)) if self.alone else []
 
     def _own(self, own: ReportSection, anchor: str) -> Callable[[str], list[Block]]:
         return lambda _: own_blocks(own, self.results, f"{self.prefix}{anchor}-")
@@ -475,10 +480,12 @@ def _study_part(
     number: int,
     data: dict[str, dict[str, Packed]],
     room: _Room,
-    variants: Sequence[StudyResults] = (),
+    variants: Sequence[StudyResults],
+    *,
+    alone: bool,
 ) -> StudyPart:
     prefix = f"s{number}-"
-    part = _Part(results, seen, prefix, data, room, variants)
+    part = _Part(results, seen, prefix, data, room, variants, alone)
     said = in_its_place("Answer", lambda: answer(results, seen, part.standings))
     return StudyPart(
         prefix,

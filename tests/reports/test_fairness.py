@@ -91,7 +91,8 @@ def test_what_holds_for_all_is_told_once(make_results: MakeResults) -> None:
         "Measured for every controller: angle. All controllers use angle, speed. "
         "The limits of inputs and outputs are the same. "
         "All controllers learn from a recording of 200 samples. "
-        "All controllers were told nothing of the plant beforehand. All controllers have settings found in 1 trial on seed 3, by median rmse (a file)."
+        "All controllers were told nothing of the plant beforehand. "
+        "All controllers have settings found in 1 trial on seed 3, by median rmse (a file)."
     }
 
 

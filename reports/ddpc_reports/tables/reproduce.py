@@ -18,6 +18,7 @@ _WORDS = {
     "fmu tool": "made by {}",
     "fmu guid": "GUID {}",
     "fmu tolerance": "tolerance {}",
+    "plant content": "with {}",
 }
 
 
@@ -79,13 +80,18 @@ def _plants_table(plants: Mapping[tuple[tuple[str, str], ...], Sequence[str]], p
 
 def _plant_words(told: Mapping[str, str]) -> str:
     """Return all that is said of a plant besides its hash, and nothing twice."""
-    file = told.get("fmu", "")
-    known = {"fmu": file, "fmu model": file.removesuffix(".fmu"), "fmu sha256": _content(told)}
-    known["plant content"] = _content(told)
-    rest = {name: fact for name, fact in told.items() if fact != known.get(name)}
-    words = [_WORDS.get(name, f"{name.replace('_', ' ')} {{}}").format(fact) for name, fact in rest.items()]
+    file, content = told.get("fmu", ""), _content(told)
+    said = {"fmu", "fmu sha256"} | (
+        {"fmu model"} if told.get("fmu model") == file.removesuffix(".fmu") else set()
+    )
+    rest = {name: fact for name, fact in told.items() if name not in said}
+    # A plant is an FMU's file and what the study has changed of its variables.
+    rest["plant content"] = rest.get("plant content", "").removeprefix(content).strip()
+    words = [
+        _WORDS.get(name, f"{name.replace('_', ' ')} {{}}").format(fact) for name, fact in rest.items() if fact
+    ]
     return ", ".join(filter(None, [file, *words])) or MISSING
 
 
 def _content(told: Mapping[str, str]) -> str:
-    return told.get("plant content") or told.get("fmu sha256", MISSING)
+    return told.get("fmu sha256") or told.get("plant content", MISSING)

@@ -67,7 +67,7 @@ def test_a_plant_of_several_problems_stands_once(make_results: MakeResults) -> N
     names = ["first", "second", "third"]
     studies = {name: one.study.model_copy(update={"name": name, "title": name.upper()}) for name in names}
     facts = {f"{name}: {key}": fact for name in names for key, fact in PLANT.items()}
-    facts["third: plant content"] = "beef"
+    facts["third: plant content"] = "cafe level~10.0"
     cases = [replace(case, problem=name) for name in names for case in one.cases]
     several = replace(
         one, whole=WholeStudy(one.whole.head, studies), cases=tuple(cases), provenance=facts | RUN
@@ -77,5 +77,5 @@ def test_a_plant_of_several_problems_stands_once(make_results: MakeResults) -> N
     words = "lag.fmu, FMI 3.0, GUID {12}, made by someone, largest preview 5 samples"
     assert [(row.header, *(cell.text for cell in row.cells)) for row in plants.rows] == [
         ("FIRST, SECOND", words, "cafe"),
-        ("THIRD", words.replace("FMI 3.0", "fmu sha256 cafe, FMI 3.0"), "beef"),
+        ("THIRD", words.replace("FMI 3.0", "with level~10.0, FMI 3.0"), "cafe"),
     ]
