@@ -156,8 +156,6 @@ def _notes(condition: Condition, found: Standings) -> tuple[str, ...]:
         notes.append(_RANK_NOTE if found.tested else _MEDIANS_NOTE)
     if any(one.lost for one in found.order):
         notes.append(_LOST_NOTE)
-    if others := [name for name in _others(condition.headline) if condition.keys(name)]:
-        notes.append(meanings(others))
     if several:
         notes.append(
             f"Medians over {len(condition.seeds)} seeds; 95\u00a0% bootstrap interval of the median, where "
