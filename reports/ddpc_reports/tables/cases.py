@@ -30,7 +30,7 @@ from ddpc_reports.tables.table import (
 
 _MOST_CASES = 1500
 """Cases that have a row each, of 650 bytes."""
-_LONGEST_REASON = 120
+_LONGEST_REASON = 80
 """Characters of a reason in a row."""
 
 

@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+from ddpc_cosim import Outcome
 from ddpc_reports.comparison import conditions
 from ddpc_reports.tables.cases import cases_table
 
-from ..synthetic import MakeResults
+from ..synthetic import MakeResults, make_trace
 
 
 def test_of_thousands_of_cases_the_lost_ones_and_the_first_seeds_are_listed(
@@ -25,3 +26,12 @@ def test_of_thousands_of_cases_the_lost_ones_and_the_first_seeds_are_listed(
     assert {(case.label, case.seed) for case in cases if case.seed < 600} < shown
     few = cases_table(results, conditions(results), "x-")
     assert (few.caption, len(few.rows)) == ("Every case (2)", 2)
+
+
+def test_why_a_case_was_lost_stands_with_its_outcome(make_results: MakeResults) -> None:
+    reason = f"no file /home/jo/own.csv {'x' * 200}"
+    results = make_results(lambda key, seed: make_trace(0.5, outcome=Outcome.CRASHED, reason=reason))
+    cell = cases_table(results, conditions(results), "x-").rows[0].cells[1]
+    assert (cell.text, cell.failed) == ("crashed", True)
+    assert cell.detail.startswith("no file own.csv xxx")
+    assert len(cell.detail) == 80
