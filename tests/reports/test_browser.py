@@ -383,6 +383,11 @@ def test_print_shows_the_static_figures_on_white(browser: webdriver.Chrome) -> N
         "[display(c.querySelector('.static')), display(c.querySelector('.live'))])"
     )
     assert shown == [["block", "none"]] * len(shown) != []
+    # What is folded is left out, and says so where it is.
+    fold = one(browser, "details.fold:has([id$=cases])")
+    assert fold.text == "Every case (not printed here: in metrics.csv)"
+    browser.execute_script("arguments[0].open = true", fold)
+    assert fold.text == "Every case (not printed here: in metrics.csv)"
     assert (
         browser.execute_script("return getComputedStyle(document.body).backgroundColor")
         == "rgb(255, 255, 255)"
