@@ -95,6 +95,13 @@ def _folded(names: Sequence[str]) -> list[Spec]:
     ]
 
 
+def _near(*names: str) -> list[Spec]:
+    """Draw lines that leave the chart to a little beyond its edge: their boxes would cover texts around."""
+    reach = "0.15 * (extent[1] - extent[0])"
+    within = f"extent[0] - {reach}, extent[1] + {reach}"
+    return [{"calculate": f"clamp(datum['{name}'], {within})", "as": name} for name in names]
+
+
 def _lines(signal: Signal, names: Sequence[str], x: Spec, within: Spec) -> Spec:
     shape = "step-after" if signal.held else "linear"
     return layer(
@@ -102,6 +109,7 @@ def _lines(signal: Signal, names: Sequence[str], x: Spec, within: Spec) -> Spec:
         {"x": x, "y": _y(signal), "color": colours_of(names), "strokeDash": dashes_of(names)},
         signal.id,
         *_folded(names),
+        *_near("value"),
         within,
     )
 
@@ -250,7 +258,7 @@ def _spread(signal: Signal, names: Sequence[str], x: Spec) -> list[Spec]:
         layer(area, {**shared, "y": _y(signal, "low"), "y2": {"field": "high"}}),
         layer(line, {**shared, "y": _y(signal)}),
     ]
-    steps = [*_folded(those), _within(spacing), *ends]
+    steps = [*_folded(those), _within(spacing), *ends, *_near("value", "low", "high")]
     return [{"data": {"name": f"{signal.id}{BAND}"}, "transform": steps, "layer": layers}]
 
 
