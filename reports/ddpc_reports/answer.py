@@ -11,7 +11,7 @@ from ddpc_cosim.study.standings import Standing, Standings, standings
 from ddpc_cosim.study.statistics import Difference, compare
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
 from ddpc_reports.numbers import MINUS, significant, with_unit
-from ddpc_reports.verdict import counted, formatter, join_words, names, some_of
+from ddpc_reports.verdict import counted, formatter, join_words, names, p_words, some_of
 
 _NAMED = 3
 """Controllers that are named with their values where more share the first rank."""
@@ -67,6 +67,10 @@ def _ahead(found: Standings, who: dict[str, ControllerResults], counting: Sequen
     if len(leaders) > 1:
         return _level(found, leaders, over) + _unsure(found)
     best = leaders[0]
+    if all(one.lost for one in found.order if one.controller != best.key):
+        return Markup("<b>{}</b> alone loses no run, {}: {}.").format(
+            best.label, over, _values(found, best.key)
+        )
     name = Markup("<b>{}</b>" if found.tested else "<i>{}</i>").format(best.label)
     medians = "has the best median" if len(found.keys) == 1 else "has the best medians"
     verb = "is ahead" if found.tested or found.seeds < 2 else medians
@@ -117,10 +121,15 @@ def _level(found: Standings, leaders: Sequence[ControllerResults], over: str) ->
     medians = join_words([show(found.samples[key][one.key].median) for one in shown])
     apart = [_difference(found, key, shown[0].key, one.key) for one in shown[1:]]
     text = Markup("{} lead {} and are not told apart: {} {}").format(who, over, metric_name(key), medians)
-    words = join_words([_interval(one, key) for one in apart])
-    return text + Markup(", {} from the first {}.").format(
+    words = join_words([_interval(one, key) + _why_alike(one) for one in apart])
+    return text + Markup(", paired {} from the first {}.").format(
         "differences" if len(apart) > 1 else "difference", words
     )
+
+
+def _why_alike(found: Difference) -> str:
+    """Say by which p two are not told apart of whose difference the interval leaves 0 out."""
+    return f" (corrected p {p_words(found.corrected)})" if found.low * found.high > 0 else ""
 
 
 def _values(found: Standings, name: str, *, brief: bool = False) -> Markup:
@@ -144,22 +153,26 @@ def _ends(low: float, high: float, key: str) -> str:
 
 def _difference(found: Standings, key: str, first: str, other: str) -> Difference:
     """Return by how much another is above the first, in pairs of the same scenario and seed."""
-    runs = found.runs[key]
-    return compare(runs[other], runs[first], metric_of(key).better)
+    runs, tested = found.runs[key], found.compared[key].differences
+    pair = tested.get((first, other)) or tested.get((other, first))
+    own = compare(runs[other], runs[first], metric_of(key).better)
+    return own._replace(corrected=pair.corrected) if pair else own
 
 
 def _interval(found: Difference, key: str) -> str:
+    if not found.pairs:
+        return "unknown, without a run of the same seed"
     sign = "+" if found.median > 0 else ""
     value = with_unit(significant(found.median, 3), metric_unit(key))
     return f"{sign}{value}{_ends(found.low, found.high, key)}"
 
 
 def _behind(found: Standings, first: str, other: str) -> Markup:
-    """Say how far a controller is behind the first: difference, interval, and the ratio of the medians."""
+    """Say how far a controller is behind the first: difference, interval, and that as a ratio."""
     ratios = {key: _ratio(found, key, first, other) for key in found.keys}
     if len(ratios) > 1 and not any(map(math.isnan, ratios.values())):
         parts = [f"{_times(ratio)} in {metric_signal(key)}" for key, ratio in ratios.items()]
-        return Markup("is off by {}").format(join_words(parts))
+        return Markup("differs by {}").format(join_words(parts))
     parts = []
     for key, ratio in ratios.items():
         times = "" if math.isnan(ratio) else f", {_times(ratio)}"
@@ -169,8 +182,10 @@ def _behind(found: Standings, first: str, other: str) -> Markup:
 
 
 def _ratio(found: Standings, key: str, first: str, other: str) -> float:
-    best, own = (found.samples[key][name].median for name in (first, other))
-    return own / best if best > 0 and own >= 0 else math.nan
+    """Return one plus the difference of the pairs over the first's median; NaN if that is not above 0."""
+    best = found.samples[key][first].median
+    ratio = 1 + _difference(found, key, first, other).median / best if best > 0 else math.nan
+    return ratio if ratio >= 0 else math.nan
 
 
 def _times(ratio: float) -> str:

@@ -1,6 +1,7 @@
 """The answer says who is ahead, how sure that is, what others offer and who fails: no more, and no less."""
 
 import html
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,8 +9,9 @@ from statistics import median
 
 import numpy as np
 import pytest
+import scipy
 
-from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
 from ddpc_cosim.study.standings import standings
 from ddpc_reports.answer import answer
 from ddpc_reports.comparison import conditions
@@ -50,12 +52,69 @@ def test_one_that_is_told_apart_from_all_is_ahead_by_the_difference_of_the_pairs
     results = study(make_results, lag({"a": 0.3, "b": 0.5, "c": 0.9}), "c", "b", "a")
     a, b = values(results, "a"), values(results, "b")
     difference = median(b[seed] - a[seed] for seed in SEEDS)
-    percent = 100 * (median(b.values()) / median(a.values()) - 1)
+    percent = 100 * difference / median(a.values())
     told = said(results)
     assert told.startswith(f"a is ahead over 12 seeds: mean abs error {median(a.values()):.3g}° [")
     assert re.search(rf"; the next, b, differs by \+{difference:.3g}° \[\d", told)
     assert f"], +{percent:.2g} %." in told
     assert "c" not in re.findall(r"\b[abc]\b", told)
+
+
+def having(results: StudyResults, of: dict[str, Callable[[str, int], float]]) -> StudyResults:
+    """Return results with errors of one's own, by scenario and seed; NaN is a lost run."""
+
+    def changed(case: CaseResult) -> CaseResult:
+        value = of[case.controller](case.scenario, case.seed)
+        if math.isnan(value):
+            return replace(case, holds=False)
+        return replace(case, metrics=case.metrics | {KEY: value})
+
+    return replace(results, cases=tuple(map(changed, results.cases)))
+
+
+def test_the_percentage_is_that_of_the_difference_beside_it_not_that_of_the_medians(
+    make_results: MakeResults,
+) -> None:
+    """Medians of the scenarios are 5 and 4, that of the pairs' differences is +0.5."""
+    a, b = {"x": 1.0, "y": 5.0, "z": 9.0}, {"x": 2.0, "y": 4.0, "z": 9.5}
+    results = study(make_results, lag({"a": 0.3, "b": 0.5}), "a", "b", scenarios={name: {} for name in a})
+    shaken = having(results, {"a": lambda s, n: a[s] + n / 1e4, "b": lambda s, n: b[s] + n / 1e4})
+    assert re.match(r"a is ahead .*; the next, b, differs by \+0\.500°, \+10 %\.", said(shaken))
+
+
+def test_an_interval_without_0_has_the_p_by_which_two_are_not_told_apart(make_results: MakeResults) -> None:
+    apart = [*(0.01 * n for n in range(1, 11)), -0.5, -0.6]
+    results = study(make_results, lag({"a": 0.3, "b": 0.5, "c": 0.9}), "a", "b", "c")
+    told = said(
+        having(
+            results,
+            {
+                "a": lambda s, n: 1 + n / 100,
+                "b": lambda s, n: 1 + n / 100 + apart[n],
+                "c": lambda s, n: 3 + n,
+            },
+        )
+    )
+    p = scipy.stats.wilcoxon(apart, method="exact").pvalue  # Holm: the last of three, so not multiplied
+    low, high = map(float, re.findall(r"\+[\d.]+° \[(\S+) … (\S+)\]", told)[0])
+    assert 0 < low < high
+    assert "a and b lead over 12 seeds and are not told apart" in told
+    assert f"] (corrected p {p:.2g})." in told
+
+
+def test_who_alone_loses_no_run_is_not_told_to_be_ahead(make_results: MakeResults) -> None:
+    results = study(make_results, lag({"a": 0.9, "b": 0.3}), "a", "b")
+    told = said(having(results, {"a": lambda s, n: 5.0, "b": lambda s, n: math.nan if n == 3 else 1.0}))
+    assert told.startswith(
+        "a alone loses no run, over 12 seeds: mean abs error 5.00°. Runs are lost by b (1 "
+    )
+    assert "ahead of a by 4.00°" in told
+
+
+def test_runs_of_other_seeds_have_no_difference(make_results: MakeResults) -> None:
+    results = study(make_results, lag({"a": 0.3, "b": 0.5}), "a", "b")
+    cases = tuple(case for case in results.cases if (case.seed < 6) == (case.controller == "a"))
+    assert "without a run of the same seed" in said(replace(results, cases=cases))
 
 
 def test_those_that_are_not_told_apart_lead_together(make_results: MakeResults) -> None:
@@ -106,7 +165,8 @@ def test_who_learns_from_no_recording_is_told_with_how_far_it_is_behind(make_res
         return replace(trace, recorded_samples=200 if key == "a" else 0)
 
     results = study(make_results, trace_of, "a", "b", "c")
-    ratio = median(values(results, "b").values()) / median(values(results, "a").values())
+    a, b = values(results, "a"), values(results, "b")
+    ratio = 1 + median(b[seed] - a[seed] for seed in SEEDS) / median(a.values())
     assert f"Behind, b ({ratio:.2g} times) learns from no recording." in said(results)
 
 
@@ -150,7 +210,7 @@ def test_of_several_outputs_each_has_its_value(make_results: MakeResults) -> Non
     assert re.match(
         r"a is ahead over 12 seeds: mean abs error [\d.]+° \[[\d. …]+\] of angle and [\d.]+ m/s", told
     )
-    assert re.search(r"the next, b, is off by [\d.]+ times in angle and [\d.]+ times in speed\.", told)
+    assert re.search(r"the next, b, differs by [\d.]+ times in angle and [\d.]+ times in speed\.", told)
 
 
 @pytest.mark.parametrize("name", ["<b>x</b>", 'a "quoted" & more'])
