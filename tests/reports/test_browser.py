@@ -54,6 +54,7 @@ def browser(chromium: webdriver.Chrome, page: str) -> Iterator[webdriver.Chrome]
 def open_page(browser: webdriver.Chrome, page: str) -> None:
     browser.get_log("browser")
     browser.get_log("performance")
+    browser.get("about:blank")  # the same page again would be where it was scrolled to
     browser.get(page)
     wait(browser, lambda: browser.execute_script("return document.documentElement.dataset.ready === 'yes'"))
 
@@ -280,6 +281,26 @@ def test_a_drag_zooms_and_a_button_or_a_double_click_resets(browser: webdriver.C
     wait(browser, lambda: time_labels(browser) == whole)
 
 
+def test_zoomed_errors_are_not_flattened_by_the_transients(browser: webdriver.Chrome) -> None:
+    chart = make_live(browser, "[data-view$=errors-1]")
+
+    def labels() -> list[list[str]]:
+        script = (
+            "return [...arguments[0].querySelectorAll('.role-axis-label')]"
+            ".map((axis) => [...axis.querySelectorAll('text')].map((text) => text.textContent))"
+        )
+        found: list[list[str]] = browser.execute_script(script, chart)
+        return found
+
+    def largest() -> float:
+        return max(float(text.replace("\u2212", "-")) for text in labels()[1])
+
+    times, most = labels()[0], largest()
+    drag(browser, chart)
+    wait(browser, lambda: labels()[0] != times)
+    assert 0 < largest() <= most < 20.0  # what the step asks for
+
+
 def touch(browser: webdriver.Chrome, kind: str, *points: tuple[float, float]) -> None:
     found = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
     browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": found})
@@ -308,6 +329,8 @@ def test_fingers_read_zoom_and_scroll(browser: webdriver.Chrome) -> None:
     touch(browser, "End")
     wait(browser, lambda: browser.execute_script("return scrollY") > before)
     assert time_labels(browser) == zoomed
+    still = "const y = scrollY; setTimeout(() => arguments[0](scrollY === y), 100)"
+    wait(browser, lambda: browser.execute_async_script(still))  # a page that still glides cannot be clicked
     make_live(browser, ".chart")
     one(browser, ".chart .reset").click()
     wait(browser, lambda: time_labels(browser) == whole)

@@ -117,7 +117,8 @@
   // The range of the values: of the controllers that set it, if any of them is shown, in the time shown.
   function extent(chart) {
     const span = spans[chart.group];
-    if (chart.fixed && !span) return chart.spec.signals.find((one) => one.name === "extent").value;
+    const whole = chart.spec.signals.find((one) => one.name === "extent").value;
+    if (chart.fixed && !span) return whole;
     const trusted = visible(chart.scaled);
     const names = trusted.length ? trusted : visible(Object.keys(chart.lines));
     const [first, last] = span || [-Infinity, Infinity];
@@ -135,7 +136,10 @@
     const high = values.reduce((a, b) => Math.max(a, b), -Infinity);
     const room = chart.limits.length && !span ? 0.1 : 0.05;
     const margin = room * (high - low) || 0.1 * Math.abs(high) || 1;
-    return low > high ? null : [low - margin, high + margin];
+    if (low > high) return null;
+    // Zoomed charts of errors must not be flattened by the transients that they leave out.
+    const inside = chart.fixed && low < whole[1] && high > whole[0];
+    return inside ? [Math.max(low - margin, whole[0]), Math.min(high + margin, whole[1])] : [low - margin, high + margin];
   }
 
   function zoomAbout(chart, time, factor) {
