@@ -75,10 +75,13 @@ def summary_table(results: StudyResults, console: Console) -> RenderableType:
     if len(scenarios) > 1:
         of_metrics = (one.title for one in _metric_columns(results, keys) if one.key not in headline(keys))
         left_out += dict.fromkeys(of_metrics)
-    lines = _lines(results, found, rows, left_out)
+    return _set(_title(results), table, _lines(results, found, rows, left_out), console)
+
+
+def _set(title: str, table: Table, lines: Sequence[str], console: Console) -> RenderableType:
+    """Return a table below its title, and above lines in which no word is broken."""
     below = [line for text in lines for line in wrapped(printable(text), console.width)]
-    head = Text(_title(results), style="bold")
-    return Group(head, table, *(Text(line, overflow="ignore") for line in below))
+    return Group(Text(title, style="bold"), table, *(Text(line, overflow="ignore") for line in below))
 
 
 def overall_table(problems: Sequence[StudyResults], console: Console) -> RenderableType | None:
@@ -115,10 +118,7 @@ def overall_table(problems: Sequence[StudyResults], console: Console) -> Rendera
     )
     lines = [f"ranks in {ranks.problems} problems, and their average: {apart}"]
     lines += [f"not shown: {'; '.join(column.words for column in others)}"] if others else []
-    below = [line for text in lines for line in wrapped(text, console.width)]
-    return Group(
-        Text("All problems", style="bold"), table, *(Text(line, overflow="ignore") for line in below)
-    )
+    return _set("All problems", table, lines, console)
 
 
 def _problem_column(name: str, found: Standings) -> _Column:
