@@ -96,12 +96,14 @@ def overall_table(problems: Sequence[StudyResults], console: Console) -> Rendera
         for controller, values in by_controller.items()
         for (scenario, seed), value in values.items()
     ]
+    if len({run[0] for run in runs}) < 2:
+        return None
     frame = pd.DataFrame(runs, columns=["problem", "variant", "controller", "scenario", "seed", _RANKED_BY])
     try:
         ranks = ranks_frame(frame.assign(holds=frame[_RANKED_BY].notna()), _RANKED_BY)
     except ConfigError:  # no run is shared by all
         return None
-    if ranks.problems < 2 or len(ranks.ranks) < 2:
+    if len(ranks.ranks) < 2:
         return None
     of_controller: dict[str, list[CaseResult]] = {}
     for one in problems:
@@ -232,14 +234,15 @@ def _lines(
 ) -> list[str]:
     """Return what is to be said below the table."""
     lines, where = [], results.folder / METRICS_FILE
+    keys = headline(dict.fromkeys(key for case in results.cases for key in case.metrics))
     what = dict.fromkeys(
-        f"{_words(key)} [{split_key(key)[2]}]" if len(found.keys) == 1 else metric_name(key)
-        for key in found.keys
+        f"{_words(key)} [{split_key(key)[2]}]" if len(keys) == 1 else metric_name(key) for key in keys
     )
-    of = "medians; " if found.seeds > 1 else ""
-    how = "what the seeds tell apart" if found.tested else "the medians" if found.seeds > 1 else "this value"
+    several = len({case.seed for case in results.cases}) > 1
+    how = "what the seeds tell apart" if found.tested else "the medians" if several else "this value"
+    told = ["medians"] * several + ([f"ranked by {how}"] if found.order else [])
     if what:
-        lines.append(f"{', '.join(what)}: {of}ranked by {how}")
+        lines.append(": ".join(filter(None, (", ".join(what), "; ".join(told)))))
     if found.seeds > 1 and any(one.too_few_seeds for one in found.compared.values()):
         few = "seeds are too few to test so many controllers against each other: it takes"
         lines.append(f"{found.seeds} {few} {found.seeds_needed}")

@@ -232,3 +232,19 @@ def test_several_problems_are_summed_up_by_average_rank() -> None:
     assert ["deepc", "1.33", "1", "1", "2"] in rows
     assert ["pid", "1.67", "2", "2", "1"] in rows
     assert overall_table(problems[:1], console) is None
+
+
+def test_where_no_controller_follows_nothing_is_ranked_and_the_metric_has_its_name() -> None:
+    some = results(0, lost="pid")
+    lost = tuple(
+        replace(case, holds=False, metrics=case.metrics | {"settled_share.angle [%]": 40.0})
+        for case in some.cases
+    )
+    problems = [
+        replace(some, cases=lost, whole=WholeStudy.of(some.study.model_copy(update={"name": name})))
+        for name in ("one", "two")
+    ]
+    lines = printed(problems[0])
+    assert "rank" not in "".join(lines).split()
+    assert lines[-1].strip() == "mean abs error of angle [deg]: medians"
+    assert overall_table(problems, Console(width=80)) is None
