@@ -14,7 +14,7 @@ from ddpc_reports.embedding import drawing, pack, stylesheet
 from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import level_title
 from ddpc_reports.figures.signal import Column, Signal, rounded
-from ddpc_reports.figures.time_charts import time_chart
+from ddpc_reports.figures.time_charts import NARROW, WIDE, time_chart
 from ddpc_reports.numbers import as_given, significant, unit_symbol, with_unit
 from ddpc_reports.page import set_page
 from ddpc_reports.sections import Section, StudyPart
@@ -27,21 +27,23 @@ _LIGHT = re.compile(r"(--[\w-]+): light-dark\((#\w+), ")
 _LEAST_WIDTH = 300.0
 _BOX = re.compile(r'viewBox="0 0 ([\d.]+) ([\d.]+)"')
 _TITLE_HEIGHT, _MARGIN = 34.0, 12.0
+_HEIGHT = 200
 
 
 def simulation_page(simulation: Simulation) -> str:
     """Return the page: how the run ended, start, range and end of each signal, figures, provenance."""
     signals = _signals(simulation)
+    width = WIDE if len(signals) == 1 else NARROW  # beside each other
     figure = Figure(
         "simulation",
         "Signals",
         _caption(simulation, signals),
-        tuple(_view(simulation, signal) for signal in signals),
+        tuple(_view(simulation, signal, width) for signal in signals),
         (Entry(_LINE, simulation.plant, 0, "", "" if simulation.completed else simulation.outcome),),
     )
     sections = [
         Section("signals", "Signals", [("table", _table(simulation))]),
-        Section("figures", "Figures", [("help", ""), ("figure", (figure, "simulation"))] if signals else []),
+        Section("figures", "Figures", [("figure", (figure, "simulation"))] if signals else []),
         Section("notes", "Notes", [("notes", list(simulation.notes))] if simulation.notes else []),
         Section("provenance", "Provenance", [("table", _provenance(simulation))]),
     ]
@@ -72,7 +74,7 @@ def simulation_drawing(simulation: Simulation) -> str:
     parts, width, height = list[str](), _LEAST_WIDTH, _TITLE_HEIGHT
     signals = _signals(simulation)
     for signal in signals:
-        svg = str(_view(simulation, signal).drawing.svg)
+        svg = str(_view(simulation, signal, WIDE).drawing.svg)
         box = _BOX.search(svg)
         if box is None:  # the words that stand in the page for a drawing that failed
             raise OSError(f"{signal.title} cannot be drawn")
@@ -132,8 +134,8 @@ def _envelope(values: FloatArray) -> "np.ndarray[tuple[int], np.dtype[np.intp]]"
     return np.unique(np.array([0, *found, count - 1], dtype=np.intp))
 
 
-def _view(simulation: Simulation, signal: Signal) -> View:
-    spec = time_chart(signal, [_LINE], simulation.sampling_time)
+def _view(simulation: Simulation, signal: Signal, width: int) -> View:
+    spec = time_chart(signal, [_LINE], simulation.sampling_time, size=(width, _HEIGHT))
     description = f"{signal.title} over time"
     picture = drawing(spec, f"simulation-{signal.id}", description, {signal.id: signal.columns})
     place = f"simulation-{signal.id}"
