@@ -16,8 +16,8 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 
-from ddpc_cosim import Outcome, Trace
-from ddpc_reports import write_report
+from ddpc_cosim import Outcome, Simulation, Trace
+from ddpc_reports import write_report, write_simulation
 
 from .synthetic import make_results_in, make_trace
 
@@ -322,18 +322,42 @@ def test_fingers_read_zoom_and_scroll(browser: webdriver.Chrome) -> None:
     touch(browser, "End")
     wait(browser, lambda: time_labels(browser) != whole)
     zoomed = time_labels(browser)
+    listen = "window.rests = false; addEventListener('scrollend', () => { window.rests = true })"
+    browser.execute_script(listen)
     before = browser.execute_script("return scrollY")
     touch(browser, "Start", middle)
     for up in range(20, 121, 20):
         touch(browser, "Move", (middle[0], middle[1] - up))
     touch(browser, "End")
-    wait(browser, lambda: browser.execute_script("return scrollY") > before)
+    wait(browser, lambda: browser.execute_script(f"return window.rests && scrollY > {before}"))
     assert time_labels(browser) == zoomed
     still = "const y = scrollY; setTimeout(() => arguments[0](scrollY === y), 100)"
     wait(browser, lambda: browser.execute_async_script(still))  # a page that still glides cannot be clicked
     make_live(browser, ".chart")
     one(browser, ".chart .reset").click()
     wait(browser, lambda: time_labels(browser) == whole)
+    entry = one(browser, "button.entry[data-name=c1]")
+    lines = lines_drawn(browser)
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", entry)
+    left, top, width, height = browser.execute_script(script, entry)
+    touch(browser, "Start", (left + width / 2, top + height / 2))
+    touch(browser, "End")
+    wait(browser, lambda: lines_drawn(browser) == lines - 1)
+
+
+def test_the_page_of_a_simulation_answers_in_the_same_way(chromium: webdriver.Chrome, tmp_path: Path) -> None:
+    trace = make_trace(0.5)
+    rest = [trace.inputs, trace.y, trace.u, trace.sampling_time, len(trace), "completed", "", (), {}]
+    simulation = Simulation("lag.fmu", trace.time, trace.outputs, *rest)
+    open_page(chromium, write_simulation(simulation, tmp_path / "page.html").as_uri())
+    chart = make_live(chromium, ".chart").find_element(By.CSS_SELECTOR, ".live")
+    chart.send_keys(Keys.END)
+    assert "lag.fmu" in one(chromium, ".chart .reading").text
+    assert len(chromium.find_elements(By.CSS_SELECTOR, ".chart")) == 2
+    whole = time_labels(chromium)
+    drag(chromium, chart)
+    wait(chromium, lambda: time_labels(chromium) != whole)
+    assert chromium.get_log("browser") == []
 
 
 def saved(browser: webdriver.Chrome, kind: str, folder: Path) -> bytes:
