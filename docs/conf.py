@@ -43,6 +43,7 @@ autosummary_ignore_module_all = False
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints = "none"  # the docstrings say them, with shapes and units
 numpydoc_show_class_members = False  # autodoc shows those that have a docstring
+numpydoc_validation_checks = {"GL06", "GL07", "PR02", "PR10", "YD01"}  # names of sections and parameters
 
 
 def save_chart(block: object, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
