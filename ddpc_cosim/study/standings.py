@@ -8,12 +8,15 @@ from itertools import combinations
 from statistics import fmean, median
 from typing import NamedTuple
 
-from ddpc_cosim.metrics import headline, metric_of
+from ddpc_cosim.metrics import headline, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.following import none_follows
 from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all, describe
 from ddpc_cosim.trace import Outcome
+
+_ERRORS = ("cost", "mean_abs_error", "rmse")
+"""What is ranked by, and its companion: errors of a run that is lost say nothing of those that are not."""
 
 
 class Standing(NamedTuple):
@@ -146,17 +149,29 @@ class Standings:
         return fmean(places) if places else 0.0
 
 
+def counted(cases: Iterable[CaseResult], key: str) -> list[CaseResult]:
+    """Return those of a controller's cases whose values of a metric are summed up.
+
+    Of figures of the step response, and of what is ranked by, they are the cases that stay near their
+    reference; where none does, what is ranked by is that of the completed cases, as all else is.
+    """
+    own = [*cases]
+    holding = [case for case in own if case.holds]
+    if metric_of(key).if_held or (holding and split_key(key)[0] in _ERRORS):
+        return holding
+    return [case for case in own if case.outcome is Outcome.COMPLETED]
+
+
 def known_values(cases: Iterable[CaseResult], key: str) -> list[float]:
-    """Return a metric of the cases that completed, or stayed near their reference, and have it."""
-    if_held = metric_of(key).if_held
-    counted = (case for case in cases if (case.holds if if_held else case.outcome is Outcome.COMPLETED))
-    return [value for case in counted if not math.isnan(value := case.metrics.get(key, math.nan))]
+    """Return a metric of the cases that count and have it."""
+    values = (case.metrics.get(key, math.nan) for case in counted(cases, key))
+    return [value for value in values if not math.isnan(value)]
 
 
 def summed(cases: Sequence[CaseResult], key: str) -> float:
     """Return a metric of one controller in one value over its cases, in the way that suits it.
 
-    Medians and largest values are those of the completed cases, totals those of all. Of figures of the step
+    Medians and largest values are those of the cases that count, totals those of all. Of figures of the step
     response it is the median of all cases: what a case lacks is worse than any value, and where half of them
     lack it, it is NaN.
     """

@@ -13,7 +13,7 @@ from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import ReferencePoints
 from ddpc_cosim.study.following import none_follows
 from ddpc_cosim.study.shares import describe_shares, end_of, marked, shares_of
-from ddpc_cosim.study.standings import summed
+from ddpc_cosim.study.standings import counted, summed
 from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
 
@@ -92,17 +92,16 @@ class ControllerResults:
         return next((case for case in self.cases if case.seed == self.first_seed), None)
 
     def by_seed(self, key: str) -> dict[int, float]:
-        """Return a metric by seed: of cases that completed, or stayed near their reference, and have it."""
-        cases = self.holding if metric_of(key).if_held else self.completed
-        values = {case.seed: case.metrics.get(key, math.nan) for case in cases}
+        """Return a metric by seed, of the cases that count and have it."""
+        values = {case.seed: case.metrics.get(key, math.nan) for case in counted(self.cases, key)}
         return {seed: value for seed, value in values.items() if not math.isnan(value)}
 
     def at_first(self, key: str) -> float:
-        """Return a metric of the first seed; NaN where that case did not complete."""
+        """Return a metric of the first seed; NaN where that case does not count."""
         return self.by_seed(key).get(self.first_seed, math.nan)
 
     def over_seeds(self, key: str) -> Spread:
-        """Sum up a metric over the completed cases."""
+        """Sum up a metric over the cases that count."""
         return spread(self.by_seed(key).values())
 
     def summed(self, key: str) -> float:

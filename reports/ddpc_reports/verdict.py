@@ -313,7 +313,8 @@ def _first_seed(condition: Condition, key: str) -> Markup:
     one_is, several = ("costs least", "cost") if _is_cost(key) else ("tracks best", "track")
     (best, winner), (second, next_one), (worst, _) = order[0], order[1], order[-1]
     # A run that does not stay near its reference can have the smaller figure, a cost above all.
-    beaten = any(one.at_first(key) < best for one in others)
+    own = [one.first_case.metrics for one in others if one.first_case]
+    beaten = any(metrics.get(key, math.nan) < best for metrics in own)
     where = f"On seed {seed}, of those that stay near their reference," if beaten else f"On seed {seed},"
     if show(best) == show(worst) and not others:
         return Markup("On seed {} all controllers {} alike: {} {}.").format(seed, several, what, show(best))

@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 from reports.synthetic import make_results_in, make_study, make_trace
 
 from ddpc_cosim import Outcome, StudyResults, Trace
-from ddpc_cosim.study.standings import Standings, standings
+from ddpc_cosim.study.standings import Standings, standings, summed
 
 SEEDS = [*range(12)]
 
@@ -107,3 +107,20 @@ def test_without_cases_there_are_none() -> None:
     found = standings(make_study({"a": {"type": "a"}}), [])
     assert found.order == ()
     assert found.leaders == ()
+
+
+def test_what_is_ranked_by_is_summed_up_over_the_runs_that_are_left(tmp_path: Path) -> None:
+    """One run completes far from its reference: its step times count, its error where no other is left."""
+    lags = [0.3, 0.5, 0.4, 50.0]
+    results = make_results_in(
+        tmp_path,
+        lambda key, seed: make_trace(lags[seed], step_time=1e-5 * (seed + 1)),
+        {"a": {"type": "a"}},
+        seeds=[*range(4)],
+    )
+    error, step = "mean_abs_error.angle [deg]", "solve_time_max [s]"
+    *left, lost = results.cases
+    assert [case.holds for case in results.cases] == [True, True, True, False]
+    assert summed(results.cases, error) == left[2].metrics[error]
+    assert summed([lost], error) == lost.metrics[error] > 2 * left[1].metrics[error]
+    assert summed(results.cases, step) == pytest.approx(12e-5)

@@ -120,6 +120,21 @@ def test_the_matrix_has_a_cell_for_each_scenario_that_leads_to_its_figures(make_
         )
 
 
+def test_numbers_beside_lost_runs_are_of_the_runs_that_are_left(make_results: MakeResults) -> None:
+    """Those that complete far from their reference are in neither the matrix nor the ranked table."""
+
+    def trace_of(key: str, seed: int) -> Trace:
+        return make_trace(50.0) if key == "lost" and seed in (3, 4, 5) else run_of(key, seed)
+
+    both = make_results(trace_of, NAMES, seeds=SEEDS, scenarios=SCENARIOS)
+    cell = column(matrix(both), "calm (°)")["lost"]
+    own = of(both, "lost", "calm")
+    assert (cell.failures, cell.raw) == ("3 lost", pytest.approx(median(own)))
+    assert float(cell.detail.split(" … ")[1]) == pytest.approx(max(own), rel=5e-3)
+    table = ranked(conditions(make_results(trace_of, NAMES, seeds=SEEDS))[0])
+    assert column(table, "mean abs error (°)")["lost"].raw == pytest.approx(median(own))
+
+
 def test_one_that_loses_every_run_of_a_scenario_has_no_value_there(make_results: MakeResults) -> None:
     def trace_of(key: str, seed: int) -> Trace:
         return run_of(key, seed) if key != "lost" else make_trace(0.2, outcome=Outcome.DIVERGED)
