@@ -196,6 +196,7 @@ def rank_chart(rows: list[dict[str, Any]]) -> Spec:
     bar = {"type": "rule", "strokeWidth": 7, "opacity": 0.35}
     layers = [
         layer(bar, ends),
+        layer({"type": "rule", "strokeWidth": 1.2}, ends | {"strokeDash": _dashes_of_rows(rows)}),
         layer({"type": "circle", "size": 70, "opacity": 1}, {"x": x, "y": y, "color": hue}),
     ]
     return _chart_of_rows(rows, layers, _ROW * len(labels) + 10, view={"stroke": None})
@@ -224,16 +225,20 @@ def profile_chart(rows: list[dict[str, Any]], names: Sequence[str], widest: floa
 
 def _from_least_to_most(rows: list[dict[str, Any]], y: Spec, hue: Spec) -> Spec:
     """Return the line of each row from its least to its largest value, dashed as its controller."""
-    patterns = {row["label"]: list(dash(int(row["key"][1:]))) for row in rows}
     ends = [{"op": op, "field": "value", "as": name} for op, name in (("min", "low"), ("max", "high"))]
     span = {"x": {"field": "low", "type": "quantitative"}, "x2": {"field": "high"}, "y": y, "color": hue}
     return layer(
         {"type": "rule", "strokeWidth": 1.2},
-        span | {"strokeDash": chosen_by("label", [*patterns], [*patterns.values()])},
+        span | {"strokeDash": _dashes_of_rows(rows)},
         None,
         _NOT_HIDDEN,
         {"aggregate": ends, "groupby": ["label"]},
     )
+
+
+def _dashes_of_rows(rows: list[dict[str, Any]]) -> Spec:
+    patterns = {row["label"]: list(dash(int(row["key"][1:]))) for row in rows}
+    return chosen_by("label", [*patterns], [*patterns.values()])
 
 
 def _logarithmic(values: Sequence[float], labels: str, title: str) -> Spec:
