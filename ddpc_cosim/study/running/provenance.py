@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
     from ddpc_cosim.study.file_format.study_files import StudyFile
 
 _VERSIONS_OF = ("numpy", "scipy", "FMPy", "piqp", "sympy", "control", "casadi", "daqp")
-_GIT_SECONDS = 5.0
+_GIT_SECONDS = 2.0
 _RESOLVED = "study.toml"
 """What a study is called that was made without a file: the results have it."""
 
