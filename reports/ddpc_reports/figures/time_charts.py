@@ -53,7 +53,11 @@ def time_chart(
     x = {
         **field("t", None),
         "scale": {"domain": list(signal.end), "domainRaw": {"expr": "span"}, "nice": False},
-        "axis": {"tickCount": 8, "grid": False, "labelExpr": f"{LABELS} + '\u202fs'"},
+        "axis": {
+            "tickCount": 8 if size[0] > NARROW else 6,
+            "grid": False,
+            "labelExpr": f"{LABELS} + '\u202fs'",
+        },
     }
     layers = [
         *_limits(signal),
