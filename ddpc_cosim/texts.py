@@ -42,6 +42,22 @@ def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
     return text.translate(acting) if acting else text
 
 
+class Clipped(str):
+    """The beginning and the end of a long text; ``full`` is all of it."""
+
+    __slots__ = ("full",)
+    full: str
+
+
+def clipped(text: str, longest: int = 60) -> str:
+    """Return a name as a line has room for it: its beginning and, as that may tell it apart, its end."""
+    if len(text) <= longest:
+        return text
+    short = Clipped(f"{text[: longest - longest // 3 - 1]}\N{HORIZONTAL ELLIPSIS}{text[-(longest // 3) :]}")
+    short.full = getattr(text, "full", text)
+    return short
+
+
 def without_folders(text: str) -> str:
     """Return a text with file names in place of absolute paths, which tell of a machine and its user."""
     if "/" not in text and "\\" not in text:

@@ -11,12 +11,12 @@ from markupsafe import Markup
 from ddpc_cosim import StudyResults
 from ddpc_cosim.study.ranks import AverageRanks, Profile, profile_frame, ranks_frame
 from ddpc_cosim.study.statistics import LEVEL, letters
+from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, conditions
 from ddpc_reports.distances import Distances, distance_columns, distance_statements, distances
 from ddpc_reports.figures.charts import profile_chart, rank_chart
 from ddpc_reports.figures.figure import Figure, entry, one_chart
 from ddpc_reports.figures.samples import column_name
-from ddpc_reports.figures.signal import clipped
 from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.shares import SHARE_NOTE, interval_words, share_words
 from ddpc_reports.tables.table import Cell, Column, Heading, Table, controller_table, number_cells

@@ -15,7 +15,11 @@ from ddpc_cosim.study.following import none_follows
 from ddpc_cosim.study.shares import describe_shares, end_of, marked, shares_of
 from ddpc_cosim.study.standings import counted, summed
 from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all
+from ddpc_cosim.texts import clipped
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
+
+_LONGEST = 100
+"""Letters of a label: what sets a variant of a sweep apart takes some."""
 
 
 class Spread(NamedTuple):
@@ -135,7 +139,7 @@ class Condition:
     def label(self) -> str:
         """The scenario's name for people."""
         section = self.results.study.scenarios.get(self.scenario)
-        return (section.label if section else "") or self.scenario
+        return clipped((section.label if section else "") or self.scenario, _LONGEST)
 
     @cached_property
     def seeds(self) -> tuple[int, ...]:
@@ -275,10 +279,10 @@ def metric_keys(conditions: Iterable[Condition], name: str) -> tuple[str, ...]:
 
 def labels(results: StudyResults) -> dict[str, str]:
     """Return a distinct label for every controller, in the study's order; of a reference point what it is."""
-    given = {case.controller: case.label for case in results.cases}
+    given = {case.controller: clipped(case.label, _LONGEST) for case in results.cases}
     shared, points = list(given.values()), results.study.report.reference_points
     return {
-        key: marked(f"{label} ({key})" if shared.count(label) > 1 else label, key, points)
+        key: marked(f"{label} ({clipped(key)})" if shared.count(label) > 1 else label, key, points)
         for key, label in given.items()
     }
 
@@ -348,7 +352,7 @@ def shown_as(key: str, values: Iterable[float]) -> Scale:
 
 def metric_signal(key: str) -> str:
     """Return the signal that a metric is about, in words; empty for metrics of the whole run."""
-    return split_key(key)[1].replace("_", " ")
+    return clipped(split_key(key)[1].replace("_", " "))
 
 
 def metric_words(key: str) -> str:

@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.study.file_format.sections import TunedSection
-from ddpc_cosim.texts import without_folders
+from ddpc_cosim.texts import clipped, without_folders
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.numbers import as_given, computed, with_unit
 from ddpc_reports.tables.settings import compact_seeds, limits_texts, mapping_text
@@ -95,7 +95,7 @@ def _seen(one: ControllerResults, trace: Trace | None) -> _Fact:
 def _measurements(first: Condition) -> _Said:
     handed = Markup("")
     for trace in first.first_traces.values():
-        signals = join_words([variable.name for variable in trace.measurements])
+        signals = join_words([clipped(variable.name) for variable in trace.measurements])
         handed = Markup("Measured for every controller: {}. ").format(signals)
     used = _sentence(first, _used, "which of them are used")
     return used._replace(text=handed + used.text)

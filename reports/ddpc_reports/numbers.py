@@ -5,6 +5,8 @@ from collections.abc import Iterable, Sequence
 from statistics import median
 from typing import NamedTuple
 
+from ddpc_cosim.texts import clipped
+
 MISSING = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
 TIMES = "\N{MULTIPLICATION SIGN}"
@@ -32,7 +34,7 @@ _TIME_SCALES = (Scale("ns", 1e9), Scale("µs", 1e6), Scale("ms", 1e3), Scale("s"
 
 def unit_symbol(unit: str) -> str:
     """Return a unit of an FMU in print: ``N.m`` becomes ``N·m``, ``deg`` ``°``, ``m/s2`` ``m/s²``."""
-    numerator, slash, denominator = unit.partition("/")
+    numerator, slash, denominator = clipped(unit, 30).partition("/")
     return _factors(numerator) + slash + _factors(denominator)
 
 

@@ -7,7 +7,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
-from ddpc_cosim.texts import printable
+from ddpc_cosim.texts import clipped, printable
 from ddpc_reports.embedding import (
     Packed,
     chart_library,
@@ -46,6 +46,7 @@ def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]
         keep_trailing_newline=True,
         finalize=_shown,
     )
+    environment.filters.update(cut=_cut, clipped=clipped)
     return environment.get_template("page.html.jinja").render(
         studies=studies,
         title=title or (studies[0].title if len(studies) == 1 else f"{len(studies)} studies compared"),
@@ -59,6 +60,13 @@ def set_page(studies: Sequence[StudyPart], data: Mapping[str, dict[str, Packed]]
 
 class _Script(Markup):
     """A script: the page's policy has a hash of it, so that it must stay as it is."""
+
+
+def _cut(text: str, longest: int = 300) -> str:
+    """Return a text, or its beginning and end with all of it for who points at it."""
+    short = text if isinstance(text, Markup) else clipped(text, longest)
+    full = getattr(short, "full", None)
+    return Markup('<span title="{}">{}</span>').format(full, short) if full else short
 
 
 def _shown(value: Any) -> Any:

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from ddpc_cosim import Outcome, ReportSection, StudyResults
 from ddpc_cosim.study.following import following_lines
 from ddpc_cosim.study.standings import Standings, standings
-from ddpc_cosim.texts import without_folders
+from ddpc_cosim.texts import clipped, without_folders
 from ddpc_reports.across_problems import (
     RANKS_NOTE,
     Overall,
@@ -65,6 +65,7 @@ from ddpc_reports.third_parties import own_blocks, own_sections
 from ddpc_reports.tuning import front_figures, trials_tables
 from ddpc_reports.verdict import Statement, across_statements, findings, limitations
 
+_LONGEST_TITLE = 120
 _MOST_DRAWN = 4
 """Scenarios of a problem with figures over time: each costs some 300 kB of page."""
 _MOST_LINES, _MOST_SKETCHED, _MOST_ROWS, _MOST_CASES = 45, 160, 100, 1000
@@ -163,7 +164,7 @@ def gather(results: Sequence[StudyResults]) -> Gathered:
                 parts.append(_study_part(part, of_part, len(parts) + 1, data, room, variants, alone=alone))
     head = results[0].whole.head
     several = f"{len(parts)} studies compared"
-    title = (head.title or head.name) if len(results) == 1 else several
+    title = clipped(head.title or head.name, _LONGEST_TITLE) if len(results) == 1 else several
     return Gathered(title, parts, data)
 
 
@@ -252,7 +253,9 @@ def _overall_part(
     made = _in_their_place(how, lambda: _tables(*reproduce_tables(results, prefix)))
     sections.append(Section("provenance", how, made, folded=True))
     facts = {"Problems": str(len(problems))} | _counts(results)
-    title = "All problems" if number == 1 else f"{head.title or head.name}: all problems"
+    title = (
+        "All problems" if number == 1 else f"{clipped(head.title or head.name, _LONGEST_TITLE)}: all problems"
+    )
     return StudyPart(
         prefix, number, title, [], facts, answered, first, sections, summary=head.summary.strip()
     )
@@ -276,7 +279,7 @@ def _overall_matrix(found: Overall, places: Sequence[Place], prefix: str) -> Tab
 
 def _places(results: StudyResults, seen: Sequence[Condition], prefix: str, room: _Room) -> list[Place]:
     """Return the scenarios of a problem, each with where the page has its figures, or its problem's part."""
-    title = results.study.title or results.study.name
+    title = clipped(results.study.title or results.study.name, _LONGEST_TITLE)
     return [
         Place(title, one, f"#{prefix}{number}-responses" if one in room.sketched else f"#{prefix}study")
         for number, one in enumerate(seen, start=1)
@@ -562,7 +565,7 @@ def _facts(results: StudyResults) -> dict[str, str]:
     """Return the strip of key facts under the title."""
     study = results.study
     facts = {
-        "Plant": study.plant.name or Path(study.plant.fmu).name,
+        "Plant": clipped(study.plant.name or Path(study.plant.fmu).name),
         "Sampling time": with_unit(as_given(study.loop.sampling_time), "s"),
         "Duration": with_unit(as_given(study.loop.duration), "s"),
         "Controllers": _controllers_words(results),

@@ -5,7 +5,7 @@ import unicodedata
 import pytest
 from hypothesis import given, strategies as st
 
-from ddpc_cosim.texts import encodable, printable, recorded, without_folders
+from ddpc_cosim.texts import clipped, encodable, printable, recorded, without_folders
 
 
 @pytest.mark.parametrize(
@@ -89,3 +89,12 @@ def test_a_home_folder_with_a_blank_is_left_out(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("HOME", "/home/John Doe")
     monkeypatch.setenv("USERPROFILE", "/home/John Doe")
     assert without_folders("/home/John Doe/a.fmu: gone") == "a.fmu: gone"
+
+
+def test_a_long_name_keeps_both_ends_and_knows_all_of_it() -> None:
+    name = "first" + "x" * 10_000 + "last"
+    short = clipped(clipped(name, 100), 30)
+    assert len(short) == 30
+    assert (short[:5], short[-4:], "…" in short) == ("first", "last", True)
+    assert getattr(short, "full", "") == name
+    assert clipped("short") == "short"

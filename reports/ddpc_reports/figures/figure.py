@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from ddpc_cosim import CosimWarning
 from ddpc_cosim.metrics import metric_name
-from ddpc_cosim.texts import recorded, without_folders
+from ddpc_cosim.texts import clipped, recorded, without_folders
 from ddpc_reports.comparison import (
     STEP_TIMES,
     Condition,
@@ -29,7 +29,6 @@ from ddpc_reports.figures.charts import (
     step_time_chart,
 )
 from ddpc_reports.figures.samples import column_name
-from ddpc_reports.figures.signal import clipped
 from ddpc_reports.numbers import duration, given_duration, significant, with_unit
 
 _LONGEST_TITLE, _MOST_TOLD = 120, 40

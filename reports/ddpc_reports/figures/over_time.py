@@ -7,12 +7,13 @@ from functools import partial
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
+from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults
 from ddpc_reports.embedding import drawing
 from ddpc_reports.figures.charts import COLOURS
 from ddpc_reports.figures.figure import Figure, View, entry, in_its_place
 from ddpc_reports.figures.samples import Over, Said, column_name, said, seen
-from ddpc_reports.figures.signal import BAND, Column, Signal, clipped, known
+from ddpc_reports.figures.signal import BAND, Column, Signal, known
 from ddpc_reports.figures.time_charts import NARROW, WIDE, Mark, time_chart
 from ddpc_reports.numbers import as_given, significant, with_unit
 from ddpc_reports.tables.settings import own_units, scenario_effects

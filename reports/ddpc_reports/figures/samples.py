@@ -9,8 +9,9 @@ from statistics import median_low
 import numpy as np
 
 from ddpc_cosim import FloatArray, Trace, Variable
+from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults
-from ddpc_reports.figures.signal import DIGITS, Column, Signal, clipped, known, rounded
+from ddpc_reports.figures.signal import DIGITS, Column, Signal, known, rounded
 from ddpc_reports.numbers import difference_symbol, unit_symbol
 
 _BAND_DIGITS = 4

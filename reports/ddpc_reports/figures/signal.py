@@ -14,7 +14,6 @@ BAND = "-band"
 """What follows the name of a signal's data in that of the data of its band."""
 _LEAST_OF_STEP, _USUAL_OF_STEP = 0.02, 0.1
 """Of the largest step: how far the axis of errors goes at least, and how far to show all that is settled."""
-_LONGEST_LABEL = 60
 
 Column = list[float | None]
 
@@ -119,13 +118,6 @@ class Signal:
         low, high = min(wanted, default=0.0), max(wanted, default=1.0)
         reach = (high - low) or 1.0
         return (low - reach, high + reach)
-
-
-def clipped(label: str, longest: int = _LONGEST_LABEL) -> str:
-    """Return a label as a drawing has room for it: its beginning and, as that may tell it apart, its end."""
-    if len(label) <= longest:
-        return label
-    return f"{label[: longest - longest // 3 - 1]}\N{HORIZONTAL ELLIPSIS}{label[-(longest // 3) :]}"
 
 
 def known(column: Sequence[float | None]) -> list[float]:

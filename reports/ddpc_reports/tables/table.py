@@ -158,7 +158,7 @@ def _csv_value(cell: Cell) -> str:
 
 def csv_text(text: str) -> str:
     """Return a text that a spreadsheet does not take for a formula."""
-    text = printable(text, keep="\n")
+    text = printable(getattr(text, "full", text), keep="\n")
     return f"'{text}" if _FORMULA.match(text) else text
 
 

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given, strategies as st
 
 from ddpc_cosim import Bounds, Outcome, Trace
+from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import conditions, on_one_page
 from ddpc_reports.embedding import _points, _simplified, _steps, pack
 from ddpc_reports.figures.charts import COLOURS, DASHES, colour, dash, log_ticks
 from ddpc_reports.figures.figure import Figure, spread_figures
 from ddpc_reports.figures.over_time import TimeFigures, time_figures
 from ddpc_reports.figures.samples import band_ends, seen, settled_samples, trusted
-from ddpc_reports.figures.signal import clipped
 from ddpc_reports.figures.time_charts import Mark, label_rows
 
 from ..synthetic import MakeResults, make_trace
