@@ -15,6 +15,7 @@ _FOLDERS = re.compile(
     rf"""|(?<![^\s"'(\[{{=,;:])(?:(?:file://)?/{_FOLDER}|~/|[A-Za-z]:[/\\]|\\\\)(?:{_FOLDER})*(?=[^/\\\s])"""
 )
 """Folders of an absolute path, up to the name of the file."""
+_FORMULA = re.compile(r"[=@]|[+-](?![\d.]+(?:[eE][+-]?\d+)?$)")
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
@@ -40,6 +41,12 @@ def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
         return text
     acting = {ord(c): repr(c)[1:-1] for c in set(text) if c not in keep and not _is_seen(c)}
     return text.translate(acting) if acting else text
+
+
+def csv_text(text: str) -> str:
+    """Return all of a text, printable, such that a spreadsheet does not take it for a formula."""
+    text = printable(getattr(text, "full", text), keep="\n")
+    return f"'{text}" if _FORMULA.match(text) else text
 
 
 class Clipped(str):

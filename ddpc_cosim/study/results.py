@@ -23,7 +23,7 @@ from ddpc_cosim.study.case_files import (
     sealed_json,
 )
 from ddpc_cosim.study.file_format.sweeps import variant_words
-from ddpc_cosim.texts import alike, encodable, html_table, printable
+from ddpc_cosim.texts import alike, csv_text, encodable, html_table, printable
 from ddpc_cosim.trace import Trace
 from fmu_plants.files import write_atomically
 from fmu_plants.spelling import did_you_mean
@@ -534,9 +534,16 @@ def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
         values = [case.metrics.get(key, math.nan) for key in keys]
         cells = ["" if math.isnan(value) else repr(value) for value in values]
         one = study.problems[case.problem]
-        variant = [printable(variant_words(one.varied))] if has_variants else []
-        plant = printable(one.plant.name or Path(one.plant.fmu).name)
-        what = [study.head.name, one.variant_of or case.problem, *variant, plant, case.controller]
+        variant = [variant_words(one.varied)] if has_variants else []
+        plant = one.plant.name or Path(one.plant.fmu).name
+        what = [
+            study.head.name,
+            one.variant_of or case.problem,
+            *variant,
+            plant,
+            case.controller,
+            case.scenario,
+        ]
         holds = "true" if case.holds else "false"
-        writer.writerow([*what, case.scenario, case.seed, case.outcome, holds, *cells])
+        writer.writerow([*map(csv_text, what), case.seed, case.outcome, holds, *cells])
     return file.getvalue()

@@ -11,9 +11,8 @@ from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.standings import standings, summed
 from ddpc_cosim.study.statistics import describe
-from ddpc_cosim.texts import encodable
+from ddpc_cosim.texts import csv_text, encodable
 from ddpc_reports.comparison import conditions
-from ddpc_reports.tables.table import csv_text
 
 COLUMNS = (
     *("study", "problem", "variant", "plant", "scenario", "controller", "label", "rank", "lost", "runs"),

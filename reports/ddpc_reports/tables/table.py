@@ -3,18 +3,16 @@
 import csv
 import io
 import math
-import re
 from base64 import b64encode
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from ddpc_cosim.texts import encodable, printable
+from ddpc_cosim.texts import csv_text, encodable
 from ddpc_reports.comparison import ControllerResults, Spread
 from ddpc_reports.numbers import MISSING, column
 
 Raw = float | int | str
-_FORMULA = re.compile(r"[=@]|[+-](?![\d.]+(?:[eE][+-]?\d+)?$)")
 
 
 @dataclass(frozen=True)
@@ -154,12 +152,6 @@ def _csv_value(cell: Cell) -> str:
     if isinstance(cell.raw, float):
         return "" if math.isnan(cell.raw) else repr(cell.raw)
     return csv_text(str(cell.raw) if cell.raw != "" else cell.text)
-
-
-def csv_text(text: str) -> str:
-    """Return a text that a spreadsheet does not take for a formula."""
-    text = printable(getattr(text, "full", text), keep="\n")
-    return f"'{text}" if _FORMULA.match(text) else text
 
 
 Alike = Callable[[int], Collection[int]]
