@@ -222,6 +222,14 @@ def test_nothing_acts_unseen_in_page_data_tables_and_terminal(
     assert not reader.all("img")
 
 
+def test_a_name_is_no_formula_for_who_opens_the_metrics_in_a_spreadsheet(make_results: MakeResults) -> None:
+    plant = {"name": "=HYPERLINK(1)", "inputs": ["torque"], "outputs": ["angle"]}
+    results = make_results(plant=plant)
+    write_results(results)
+    with (results.folder / "metrics.csv").open(encoding="utf-8", newline="") as file:
+        assert {row["plant"] for row in csv.DictReader(file)} == {"'=HYPERLINK(1)"}
+
+
 def test_a_reason_for_failure_is_shown(make_results: MakeResults, tmp_path: Path) -> None:
     def trace_of(key: str, seed: int) -> Trace:
         if key == "slow":
