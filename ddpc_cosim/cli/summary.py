@@ -245,7 +245,7 @@ def _lines(
         lines.append(": ".join(filter(None, (", ".join(what), "; ".join(told)))))
     if found.seeds > 1 and any(one.too_few_seeds for one in found.compared.values()):
         few = "seeds are too few to test so many controllers against each other: it takes"
-        lines.append(f"{found.seeds} {few} {found.seeds_needed}")
+        lines.append(f"{found.seeds_compared} {few} {found.seeds_needed}")
     elif found.tested and len(found.order) > 1 and all(one.rank == 1 for one in found.order):
         lines.append(f"{found.seeds} seeds tell no two controllers apart")
     if any(0 < row.lost < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:

@@ -44,7 +44,7 @@ class Standings:
 
     A controller that loses a run comes after all that lose none, and after those that lose fewer. Of two that
     lose none, one is better if the seeds tell it to be so in some of the keys and the other in none; where
-    the seeds are too few for any test, the medians decide.
+    the seeds are too few for any test, the medians decide, over the runs that both have.
 
     Parameters
     ----------
@@ -93,6 +93,11 @@ class Standings:
         return self.seeds > 1 and not any(one.too_few_seeds for one in self.compared.values())
 
     @property
+    def seeds_compared(self) -> int:
+        """How many seeds two controllers share, of those that share most."""
+        return max((one.seeds for one in self.compared.values()), default=0)
+
+    @property
     def seeds_needed(self) -> int:
         """Seeds from which on a controller that is ahead on each is told apart."""
         return max((one.seeds_needed for one in self.compared.values()), default=0)
@@ -105,6 +110,8 @@ class Standings:
         for a, b in combinations(holding, 2):
             if worse := self._worse(a, b):
                 behind[worse] += 1
+        fewest = min(behind.values(), default=0)  # above 0 where they beat each other in a circle
+        behind |= {name: 0 for name in holding if behind[name] == fewest}
         losing = sorted(lost for lost in self.lost.values() if lost)
         ranks = {
             name: 1 + (len(holding) + losing.index(lost) if lost else behind[name])
@@ -126,13 +133,18 @@ class Standings:
 
     def _worse_in(self, key: str) -> Callable[[str, str], str]:
         compared, samples, rank = self.compared[key], self.samples[key], metric_of(key).rank
+        runs = self.runs[key]
 
         def of(a: str, b: str) -> str:
             if self.tested:
                 pair = (a, b) if (a, b) in compared.differences else (b, a)
                 found = compared.differences.get(pair)
                 return pair[not found.told_worse] if found and found.told_apart else ""
-            values = [rank(samples[name].median) for name in (a, b)]
+            medians = [samples[name].median for name in (a, b)]
+            if runs[a].keys() != runs[b].keys():  # who ran in the easier scenarios alone is not better for it
+                both = runs[a].keys() & runs[b].keys()
+                medians = [describe({run: runs[name][run] for run in both}).median for name in (a, b)]
+            values = [*map(rank, medians)]
             if any(map(math.isnan, values)) or math.isclose(*values, rel_tol=1e-9):
                 return ""
             return a if values[0] > values[1] else b

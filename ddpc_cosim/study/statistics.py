@@ -146,10 +146,14 @@ class Comparisons:
         return 1 + math.ceil(math.log2(max(self.tests, 1) / LEVEL))
 
     @property
+    def seeds(self) -> int:
+        """The most seeds that any two share."""
+        return max((one.seeds for one in self.differences.values()), default=0)
+
+    @property
     def too_few_seeds(self) -> bool:
         """Whether no test can tell any two apart, even if one of them is ahead on every seed."""
-        seeds = max((one.seeds for one in self.differences.values()), default=0)
-        return self.tests > 0 and seeds < self.seeds_needed
+        return self.tests > 0 and self.seeds < self.seeds_needed
 
 
 def describe(runs: Runs) -> Sample:

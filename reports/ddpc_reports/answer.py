@@ -8,8 +8,10 @@ from markupsafe import Markup
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_name, metric_of
 from ddpc_cosim.study.standings import Standing, Standings, standings
-from ddpc_cosim.study.statistics import Difference, compare
+from ddpc_cosim.study.statistics import Difference, compare, describe
+from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
+from ddpc_reports.fairness import told_of_plant
 from ddpc_reports.numbers import MINUS, significant, with_unit
 from ddpc_reports.verdict import counted, formatter, join_words, names, p_words, some_of
 
@@ -17,6 +19,7 @@ _NAMED = 3
 """Controllers that are named with their values where more share the first rank."""
 _LOSING = 3
 """Controllers that are named for the runs that they lose."""
+_LONGEST_TOLD = 100
 _MUCH_LESS = 0.5
 """From this part of a leader's on, a value of another is worth a word."""
 
@@ -40,6 +43,7 @@ def answer(results: StudyResults, seen: Sequence[Condition], found: Standings) -
     labels = [Markup("<i>{}</i>").format(one.label) for one in seen if one.scenario in found.left_out]
     parts = [
         _ahead(found, who, counting) if found.leaders else _none_holds(found, who),
+        _uneven(found),
         _elsewhere(found, who, counting) if found.leaders else "",
         _offer(found, who, counting),
         _lost(found, who),
@@ -83,6 +87,14 @@ def _ahead(found: Standings, who: dict[str, ControllerResults], counting: Sequen
     return text + "." + _unsure(found)
 
 
+def _uneven(found: Standings) -> Markup:
+    """Say that not all have the same runs; nothing where they have."""
+    own = next(iter(found.runs.values()), {})
+    if len({frozenset(runs) for runs in own.values()}) < 2:
+        return Markup("")
+    return Markup("Not all ran in the same scenarios on the same seeds: differences are of what two share.")
+
+
 def _elsewhere(found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]) -> Markup:
     """Say in how many scenarios others are ahead of the leaders, and who; nothing where none is."""
     others: dict[str, int] = {}
@@ -105,8 +117,8 @@ def _level(found: Standings, leaders: Sequence[ControllerResults], over: str) ->
     """Say that several share the first rank, with their values and how far they are apart."""
     shown = leaders[:_NAMED]
     more = len(leaders) - len(shown)
-    who = join_words([Markup("<b>{}</b>").format(one.label) for one in shown])
-    who += Markup(" and {} more").format(more) if more else Markup("")
+    bold = [Markup("<b>{}</b>").format(one.label) for one in shown]
+    who = join_words([*bold, *([f"{more} more"] if more else [])])
     if not found.tested:
         return Markup("{} share the best medians {}: {}.").format(who, over, _values(found, shown[0].key))
     if len(found.keys) > 1:
@@ -183,7 +195,8 @@ def _behind(found: Standings, first: str, other: str) -> Markup:
 
 def _ratio(found: Standings, key: str, first: str, other: str) -> float:
     """Return one plus the difference of the pairs over the first's median; NaN if that is not above 0."""
-    best = found.samples[key][first].median
+    runs = found.runs[key]
+    best = describe({run: value for run, value in runs[first].items() if run in runs[other]}).median
     ratio = 1 + _difference(found, key, first, other).median / best if best > 0 else math.nan
     return ratio if ratio >= 0 else math.nan
 
@@ -205,7 +218,7 @@ def _unsure(found: Standings) -> Markup:
         return Markup(" How much that depends on the seed is not known.")
     tested = max(len(one.order) for one in found.compared.values())
     return Markup(" {} seeds are too few to test {} controllers against each other: it takes {}.").format(
-        found.seeds, tested, found.seeds_needed
+        found.seeds_compared, tested, found.seeds_needed
     )
 
 
@@ -218,7 +231,7 @@ def _offer(found: Standings, who: dict[str, ControllerResults], counting: Sequen
     offers: dict[str, list[str]] = {}
     if all(_recorded(one) for one in leaders):
         for one in [one for one in rest if not _recorded(one)][:1]:
-            offers.setdefault(one.key, []).append("learns from no recording")
+            offers.setdefault(one.key, []).append(f"learns from no recording{_but_told(counting, one)}")
     if len(counting) == 1 and (settled := _settles_closest(counting[0], leaders, rest)):
         offers.setdefault(settled[0], []).append(settled[1])
     key = found.keys[0]
@@ -228,6 +241,15 @@ def _offer(found: Standings, who: dict[str, ControllerResults], counting: Sequen
         behind = "" if math.isnan(ratio) else f" ({_times(ratio)})"
         parts.append(Markup("<i>{}</i>{} {}").format(who[name].label, behind, join_words(words)))
     return Markup("Behind, {}.").format(join_words(parts)) if parts else Markup("")
+
+
+def _but_told(counting: Sequence[Condition], one: ControllerResults) -> str:
+    """Say what a controller was told of the plant; nothing where that is nothing, or not known."""
+    trace = counting[0].first_traces.get(one.key)
+    told = told_of_plant(counting[0].results, one, trace)
+    return (
+        f", but was told of the plant: {clipped(told, _LONGEST_TOLD)}" if told not in ("", "nothing") else ""
+    )
 
 
 def _recorded(one: ControllerResults) -> bool:

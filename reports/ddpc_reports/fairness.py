@@ -156,11 +156,17 @@ def _learned(one: ControllerResults, trace: Trace | None) -> _Fact:
     return _Fact(f"learns {what}", f"learn {what}")
 
 
-def _told(results: StudyResults, one: ControllerResults, trace: Trace | None) -> _Fact:
+def told_of_plant(results: StudyResults, one: ControllerResults, trace: Trace | None) -> str:
+    """Return what a controller was told of the plant beforehand; empty where that is not known."""
     told = without_folders(trace.knowledge.get("plant", "")) if trace else ""
     section = results.study.controllers.get(one.key)
     if section is not None and _PLANT_FMU in _values(section.settings):
         told = f"{told or 'something not known'}; its settings name the FMU of the plant itself"
+    return told
+
+
+def _told(results: StudyResults, one: ControllerResults, trace: Trace | None) -> _Fact:
+    told = told_of_plant(results, one, trace)
     if not told:
         return _NOT_KNOWN
     if told == "nothing":

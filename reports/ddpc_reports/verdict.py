@@ -427,10 +427,10 @@ def p_words(p: float, sign: str = "") -> str:
 
 def seeds_needed(conditions: Sequence[Condition], keys: Sequence[str]) -> Markup:
     """Say that the seeds are too few to test so many controllers, and how many it takes; empty if not."""
-    seeds = max((len(one.seeds) for one in conditions), default=0)
     found = [compared for one in conditions for key in keys if (compared := one.compared(key)).too_few_seeds]
-    if seeds < 2 or not found:
+    if all(len(one.seeds) < 2 for one in conditions) or not found:
         return Markup("")
+    seeds = max(compared.seeds for compared in found)
     most = max(len(compared.order) for compared in found)
     needed = max(compared.seeds_needed for compared in found)
     return Markup(" {} seeds are too few to test {} controllers against each other: it takes {}.").format(

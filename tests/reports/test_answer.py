@@ -114,7 +114,30 @@ def test_who_alone_loses_no_run_is_not_told_to_be_ahead(make_results: MakeResult
 def test_runs_of_other_seeds_have_no_difference(make_results: MakeResults) -> None:
     results = study(make_results, lag({"a": 0.3, "b": 0.5}), "a", "b")
     cases = tuple(case for case in results.cases if (case.seed < 6) == (case.controller == "a"))
-    assert "without a run of the same seed" in said(replace(results, cases=cases))
+    told = said(replace(results, cases=cases))
+    assert "unknown, without a run of the same seed" in told
+    assert "Not all ran in the same scenarios on the same seeds: differences are of what two share." in told
+
+
+def test_what_two_share_is_what_differences_and_percentages_are_of(make_results: MakeResults) -> None:
+    """Only `a` ran in the hard scenario; on the other, three seeds are those of both."""
+    results = study(make_results, lag({"a": 0.3, "b": 0.5}), "a", "b", scenarios={"x": {}, "hard": {}})
+    both = having(results, {"a": lambda s, n: (1.0 if s == "x" else 9.0) + n / 1e4, "b": lambda s, n: 1.5})
+    cases = tuple(
+        case for case in both.cases if case.controller == "a" or (case.scenario == "x" and case.seed < 3)
+    )
+    told = said(replace(both, cases=cases))
+    assert "differs by +0.500°, +50 %." in told
+    assert "3 seeds are too few to test 2 controllers against each other: it takes 6." in told
+
+
+def test_of_many_that_lead_three_are_named(make_results: MakeResults) -> None:
+    names = "abcde"
+    results = study(make_results, lag(dict.fromkeys(names, 0.5)), *names)
+    same = having(results, dict.fromkeys(names, lambda s, n: 1.0))
+    assert said(same).startswith(
+        "a, b, c and 2 more lead over 12 seeds and are not told apart: mean abs error "
+    )
 
 
 def test_those_that_are_not_told_apart_lead_together(make_results: MakeResults) -> None:
@@ -159,15 +182,21 @@ def test_where_every_controller_loses_runs_none_is_ahead(make_results: MakeResul
     )
 
 
-def test_who_learns_from_no_recording_is_told_with_how_far_it_is_behind(make_results: MakeResults) -> None:
+@pytest.mark.parametrize(
+    ("known", "but"), [("nothing", ""), ("a <rough> gain", ", but was told of the plant: a <rough> gain")]
+)
+def test_who_learns_from_no_recording_is_told_with_how_far_it_is_behind(
+    make_results: MakeResults, known: str, but: str
+) -> None:
     def trace_of(key: str, seed: int) -> Trace:
         trace = lag({"a": 0.3, "b": 0.9, "c": 1.1})(key, seed)
-        return replace(trace, recorded_samples=200 if key == "a" else 0)
+        told = {"plant": known if key == "b" else "nothing"}
+        return replace(trace, recorded_samples=200 if key == "a" else 0, knowledge=told)
 
     results = study(make_results, trace_of, "a", "b", "c")
     a, b = values(results, "a"), values(results, "b")
     ratio = 1 + median(b[seed] - a[seed] for seed in SEEDS) / median(a.values())
-    assert f"Behind, b ({ratio:.2g} times) learns from no recording." in said(results)
+    assert f"Behind, b ({ratio:.2g} times) learns from no recording{but}." in said(results)
 
 
 def test_scenarios_count_together_but_for_those_in_which_nobody_follows(make_results: MakeResults) -> None:

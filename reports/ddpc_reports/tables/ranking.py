@@ -235,7 +235,8 @@ def _place_column(place: Place, key: str, order: Sequence[ControllerResults], *,
     cells = number_cells(
         medians, eligible=marked, better=metric_of(key).better, alike=condition.alike(key, members)
     )
-    best = min((value for value, able in zip(medians, marked, strict=True) if able), default=math.nan)
+    able = [value for value, able in zip(medians, marked, strict=True) if able and not math.isnan(value)]
+    best = min(able, default=math.nan)
     signal = metric_signal(key) if len(condition.headline) > 1 else ""
     detail = " / ".join(filter(None, (signal, metric_unit(key))))
     title = condition.label if condition.label != condition.scenario or not several else condition.scenario
@@ -264,9 +265,10 @@ def _place_cell(
 
 def _tone(value: float, best: float) -> str:
     """Return the tint of a value: the stronger, the nearer it is to the best of its column."""
-    if not best > 0 or math.isnan(value):
+    if not best >= 0 or math.isnan(value):
         return ""
-    return f"share-{5 - sum(value / best > ratio for ratio in _RATIOS)}"
+    ratio = value / best if best else math.inf if value else 1.0
+    return f"share-{5 - sum(ratio > limit for limit in _RATIOS)}"
 
 
 def rank_columns(found: Standings, order: Sequence[ControllerResults]) -> list[Column]:

@@ -109,6 +109,19 @@ def test_without_cases_there_are_none() -> None:
     assert found.leaders == ()
 
 
+def test_those_that_beat_each_other_in_a_circle_share_the_first_rank() -> None:
+    """Of three outputs each tells one pair apart, and in each the third controller is anywhere."""
+    low, high, wide = noisy(1.0, 1), noisy(2.0, 2), [0.0, 3.1] * 6
+    found = of(
+        {"a": low, "b": high, "c": wide, "d": noisy(9.0, 3)},
+        second={"a": wide, "b": low, "c": high, "d": noisy(9.0, 3)},
+        third={"a": high, "b": wide, "c": low, "d": noisy(9.0, 3)},
+    )
+    assert found.tested
+    assert ranks(found) == {"a": 1, "b": 1, "c": 1, "d": 4}
+    assert set(found.leaders) == {"a", "b", "c"}
+
+
 def test_what_is_ranked_by_is_summed_up_over_the_runs_that_are_left(tmp_path: Path) -> None:
     """One run completes far from its reference: its step times count, its error where no other is left."""
     lags = [0.3, 0.5, 0.4, 50.0]

@@ -1,5 +1,6 @@
 """The tables of the first screen, derived here once more from the cases."""
 
+import math
 from dataclasses import replace
 from statistics import median
 from typing import Any
@@ -133,6 +134,22 @@ def test_numbers_beside_lost_runs_are_of_the_runs_that_are_left(make_results: Ma
     assert float(cell.detail.split(" … ")[1]) == pytest.approx(max(own), rel=5e-3)
     table = ranked(conditions(make_results(trace_of, NAMES, seeds=SEEDS))[0])
     assert column(table, "mean abs error (°)")["lost"].raw == pytest.approx(median(own))
+
+
+def test_a_best_of_zero_is_tinted_and_all_others_are_far_from_it(make_results: MakeResults) -> None:
+    """One without a value spoils no column."""
+    results = make_results(run_of, NAMES, seeds=SEEDS[:3], scenarios=SCENARIOS)
+    values = {"quick": 0.0, "slow": 1.0, "lost": math.nan}
+    cases = [
+        replace(case, holds=True, metrics=case.metrics | {KEY: values[case.controller]})
+        for case in results.cases
+    ]
+    cells = column(matrix(replace(results, cases=tuple(cases))), "calm (°)")
+    assert {key: cell.tone for key, cell in cells.items()} == {
+        "quick": "share-5",
+        "slow": "share-1",
+        "lost": "",
+    }
 
 
 def test_one_that_loses_every_run_of_a_scenario_has_no_value_there(make_results: MakeResults) -> None:
