@@ -183,11 +183,11 @@ def _behind(found: Standings, first: str, other: str) -> Markup:
     """Say how far a controller is behind the first: difference, interval, and that as a ratio."""
     ratios = {key: _ratio(found, key, first, other) for key in found.keys}
     if len(ratios) > 1 and not any(map(math.isnan, ratios.values())):
-        parts = [f"{_times(ratio)} in {metric_signal(key)}" for key, ratio in ratios.items()]
+        parts = [f"{_factor(ratio)} in {metric_signal(key)}" for key, ratio in ratios.items()]
         return Markup("differs by {}").format(join_words(parts))
     parts = []
     for key, ratio in ratios.items():
-        times = "" if math.isnan(ratio) else f", {_times(ratio)}"
+        times = "" if math.isnan(ratio) else f", {_factor(ratio)}"
         of = f" in {metric_signal(key)}" if len(found.keys) > 1 else ""
         parts.append(f"{_interval(_difference(found, key, first, other), key)}{times}{of}")
     return Markup("differs by {}").format(join_words(parts))
@@ -201,13 +201,19 @@ def _ratio(found: Standings, key: str, first: str, other: str) -> float:
     return ratio if ratio >= 0 else math.nan
 
 
-def _times(ratio: float) -> str:
-    """Write a ratio as people say it: in percent near one, else as a factor."""
+def _factor(ratio: float) -> str:
+    """Write by how much two differ: in percent near one, else as a factor."""
     percent = 100 * (ratio - 1)
     if abs(percent) < 99.5:
         sign = "+" if percent >= 0 else MINUS
         return f"{sign}{significant(abs(percent), 2)}\u00a0%"
-    return f"{significant(ratio, 2)} times"
+    return f"a factor of {significant(ratio, 2)}"
+
+
+def _times(ratio: float) -> str:
+    """Write how large one is beside another: in percent near one, else how many times."""
+    words = _factor(ratio)
+    return f"{significant(ratio, 2)} times" if words.startswith("a") else words
 
 
 def _unsure(found: Standings) -> Markup:

@@ -239,7 +239,9 @@ def test_of_several_outputs_each_has_its_value(make_results: MakeResults) -> Non
     assert re.match(
         r"a is ahead over 12 seeds: mean abs error [\d.]+° \[[\d. …]+\] of angle and [\d.]+ m/s", told
     )
-    assert re.search(r"the next, b, differs by [\d.]+ times in angle and [\d.]+ times in speed\.", told)
+    assert re.search(
+        r"the next, b, differs by a factor of [\d.]+ in angle and a factor of [\d.]+ in speed\.", told
+    )
 
 
 @pytest.mark.parametrize("name", ["<b>x</b>", 'a "quoted" & more'])
