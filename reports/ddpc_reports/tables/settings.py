@@ -311,10 +311,10 @@ def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> l
 
 def _others(section: BaseModel, said: Container[str]) -> Iterator[tuple[str, str]]:
     """Yield names and values of the keys that are not said elsewhere and differ from their defaults."""
-    values = section.model_dump()
+    values, given = section.model_dump(), section.model_dump(exclude_none=True)
     for name, field in type(section).model_fields.items():
         if name not in said and values[name] != field.get_default(call_default_factory=True):
-            yield name.replace("_", " "), value_text(values[name])
+            yield name.replace("_", " "), value_text(given.get(name))
 
 
 def facts_table(identifier: str, caption: str, facts: Iterable[tuple[str, str]], download: str) -> Table:
