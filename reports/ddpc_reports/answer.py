@@ -108,9 +108,11 @@ def _elsewhere(found: Standings, who: dict[str, ControllerResults], counting: Se
         return Markup("")
     most = sorted(others, key=lambda name: -others[name])
     named = [Markup("<i>{}</i> ({})").format(who[name].label, others[name]) for name in most]
-    it = "It leads" if len(found.leaders) == 1 else "One of them leads"
-    text = "{} in {} of the {} scenarios by themselves; in the others ahead: {}."
-    return Markup(text).format(it, led, len(counting), some_of(named))
+    it = "it leads" if len(found.leaders) == 1 else "one of them leads"
+    do = "does" if len(named) == 1 else "do"
+    together = ", some together" if sum(others.values()) > len(counting) - led else ""
+    text = "Scenario by scenario {} in {} of {}; in the others {} {}{}."
+    return Markup(text).format(it, led, len(counting), some_of(named), do, together)
 
 
 def _level(found: Standings, leaders: Sequence[ControllerResults], over: str) -> Markup:
@@ -246,7 +248,7 @@ def _offer(found: Standings, who: dict[str, ControllerResults], counting: Sequen
         ratio = _ratio(found, key, leaders[0].key, name)
         behind = "" if math.isnan(ratio) else f" ({_times(ratio)})"
         parts.append(Markup("<i>{}</i>{} {}").format(who[name].label, behind, join_words(words)))
-    return Markup("Behind, {}.").format(join_words(parts)) if parts else Markup("")
+    return Markup("Behind, {}.").format(Markup("; ").join(parts)) if parts else Markup("")
 
 
 def _but_told(counting: Sequence[Condition], one: ControllerResults) -> str:

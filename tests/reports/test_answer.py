@@ -227,8 +227,8 @@ def test_who_is_ahead_in_some_of_the_scenarios_is_told(make_results: MakeResults
     )
     told = said(replace(results, cases=cases))
     assert told.startswith("a is ahead over 3 scenarios and 12 seeds")
-    assert "It leads in 2 of the 3 scenarios by themselves; in the others ahead: b (1)." in told
-    assert "by themselves" not in said(results)
+    assert "Scenario by scenario it leads in 2 of 3; in the others b (1) does." in told
+    assert "Scenario by scenario" not in said(results)
 
 
 def test_of_several_outputs_each_has_its_value(make_results: MakeResults) -> None:
