@@ -1,7 +1,7 @@
 """From a parsed study to a resolved one: plant, controllers, units and limits looked up and checked once."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -98,12 +98,12 @@ class ResolvedProblems:
     problems : dict of str to ResolvedStudy
         Each problem as a study of its own.
     file : StudyFile
-        What it was read from.
+        What it was read from; it makes no difference to what it is.
     """
 
     head: StudyHead
     problems: dict[str, ResolvedStudy]
-    file: StudyFile
+    file: StudyFile = field(compare=False)
 
     @property
     def whole(self) -> WholeStudy:

@@ -17,11 +17,11 @@ import pytest
 
 from ddpc_cosim import ConfigError, CosimError
 from ddpc_cosim.cli.progress import LineProgress
-from ddpc_cosim.study import cluster as executor
 from ddpc_cosim.study.case_files import read_run
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import StudyResults
 from ddpc_cosim.study.runner import Selection, run_study
+from ddpc_cosim.study.running import cluster as executor
 from ddpc_cosim.tuning import Request, tune_study
 
 pytestmark = pytest.mark.xdist_group("cluster")
