@@ -68,7 +68,7 @@ from ddpc_reports.verdict import Statement, across_statements, findings, limitat
 _LONGEST_TITLE = 120
 _MOST_DRAWN = 4
 """Scenarios of a problem with figures over time: each costs some 300 kB of page."""
-_MOST_LINES, _MOST_SKETCHED, _MOST_ROWS, _MOST_CASES = 45, 160, 100, 1000
+_MOST_LINES, _MOST_SKETCHED, _MOST_ROWS, _MOST_CASES = 30, 160, 100, 1000
 """Of all scenarios, controllers with figures, with responses, with tables; cases of several problems."""
 
 _MOST_LISTED = 20
@@ -152,7 +152,7 @@ def gather(results: Sequence[StudyResults]) -> Gathered:
             seen = [conditions(part) for part in problems]
             drawn, detailed = _first(seen, _MOST_LINES, _MOST_DRAWN), _first(seen, _MOST_ROWS)
             spread = drawn if len(problems) > 1 else detailed
-            sketched = {*drawn, *_first(seen, _MOST_SKETCHED, 1)}
+            sketched = {*drawn, *_first(seen, _MOST_SKETCHED)}
             every_case = len(problems) == 1 or len(one.cases) <= _MOST_CASES
             room = _Room(drawn, sketched, spread, detailed, every_case)
             number = len(parts) + 1
@@ -198,7 +198,7 @@ class _Room(NamedTuple):
             what: tuple(one.label for one in seen if one not in shown) for what, shown in kinds.items()
         }
         found = [
-            f"To keep the page small, these scenarios have no {what}: {', '.join(labels)}."
+            f"To keep the page small, these scenarios have no {what}: {'; '.join(labels)}."
             for what, labels in missing.items()
             if labels
         ]
