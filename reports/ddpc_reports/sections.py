@@ -264,9 +264,9 @@ def _overall_part(
 def _overall_blocks(found: Overall, prefix: str) -> list[Block]:
     maps = distance_maps(found.distances, prefix) if found.distances else []
     return [
+        *_figures(overall_figures(found, prefix), prefix),
         *_statements(overall_statements(found)),
         *_tables(overall_table(found, prefix), *maps),
-        *_figures(overall_figures(found, prefix), prefix),
     ]
 
 
