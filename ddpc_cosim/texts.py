@@ -16,7 +16,8 @@ _FOLDERS = re.compile(
 )
 """Folders of an absolute path, up to the name of the file."""
 _FORMULA = re.compile(r"[=@]|[+-](?![\d.]+(?:[eE][+-]?\d+)?$)")
-_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+NUMBER = re.compile(r"(?<![A-Za-z_\d.])-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+"""A number in a text; those in names, such as ``level_1``, are none."""
 
 
 def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
@@ -79,7 +80,7 @@ def without_folders(text: str) -> str:
 
 def alike(text: str) -> str:
     """Return what is the same for texts that differ in their numbers only."""
-    return _NUMBER.sub("#", text)
+    return NUMBER.sub("#", text)
 
 
 def encodable(text: str) -> str:

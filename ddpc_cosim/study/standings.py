@@ -1,7 +1,7 @@
 """The standings of one problem: who is ahead, whom its seeds tell apart, and who loses runs."""
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -128,31 +128,27 @@ class Standings:
 
     def _worse(self, a: str, b: str) -> str:
         """Return the worse of two controllers that lose no run; nothing where neither is."""
-        worse = {verdict(a, b) for verdict in map(self._worse_in, self.keys)} - {""}
+        worse = {self._worse_in(key, a, b) for key in self.keys} - {""}
         return worse.pop() if len(worse) == 1 else ""
 
-    def _worse_in(self, key: str) -> Callable[[str, str], str]:
-        compared, samples, rank = self.compared[key], self.samples[key], metric_of(key).rank
+    def _worse_in(self, key: str, a: str, b: str) -> str:
+        if self.tested:
+            differences = self.compared[key].differences
+            pair = (a, b) if (a, b) in differences else (b, a)
+            found = differences.get(pair)
+            return pair[not found.told_worse] if found and found.told_apart else ""
         runs = self.runs[key]
-
-        def of(a: str, b: str) -> str:
-            if self.tested:
-                pair = (a, b) if (a, b) in compared.differences else (b, a)
-                found = compared.differences.get(pair)
-                return pair[not found.told_worse] if found and found.told_apart else ""
-            medians = [samples[name].median for name in (a, b)]
-            if runs[a].keys() != runs[b].keys():  # who ran in the easier scenarios alone is not better for it
-                both = runs[a].keys() & runs[b].keys()
-                medians = [describe({run: runs[name][run] for run in both}).median for name in (a, b)]
-            values = [*map(rank, medians)]
-            if any(map(math.isnan, values)) or math.isclose(*values, rel_tol=1e-9):
-                return ""
-            return a if values[0] > values[1] else b
-
-        return of
+        medians = [self.samples[key][name].median for name in (a, b)]
+        if runs[a].keys() != runs[b].keys():  # who ran in the easier scenarios alone is not better for it
+            both = runs[a].keys() & runs[b].keys()
+            medians = [describe({run: runs[name][run] for run in both}).median for name in (a, b)]
+        values = [*map(metric_of(key).rank, medians)]
+        if any(map(math.isnan, values)) or math.isclose(*values, rel_tol=1e-9):
+            return ""
+        return a if values[0] > values[1] else b
 
     def _place(self, name: str) -> float:
-        """Return a number that grows with the medians, in units of the best of each key."""
+        """Return the mean place of a controller's medians among those of all, key by key."""
         places = []
         for key in self.keys:
             values = {one: metric_of(key).rank(own.median) for one, own in self.samples[key].items()}
@@ -211,10 +207,10 @@ def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
     for case in cases:
         by_scenario.setdefault(case.scenario, []).append(case)
     left_out = tuple(name for name, own in by_scenario.items() if none_follows(own))
-    counted = [case for name, own in by_scenario.items() if name not in left_out for case in own]
-    keys = headline(dict.fromkeys(key for case in counted for key in case.metrics))
+    counting = [case for name, own in by_scenario.items() if name not in left_out for case in own]
+    keys = headline(dict.fromkeys(key for case in counting for key in case.metrics))
     runs: dict[str, dict[str, dict[tuple[Hashable, int], float]]] = {key: {} for key in keys}
-    for case in counted:
+    for case in counting:
         if case.controller not in aside:
             for key in keys:
                 value = case.metrics.get(key, math.nan) if case.holds else math.nan

@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_name, metric_of
-from ddpc_cosim.study.standings import Standing, Standings, standings
+from ddpc_cosim.study.standings import Standing, Standings
 from ddpc_cosim.study.statistics import Difference, compare, describe
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
@@ -100,7 +100,7 @@ def _elsewhere(found: Standings, who: dict[str, ControllerResults], counting: Se
     others: dict[str, int] = {}
     led = 0
     for condition in counting:
-        here = standings(condition.results.study, condition.cases).leaders
+        here = condition.standings.leaders
         led += bool({*here} & {*found.leaders})
         for name in here if not {*here} & {*found.leaders} else ():
             others[name] = others.get(name, 0) + 1
@@ -185,11 +185,14 @@ def _behind(found: Standings, first: str, other: str) -> Markup:
     """Say how far a controller is behind the first: difference, interval, and that as a ratio."""
     ratios = {key: _ratio(found, key, first, other) for key in found.keys}
     if len(ratios) > 1 and not any(map(math.isnan, ratios.values())):
-        parts = [f"{_factor(ratio)} in {metric_signal(key)}" for key, ratio in ratios.items()]
+        parts = [
+            f"{_ratio_words(ratio, 'a factor of {}')} in {metric_signal(key)}"
+            for key, ratio in ratios.items()
+        ]
         return Markup("differs by {}").format(join_words(parts))
     parts = []
     for key, ratio in ratios.items():
-        times = "" if math.isnan(ratio) else f", {_factor(ratio)}"
+        times = "" if math.isnan(ratio) else f", {_ratio_words(ratio, 'a factor of {}')}"
         of = f" in {metric_signal(key)}" if len(found.keys) > 1 else ""
         parts.append(f"{_interval(_difference(found, key, first, other), key)}{times}{of}")
     return Markup("differs by {}").format(join_words(parts))
@@ -203,19 +206,13 @@ def _ratio(found: Standings, key: str, first: str, other: str) -> float:
     return ratio if ratio >= 0 else math.nan
 
 
-def _factor(ratio: float) -> str:
-    """Write by how much two differ: in percent near one, else as a factor."""
+def _ratio_words(ratio: float, factor: str) -> str:
+    """Write by how much two differ: in percent near one, else in words in which ``{}`` is the factor."""
     percent = 100 * (ratio - 1)
     if abs(percent) < 99.5:
         sign = "+" if percent >= 0 else MINUS
         return f"{sign}{significant(abs(percent), 2)}\u00a0%"
-    return f"a factor of {significant(ratio, 2)}"
-
-
-def _times(ratio: float) -> str:
-    """Write how large one is beside another: in percent near one, else how many times."""
-    words = _factor(ratio)
-    return f"{significant(ratio, 2)} times" if words.startswith("a") else words
+    return factor.format(significant(ratio, 2))
 
 
 def _unsure(found: Standings) -> Markup:
@@ -246,7 +243,7 @@ def _offer(found: Standings, who: dict[str, ControllerResults], counting: Sequen
     parts = []
     for name, words in offers.items():
         ratio = _ratio(found, key, leaders[0].key, name)
-        behind = "" if math.isnan(ratio) else f" ({_times(ratio)})"
+        behind = "" if math.isnan(ratio) else f" ({_ratio_words(ratio, '{} times')})"
         parts.append(Markup("<i>{}</i>{} {}").format(who[name].label, behind, join_words(words)))
     return Markup("Behind, {}.").format(Markup("; ").join(parts)) if parts else Markup("")
 

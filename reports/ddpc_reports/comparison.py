@@ -13,7 +13,7 @@ from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import ReferencePoints
 from ddpc_cosim.study.following import none_follows
 from ddpc_cosim.study.shares import describe_shares, end_of, marked, shares_of
-from ddpc_cosim.study.standings import counted, summed
+from ddpc_cosim.study.standings import Standings, counted, standings, summed
 from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all
 from ddpc_cosim.texts import clipped
 from ddpc_reports.numbers import Scale, difference_symbol, time_scale, unit_symbol
@@ -170,6 +170,11 @@ class Condition:
         return tuple(case for controller in self.controllers for case in controller.cases)
 
     @cached_property
+    def standings(self) -> Standings:
+        """Where the controllers stand in this condition."""
+        return standings(self.results.study, self.cases)
+
+    @cached_property
     def _keys(self) -> tuple[str, ...]:
         everyone = (*self.controllers, *self.variants)
         return tuple(dict.fromkeys(key for one in everyone for case in one.cases for key in case.metrics))
@@ -205,6 +210,8 @@ class Condition:
 
     def compared(self, key: str) -> Comparisons:
         """Return the controllers that may be the best, compared each with each over the seeds."""
+        if key in self.standings.compared:
+            return self.standings.compared[key]
         if key not in self._compared:
             runs = {one.key: one.runs(key) for one in self.controllers if self.may_win(one)}
             self._compared[key] = compare_all(runs, metric_of(key).better)

@@ -163,7 +163,7 @@ def gather(results: Sequence[StudyResults]) -> Gathered:
                 alone = len(problems) == 1
                 parts.append(_study_part(part, of_part, len(parts) + 1, data, room, variants, alone=alone))
     head = results[0].whole.head
-    several = f"{len(parts)} studies compared"
+    several = f"{len(results)} studies compared"
     title = clipped(head.title or head.name, _LONGEST_TITLE) if len(results) == 1 else several
     return Gathered(title, parts, data)
 
@@ -303,6 +303,8 @@ class _Part:
     @cached_property
     def standings(self) -> Standings:
         """Where the controllers stand, over all scenarios."""
+        if len(self.seen) == 1:
+            return self.seen[0].standings
         return standings(self.results.study, self.results.cases)
 
     def each(
@@ -417,7 +419,7 @@ class _Part:
         return [*_statements(across_statements(self.seen)), *self.each(title, self._spread)]
 
     def _spread(self, condition: Condition, prefix: str) -> list[Block]:
-        said = [*share_statements(condition), *findings(condition)["distribution"]]
+        said = [*share_statements(condition), *findings(condition, "distribution")]
         return [
             *_figures(spread_figures(condition, prefix) if condition in self.room.spread else [], prefix),
             *_statements(said),
@@ -429,7 +431,7 @@ class _Part:
             return []
         drawn = condition in self.room.spread
         return [
-            *_statements(findings(condition)["time"]),
+            *_statements(findings(condition, "time")),
             *_tables(step_time_table(condition, prefix)),
             *_figures([step_time_figure(condition, prefix)] if drawn else [], prefix),
         ]
@@ -446,7 +448,7 @@ class _Part:
 
     def _failures(self, title: str) -> list[Block]:
         return [
-            *self.each(title, lambda one, _: _statements(findings(one)["failures"])),
+            *self.each(title, lambda one, _: _statements(findings(one, "failures"))),
             *_tables(failures_table(self.results, self.prefix)),
         ]
 
@@ -507,13 +509,13 @@ def _study_part(
 def _response_blocks(condition: Condition, prefix: str) -> list[Block]:
     if not condition.controllers:
         return []
-    return [*_statements(findings(condition)["response"]), *_tables(response_table(condition, prefix))]
+    return [*_statements(findings(condition, "response")), *_tables(response_table(condition, prefix))]
 
 
 def _limits_blocks(condition: Condition, prefix: str) -> list[Block]:
     if not condition.controllers:
         return []
-    return [*_statements(findings(condition)["limits"]), *_tables(limits_table(condition, prefix))]
+    return [*_statements(findings(condition, "limits")), *_tables(limits_table(condition, prefix))]
 
 
 def _sensitivity_blocks(condition: Condition, prefix: str) -> list[Block]:

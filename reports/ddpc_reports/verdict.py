@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
@@ -41,24 +41,29 @@ class Statement(NamedTuple):
     text: Markup
 
 
-def findings(condition: Condition) -> dict[str, list[Statement]]:
-    """Return the findings of one condition, by the section of the page that they belong to."""
-    failures = [Statement("Completed", _completeness(condition))]
-    found: dict[str, list[Statement]] = {"failures": failures, "distribution": [], "response": []}
-    found |= {"limits": [], "time": []}
+Part = Literal["failures", "distribution", "response", "limits", "time"]
+"""A section of the page that findings belong to."""
+
+
+def findings(condition: Condition, part: Part) -> list[Statement]:
+    """Return the findings of one condition that belong to a section of the page."""
+    failures = part == "failures"
+    found = [Statement("Completed", _completeness(condition))] if failures else []
     if not any(one.completed for one in condition.controllers):
         return found
+    if failures:
+        return [*found, Statement("Fallbacks", _fallbacks(condition))]
+    if part == "time":
+        return [Statement("Step time", _times(condition))]
+    bounds = [Statement("Bounds", _violations(condition))] if part == "limits" else []
     if condition.none_follows:
         nothing = Markup("<b>{}</b>, so nothing is ranked.").format(condition.none_follows)
-        found["distribution"].append(Statement("Reference", nothing))
-    else:
-        found["distribution"] += tracking(condition)
-        found["response"] += least(condition, "settled_error", "Settling", "settles closest to the reference")
-        found["limits"] += least_travel(condition)
-    found["limits"].append(Statement("Bounds", _violations(condition)))
-    found["time"].append(Statement("Step time", _times(condition)))
-    failures.append(Statement("Fallbacks", _fallbacks(condition)))
-    return found
+        return [Statement("Reference", nothing)] if part == "distribution" else bounds
+    if part == "distribution":
+        return tracking(condition)
+    if part == "response":
+        return least(condition, "settled_error", "Settling", "settles closest to the reference")
+    return [*least_travel(condition), *bounds]
 
 
 def _completeness(condition: Condition) -> Markup:

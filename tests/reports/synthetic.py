@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from ddpc_cosim.study.standings import standings
 from ddpc_reports.comparison import Condition
 from ddpc_reports.tables.ranking import ranking_table
 from ddpc_reports.tables.table import Table
-from ddpc_reports.verdict import Statement, findings
+from ddpc_reports.verdict import Part, Statement, findings
 
 SAMPLING_TIME = 0.1
 SAMPLES = 61
@@ -74,7 +74,7 @@ def make_trace(
 
 def findings_of(condition: Condition) -> list[Statement]:
     """Return all findings of a condition."""
-    return [one for part in findings(condition).values() for one in part]
+    return [one for part in get_args(Part) for one in findings(condition, part)]
 
 
 def ranked(condition: Condition) -> Table:

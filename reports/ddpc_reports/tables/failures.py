@@ -1,13 +1,12 @@
 """What went wrong, grouped by reason: runs that were lost, fallbacks, warnings before the loop."""
 
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ddpc_cosim import OK, CaseResult, Outcome, StudyResults
-from ddpc_cosim.texts import without_folders
+from ddpc_cosim.texts import NUMBER, alike, without_folders
 from ddpc_reports.comparison import labels
 from ddpc_reports.numbers import MISSING, as_given, computed, integer, with_unit
 from ddpc_reports.tables.table import Cell, Heading, Row, Table
@@ -18,8 +17,6 @@ _REASONS_SHOWN = 20
 """Reasons of a kind that have a row each."""
 _NAMED = 4
 """Controllers that are named of one reason."""
-_NUMBER = re.compile(r"(?<![A-Za-z_\d.])-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
-"""A number, and not one in a name such as ``level_1``."""
 
 
 class _Event(NamedTuple):
@@ -48,9 +45,9 @@ class _Reason:
 
     def __str__(self) -> str:
         """Return the words; of a number that is not always the same, smallest and largest."""
-        numbers = zip(*(_NUMBER.findall(text) for text in self.texts), strict=True)
+        numbers = zip(*(NUMBER.findall(text) for text in self.texts), strict=True)
         spans = iter([_span(sorted(set(given), key=float)) for given in numbers])
-        return _NUMBER.sub(lambda _: next(spans), next(iter(self.texts)))
+        return NUMBER.sub(lambda _: next(spans), next(iter(self.texts)))
 
 
 def _span(given: list[str]) -> str:
@@ -140,7 +137,7 @@ def _grouped(events: Iterable[_Event]) -> list[_Reason]:
     found: dict[str, _Reason] = {}
     for event in events:
         event = event._replace(text=without_folders(event.text))
-        found.setdefault(_NUMBER.sub("#", event.text), _Reason(event)).add(event)
+        found.setdefault(alike(event.text), _Reason(event)).add(event)
     return sorted(found.values(), key=lambda reason: -reason.events)
 
 

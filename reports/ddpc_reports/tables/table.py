@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ddpc_cosim.texts import csv_text, encodable
-from ddpc_reports.comparison import ControllerResults, Spread
+from ddpc_reports.comparison import ControllerResults
 from ddpc_reports.numbers import MISSING, column
 
 Raw = float | int | str
@@ -197,11 +197,6 @@ def number_cells(
     return [
         Cell(text, value, best=i in best) for i, (text, value) in enumerate(zip(texts, values, strict=True))
     ]
-
-
-def range_texts(spreads: Sequence[Spread]) -> list[str]:
-    """Write the ranges of a column with common decimals; a dash where there is no range."""
-    return interval_texts([(s.low, s.high) if s.varies else (math.nan, math.nan) for s in spreads])
 
 
 def interval_texts(ends: Sequence[tuple[float, float]]) -> list[str]:
