@@ -6,6 +6,7 @@ from .controller import (
     Action as Action,
     Bounds as Bounds,
     Controller as Controller,
+    ControllerCode as ControllerCode,
     Loop as Loop,
     Recording as Recording,
     Sample as Sample,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from ddpc_cosim.csv_files import TIME_TOLERANCE, Column, read_table, write_table
-from ddpc_cosim.errors import DataError
+from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.settings import SettingsError, check_settings, instead_of, to_plain
 from ddpc_cosim.variables import FloatArray, Variable
 from fmu_plants.spelling import did_you_mean
@@ -293,6 +293,32 @@ class Action(NamedTuple):
     info: Mapping[str, float] = _NO_INFO
 
 
+@dataclass(frozen=True, slots=True)
+class ControllerCode:
+    """A started controller as C code: what :func:`ddpc_cosim.export_controller` makes an FMU of.
+
+    Parameters
+    ----------
+    sources : mapping of str to str
+        The files by name, C99 without a heap. ``controller.h`` declares a type ``ControllerState`` that holds
+        all that changes, and ::
+
+            void controller_start(ControllerState *state);
+            unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[]);
+
+        ``y`` are the controlled outputs, then the measurements that are not among them, NaN where one is
+        missing; ``r`` the setpoint r_k and after it r_{k+1} ... r_{k+preview}, the outputs of a sample side
+        by side; ``u`` takes the inputs, finite and within their bounds. The step returns 0, or a sum of
+        powers of two that say why ``u`` is a fallback; ``state->status`` is this value, and
+        ``state->iterations`` and ``state->active_bounds`` are what the optimisation needed and met.
+    statuses : mapping of int to str
+        What each of these powers of two says.
+    """
+
+    sources: Mapping[str, str]
+    statuses: Mapping[int, str]
+
+
 class Controller(ABC):
     """A sampled controller.
 
@@ -377,6 +403,21 @@ class Controller(ABC):
             beforehand, by a model or by settings, or ``"nothing"``.
         """
         return {}
+
+    def c_code(self, loop: Loop) -> ControllerCode:
+        """Return the controller, as ``start`` has left it, as C code that behaves as ``step`` does.
+
+        Parameters
+        ----------
+        loop : Loop
+            The loop it was started with.
+
+        Raises
+        ------
+        ConfigError
+            It cannot be exported, and why.
+        """
+        raise ConfigError(f"{type(self).__name__} cannot be exported: its class has no c_code()")
 
     def warnings(self) -> Sequence[str]:
         """Return what speaks against the recording or the model that it has got; valid after ``start``.

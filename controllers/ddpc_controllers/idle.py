@@ -6,11 +6,12 @@ from typing import ClassVar
 
 from ddpc_controllers.checks import knowing
 from ddpc_controllers.data.hankel import resting_input
-from ddpc_cosim import Controller, FloatArray, Loop, Sample
+from ddpc_controllers.export.code import Code, Exportable
+from ddpc_cosim import FloatArray, Loop, Sample
 
 
 @dataclass(kw_only=True)
-class Idle(Controller):
+class Idle(Exportable):
     """Inputs at rest, whatever is measured or asked for."""
 
     accepts_missing: ClassVar[bool] = True
@@ -26,3 +27,7 @@ class Idle(Controller):
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return that it uses nothing."""
         return knowing("nothing")
+
+    def c_step(self, code: Code, loop: Loop) -> str:
+        """Add the inputs at rest."""
+        return code.step(f"memcpy(u, {code.doubles(self._u)}, {len(self._u)} * sizeof(double));")

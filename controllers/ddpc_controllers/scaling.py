@@ -9,18 +9,19 @@ The methods that weigh errors are :class:`ScaledSignals`; :class:`Scaled` does t
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
 
 from ddpc_controllers.data.quality import Judgement
+from ddpc_controllers.export.code import Code, Exportable, inner_step
 from ddpc_controllers.optimisation.limits import InputLimits
 from ddpc_controllers.wrapper import SingleWrapper
 from ddpc_cosim import (
     Action,
     Bounds,
     ConfigError,
-    Controller,
     FloatArray,
     Loop,
     Sample,
@@ -81,6 +82,32 @@ class Scales:
         if isinstance(answer, Action):
             return answer._replace(u=self._in_units(answer.u))
         return self._in_units(answer)
+
+    def c_step(self, code: Code, step: Callable[[Code, Loop], str], horizon: int) -> str:
+        """Add a step in scaled signals around the one that ``step`` adds, whose horizon is given."""
+        inside = step(code, self.loop)
+        if self._trivial:
+            return inside
+        code.kernel("scaled")
+        p, q, m = len(self.y), len(self.measured), len(self.u)
+        limits = self._limits.tables()
+        scaled = code.constant(
+            "Scaled",
+            p=p,
+            q=q,
+            m=m,
+            horizon=horizon,
+            y=code.doubles(self.y),
+            measured=code.doubles(self.measured),
+            u=code.doubles(self.u),
+            **{name: code.doubles(values) for name, values in limits.items()},
+        )
+        memory = code.memory(np.zeros(2 * p + q + horizon * p))
+        return code.step(
+            f"const Sample inside = scale_sample(&{scaled}, sample, {memory});\n"
+            f"{inside}(memory, &inside, u, told);\n"
+            f"unscale_inputs(&{scaled}, u);"
+        )
 
     def misfits(self) -> list[str]:
         """Return which inputs and outputs are far from their scale, as the limits or the recording tell."""
@@ -203,7 +230,7 @@ def _scaled(variables: tuple[Variable, ...], scales: FloatArray) -> tuple[Variab
 
 
 @dataclass(kw_only=True)
-class ScaledSignals(Controller):
+class ScaledSignals(Exportable):
     """Base of the controllers that weigh errors: the method itself sees scaled signals only.
 
     Weights, noise and gains among the settings of a subclass are for scaled signals. Limits and amplitudes
@@ -247,6 +274,14 @@ class ScaledSignals(Controller):
         """Return the inputs that the method finds, in their units."""
         return self._scales.step(self._step, sample)
 
+    def c_step(self, code: Code, loop: Loop) -> str:
+        """Add the method, in scaled signals."""
+        return self._scales.c_step(code, self._c_step, self.horizon)
+
+    def _c_step(self, code: Code, loop: Loop) -> str:
+        """Add the method to the code, for a loop in scaled signals; return its step function."""
+        return super().c_step(code, loop)
+
     @abstractmethod
     def _start(self, loop: Loop) -> None:
         """Start on a loop in scaled signals."""
@@ -286,3 +321,8 @@ class Scaled(SingleWrapper):
     def step(self, sample: Sample) -> FloatArray | Action:
         """Return the controller's inputs in their own units."""
         return self._scales.step(self._inner.step, sample)
+
+    def c_step(self, code: Code, loop: Loop) -> str:
+        """Add the controller, in scaled signals."""
+        inside = self._inner.controller
+        return self._scales.c_step(code, partial(inner_step, inside), inside.horizon)

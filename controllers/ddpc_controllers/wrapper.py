@@ -6,6 +6,7 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 
 from ddpc_controllers.checks import check_settings_and
+from ddpc_controllers.export.code import Exportable
 from ddpc_controllers.optimisation.qp import StepInfo
 from ddpc_cosim import OK, Action, Controller, FloatArray, Loop, Sample, setting
 
@@ -101,7 +102,7 @@ def controller_faults(who: str, **given: object) -> list[str]:
     ]
 
 
-class Wrapper(Controller):
+class Wrapper(Exportable):
     """Base of the controllers that hold others: what one of these needs, they need."""
 
     _running: Sequence[Inner]

@@ -97,6 +97,15 @@ class InputLimits:
             elif value >= self._near_high[i]:
                 u[i] = self._high[i]
 
+    def tables(self) -> dict[str, list[float]]:
+        """Return the limits of the inputs and what counts as at them, for code in C."""
+        return {
+            "low": self._low,
+            "high": self._high,
+            "near_low": self._near_low,
+            "near_high": self._near_high,
+        }
+
     def hold(self, u: FloatArray) -> None:
         """Keep the inputs exactly within their limits, in place."""
         inputs = u[: self._inputs]

@@ -1,0 +1,292 @@
+"""The C code of one controller, put together from constants, memory and step functions."""
+
+from collections.abc import Mapping, Sequence
+from importlib.resources import files as package_files
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ddpc_controllers.data.hankel import resting_input
+from ddpc_cosim import ConfigError, Controller, ControllerCode, Loop
+from ddpc_cosim.texts import printable
+
+STATUSES: Mapping[int, str] = {
+    1: "a value is not finite: inputs held, or at rest",
+    2: "a missing measurement: the model's expectation stands in for it",
+    4: "bounds that cannot be met gave way",
+    8: "the unconstrained optimum, clipped at the input limits",
+    16: "no combination of the recorded windows has this past: the nearest is used",
+    32: "the optimisation reached the bound on its iterations",
+    64: "what was learned online was not plausible and is not used",
+}
+"""The bits of a status, as ``runtime/sample.h`` has them."""
+
+_WIDTH = 8
+_PACKAGE = __name__.partition(".")[0]
+
+
+class Exportable(Controller):
+    """Base of the controllers that can be exported: each writes its step function; wrappers use others'."""
+
+    def c_code(self, loop: Loop) -> ControllerCode:
+        """Return the started controller as C code.
+
+        Raises
+        ------
+        ConfigError
+            With these settings it cannot be exported, and why.
+        """
+        code = Code()
+        return code.controller(inner_step(self, code, loop), self.horizon, loop)
+
+    def c_step(self, code: "Code", loop: Loop) -> str:
+        """Add the started controller to the code; return the name of its step function.
+
+        Raises
+        ------
+        ConfigError
+            With these settings it cannot be exported, and why.
+        """
+        raise ConfigError(f"{type(self).__name__} cannot be exported: the method has no code in C")
+
+
+def inner_step(controller: Controller, code: "Code", loop: Loop) -> str:
+    """Add a controller, such as one that another one holds; return the name of its step function.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be exported.
+    """
+    kind = type(controller)
+    if not isinstance(controller, Exportable):
+        raise ConfigError(
+            f"{kind.__name__} cannot be exported within another controller: it is not of ddpc_controllers"
+        )
+    if not (kind.__module__.startswith(f"{_PACKAGE}.") or "c_step" in vars(kind)):
+        # What its class changes, the code of the class that it comes from does not know.
+        raise ConfigError(f"{kind.__name__} cannot be exported: the class has no c_step() of its own")
+    return controller.c_step(code, loop)
+
+
+class Code:
+    """The parts of a controller's C code, in the order in which they were added."""
+
+    def __init__(self) -> None:
+        self._parts: list[str] = []
+        self._start: list[float] = []
+        self._kernels: list[str] = []
+        self._count = 0
+
+    def doubles(self, values: ArrayLike) -> str:
+        """Return the name of a constant table of numbers, row after row; NULL for none."""
+        flat = np.asarray(values, dtype=np.float64).ravel()
+        return self._table("double", [_double(value) for value in flat.tolist()])
+
+    def sizes(self, values: Sequence[int]) -> str:
+        """Return the name of a constant table of sizes or indices (``size_t``); NULL for none."""
+        return self._table("size_t", [str(int(value)) for value in values])
+
+    def memory(self, start: ArrayLike) -> str:
+        """Return the place of numbers that the controller remembers, as an expression within a step function.
+
+        Parameters
+        ----------
+        start : array
+            Their values before the first step, row after row.
+        """
+        place = len(self._start)
+        self._start += np.asarray(start, dtype=np.float64).ravel().tolist()
+        return f"(memory + {place})"
+
+    def constant(self, kind: str, **fields: object) -> str:
+        """Return the name of a constant structure of a kernel's type.
+
+        Parameters
+        ----------
+        kind : str
+            The type.
+        **fields : object
+            Its members: numbers, and names that other calls returned.
+        """
+        name = self._name(kind.lower())
+        members = ", ".join(f".{field} = {_member(value)}" for field, value in fields.items())
+        self._parts.append(f"static const {kind} {name} = {{{members}}};")
+        return name
+
+    def kernel(self, name: str) -> None:
+        """Use the kernel ``runtime/NAME.h`` with ``runtime/NAME.c``, and what it includes."""
+        if name not in self._kernels:
+            self._kernels.append(name)
+
+    def step(self, body: str) -> str:
+        """Return the name of a step function.
+
+        Parameters
+        ----------
+        body : str
+            Statements in C that set ``u`` and ``told``, given ``memory`` and ``sample``.
+        """
+        name = self._name("step")
+        unused = [word for word in ("memory", "sample", "told") if word not in body]
+        lines = [f"(void){word};" for word in unused] + body.strip().splitlines()
+        text = "\n".join(f"    {line}".rstrip() for line in lines)
+        head = f"static void {name}(double memory[], const Sample *sample, double u[], Told *told)"
+        self._parts.append(f"{head}\n{{\n{text}\n}}")
+        return name
+
+    def controller(self, step: str, horizon: int, loop: Loop) -> ControllerCode:
+        """Return the whole code, given the step function of the outermost controller.
+
+        Parameters
+        ----------
+        step : str
+            Its name.
+        horizon : int
+            How many future references it takes; those beyond the loop's preview repeat the last one.
+        loop : Loop
+            The loop it was started with.
+        """
+        p, q, m = len(loop.outputs), len(loop.measurements), len(loop.inputs)
+        outputs = [variable.name for variable in loop.outputs]
+        others = [v.name for v in loop.measurements if v.name not in outputs]
+        places = self.sizes([[*outputs, *others].index(v.name) for v in loop.measurements])
+        preview = min(loop.preview, horizon)
+        measured = self.memory(np.zeros(q))
+        reference = self.memory(np.zeros(horizon * p))
+        last = self.memory(resting_input(loop))
+        low, high = self.doubles(loop.bounds.u_min), self.doubles(loop.bounds.u_max)
+        start = self.doubles(self._start)
+        sizes = {
+            "MEASUREMENTS": p + len(others),
+            "REFERENCES": (1 + preview) * p,
+            "INPUTS": m,
+            "MEMORY": len(self._start),
+        }
+        body = [
+            "Told told = {0, 0, 0};",
+            "double *const memory = state->memory;",
+            f"const Sample sample = {{y, {measured}, {reference}, r}};",
+            f"choose_measured(y, {places}, {q}, {measured});",
+            f"repeat_last(r, {preview}, {horizon}, {p}, {reference});",
+            f"{step}(memory, &sample, u, &told);",
+            f"hold_bounds(u, {low}, {high}, {m}, {last}, &told);",
+            "state->status = told.status;",
+            "state->iterations = told.iterations;",
+            "state->active_bounds = told.active_bounds;",
+            "return told.status;",
+        ]
+        self.kernel("sample")
+        includes = ["controller.h", *(f"{name}.h" for name in self._kernels)]
+        text = "\n".join(f"    {line}" for line in body)
+        parts = [
+            "\n".join(f'#include "{name}"' for name in includes)
+            + "\n\n#include <math.h>\n#include <stddef.h>\n#include <string.h>",
+            *self._parts,
+            _START.format(table=start),
+            f"{_STEP}\n{{\n{text}\n}}",
+        ]
+        return ControllerCode(
+            {
+                "controller.h": _HEADER.format(
+                    sizes="\n".join(f"#define CONTROLLER_{name} {size}" for name, size in sizes.items()),
+                    statuses="\n".join(f" *   {bit}: {text}" for bit, text in STATUSES.items()),
+                    y=_in_comment([*outputs, *others]),
+                    r=_in_comment(outputs),
+                    u=_in_comment([variable.name for variable in loop.inputs]),
+                    sampling_time=f"{loop.sampling_time!r} s",
+                    preview=preview,
+                ),
+                "controller.c": "\n\n".join(parts) + "\n",
+                **_runtime(self._kernels),
+            },
+            STATUSES,
+        )
+
+    def _table(self, kind: str, values: Sequence[str]) -> str:
+        if not values:
+            return "NULL"
+        name = self._name("table")
+        rows = [", ".join(values[i : i + _WIDTH]) for i in range(0, len(values), _WIDTH)]
+        text = ",\n    ".join(rows)
+        self._parts.append(f"static const {kind} {name}[{len(values)}] = {{\n    {text}}};")
+        return name
+
+    def _name(self, kind: str) -> str:
+        self._count += 1
+        return f"{kind}_{self._count}"
+
+
+_HEADER = """/* A sampled controller: call controller_step once in every sampling time of {sampling_time}.
+ *
+ *   y: {y}; NaN where one is missing
+ *   r: {r} now (the setpoint), then {preview} future samples, one after another
+ *   u: {u}, within their bounds
+ *
+ * A step returns 0, or why u is a fallback, a sum of
+{statuses}
+ *
+ * No heap, no static data that changes, no unbounded loop: several states can run side by side. */
+#ifndef CONTROLLER_H
+#define CONTROLLER_H
+
+{sizes}
+
+typedef struct {{
+    double memory[CONTROLLER_MEMORY];
+    unsigned status;
+    unsigned iterations;
+    unsigned active_bounds;
+}} ControllerState;
+
+void controller_start(ControllerState *state);
+unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[]);
+
+#endif
+"""
+
+_START = """void controller_start(ControllerState *state)
+{{
+    memcpy(state->memory, {table}, sizeof(state->memory));
+    state->status = state->iterations = state->active_bounds = 0;
+}}"""
+
+_STEP = "unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[])"
+
+
+def _runtime(kernels: Sequence[str]) -> dict[str, str]:
+    """Return the files of the kernels and of those that they include, by name."""
+    folder = package_files(_PACKAGE) / "export" / "runtime"
+    found = dict[str, str]()
+    open_ones = list(kernels)
+    while open_ones:
+        name = open_ones.pop()
+        for file in (f"{name}.h", f"{name}.c"):
+            text = (folder / file).read_text(encoding="utf-8")
+            found[file] = text
+            includes = [line.split('"')[1] for line in text.splitlines() if line.startswith('#include "')]
+            open_ones += [include.removesuffix(".h") for include in includes if include not in found]
+    return found
+
+
+def _in_comment(names: Sequence[str]) -> str:
+    """Return names as a comment in C may hold them."""
+    return printable(", ".join(names)).replace("*/", "* /").replace("/*", "/ *")
+
+
+def _member(value: object) -> str:
+    return (
+        _double(value)
+        if isinstance(value, float)
+        else str(int(value))
+        if isinstance(value, bool)
+        else str(value)
+    )
+
+
+def _double(value: Any) -> str:
+    """Return a number as a constant in C, every digit kept."""
+    if np.isnan(value):
+        return "NAN"
+    return ("-" if value < 0 else "") + "INFINITY" if np.isinf(value) else repr(float(value))

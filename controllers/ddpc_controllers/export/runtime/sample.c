@@ -1,0 +1,28 @@
+#include "sample.h"
+
+#include <math.h>
+
+void choose_measured(const double y[], const size_t places[], size_t q, double measured[])
+{
+    for (size_t i = 0; i < q; ++i) measured[i] = y[places[i]];
+}
+
+void repeat_last(const double r[], size_t preview, size_t horizon, size_t p, double reference[])
+{
+    for (size_t k = 0; k < horizon; ++k) {
+        const double *known = r + (k < preview ? k + 1 : preview) * p;
+        for (size_t i = 0; i < p; ++i) reference[k * p + i] = known[i];
+    }
+}
+
+void hold_bounds(double u[], const double low[], const double high[], size_t m, double last[], Told *told)
+{
+    for (size_t i = 0; i < m; ++i) {
+        if (!isfinite(u[i])) {
+            u[i] = last[i];
+            told->status |= STATUS_HELD;
+        }
+        u[i] = fmin(fmax(u[i], low[i]), high[i]);
+        last[i] = u[i];
+    }
+}
