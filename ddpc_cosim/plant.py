@@ -100,6 +100,57 @@ class Plant(ABC):
             raise ConfigError(f"{type(self).__name__}: no tunable parameters ({', '.join(parameters)})")
 
     @property
+    def dependencies(self) -> Mapping[str, frozenset[str]]:
+        """For each output the inputs that it depends on without delay; one left out depends on none.
+
+        Only a plant with :meth:`outputs_at` can be held to it: default: none, outputs are as ``step`` left
+        them.
+        """
+        return {}
+
+    @property
+    def can_give_outputs(self) -> bool:
+        """Whether ``outputs_at`` works."""
+        return type(self).outputs_at is not Plant.outputs_at
+
+    def outputs_at(self, u: FloatArray) -> FloatArray:
+        """Return the outputs now, at other inputs, without time passing.
+
+        Parameters
+        ----------
+        u : array, shape (m,)
+            Inputs, in their units.
+
+        Returns
+        -------
+        y : array, shape (p,)
+            Outputs at the present time, in their units; a new array at every call.
+
+        Raises
+        ------
+        ConfigError
+            The plant's outputs follow its steps only.
+        FMUStepError
+            The plant could not compute them.
+        """
+        raise ConfigError(f"{type(self).__name__}: the outputs cannot be computed without a step")
+
+    def feedthrough(self, u: FloatArray) -> FloatArray | None:
+        """Return the derivatives of the outputs by the inputs now, shape (p, m); None: not known.
+
+        Parameters
+        ----------
+        u : array, shape (m,)
+            Inputs, in their units.
+
+        Raises
+        ------
+        FMUStepError
+            The plant failed.
+        """
+        return None
+
+    @property
     def can_save_state(self) -> bool:
         """Whether ``save_state`` and ``restore_state`` work."""
         return False

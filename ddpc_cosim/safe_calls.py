@@ -102,6 +102,25 @@ def step_plant(plant: Plant, u: FloatArray, h: float, time: float) -> FloatArray
     return _outputs(plant, "step", y, time + h)
 
 
+def outputs_of_plant_at(plant: Plant, u: FloatArray, time: float) -> FloatArray:
+    """Return the outputs of a plant, shape (p,), at other inputs at ``time`` [s], which does not pass."""
+    with _PlantCall(f"{type(plant).__name__}.outputs_at", time, own=(ConfigError, FMUStepError)):
+        y = np.asarray(plant.outputs_at(u))
+    return _outputs(plant, "outputs_at", y, time)
+
+
+def feedthrough_of_plant(plant: Plant, u: FloatArray, time: float) -> FloatArray | None:
+    """Return the derivatives of a plant's outputs by its inputs, shape (p, m); None: not known."""
+    with _PlantCall(f"{type(plant).__name__}.feedthrough", time):
+        told = plant.feedthrough(u)
+        matrix = None if told is None else np.asarray(told, dtype=np.float64)
+    shape = (len(plant.outputs), len(plant.inputs))
+    if matrix is not None and matrix.shape != shape:
+        message = f"{type(plant).__name__}.feedthrough {_returned(matrix)}; needed: shape {shape}"
+        raise FMUStepError(f"{message} at t = {time:g} s", StepStatus.CRASHED, time)
+    return matrix
+
+
 def set_plant_parameters(plant: Plant, parameters: Mapping[str, ParameterValue], time: float) -> None:
     """Change tunable parameters at ``time`` [s]; a plant that refuses them raises ConfigError."""
     with _PlantCall(f"{type(plant).__name__}.set_parameters", time, own=(ConfigError, FMUStepError)):

@@ -7,7 +7,7 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
 from ddpc_cosim.fmu.instance import Instance, Slave
-from ddpc_cosim.fmu.run import Run
+from ddpc_cosim.fmu.run import Run, T
 from ddpc_cosim.variables import FloatArray
 
 
@@ -63,6 +63,11 @@ class CoSimulationRun(Run):
         """When the sample ends that is being done [s]."""
         samples = self._steps // self._substeps + 1
         return self._base_time + samples * self._substeps * self._step_size
+
+    def at_inputs(self, u: FloatArray, read: Callable[[], T]) -> T:
+        """Return what is read with other inputs u, shape (m,); clocks tick with the next step's own."""
+        self.change(lambda _: self._write_inputs(u))
+        return read()
 
     def change(self, set_values: Callable[[Instance], None]) -> None:
         """Set parameters or inputs between two samples, in event mode where it is used."""

@@ -24,6 +24,7 @@ _MOST_ITERATIONS = 1000
 class _Fmi2(Instance):
     major = 2
     types = value_types(2)
+    directional_derivative = "fmi2GetDirectionalDerivative"
 
     def _instantiate(self, *, logging: bool, **options: Any) -> None:
         self._fmu.instantiate(callbacks=fmi2_callbacks(self.log), loggingOn=logging)
@@ -58,6 +59,10 @@ class _Fmi2(Instance):
 
     def free_state(self, state: Any) -> None:
         self.call("fmi2FreeFMUstate", ctypes.byref(state))
+
+    def get_directional_derivative(self, unknowns: Any, known: Any, seed: Any, sensitivity: Any) -> None:
+        references = (unknowns, len(unknowns), known, len(known))
+        self.call(self.directional_derivative, *references, seed, sensitivity)
 
 
 class Fmi2Slave(_Fmi2, Slave):
@@ -102,7 +107,6 @@ class Fmi2Model(_Fmi2, Model):
         "fmi2GetDerivatives",
         "fmi2GetNominalsOfContinuousStates",
         "fmi2GetEventIndicators",
-        "fmi2GetDirectionalDerivative",
     )
 
     def __init__(self, origin: Origin, *, states: int, event_indicators: int) -> None:
@@ -114,11 +118,6 @@ class Fmi2Model(_Fmi2, Model):
     def sizes(self) -> tuple[int, int]:
         """Return the numbers of continuous states and of event indicators."""
         return self._sizes
-
-    def get_directional_derivative(self, unknowns: Any, known: Any, seed: Any, sensitivity: Any) -> None:
-        """Read by how much unknowns change per step ``seed`` of a known."""
-        name = self.functions.get_directional_derivative
-        self.call(name, unknowns, len(unknowns), known, len(known), seed, sensitivity)
 
     def enter_event_mode(self) -> None:
         """Go from continuous-time mode to event mode."""

@@ -22,6 +22,7 @@ _MOST_ITERATIONS = 1000
 class _Fmi3(Instance):
     major = 3
     types = value_types(3)
+    directional_derivative = "fmi3GetDirectionalDerivative"
 
     def _instantiate(self, *, logging: bool, **options: Any) -> None:
         self._fmu.instantiate(logMessage=fmi3_logger(self.log), loggingOn=logging, **options)
@@ -87,6 +88,11 @@ class _Fmi3(Instance):
 
     def free_state(self, state: Any) -> None:
         self.call("fmi3FreeFMUState", ctypes.byref(state))
+
+    def get_directional_derivative(self, unknowns: Any, known: Any, seed: Any, sensitivity: Any) -> None:
+        references = (unknowns, len(unknowns), known, len(known))
+        numbers = (seed, len(seed), sensitivity, len(sensitivity))
+        self.call(self.directional_derivative, *references, *numbers)
 
 
 class Fmi3Slave(_Fmi3, Slave):
@@ -170,7 +176,6 @@ class Fmi3Model(_Fmi3, Model):
         "fmi3GetContinuousStateDerivatives",
         "fmi3GetNominalsOfContinuousStates",
         "fmi3GetEventIndicators",
-        "fmi3GetDirectionalDerivative",
     )
 
     def __init__(self, origin: Origin, *, states: int, event_indicators: int) -> None:
@@ -194,12 +199,6 @@ class Fmi3Model(_Fmi3, Model):
         except CallError:
             return described
         return size.value
-
-    def get_directional_derivative(self, unknowns: Any, known: Any, seed: Any, sensitivity: Any) -> None:
-        """Read by how much unknowns change per step ``seed`` of a known."""
-        references = (unknowns, len(unknowns), known, len(known))
-        numbers = (seed, len(seed), sensitivity, len(sensitivity))
-        self.call(self.functions.get_directional_derivative, *references, *numbers)
 
     def enter_continuous_time_mode(self) -> None:
         """Go from event mode to continuous-time mode."""

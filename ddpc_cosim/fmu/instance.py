@@ -90,6 +90,8 @@ class Instance(ABC):
 
     major: int
     types: Mapping[str, ValueType]
+    directional_derivative = ""
+    """Name of the function for directional derivatives."""
 
     def __init__(self, origin: Origin, **options: Any) -> None:
         self.log = Log(origin.model_name)
@@ -208,6 +210,26 @@ class Instance(ABC):
         """Free a state."""
         raise CallError("FMI 1.0 knows no states of FMUs")
 
+    @property
+    def has_directional_derivatives(self) -> bool:
+        """Whether the library has the function for them; whether it works, the model description says."""
+        name = self.directional_derivative
+        return bool(name) and not is_missing(self.function(name))
+
+    def get_directional_derivative(
+        self, unknowns: Any, known: Any, seed: DoubleArray, sensitivity: DoubleArray
+    ) -> None:
+        """Read by how much unknowns change per step ``seed`` of a known.
+
+        Parameters
+        ----------
+        unknowns, known : ctypes array
+            Value references of the variables that change, and of the one that is changed.
+        seed, sensitivity : ctypes array
+            A number for every element of ``known``, and for every element of ``unknowns``.
+        """
+        raise CallError("FMI 1.0 has no directional derivatives")
+
 
 class Slave(Instance):
     """An instance for Co-Simulation."""
@@ -239,7 +261,6 @@ class ModelFunctions(NamedTuple):
     get_derivatives: str
     get_nominals: str
     get_event_indicators: str
-    get_directional_derivative: str = ""
 
 
 class Model(Instance):
@@ -295,26 +316,6 @@ class Model(Instance):
     def get_event_indicators(self, z: DoubleArray, n: int) -> None:
         """Read the event indicators."""
         self.call(self.functions.get_event_indicators, z, n)
-
-    @property
-    def has_directional_derivatives(self) -> bool:
-        """Whether the library has the function for them; whether it works, the model description says."""
-        name = self.functions.get_directional_derivative
-        return bool(name) and not is_missing(self.function(name))
-
-    def get_directional_derivative(
-        self, unknowns: Any, known: Any, seed: DoubleArray, sensitivity: DoubleArray
-    ) -> None:
-        """Read by how much unknowns change per step ``seed`` of a known.
-
-        Parameters
-        ----------
-        unknowns, known : ctypes array
-            Value references of the variables that change, and of the one that is changed.
-        seed, sensitivity : ctypes array
-            A number for every element of ``known``, and for every element of ``unknowns``.
-        """
-        raise CallError("FMI 1.0 has no directional derivatives")
 
 
 def reference_array(references: Sequence[int]) -> Any:

@@ -132,6 +132,14 @@ class IsolatedSession:
             self._end_unless_told("step", error)
             raise
 
+    def outputs_at(self, *arguments: Any) -> FloatArray:
+        """Return the outputs with other inputs: as :meth:`FMUSession.outputs_at`."""
+        return self._call(self._outputs, "outputs_at", *arguments)
+
+    def feedthrough(self, *arguments: Any) -> FloatArray | None:
+        """Return the derivatives of outputs by inputs: as :meth:`FMUSession.feedthrough`."""
+        return self._call(self._derivatives, "feedthrough", *arguments)
+
     def linearise(self, *arguments: Any) -> LinearModel:
         """Return the linear model about where the run is: as :meth:`FMUSession.linearise`."""
         return self._call(_linear_model, "linearise", *arguments)
@@ -172,6 +180,12 @@ class IsolatedSession:
     def _outputs(self, told: Any) -> FloatArray:
         if not isinstance(told, np.ndarray) or told.shape != self._reply.values.shape:
             raise ValueError("it has other outputs")
+        return told
+
+    def _derivatives(self, told: Any) -> FloatArray | None:
+        shape = (len(self.fmu.outputs), len(self.fmu.inputs))
+        if told is not None and (not isinstance(told, np.ndarray) or told.shape != shape):
+            raise ValueError("they are of other outputs")
         return told
 
     def _call(self, read: Callable[[Any], T], method: str, *arguments: Any) -> T:

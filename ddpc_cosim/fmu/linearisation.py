@@ -17,7 +17,7 @@ import numpy as np
 
 from ddpc_cosim.fmu.buffers import Port, Shapes, layout
 from ddpc_cosim.fmu.description import FMUDescription, Signal, element
-from ddpc_cosim.fmu.instance import Model, reference_array
+from ddpc_cosim.fmu.instance import Instance, Model, reference_array
 from ddpc_cosim.fmu.status import FATAL, CallError
 from ddpc_cosim.variables import FloatArray
 
@@ -69,7 +69,7 @@ def scalars(description: FMUDescription, names: Iterable[str], shapes: Shapes) -
 
 
 def directional_derivatives(
-    model: Model, unknowns: Sequence[Signal], knowns: Sequence[Signal], shapes: Shapes
+    instance: Instance, unknowns: Sequence[Signal], knowns: Sequence[Signal], shapes: Shapes
 ) -> FloatArray:
     """Return the derivatives of unknowns by knowns, shape (unknowns, knowns).
 
@@ -85,7 +85,9 @@ def directional_derivatives(
         direction = layout([known], shapes)
         seed = (c_double * direction.size)()
         seed[direction.elements[0]] = 1.0
-        model.get_directional_derivative(references, reference_array(direction.references), seed, sensitivity)
+        instance.get_directional_derivative(
+            references, reference_array(direction.references), seed, sensitivity
+        )
         matrix[:, column] = np.array(sensitivity)[rows.elements]
     return matrix
 

@@ -15,7 +15,7 @@ from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.description import Clock
 from ddpc_cosim.fmu.instance import EventInfo, Instance, Model
 from ddpc_cosim.fmu.integrators import make_integrator
-from ddpc_cosim.fmu.run import Run
+from ddpc_cosim.fmu.run import Run, T
 from ddpc_cosim.fmu.status import CallError, termination
 from ddpc_cosim.variables import FloatArray
 
@@ -37,6 +37,8 @@ class ModelExchangeRun(Run):
         Relative tolerance of the integration; the absolute one is this times the states' nominal values.
     needs_completed_step : bool
         Whether the model wants to know of every integrator step.
+    has_discrete_inputs : bool
+        Whether inputs can change at events only.
     clocks : sequence of Clock
         The input clocks that tick periodically.
     """
@@ -50,11 +52,13 @@ class ModelExchangeRun(Run):
         *,
         tolerance: float,
         needs_completed_step: bool,
+        has_discrete_inputs: bool,
         clocks: Sequence[Clock] = (),
     ) -> None:
         super().__init__(model, inputs, outputs, t0, clocks)
         self.model = model
         self._needs_completed_step = needs_completed_step
+        self._has_discrete_inputs = has_discrete_inputs
         self._held: FloatArray | None = None
         self._next_event = inf
         self._settle(t0)
@@ -76,6 +80,20 @@ class ModelExchangeRun(Run):
         if due or self._held is None or not np.array_equal(u, self._held):
             self._held = np.array(u, dtype=np.float64)
             self._event(self.time, lambda: self._write(u), due)
+
+    def at_inputs(self, u: FloatArray, read: Callable[[], T]) -> T:
+        """Return what is read with other inputs u, shape (m,), then be as before.
+
+        It is no event, which could change discrete states, unless inputs can change in nothing else.
+        """
+        if self._has_discrete_inputs:
+            self.hold(u)
+            return read()
+        try:
+            return super().at_inputs(u, read)
+        finally:
+            if self._held is not None:
+                self._write(self._held)
 
     def change(self, set_values: Callable[[Instance], None]) -> None:
         """Set parameters or inputs between two samples: an event."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
 from ddpc_cosim.fmu.archive import UnpackLimits
-from ddpc_cosim.fmu.description import FMUDescription
+from ddpc_cosim.fmu.description import FMUDescription, direct_dependencies
 from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU, for_model_exchange, unpack_fmu
@@ -217,6 +217,19 @@ class FMUPlant(Plant):
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, and inputs that are not driven, from the next step on."""
         self._session.set_parameters(parameters)
+
+    @property
+    def dependencies(self) -> Mapping[str, frozenset[str]]:
+        """For each output the inputs that it depends on directly; all, where the FMU does not say."""
+        return direct_dependencies(self.description, self._fmu.inputs, self._fmu.outputs)
+
+    def outputs_at(self, u: FloatArray) -> FloatArray:
+        """Return the outputs now, shape (p,), at other inputs u, shape (m,)."""
+        return self._session.outputs_at(np.array(u, dtype=np.float64))
+
+    def feedthrough(self, u: FloatArray) -> FloatArray | None:
+        """Return the FMU's derivatives of outputs by inputs at u, shape (p, m); None if it tells none."""
+        return self._session.feedthrough(np.array(u, dtype=np.float64))
 
     @property
     def can_linearise(self) -> bool:

@@ -4,13 +4,15 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from math import inf
-from typing import Any
+from typing import Any, TypeVar
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import Port
 from ddpc_cosim.fmu.description import Clock
 from ddpc_cosim.fmu.instance import Instance
 from ddpc_cosim.variables import FloatArray
+
+T = TypeVar("T")
 
 
 class SavedState:
@@ -123,6 +125,11 @@ class Run(ABC):
     def outputs(self) -> FloatArray:
         """Return the outputs now, shape (p,)."""
         return self._read()
+
+    def at_inputs(self, u: FloatArray, read: Callable[[], T]) -> T:
+        """Return what is read with other inputs u, shape (m,), before the next step sets its own."""
+        self._write(u)
+        return read()
 
     def change(self, set_values: Callable[[Instance], None]) -> None:
         """Set parameters or inputs between two samples."""

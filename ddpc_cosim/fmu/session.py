@@ -28,6 +28,7 @@ from ddpc_cosim.fmu.linearisation import (
     DERIVATIVES,
     Derivatives,
     LinearModel,
+    directional_derivatives,
     has_directional_derivatives,
     linearisation_faults,
     linearise,
@@ -281,6 +282,27 @@ class FMUSession:
                 directional=told and derivatives != "differences",
             )
 
+    def outputs_at(self, u: FloatArray) -> FloatArray:
+        """Return the outputs now with other inputs u, shape (m,)."""
+        run = self._started("outputs_at")
+        with self._told():
+            return run.at_inputs(u, run.outputs)
+
+    def feedthrough(self, u: FloatArray) -> FloatArray | None:
+        """Return the derivatives of the outputs by the inputs, shape (p, m), at u; None: not known."""
+        run, fmu = self._started("feedthrough"), self.fmu
+        declared = all(s.source.causality == "output" and s.source.values == "real" for s in fmu.outputs)
+        has_them = fmu.interface.provides_directional_derivatives and run.instance.has_directional_derivatives
+        if not (declared and has_them and all(s.source.variability == "continuous" for s in fmu.inputs)):
+            return None
+        arguments = run.instance, fmu.outputs, fmu.inputs, self._shapes
+        try:
+            return run.at_inputs(u, lambda: directional_derivatives(*arguments))
+        except CallError as error:
+            if error.code == FATAL:
+                raise self._failure(error) from error
+            return None
+
     def save_state(self) -> object:
         """Return a copy of the FMU's state, for :meth:`restore_state` of the same run."""
         run = self._started("save_state")
@@ -422,6 +444,7 @@ def _start_run(fmu: UnpackedFMU, instance: Instance, inputs: Port, outputs: Port
         t0,
         tolerance=min(max(fmu.tolerance or _DEFAULT_TOLERANCE, low), high),
         needs_completed_step=needs_completed_step,
+        has_discrete_inputs=any(signal.source.variability == "discrete" for signal in fmu.inputs),
         clocks=clocks,
     )
 

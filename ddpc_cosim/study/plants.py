@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.plugins import hash_of_code, load_plugin
 from ddpc_cosim.safe_calls import (
     close_plant,
+    feedthrough_of_plant,
     make_plant,
+    outputs_of_plant_at,
     plant_provenance,
     reset_plant,
     set_plant_parameters,
@@ -363,6 +365,11 @@ class PythonPlant(Plant):
     def _time(self) -> float:
         return self._t0 + self._steps * self._h
 
+    def _every(self, u: FloatArray) -> FloatArray:
+        every = self._u.copy()
+        every[self._driven] = u
+        return every
+
     def plan(self, sampling_time: float, stop_time: float) -> None:
         """Announce sampling and stop time of the next runs."""
         self._plant.plan(sampling_time, stop_time)
@@ -374,11 +381,43 @@ class PythonPlant(Plant):
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the driven inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
-        every = self._u.copy()
-        every[self._driven] = u
-        y = step_plant(self._plant, every, h, self._time)
+        y = step_plant(self._plant, self._every(u), h, self._time)
         self._steps, self._h = self._steps + 1, h
         return y
+
+    @property
+    def dependencies(self) -> Mapping[str, frozenset[str]]:
+        """For each output the driven inputs that it depends on without delay."""
+        driven = names(self.inputs)
+        return {name: on.intersection(driven) for name, on in self._plant.dependencies.items()}
+
+    @property
+    def can_give_outputs(self) -> bool:
+        """Whether the plant's ``outputs_at`` works."""
+        return self._plant.can_give_outputs
+
+    def outputs_at(self, u: FloatArray) -> FloatArray:
+        """Return the outputs now, shape (p,), at other driven inputs u, shape (m,)."""
+        return outputs_of_plant_at(self._plant, self._every(u), self._time)
+
+    def feedthrough(self, u: FloatArray) -> FloatArray | None:
+        """Return the derivatives of the outputs by the driven inputs, shape (p, m); None: not known."""
+        matrix = feedthrough_of_plant(self._plant, self._every(u), self._time)
+        return None if matrix is None else matrix[:, self._driven]
+
+    @property
+    def can_save_state(self) -> bool:
+        """Whether the plant's state can be saved."""
+        return self._plant.can_save_state
+
+    def save_state(self) -> object:
+        """Return a copy of the plant's state, and of the time."""
+        return self._plant.save_state(), self._t0, self._steps, self._h
+
+    def restore_state(self, state: object) -> None:
+        """Go back to a state."""
+        saved, self._t0, self._steps, self._h = cast("tuple[object, float, int, float]", state)
+        self._plant.restore_state(saved)
 
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters from the next step on."""

@@ -342,6 +342,19 @@ def elements_of(variable: FMUVariable) -> str:
     return ", ".join(named) + (f" and {hidden} more" if hidden > 0 else "")
 
 
+def direct_dependencies(
+    description: FMUDescription, inputs: Sequence[Signal], outputs: Sequence[Signal]
+) -> dict[str, frozenset[str]]:
+    """Return for outputs the inputs that they depend on directly: all, where the FMU does not say."""
+    found = {}
+    for output in outputs:
+        source = output.source
+        known = description.dependencies.get(source.alias_of or source.name)
+        on = [s for s in inputs if known is None or (s.source.alias_of or s.source.name) in known]
+        found[output.variable.name] = frozenset(signal.variable.name for signal in on)
+    return found
+
+
 _READABLE = ("output", "local", "parameter", "calculatedParameter", "input")
 
 
