@@ -14,6 +14,7 @@ from importlib import import_module
 import numpy as np
 
 from ddpc_controllers.checks import weight_matrices
+from ddpc_controllers.export.code import Code
 from ddpc_controllers.models.control_api import regulator_gain
 from ddpc_controllers.models.kalman import ModelBased
 from ddpc_controllers.optimisation.limits import SUM_HELD
@@ -85,6 +86,22 @@ class LQR(ModelBased):
         u: FloatArray = np.clip(wanted, self._bounds.u_min, self._bounds.u_max)
         self._sum = total - self._sums_of_inputs @ (u - wanted)
         return u, "" if known.all() else SUM_HELD
+
+    def _c_decide(self, code: Code, loop: Loop, observer: str) -> str:
+        code.kernel("regulator")
+        m, p = len(loop.inputs), len(loop.outputs)
+        tables = {
+            "u_0": self._u_0,
+            "state_gain": np.hstack([self._state_gain, np.zeros((m, 1))]),
+            "sum_gain": self._sum_gain,
+            "sums_of_inputs": self._sums_of_inputs,
+            "low": self._bounds.u_min,
+            "high": self._bounds.u_max,
+        }
+        named = {name: code.doubles(table) for name, table in tables.items()}
+        regulator = code.constant("Regulator", observer=f"&{observer}", **named)
+        sums, scratch = code.memory(np.zeros(1 + p)), code.memory(np.zeros(m + p))
+        return f"regulate(&{regulator}, estimate, {sums}, {scratch}, sample, u, told);"
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, and its fit."""

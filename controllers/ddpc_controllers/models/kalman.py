@@ -19,6 +19,7 @@ import numpy as np
 from ddpc_controllers.checks import check_settings_and, knowing
 from ddpc_controllers.data.hankel import numerical_rank, resting_input
 from ddpc_controllers.data.quality import Judgement, Span, judge
+from ddpc_controllers.export.code import Code
 from ddpc_controllers.models.control_api import estimator_covariance
 from ddpc_controllers.models.identification import Identified
 from ddpc_controllers.models.linear import ModelSource, SampledModel
@@ -104,10 +105,16 @@ class Observer:
 
     def rest(self, u: FloatArray, y: FloatArray) -> None:
         """Suppose that the plant rests at u, shape (m,), and y, shape (p,), as nearly as it can."""
-        free = slice(None, -1)
+        self.state[:] = self.resting_law(u) @ np.append(y, 1.0)
+
+    def resting_law(self, u: FloatArray) -> FloatArray:
+        """Return the state at rest at u, given ``(y, 1)``: shape (n + nd + 1, p + 1)."""
+        free, p = slice(None, -1), len(self.c)
         steady = np.vstack([self.a[free, free] - np.eye(len(self.a) - 1), self.c[:, free]])
-        target = np.concatenate([-self.a[free, -1] - self.b[free] @ u, y - self.c[:, -1]])
-        self.state[free] = np.linalg.lstsq(steady, target, rcond=_DETECTABLE)[0]
+        constant = np.append(-self.a[free, -1] - self.b[free] @ u, -self.c[:, -1])
+        target = np.column_stack([np.eye(len(constant), p, k=p - len(constant)), constant])
+        law = np.linalg.lstsq(steady, target, rcond=_DETECTABLE)[0]
+        return np.vstack([law, np.eye(1, p + 1, k=p)])
 
     def correct(self, y: FloatArray) -> None:
         """Take a measurement, shape (p,), as far as it is finite."""
@@ -117,6 +124,20 @@ class Observer:
     def predict(self, u: FloatArray) -> None:
         """Go on by one sample with inputs u, shape (m,)."""
         self.state[:] = self.a @ self.state + self.b @ u
+
+    def constant(self, code: Code, resting: FloatArray) -> str:
+        """Add the filter to code in C, given the inputs at rest; return its name."""
+        code.kernel("observer")
+        p, n = self.c.shape
+        tables = {
+            "a": self.a,
+            "b": self.b,
+            "c": self.c,
+            "gain": np.vstack([self._gain, np.zeros((1, p))]),
+            "rest": self.resting_law(resting),
+        }
+        named = {name: code.doubles(table) for name, table in tables.items()}
+        return code.constant("Observer", m=self.b.shape[1], p=p, n=n, **named)
 
     def follow(self, u: FloatArray, y: FloatArray) -> None:
         """Run along a recording that begins at rest: u, shape (T, m), and y, shape (T, p)."""
@@ -281,6 +302,23 @@ class ModelBased(ScaledSignals):
         self._observer.predict(u)
         self._u = u.copy()
         return action(u, fallback or missing, self._told)
+
+    def _c_step(self, code: Code, loop: Loop) -> str:
+        """Add the filter and what decides to the code."""
+        state = self._observer.state
+        observer = self._observer.constant(code, self._u)
+        scratch = np.zeros(len(state) + len(loop.outputs))
+        memory = code.memory([self._resting, *self._u, *state, *scratch])
+        return code.step(
+            f"const Estimate estimate = estimate_in(&{observer}, {memory});\n"
+            f"if (!observe(&{observer}, estimate, sample->y, u, told)) return;\n"
+            f"{self._c_decide(code, loop, observer)}\n"
+            f"predict(&{observer}, estimate, u);"
+        )
+
+    def _c_decide(self, code: Code, loop: Loop, observer: str) -> str:
+        """Return statements in C that decide on u, given the ``estimate`` of a named observer."""
+        return super()._c_step(code, loop)  # which refuses
 
     @abstractmethod
     def _decide(self, sample: Sample) -> tuple[FloatArray, str]:

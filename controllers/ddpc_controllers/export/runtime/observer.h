@@ -1,0 +1,34 @@
+/* A steady Kalman filter of a linear model: what Observer and ModelBased do in Python. */
+#ifndef OBSERVER_H
+#define OBSERVER_H
+
+#include "sample.h"
+
+#include <stdbool.h>
+
+typedef struct {
+    size_t m, p, n;           /* inputs, outputs, and states with the 1 that ends them */
+    const double *a, *b, *c;  /* the model, n x n, n x m and p x n */
+    const double *gain;       /* n x p, its last row zero */
+    const double *rest;       /* n x (p + 1): the state at rest, given the outputs and 1 */
+} Observer;
+
+/* What changes, as it lies in memory. */
+typedef struct {
+    double *resting; /* 1 until there is a finite measurement, else 0 */
+    double *u;       /* m inputs applied last */
+    double *state;   /* n states */
+    double *scratch; /* n + p numbers */
+} Estimate;
+
+Estimate estimate_in(const Observer *observer, double memory[]);
+
+/* Correct the estimate by the outputs measured now, as far as they are finite.
+ *
+ * Returns false while none was; u are the inputs at rest then. */
+bool observe(const Observer *observer, Estimate estimate, const double y[], double u[], Told *told);
+
+/* Go on by one sample with inputs u. */
+void predict(const Observer *observer, Estimate estimate, const double u[]);
+
+#endif
