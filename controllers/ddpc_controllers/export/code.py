@@ -116,7 +116,7 @@ class Code:
         return name
 
     def kernel(self, name: str) -> None:
-        """Use the kernel ``runtime/NAME.h`` with ``runtime/NAME.c``, and what it includes."""
+        """Use the kernel NAME.h with NAME.c, of ``runtime`` or a folder in it, and what it includes."""
         if name not in self._kernels:
             self._kernels.append(name)
 
@@ -257,14 +257,16 @@ _STEP = "unsigned controller_step(ControllerState *state, const double y[], cons
 
 def _runtime(kernels: Sequence[str]) -> dict[str, str]:
     """Return the files of the kernels and of those that they include, by name."""
-    folder = package_files(_PACKAGE) / "export" / "runtime"
+    entries = (package_files(_PACKAGE) / "export" / "runtime").iterdir()
+    files = {
+        file.name: file for entry in entries for file in (entry.iterdir() if entry.is_dir() else [entry])
+    }
     found = dict[str, str]()
     open_ones = list(kernels)
     while open_ones:
         name = open_ones.pop()
         for file in (f"{name}.h", f"{name}.c"):
-            text = (folder / file).read_text(encoding="utf-8")
-            found[file] = text
+            text = found[file] = files[file].read_text(encoding="utf-8")
             includes = [line.split('"')[1] for line in text.splitlines() if line.startswith('#include "')]
             open_ones += [include.removesuffix(".h") for include in includes if include not in found]
     return found

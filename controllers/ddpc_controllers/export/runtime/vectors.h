@@ -1,9 +1,11 @@
-/* Matrices, row after row, and windows of samples. */
-#ifndef DENSE_H
-#define DENSE_H
+/* Vectors, matrices row after row, and windows of samples. */
+#ifndef VECTORS_H
+#define VECTORS_H
 
 #include <stdbool.h>
 #include <stddef.h>
+
+double dot(const double a[], const double b[], size_t n);
 
 /* y = A x */
 void multiply(const double a[], const double x[], size_t rows, size_t columns, double y[]);

@@ -1,6 +1,6 @@
 #include "regulator.h"
 
-#include "dense.h"
+#include "vectors.h"
 
 #include <math.h>
 
@@ -26,7 +26,7 @@ void regulate(const Regulator *regulator, Estimate estimate, double sums[], doub
         else told->status |= STATUS_HELD;
     }
     for (size_t i = 0; i < m; ++i) {
-        for (size_t j = 0; j < p; ++j) wanted[i] -= regulator->sum_gain[i * p + j] * sum[j];
+        wanted[i] -= dot(regulator->sum_gain + i * p, sum, p);
         u[i] = clip(wanted[i], regulator->low[i], regulator->high[i]);
         wanted[i] -= u[i];
     }

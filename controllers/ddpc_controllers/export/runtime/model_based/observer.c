@@ -1,6 +1,6 @@
 #include "observer.h"
 
-#include "dense.h"
+#include "vectors.h"
 
 #include <math.h>
 #include <string.h>

@@ -1,21 +1,31 @@
-#include "dense.h"
+#include "vectors.h"
 
 #include <math.h>
 #include <string.h>
 
+/* Four sums at a time: one alone waits for itself. */
+double dot(const double a[], const double b[], size_t n)
+{
+    double sums[4] = {0.0, 0.0, 0.0, 0.0};
+    size_t i = 0;
+    for (; i + 4 <= n; i += 4) {
+        sums[0] += a[i] * b[i];
+        sums[1] += a[i + 1] * b[i + 1];
+        sums[2] += a[i + 2] * b[i + 2];
+        sums[3] += a[i + 3] * b[i + 3];
+    }
+    for (; i < n; ++i) sums[0] += a[i] * b[i];
+    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
+}
+
 void multiply(const double a[], const double x[], size_t rows, size_t columns, double y[])
 {
-    for (size_t i = 0; i < rows; ++i) y[i] = 0.0;
-    add_product(a, x, rows, columns, y);
+    for (size_t i = 0; i < rows; ++i) y[i] = dot(a + i * columns, x, columns);
 }
 
 void add_product(const double a[], const double x[], size_t rows, size_t columns, double y[])
 {
-    for (size_t i = 0; i < rows; ++i) {
-        double sum = 0.0;
-        for (size_t j = 0; j < columns; ++j) sum += a[i * columns + j] * x[j];
-        y[i] += sum;
-    }
+    for (size_t i = 0; i < rows; ++i) y[i] += dot(a + i * columns, x, columns);
 }
 
 double clip(double value, double low, double high)
