@@ -1,4 +1,4 @@
-"""From a plant model to an FMU file."""
+"""From a plant model, or a sampled block, to an FMU file."""
 
 import hashlib
 import importlib.util
@@ -14,23 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from fmu_plants.export.compiler import Compiler, compile_library, cross_compiler, find_compiler
-from fmu_plants.export.description import Description
+from fmu_plants.export.description import Contents, Description, plant_contents
 from fmu_plants.export.platforms import Platform, binary_files, parse_platforms
+from fmu_plants.export.sampled_block import SampledBlock
 from fmu_plants.files import cached, write_atomically, zip_bytes
 from fmu_plants.model import ExportError, ExportUsageError, PlantModel
 
 DEFAULT_TOLERANCE = 1e-10
 FMI_VERSIONS = ("2.0", "3.0")
-_RUNTIME = (
-    "model.h",
-    "dopri54.h",
-    "dopri54.c",
-    "simulation.h",
-    "simulation.c",
-    "instance.h",
-    "instance.c",
-    "interfaces.c",
-)
+_RUNTIME = ("model.h", "simulation.h", "instance.h", "instance.c")
+_INTEGRATION = ("dopri54.h", "dopri54.c", "integration.h", "integration.c", "interfaces.c")
+_SAMPLED = ("sampled_block.h", "sampled_block.c")
 _FRONT_ENDS = {"2.0": "fmi2.c", "3.0": "fmi3.c"}
 _HEADERS = {
     "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
@@ -56,7 +50,7 @@ class FMUSource:
     fmi_version : str
         The standard it follows.
     descriptions : mapping of str to str
-        Texts of the description files by name inside the FMU.
+        Texts of the description files and resources by name inside the FMU.
     sources : mapping of str to str
         The C files by name.
     with_sources : bool
@@ -127,6 +121,28 @@ def export_fmu(
         absolute_tolerance,
         with_sources=platforms is None,
     )
+    return _write(source, path, compilers, progress)
+
+
+def export_block(
+    block: SampledBlock,
+    path: str | Path,
+    fmi_version: str = "2.0",
+    *,
+    platforms: str | Sequence[str] | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a sampled block as a standalone FMU for Co-Simulation, with its C code in `sources`.
+
+    Parameters and errors as of `export_fmu`.
+    """
+    compilers = _compilers(platforms)
+    sources = {**block.sources, **_runtime(*_SAMPLED)}
+    source = _fmu_source(fmi_version, block.contents(), block.code(), sources, block.resources)
+    return _write(source, Path(path), compilers, progress)
+
+
+def _write(source: FMUSource, path: Path, compilers: Sequence[Compiler], progress: Progress | None) -> Path:
     content = _archive(source, compilers, progress)
     try:
         write_atomically(path, content)
@@ -170,30 +186,49 @@ def fmu_source(
     from fmu_plants.equations import resolve
     from fmu_plants.export.ccode import model_source
 
-    if fmi_version not in _FRONT_ENDS:
-        available = ", ".join(FMI_VERSIONS)
-        raise ExportUsageError(f"FMI version {fmi_version!r} cannot be exported; available: {available}")
     tolerances = (relative_tolerance, absolute_tolerance)
     for name, value in zip(("relative_tolerance", "absolute_tolerance"), tolerances, strict=True):
         if not (isfinite(value) and value > 0):
             raise ExportUsageError(f"{name} must be positive and finite, not {value}")
     symbolic = resolve(model)
-    uses = symbolic.dependencies()
-    runtime = package_files("fmu_plants") / "runtime"
-    names = (*_RUNTIME, _FRONT_ENDS[fmi_version])
-    sources = {name: (runtime / name).read_text(encoding="utf-8") for name in names}
-    # The code of the model is the same but for the GUID in it, which its own text decides on.
+    contents = plant_contents(model, symbolic.dependencies(), relative_tolerance)
     code = model_source(model, symbolic, *tolerances)
+    return _fmu_source(fmi_version, contents, code, _runtime(*_INTEGRATION), {}, with_sources=with_sources)
 
+
+def _runtime(*names: str) -> dict[str, str]:
+    """Return files of the C side by name, with those that every FMU has."""
+    folder = package_files("fmu_plants") / "runtime"
+    return {name: (folder / name).read_text(encoding="utf-8") for name in (*_RUNTIME, *names)}
+
+
+def _fmu_source(
+    fmi_version: str,
+    contents: Contents,
+    code: str,
+    sources: Mapping[str, str],
+    resources: Mapping[str, str],
+    *,
+    with_sources: bool = True,
+) -> FMUSource:
+    """Put together what an FMU consists of; the code, with an empty GUID, is that of its `model.c`."""
+    if fmi_version not in _FRONT_ENDS:
+        available = ", ".join(FMI_VERSIONS)
+        raise ExportUsageError(f"FMI version {fmi_version!r} cannot be exported; available: {available}")
+    front_end = (package_files("fmu_plants") / "runtime" / _FRONT_ENDS[fmi_version]).read_text("utf-8")
+    others = {**sources, _FRONT_ENDS[fmi_version]: front_end}
+    texts = {f"resources/{name}": text for name, text in resources.items()}
+
+    # The code of the model is the same but for the GUID in it, which its own text decides on.
     def described(guid: str) -> FMUSource:
-        all_sources = {_MODEL_SOURCE: code.replace('.guid = ""', f'.guid = "{guid}"'), **sources}
+        all_sources = {_MODEL_SOURCE: code.replace('.guid = ""', f'.guid = "{guid}"'), **others}
         listed = [name for name in all_sources if name.endswith(".c") and with_sources]
-        description = Description(fmi_version, model, uses, guid, relative_tolerance, listed)
-        return FMUSource(model.name, guid, fmi_version, description.files(), all_sources, with_sources)
+        files = Description(fmi_version, contents, guid, listed).files() | texts
+        return FMUSource(contents.name, guid, fmi_version, files, all_sources, with_sources)
 
     without_guid = described(guid="")
-    texts = {**without_guid.descriptions, **without_guid.sources}
-    digest = _digest([text for item in sorted(texts.items()) for text in item])
+    all_texts = {**without_guid.descriptions, **without_guid.sources}
+    digest = _digest([text for item in sorted(all_texts.items()) for text in item])
     return described(guid=f"{{{uuid.UUID(digest[:32])}}}")
 
 

@@ -4,14 +4,13 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files as package_files
-from math import inf
 
 import sympy
 from sympy.codegen.rewriting import create_expand_pow_optimization
 from sympy.printing.c import C99CodePrinter
 
 from fmu_plants.equations import Partial, SymbolicModel
-from fmu_plants.export.description import Scalar, scalars
+from fmu_plants.export.description import Scalar, c_number, scalars, variable_table
 from fmu_plants.model import TIME, ModelError, PlantModel
 
 LARGEST_WRITTEN_OUT_POWER = 4  # x*x*x*x is faster than pow(x, 4) and just as exact
@@ -94,7 +93,7 @@ def model_source(
             "",
             "#include <math.h>",
             "",
-            _variable_table(layout),
+            variable_table(layout),
             "",
             *_partial_table(elements, layout),
             *_legend(model),
@@ -114,8 +113,8 @@ def model_source(
             f"    .n_partials = {len(elements)},",
             "    .variables = variables,",
             f"    .partials = {'partials' if elements else '0'},",
-            f"    .relative_tolerance = {_number(relative_tolerance)},",
-            f"    .absolute_tolerance = {_number(absolute_tolerance)},",
+            f"    .relative_tolerance = {c_number(relative_tolerance)},",
+            f"    .absolute_tolerance = {c_number(absolute_tolerance)},",
             "    .derivatives = derivatives,",
             "    .outputs = outputs,",
             "    .jacobian = jacobian,",
@@ -123,21 +122,6 @@ def model_source(
             "",
         ]
     )
-
-
-def _number(value: float) -> str:
-    if value in (inf, -inf):
-        return "INFINITY" if value > 0 else "-INFINITY"
-    return repr(float(value))
-
-
-def _variable_table(layout: Sequence[Scalar]) -> str:
-    def row(scalar: Scalar) -> str:
-        v = scalar.variable
-        numbers = ", ".join(_number(value) for value in (v.start, v.min, v.max, v.nominal))
-        return f'    {{"{v.name}", {scalar.kind.value}, {numbers}}},'
-
-    return "\n".join(["static const Variable variables[] = {", *map(row, layout), "};"])
 
 
 def _partial_table(elements: Sequence[Partial], layout: Sequence[Scalar]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The description files of a plant's FMU, for FMI 2.0 and FMI 3.0, and the order of its variables.
+"""The description files of an FMU, for FMI 2.0 and FMI 3.0, and the order of a plant's variables.
 
 The C code follows the same order, block by block as in `runtime/model.h`: time, states, derivatives, inputs,
 computed outputs, parameters. The value reference of a variable is its position.
@@ -6,10 +6,11 @@ computed outputs, parameters. The value reference of a variable is its position.
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from importlib.metadata import version
-from math import isinf
+from math import inf, isinf
 from xml.etree import ElementTree as ET
 
 from fmu_plants.model import TIME, Parameter, PlantModel, Variable, derivative_name
@@ -28,6 +29,8 @@ class Kind(Enum):
     OUTPUT = "VARIABLE_OUTPUT"
     FIXED_PARAMETER = "VARIABLE_FIXED_PARAMETER"
     TUNABLE_PARAMETER = "VARIABLE_TUNABLE_PARAMETER"
+    SAMPLE = "VARIABLE_SAMPLE"
+    HELD = "VARIABLE_HELD"
 
 
 # causality, variability, initial (FMI 2.0, section 2.2.7; FMI 3.0, section 2.4.7)
@@ -39,8 +42,11 @@ _ROLES = {
     Kind.OUTPUT: ("output", "continuous", "calculated"),
     Kind.FIXED_PARAMETER: ("parameter", "fixed", "exact"),
     Kind.TUNABLE_PARAMETER: ("parameter", "tunable", "exact"),
+    Kind.SAMPLE: ("input", "discrete", None),
+    Kind.HELD: ("output", "discrete", "calculated"),
 }
-_WITH_START = {Kind.STATE, Kind.INPUT, Kind.FIXED_PARAMETER, Kind.TUNABLE_PARAMETER}
+_WITH_START = {Kind.STATE, Kind.INPUT, Kind.SAMPLE, Kind.FIXED_PARAMETER, Kind.TUNABLE_PARAMETER}
+_COMPUTED = {Kind.DERIVATIVE, Kind.OUTPUT, Kind.HELD}
 _LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logAll")
 _CAPABILITIES = {
     "2.0": {
@@ -48,14 +54,15 @@ _CAPABILITIES = {
         "canNotUseMemoryManagementFunctions": "true",
         "canGetAndSetFMUstate": "true",
         "canSerializeFMUstate": "true",
-        "providesDirectionalDerivative": "true",
     },
     "3.0": {
         "canGetAndSetFMUState": "true",
         "canSerializeFMUState": "true",
-        "providesDirectionalDerivatives": "true",
-        "providesAdjointDerivatives": "true",
     },
+}
+_DERIVATIVES = {
+    "2.0": {"providesDirectionalDerivative": "true"},
+    "3.0": {"providesDirectionalDerivatives": "true", "providesAdjointDerivatives": "true"},
 }
 
 
@@ -88,6 +95,34 @@ def scalars(model: PlantModel) -> tuple[Scalar, ...]:
     )
 
 
+def variable_table(layout: Sequence[Scalar]) -> str:
+    """Return the variables as the constant table of the C code; what is sampled has no range there."""
+
+    def row(scalar: Scalar) -> str:
+        v = scalar.variable
+        limits = (-inf, inf) if scalar.kind is Kind.SAMPLE else (v.min, v.max)
+        numbers = ", ".join(map(c_number, (v.start, *limits, v.nominal)))
+        return f"    {{{c_text(v.name)}, {scalar.kind.value}, {numbers}}},"
+
+    return "\n".join(["static const Variable variables[] = {", *map(row, layout), "};"])
+
+
+def c_number(value: float) -> str:
+    """Return a number as C spells it."""
+    if value in (inf, -inf):
+        return "INFINITY" if value > 0 else "-INFINITY"
+    return repr(float(value))
+
+
+def c_text(text: str) -> str:
+    """Return a text as C spells it, in UTF-8 whatever the compiler takes its sources for."""
+    plain = "".join(
+        chr(byte) if 32 <= byte < 127 and chr(byte) not in '"\\?' else f"\\{byte:03o}"
+        for byte in text.encode("utf-8", errors="replace")
+    )
+    return f'"{plain}"'
+
+
 def _derivative_unit(unit: str) -> str:
     """Return the unit of a derivative by time: rad -> rad/s, m/s -> m/s2, degC -> K/s."""
     if parse_unit(unit).offset:
@@ -102,29 +137,68 @@ def _parameter_kind(parameter: Parameter) -> Kind:
 
 
 @dataclass(frozen=True, slots=True)
+class Contents:
+    """What an FMU is, whatever it is made from.
+
+    Parameters
+    ----------
+    name : str
+        The model identifier.
+    description : str
+        A line for people.
+    layout : tuple of Scalar
+        The variables, in the order of their value references.
+    outputs : tuple of str
+        Names of those that are outputs.
+    dependencies : mapping of str to frozenset of str
+        Names of the variables that each derivative and each computed output is a function of.
+    experiment : mapping of str to float
+        The attributes of the default experiment.
+    sampling_time : float
+        Of a sampled block [s], which is for Co-Simulation only; 0: it is integrated.
+    """
+
+    name: str
+    description: str
+    layout: tuple[Scalar, ...]
+    outputs: tuple[str, ...]
+    dependencies: Mapping[str, frozenset[str]]
+    experiment: Mapping[str, float]
+    sampling_time: float = 0.0
+
+
+def plant_contents(
+    model: PlantModel, dependencies: Mapping[str, frozenset[str]], relative_tolerance: float
+) -> Contents:
+    """Return what the FMU of a plant is; the tolerance is the default of its integrator."""
+    return Contents(
+        model.name,
+        f"{model.description} ({model.source})" if model.source else model.description,
+        scalars(model),
+        tuple(output.name for output in model.outputs),
+        {state.name: frozenset([state.name]) for state in model.states} | dict(dependencies),
+        {"stopTime": model.stop_time, "tolerance": relative_tolerance, "stepSize": model.step_size},
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Description:
-    """What the description files of a plant are written from.
+    """What the description files of an FMU are written from.
 
     Parameters
     ----------
     fmi_version : str
         ``"2.0"`` or ``"3.0"``.
-    model : PlantModel
-    dependencies : mapping of str to frozenset of str
-        Names of the variables that each derivative and each computed output is a function of.
+    contents : Contents
     guid : str
         What the library checks at instantiation.
-    relative_tolerance : float
-        Default of the integrator.
     sources : sequence of str
         Names of the C files below ``sources``; none if the FMU does not contain them.
     """
 
     fmi_version: str
-    model: PlantModel
-    dependencies: Mapping[str, frozenset[str]]
+    contents: Contents
     guid: str
-    relative_tolerance: float
     sources: Sequence[str]
 
     @property
@@ -147,39 +221,33 @@ def _xml_text(root: ET.Element) -> str:
 
 
 def _model_description(description: Description) -> ET.Element:
-    model, layout = description.model, scalars(description.model)
+    contents = description.contents
     root = ET.Element(
         "fmiModelDescription",
         {
             "fmiVersion": description.fmi_version,
-            "modelName": model.name,
+            "modelName": contents.name,
             "guid" if description.is_fmi2 else "instantiationToken": description.guid,
-            "description": f"{model.description} ({model.source})" if model.source else model.description,
+            "description": contents.description,
             "generationTool": f"ddpc-cosim {version('ddpc-cosim')}",
-            "variableNamingConvention": "structured",
+            "variableNamingConvention": "flat" if contents.sampling_time else "structured",
         },
     )
     _add_interfaces(root, description)
-    _add_units(root, layout)
+    _add_units(root, contents.layout)
     categories = ET.SubElement(root, "LogCategories")
     for name in _LOG_CATEGORIES:
         ET.SubElement(categories, "Category", name=name)
-    ET.SubElement(
-        root,
-        "DefaultExperiment",
-        startTime="0.0",
-        stopTime=repr(float(model.stop_time)),
-        tolerance=repr(float(description.relative_tolerance)),
-        stepSize=repr(float(model.step_size)),
-    )
-    _add_variables(root, description, layout)
-    _add_structure(root, description, layout)
+    experiment = {"startTime": 0.0, **contents.experiment}
+    ET.SubElement(root, "DefaultExperiment", {name: repr(float(v)) for name, v in experiment.items()})
+    _add_variables(root, description)
+    _add_structure(root, description)
     return root
 
 
 def _build_description(description: Description) -> ET.Element:
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=description.model.name)
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=description.contents.name)
     files = ET.SubElement(configuration, "SourceFileSet", language="C11")
     for name in sorted(description.sources):
         ET.SubElement(files, "SourceFile", name=name)
@@ -187,24 +255,28 @@ def _build_description(description: Description) -> ET.Element:
 
 
 def _add_interfaces(root: ET.Element, description: Description) -> None:
-    """Add Model Exchange and Co-Simulation; FMI 2.0 has the list of source files there."""
-    common = {"modelIdentifier": description.model.name} | _CAPABILITIES[description.fmi_version]
-    if not description.is_fmi2:
-        ET.SubElement(root, "ModelExchange", common, providesEvaluateDiscreteStates="true")
-        ET.SubElement(root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true")
-        return
-    root.set("numberOfEventIndicators", "0")
-    exchange = ET.SubElement(root, "ModelExchange", common, completedIntegratorStepNotNeeded="true")
-    simulation = ET.SubElement(
-        root,
-        "CoSimulation",
-        common,
-        canHandleVariableCommunicationStepSize="true",
-        canInterpolateInputs="false",
-        maxOutputDerivativeOrder="0",
-        canRunAsynchronuously="false",
-    )
-    for element in (exchange, simulation) if description.sources else ():
+    """Add Co-Simulation, and Model Exchange of what is integrated; FMI 2.0 has the source files there."""
+    contents, version = description.contents, description.fmi_version
+    common = {"modelIdentifier": contents.name} | _CAPABILITIES[version]
+    steps = {"canHandleVariableCommunicationStepSize": "true"}
+    if contents.sampling_time:
+        steps["canHandleVariableCommunicationStepSize"] = "false"
+    else:
+        common |= _DERIVATIVES[version]
+    interfaces = []
+    if description.is_fmi2:
+        root.set("numberOfEventIndicators", "0")
+        steps |= {"canInterpolateInputs": "false", "maxOutputDerivativeOrder": "0"}
+        steps["canRunAsynchronuously"] = "false"
+        exchange = {"completedIntegratorStepNotNeeded": "true"}
+    else:
+        exchange = {"providesEvaluateDiscreteStates": "true"}
+        if contents.sampling_time:
+            steps["fixedInternalStepSize"] = repr(float(contents.sampling_time))
+    if not contents.sampling_time:
+        interfaces.append(ET.SubElement(root, "ModelExchange", common | exchange))
+    interfaces.append(ET.SubElement(root, "CoSimulation", common | steps))
+    for element in interfaces if description.is_fmi2 and description.sources else ():
         files = ET.SubElement(element, "SourceFiles")
         for name in sorted(description.sources):
             ET.SubElement(files, "File", name=name)
@@ -215,9 +287,10 @@ def _add_units(root: ET.Element, layout: Sequence[Scalar]) -> None:
     definitions = ET.SubElement(root, "UnitDefinitions")
     for unit in dict.fromkeys(scalar.variable.unit for scalar in layout if scalar.variable.unit):
         element = ET.SubElement(definitions, "Unit", name=unit)
-        si = parse_unit(unit)
-        exponents = {name: str(power) for name, power in si.exponents.items()}
-        ET.SubElement(element, "BaseUnit", exponents | _conversion(si.factor, si.offset))
+        with suppress(ValueError):  # the signals of a controller may have anyone's units
+            si = parse_unit(unit)
+            exponents = {name: str(power) for name, power in si.exponents.items()}
+            ET.SubElement(element, "BaseUnit", exponents | _conversion(si.factor, si.offset))
         for display in dict.fromkeys(s.variable.display_unit for s in layout if s.variable.unit == unit):
             if display is not None:
                 conversion = _conversion(display.factor, display.offset)
@@ -230,13 +303,14 @@ def _conversion(factor: float, offset: float) -> dict[str, str]:
     return {name: repr(float(value)) for name, (value, default) in attributes.items() if value != default}
 
 
-def _add_variables(root: ET.Element, description: Description, layout: Sequence[Scalar]) -> None:
+def _add_variables(root: ET.Element, description: Description) -> None:
     """Add the variables; a derivative refers to its state as the model structure does."""
-    variables = ET.SubElement(root, "ModelVariables")
-    state_of = {derivative_name(state.name): state.name for state in description.model.states}
-    number_of = _numbers(description, layout)
-    for reference, scalar in enumerate(layout):
-        role = _role(description.model, scalar, reference)
+    variables, contents = ET.SubElement(root, "ModelVariables"), description.contents
+    states = [scalar.variable.name for scalar in contents.layout if scalar.kind is Kind.STATE]
+    state_of = {derivative_name(state): state for state in states}
+    number_of = _numbers(description)
+    for reference, scalar in enumerate(contents.layout):
+        role = _role(contents, scalar, reference)
         values = _values(scalar)
         if scalar.kind is Kind.DERIVATIVE:
             values["derivative"] = str(number_of[state_of[scalar.variable.name]])
@@ -246,14 +320,13 @@ def _add_variables(root: ET.Element, description: Description, layout: Sequence[
             ET.SubElement(variables, "Float64", role | values)
 
 
-def _role(model: PlantModel, scalar: Scalar, reference: int) -> dict[str, str]:
+def _role(contents: Contents, scalar: Scalar, reference: int) -> dict[str, str]:
     """Return name, value reference, causality, variability and initial of a variable."""
     causality, variability, initial = _ROLES[scalar.kind]
     attributes = {"name": scalar.variable.name, "valueReference": str(reference)}
     if scalar.variable.description:
         attributes["description"] = scalar.variable.description
-    is_output = scalar.variable.name in {output.name for output in model.outputs}
-    attributes["causality"] = "output" if is_output else causality
+    attributes["causality"] = "output" if scalar.variable.name in contents.outputs else causality
     attributes["variability"] = variability
     if initial is not None:
         attributes["initial"] = initial
@@ -278,20 +351,21 @@ def _values(scalar: Scalar) -> dict[str, str]:
     return attributes
 
 
-def _numbers(description: Description, layout: Sequence[Scalar]) -> dict[str, int]:
+def _numbers(description: Description) -> dict[str, int]:
     """Return how variables refer to each other: by value reference, in FMI 2.0 by an index from 1 on."""
-    return {scalar.variable.name: n for n, scalar in enumerate(layout, 1 if description.is_fmi2 else 0)}
+    first = 1 if description.is_fmi2 else 0
+    return {scalar.variable.name: n for n, scalar in enumerate(description.contents.layout, first)}
 
 
-def _add_structure(root: ET.Element, description: Description, layout: Sequence[Scalar]) -> None:
+def _add_structure(root: ET.Element, description: Description) -> None:
     """Add what depends on what: on time, states and inputs; at initialization also on start values."""
-    model, number_of = description.model, _numbers(description, layout)
-    running = {s.variable.name for s in layout if s.kind in (Kind.TIME, Kind.STATE, Kind.INPUT)}
-    starting = {s.variable.name for s in layout if s.kind in _WITH_START} | running
-    used = {state.name: frozenset([state.name]) for state in model.states} | dict(description.dependencies)
-    outputs = [output.name for output in model.outputs]
-    derivatives = [derivative_name(state.name) for state in model.states]
-    computed = [*derivatives, *(output.name for output in model.computed_outputs)]
+    contents, number_of = description.contents, _numbers(description)
+
+    def named(*kinds: Kind) -> list[str]:
+        return [scalar.variable.name for scalar in contents.layout if scalar.kind in kinds]
+
+    running = {*named(Kind.TIME, Kind.STATE, Kind.INPUT, Kind.SAMPLE)}
+    starting = {*named(*_WITH_START), *running}
     structure = ET.SubElement(root, "ModelStructure")
 
     def add(group: str, element: str, names: Sequence[str], knowns: set[str]) -> None:
@@ -301,10 +375,10 @@ def _add_structure(root: ET.Element, description: Description, layout: Sequence[
                 return  # the schema knows no empty group
             parent, tag, number = ET.SubElement(structure, group), "Unknown", "index"
         for name in sorted(names, key=number_of.__getitem__):
-            dependencies = sorted(number_of[known] for known in used[name] & knowns)
+            dependencies = sorted(number_of[known] for known in contents.dependencies[name] & knowns)
             attributes = {number: str(number_of[name]), "dependencies": " ".join(map(str, dependencies))}
             ET.SubElement(parent, tag, attributes)
 
-    add("Outputs", "Output", outputs, running)
-    add("Derivatives", "ContinuousStateDerivative", derivatives, running)
-    add("InitialUnknowns", "InitialUnknown", computed, starting)
+    add("Outputs", "Output", contents.outputs, running)
+    add("Derivatives", "ContinuousStateDerivative", named(Kind.DERIVATIVE), running)
+    add("InitialUnknowns", "InitialUnknown", named(*_COMPUTED), starting)

@@ -74,7 +74,7 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3Stri
     (void)unlockPreemption;
     if (logMessage) {
         logMessage(instanceEnvironment, fmi3Error, "logStatusError",
-                   "fmi3InstantiateScheduledExecution: this FMU has Co-Simulation and Model Exchange only.");
+                   "fmi3InstantiateScheduledExecution: this FMU has no Scheduled Execution.");
     }
     return NULL;
 }

@@ -83,6 +83,7 @@ static void start_over(Instance *instance)
 /* What is wrong with instantiating this model; NULL if nothing is. */
 static const char *fault_of(const Instance *instance, const char *token)
 {
+    if (instance->type == MODEL_EXCHANGE && !model.derivatives) return "this FMU is for Co-Simulation only";
     if (!instance->name[0]) return "the instance name is missing";
     if (!token || strcmp(token, model.guid) != 0) return "the GUID or instantiation token is not that of this binary";
     return instance->simulation ? NULL : "out of memory";
@@ -190,6 +191,31 @@ Status instance_reset(Instance *instance, const char *function)
     return STATUS_OK;
 }
 
+/* Communication steps. */
+
+double time_tolerance(double time, double step)
+{
+    return 1e-10 * fabs(time) + 1e-6 * step;
+}
+
+Status check_step(const Instance *instance, double start, double size, const char *function)
+{
+    const double time = simulation_time(instance->simulation);
+    if (!(size > 0.0 && isfinite(size))) {
+        return refuse(instance, STATUS_ERROR, "%s: the communication step size %g is not positive and finite.",
+                      function, size);
+    }
+    if (!(fabs(start - time) <= time_tolerance(time, size))) {
+        return refuse(instance, STATUS_ERROR, "%s: the communication point is %.10g, the instance is at %.10g.",
+                      function, start, time);
+    }
+    if (start + size > instance->stop_time + time_tolerance(instance->stop_time, size)) {
+        return refuse(instance, STATUS_ERROR, "%s: the step ends at %.10g, after the stop time %.10g.", function,
+                      start + size, instance->stop_time);
+    }
+    return STATUS_OK;
+}
+
 /* Values of variables; all variables are floating point numbers of double precision. */
 
 /* The modes in which a variable may be set, none for what the model computes. */
@@ -199,12 +225,20 @@ static unsigned settable_in(VariableKind kind)
     case VARIABLE_STATE:
     case VARIABLE_FIXED_PARAMETER: return MODES_BEFORE_SIMULATION;
     case VARIABLE_TUNABLE_PARAMETER: return MODES_BEFORE_SIMULATION | MODE_STEP | MODE_EVENT;
-    case VARIABLE_INPUT: return MODES_BEFORE_SIMULATION | MODES_SIMULATING;
+    case VARIABLE_INPUT:
+    case VARIABLE_SAMPLE: return MODES_BEFORE_SIMULATION | MODES_SIMULATING;
     case VARIABLE_TIME:
     case VARIABLE_DERIVATIVE:
-    case VARIABLE_OUTPUT: return 0;
+    case VARIABLE_OUTPUT:
+    case VARIABLE_HELD: return 0;
     }
     return 0;
+}
+
+/* Whether a variable can have this value: any finite one, and a sample may be missing. */
+static bool possible(unsigned reference, double value)
+{
+    return isfinite(value) || (isnan(value) && model.variables[reference].kind == VARIABLE_SAMPLE);
 }
 
 Status instance_get(Instance *instance, const unsigned references[], size_t n, double values[], const char *function)
@@ -215,8 +249,8 @@ Status instance_get(Instance *instance, const unsigned references[], size_t n, d
     simulation_refresh(instance->simulation);
     for (size_t i = 0; i < n; ++i) {
         if (!known(instance, references[i], function)) return STATUS_ERROR;
-        values[i] = instance->simulation->values[references[i]];
-        if (!isfinite(values[i])) {
+        values[i] = simulation_value(instance->simulation, references[i]);
+        if (!possible(references[i], values[i])) {
             status = refuse(instance, STATUS_ERROR, "%s: %s is not finite at time %.10g.", function,
                             model.variables[references[i]].name, simulation_time(instance->simulation));
         }
@@ -247,10 +281,10 @@ static Status check_setting(const Instance *instance, unsigned reference, double
     const Variable *variable = &model.variables[reference];
     const Status status = check_mode(instance, variable, function);
     if (status != STATUS_OK) return status;
-    if (!isfinite(value)) {
+    if (!possible(reference, value)) {
         return refuse(instance, STATUS_ERROR, "%s: the value for %s is not finite.", function, variable->name);
     }
-    if (value >= variable->min && value <= variable->max) return STATUS_OK;
+    if (isnan(value) || (value >= variable->min && value <= variable->max)) return STATUS_OK;
     if (variable->kind == VARIABLE_INPUT) {
         return refuse(instance, STATUS_WARNING, "%s: %s = %g is outside its range of %g to %g.", function,
                       variable->name, value, variable->min, variable->max);

@@ -107,6 +107,13 @@ Status instance_deserialize(const Instance *instance, const void *bytes, size_t 
                             const char *function);
 
 /* Co-Simulation. */
+
+/* How far two times may lie apart that an importer computed in different ways (k * h, or h added k times). */
+double time_tolerance(double time, double step);
+
+/* Whether a step begins where the instance is, ends after that, and not after the stop time; logs if not. */
+Status check_step(const Instance *instance, double start, double size, const char *function);
+
 Status instance_do_step(Instance *instance, double start, double size, const char *function);
 
 /* Model Exchange. */

@@ -1,16 +1,11 @@
 /* What an instance computes: communication steps, what Model Exchange integrates, derivatives. */
 #include "instance.h"
+#include "integration.h"
 
 #include <math.h>
 #include <string.h>
 
 /* Co-Simulation: communication steps. */
-
-/* How far two times may lie apart that an importer computed in different ways (k * h, or h added k times). */
-static double time_tolerance(double time, double step)
-{
-    return 1e-10 * fabs(time) + 1e-6 * step;
-}
 
 static const char *failure_reason(Dopri54Result result)
 {
@@ -21,24 +16,6 @@ static const char *failure_reason(Dopri54Result result)
     case DOPRI54_TOO_MANY_STEPS: return "too many internal steps (stiff equations, or far too long a step)";
     }
     return "";
-}
-
-static Status check_step(const Instance *instance, double start, double size, const char *function)
-{
-    const double time = simulation_time(instance->simulation);
-    if (!(size > 0.0 && isfinite(size))) {
-        return refuse(instance, STATUS_ERROR, "%s: the communication step size %g is not positive and finite.",
-                      function, size);
-    }
-    if (!(fabs(start - time) <= time_tolerance(time, size))) {
-        return refuse(instance, STATUS_ERROR, "%s: the communication point is %.10g, the instance is at %.10g.",
-                      function, start, time);
-    }
-    if (start + size > instance->stop_time + time_tolerance(instance->stop_time, size)) {
-        return refuse(instance, STATUS_ERROR, "%s: the step ends at %.10g, after the stop time %.10g.", function,
-                      start + size, instance->stop_time);
-    }
-    return STATUS_OK;
 }
 
 Status instance_do_step(Instance *instance, double start, double size, const char *function)

@@ -1,7 +1,8 @@
 /* The model as the runtime sees it: constant tables and three functions, generated from the plant's equations.
  *
  * The value reference of a variable is its position in `model.variables`, whose blocks follow one another:
- * time, states, derivatives of the states, inputs, algebraic outputs, parameters. */
+ * time, states, derivatives of the states, inputs, algebraic outputs, parameters. Of a sampled block: time, samples,
+ * held outputs (see sampled_block.h). */
 #ifndef MODEL_H
 #define MODEL_H
 
@@ -14,7 +15,9 @@ typedef enum {
     VARIABLE_INPUT,
     VARIABLE_OUTPUT,
     VARIABLE_FIXED_PARAMETER,
-    VARIABLE_TUNABLE_PARAMETER
+    VARIABLE_TUNABLE_PARAMETER,
+    VARIABLE_SAMPLE, /* an input of a sampled block; NaN: it was not measured */
+    VARIABLE_HELD    /* an output of a sampled block */
 } VariableKind;
 
 typedef struct {
@@ -46,7 +49,7 @@ typedef struct {
     const Partial *partials;
     double relative_tolerance;
     double absolute_tolerance; /* in units of the nominal value of each state */
-    ModelFunction derivatives;
+    ModelFunction derivatives; /* NULL: there is nothing to integrate, a sampled block */
     ModelFunction outputs;
     ModelFunction jacobian; /* its elements in the order of `partials` */
 } Model;

@@ -107,7 +107,7 @@ def test_scheduled_execution_is_refused(pendulum3_library, pendulum3):
     instantiate.restype = ctypes.c_void_p
     token = pendulum3_library.description.guid.encode()
     assert instantiate(b"plant", token, b"", False, True, None, instance.logger, None, None, None) is None
-    assert "Co-Simulation and Model Exchange" in instance.messages[-1][2]
+    assert "no Scheduled Execution" in instance.messages[-1][2]
 
 
 def test_one_value_per_variable(pendulum3):

@@ -1,4 +1,4 @@
-#include "simulation.h"
+#include "integration.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -53,6 +53,7 @@ void simulation_reset(Simulation *simulation)
     simulation_set_tolerance(simulation, model.relative_tolerance);
 }
 
+/* The absolute tolerance keeps its ratio to the relative one. */
 void simulation_set_tolerance(Simulation *simulation, double relative_tolerance)
 {
     const double relative = fmax(relative_tolerance, SMALLEST_TOLERANCE);
@@ -71,6 +72,11 @@ void simulation_set_time(Simulation *simulation, double time)
 {
     simulation->values[0] = time;
     simulation->outdated = true;
+}
+
+double simulation_value(const Simulation *simulation, size_t reference)
+{
+    return simulation->values[reference];
 }
 
 void simulation_set_value(Simulation *simulation, size_t reference, double value)

@@ -1,0 +1,122 @@
+"""A sampled block: a controller in C, and the signals that its FMU has.
+
+Its C code declares in `controller.h` its state, `ControllerState`, and the functions `controller_start` and
+`controller_step`; `runtime/sampled_block.c` calls them at the sampling instants.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from fmu_plants.export.description import Contents, Kind, Scalar, c_number, c_text, variable_table
+from fmu_plants.model import TIME, Variable
+
+STATUS = "status"
+ITERATIONS = "iterations"
+ACTIVE_BOUNDS = "active_bounds"
+_NUMBERS = (
+    Variable(STATUS, description="0, or a sum of bits that say why the outputs are a fallback"),
+    Variable(ITERATIONS, description="Iterations of the optimisation in this sample"),
+    Variable(ACTIVE_BOUNDS, description="Bounds that the optimum lies at"),
+)
+_SHOWN_SAMPLES = 100  # of the default experiment: some importers lengthen the steps where there are many
+
+
+@dataclass(frozen=True, slots=True)
+class SampledBlock:
+    """A controller in C, ready to become an FMU.
+
+    A name that two signals have belongs to the first of them, in the order of the fields below, and `time` to
+    the time; before the name of the other one stands its kind: ``measurement.``, ``reference.``, ``input.``
+    or ``controller.``.
+
+    Parameters
+    ----------
+    name : str
+        The model identifier.
+    description : str
+        A line for people.
+    sampling_time : float
+        Time between its instants [s].
+    measurements, references, controls : sequence of Variable
+        What ``controller_step`` is given and what it answers, in the order of its arguments y, r and u.
+    sources : mapping of str to str
+        ``controller.h`` and C files by name.
+    resources : mapping of str to str
+        Files that go along, by name.
+    """
+
+    name: str
+    description: str
+    sampling_time: float
+    measurements: Sequence[Variable]
+    references: Sequence[Variable]
+    controls: Sequence[Variable]
+    sources: Mapping[str, str]
+    resources: Mapping[str, str] = field(default_factory=dict)
+
+    def layout(self) -> tuple[Scalar, ...]:
+        """Return all variables of the FMU, in the order of their value references."""
+        groups = (
+            ("", Kind.TIME, (Variable(TIME, "s", description="Simulated time"),)),
+            ("measurement", Kind.SAMPLE, self.measurements),
+            ("reference", Kind.SAMPLE, self.references),
+            ("input", Kind.HELD, self.controls),
+            ("controller", Kind.HELD, _NUMBERS),
+        )
+        return tuple(_named_apart(groups))
+
+    def contents(self) -> Contents:
+        """Return what the FMU is: every output depends on every input, without delay."""
+        layout = self.layout()
+        samples, held = (
+            tuple(scalar.variable.name for scalar in layout if scalar.kind is kind)
+            for kind in (Kind.SAMPLE, Kind.HELD)
+        )
+        return Contents(
+            self.name,
+            self.description,
+            layout,
+            held,
+            dict.fromkeys(held, frozenset(samples)),
+            {"stopTime": _SHOWN_SAMPLES * self.sampling_time, "stepSize": self.sampling_time},
+            self.sampling_time,
+        )
+
+    def code(self) -> str:
+        """Return the text of `model.c`, with an empty GUID."""
+        layout = self.layout()
+        return f"""/* {self.name}: the signals of a controller. */
+#include "model.h"
+#include "sampled_block.h"
+
+#include <math.h>
+
+{variable_table(layout)}
+
+const Model model = {{
+    .identifier = {c_text(self.name)},
+    .guid = "",
+    .n_variables = {len(layout)},
+    .n_inputs = {len(self.measurements) + len(self.references)},
+    .n_outputs = {len(self.controls) + len(_NUMBERS)},
+    .variables = variables,
+}};
+
+const SampledBlock block = {{
+    .sampling_time = {c_number(self.sampling_time)},
+    .n_measurements = {len(self.measurements)},
+    .n_references = {len(self.references)},
+    .n_controls = {len(self.controls)},
+}};
+"""
+
+
+def _named_apart(groups: Sequence[tuple[str, Kind, Sequence[Variable]]]) -> Iterator[Scalar]:
+    taken = set[str]()
+    for prefix, kind, variables in groups:
+        for variable in variables:
+            name = variable.name
+            while name in taken:
+                name = f"{prefix}.{name}"
+            taken.add(name)
+            yield Scalar(kind, replace(variable, name=name))

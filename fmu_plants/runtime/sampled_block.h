@@ -1,0 +1,21 @@
+/* A sampled block as the runtime sees it: a controller in C, and how many signals it has.
+ *
+ * The variables of its FMU follow one another: time, measurements, references, inputs of the plant, and three numbers
+ * about the answer: status, iterations, active bounds. */
+#ifndef SAMPLED_BLOCK_H
+#define SAMPLED_BLOCK_H
+
+#include "controller.h"
+
+#include <stddef.h>
+
+typedef struct {
+    double sampling_time;
+    size_t n_measurements;
+    size_t n_references;
+    size_t n_controls;
+} SampledBlock;
+
+extern const SampledBlock block;
+
+#endif
