@@ -138,7 +138,8 @@ void simulation_restore(Simulation *simulation, const double state[])
     memcpy(simulation->values, state + SAVED_VALUES, model.n_variables * sizeof(double));
 }
 
-/* Co-Simulation: communication steps, of the sampling time or an integer fraction of it. */
+/* Co-Simulation: communication steps that meet every instant. Of importers that add up times or end at a stop time of
+ * their own the last one can be of any length up to the next instant. */
 
 /* The first output that is not finite; NULL if there is none. */
 static const Variable *fault_of_answer(const Simulation *simulation)
@@ -158,12 +159,11 @@ Status instance_do_step(Instance *instance, double start, double size, const cha
     Simulation *simulation = instance->simulation;
     const double time = simulation_time(simulation), end = time + size;
     const double next = time_of(simulation, simulation->instant + 1.0);
-    const double parts = floor(block.sampling_time / size + 0.5);
     const double tolerance = fmin(time_tolerance(next, size), 0.25 * size);
-    if (!(parts >= 1.0 && fabs(parts * size - block.sampling_time) <= tolerance && end <= next + tolerance)) {
+    if (!(end <= next + tolerance)) {
         return refuse(instance, STATUS_ERROR,
-                      "%s: the step from %.10g to %.10g does not fit the sampling instants, of which the next is %.10g: "
-                      "steps must be as long as the sampling time, %.10g, or an integer fraction of it.",
+                      "%s: the step from %.10g to %.10g goes past a sampling instant, %.10g: steps must be as long as the "
+                      "sampling time, %.10g, or an integer fraction of it.",
                       function, time, end, next, block.sampling_time);
     }
     if (simulation->phase != BETWEEN) {
