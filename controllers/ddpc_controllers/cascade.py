@@ -13,6 +13,8 @@ from math import isfinite
 
 import numpy as np
 
+from ddpc_controllers.data.hankel import resting_input
+from ddpc_controllers.export.code import Code, inner_step
 from ddpc_controllers.ipid import IPID
 from ddpc_controllers.mfac import MFAPC
 from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined, joined_knowledge
@@ -85,6 +87,86 @@ class Cascade(Wrapper):
         held = np.tile(self._target, (self.inner.horizon, 1))
         actions.append(self._inner.step(sample._replace(y=y, reference=held, setpoint=self._target.copy())))
         return joined(actions[-1].u, actions)
+
+    def c_step(self, code: Code, loop: Loop) -> str:
+        """Add both controllers.
+
+        Raises
+        ------
+        ConfigError
+            One of them cannot be exported.
+        """
+        code.kernel("parts")
+        first = len(code.start)
+        outer = inner_step(self._outer.controller, code, self._outer_loop)
+        inner = inner_step(self._inner.controller, code, self._inner_loop(loop))
+        p, targets = len(loop.outputs), len(self._outer_loop.inputs)
+        horizons = self.outer.horizon, self.inner.horizon
+        slopes = self._slopes_of_start()
+        cells = np.flatnonzero(slopes.any(axis=1)).tolist()
+        bounds = self._outer_loop.bounds
+        cascade = code.constant(
+            "Cascade",
+            p=p,
+            period=self.outer_period,
+            horizon=horizons[0],
+            targets=targets,
+            inner_horizon=horizons[1],
+            chosen="NULL" if self._chosen is None else code.sizes(self._chosen),
+            cells=len(cells),
+            places=code.sizes([first + cell for cell in cells]),
+            slopes=code.doubles(slopes[cells]),
+            low=code.doubles(bounds.u_min),
+            high=code.doubles(bounds.u_max),
+            rest=code.doubles(resting_input(self._outer_loop)),
+        )
+        target = code.memory(np.zeros(targets))
+        of_a_step = (np.zeros(size) for size in (targets, horizons[0] * p, horizons[1] * targets))
+        return code.step(
+            f"{code.held('CascadeMemory', [-1.0], target, *of_a_step)}"
+            f"if (take_sample(&{cascade}, &held, sample, memory)) {{\n"
+            f"    const Sample later = outer_sample(&{cascade}, &held, sample);\n"
+            f"    {outer}(memory, &later, {target}, told);\n"
+            "}\n"
+            f"const Sample inside = inner_sample(&{cascade}, &held, sample);\n"
+            f"{inner}(memory, &inside, u, told);"
+        )
+
+    def _slopes_of_start(self) -> FloatArray:
+        """Return how what the outer controller remembers at its start changes with its resting inputs.
+
+        Found by starting it: shape (numbers, inputs).
+
+        Raises
+        ------
+        ConfigError
+            It does not change linearly, or not in what it remembers alone.
+        """
+        loop, bounds = self._outer_loop, self._outer_loop.bounds
+        rest = resting_input(loop)
+        upwards = bounds.u_max - rest >= rest - bounds.u_min
+        room = np.where(upwards, bounds.u_max - rest, bounds.u_min - rest)
+        steps = np.where(np.isfinite(room), room, 1.0)
+
+        def started(moved: FloatArray) -> tuple[list[str], FloatArray]:
+            starts = (rest + moved).tolist()
+            inputs = tuple(replace(v, start=start) for v, start in zip(loop.inputs, starts, strict=True))
+            outer, code = Inner(self.outer), Code()
+            outer.start(replace(loop, inputs=inputs, rng=deepcopy(loop.rng)))
+            inner_step(outer.controller, code, loop)
+            return code.parts, np.array(code.start)
+
+        constants, start = started(np.zeros(len(rest)))
+        slopes = np.zeros((len(start), len(rest)))
+        for j in np.flatnonzero(steps):
+            slopes[:, j] = (started(steps * np.eye(len(rest))[j])[1] - start) / steps[j]
+        others, halfway = started(steps / 2.0)
+        if others != constants or not np.allclose(halfway, start + slopes @ steps / 2.0, 1e-12, 1e-12):
+            raise ConfigError(
+                f"Cascade: {type(self.outer).__name__} cannot be exported as the outer controller: its start "
+                "does not depend linearly on where its inputs begin"
+            )
+        return slopes
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and what it was told of the plant."""

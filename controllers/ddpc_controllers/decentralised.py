@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddpc_controllers.export.code import Code, inner_step
 from ddpc_controllers.wrapper import Inner, Wrapper, controller_faults, joined, joined_knowledge
 from ddpc_cosim import (
     Action,
@@ -95,6 +96,33 @@ class Decentralised(Wrapper):
         for action, share in zip(actions, self._shares, strict=True):
             u[share.inputs] = action.u
         return joined(u, actions)
+
+    def c_step(self, code: Code, loop: Loop) -> str:
+        """Add every controller, with its part of the loop."""
+        code.kernel("parts")
+        body = ""
+        for inner, share in zip(self._running, self._shares, strict=True):
+            p, q, m = len(share.outputs), len(share.measurements), len(share.inputs)
+            horizon = inner.controller.horizon
+            step = inner_step(inner.controller, code, _part_of(loop, share))
+            group = code.constant(
+                "Group",
+                p=p,
+                q=q,
+                m=m,
+                outputs=len(loop.outputs),
+                horizon=horizon,
+                of_outputs=code.sizes(share.outputs),
+                of_measurements=code.sizes(share.measurements),
+                of_inputs=code.sizes(share.inputs),
+            )
+            seen, own = code.memory(np.zeros(2 * p + q + horizon * p)), code.memory(np.zeros(m))
+            body += (
+                f"const Sample of_{group} = sample_of_group(&{group}, sample, {seen});\n"
+                f"{step}(memory, &of_{group}, {own}, told);\n"
+                f"place_inputs(&{group}, {own}, u);\n"
+            )
+        return code.step(body)
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and what it was told of the plant."""

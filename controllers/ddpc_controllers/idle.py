@@ -30,4 +30,4 @@ class Idle(Exportable):
 
     def c_step(self, code: Code, loop: Loop) -> str:
         """Add the inputs at rest."""
-        return code.step(f"memcpy(u, {code.doubles(self._u)}, {len(self._u)} * sizeof(double));")
+        return code.step(f"memcpy(u, {code.memory(self._u)}, {len(self._u)} * sizeof(double));")

@@ -25,11 +25,11 @@ import numpy as np
 
 from ddpc_controllers.checks import check_settings_and, knowing, per_signal
 from ddpc_controllers.data.hankel import resting_input
+from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.optimisation.limits import AT_REST, EXPECTED, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import (
     Action,
     ConfigError,
-    Controller,
     Factor,
     FloatArray,
     Integer,
@@ -90,6 +90,14 @@ class UltraLocalModel:
         expected: FloatArray = sum(row * self._h**i / factorial(i) for i, row in enumerate(state))
         return expected
 
+    def tables(self) -> dict[str, FloatArray]:
+        """Return the weights of the estimates, for code in C."""
+        return {"of_outputs": self._of_outputs, "of_inputs": self._of_inputs, "alpha": self._alpha}
+
+    def window(self) -> tuple[FloatArray, FloatArray]:
+        """Return the outputs and the inputs of the window, oldest first."""
+        return self._y, self._u
+
 
 def _response(order: int, samples: int, h: float) -> FloatArray:
     """Return w at the times of the window for a unit input held over each interval; oldest first.
@@ -105,7 +113,7 @@ def _response(order: int, samples: int, h: float) -> FloatArray:
 
 
 @dataclass(kw_only=True)
-class IPID(Controller):
+class IPID(Exportable):
     """Intelligent PID control; needs no recording and as many inputs as outputs.
 
     The reference counts as constant, so that its derivatives are not followed. What enters the estimation are
@@ -175,6 +183,30 @@ class IPID(Controller):
         self._integral = np.where(limited, self._integral, integral)
         self._u = u
         return Action(u.copy(), fault) if fault else u.copy()
+
+    def c_step(self, code: Code, loop: Loop) -> str:
+        """Add the law, with the window as it is."""
+        code.kernel("ipid")
+        p = len(self._u)
+        ipid = code.constant(
+            "IPID",
+            p=p,
+            order=self.order,
+            samples=self.window,
+            sampling_time=self._h,
+            kp=self.kp,
+            ki=self.ki,
+            kd=self.kd,
+            **{name: code.doubles(values) for name, values in self._model.tables().items()},
+            inverse=code.doubles(self._inverse),
+            low=code.doubles(self._bounds.u_min),
+            high=code.doubles(self._bounds.u_max),
+        )
+        of_a_step = np.zeros((self.order + 1, p)), np.zeros(p), np.zeros(p)
+        held = code.held(
+            "IPIDMemory", self._started, *self._model.window(), self._u, self._integral, *of_a_step
+        )
+        return code.step(f"{held}ipid_step(&{ipid}, &held, sample, u, told);")
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return the signals it uses, and what it was told of the plant."""

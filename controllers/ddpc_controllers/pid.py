@@ -30,12 +30,12 @@ import numpy as np
 
 from ddpc_controllers.checks import knowing
 from ddpc_controllers.data.hankel import count_windows, matching_recording, resting_input, without_first
+from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.models.identification import fit_arx
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_MEASUREMENT, HELD_WITHOUT_REFERENCE
 from ddpc_cosim import (
     Action,
     ConfigError,
-    Controller,
     DataError,
     Factor,
     FloatArray,
@@ -319,7 +319,7 @@ AntiWindup = Literal["back-calculation", "clamping"]
 
 
 @dataclass(kw_only=True)
-class PID(Controller):
+class PID(Exportable):
     """PID control with anti-windup, derivative filter and setpoint weight.
 
     A gain is a number for all loops or one per loop. Output i is controlled by input ``pairing[i]``. While a
@@ -421,6 +421,28 @@ class PID(Controller):
         """Return the signals it uses, and what it was told of the plant."""
         told = "nothing" if self.uses_recording else "gains, as they are set"
         return knowing(told, loop.outputs)
+
+    def c_step(self, code: Code, loop: Loop) -> str:
+        """Add the loops with the gains in use, given or tuned."""
+        code.kernel("pid")
+        p = len(self._pairs)
+        pid = code.constant(
+            "PID",
+            p=p,
+            m=len(self._u),
+            inputs=code.sizes(self._pairs),
+            **{name: code.doubles(values) for name, values in self._gains._asdict().items()},
+            tracking=code.doubles(self._tracking),
+            low=code.doubles(self._low),
+            high=code.doubles(self._high),
+            sampling_time=self._sampling_time,
+            setpoint_share=self.setpoint_share,
+            clamping=self.anti_windup == "clamping",
+        )
+        before = np.zeros(p) if self._y is None else self._y
+        begun = [0.0, self._y is not None]
+        held = code.held("PIDMemory", begun, self._elapsed, self._u, before, np.zeros(p), self._derivative)
+        return code.step(f"{held}pid_step(&{pid}, &held, sample, u, told);")
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the gains in use; with tuned ones the maximum sensitivity, infinite if unstable."""

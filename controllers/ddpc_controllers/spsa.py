@@ -22,11 +22,11 @@ import numpy as np
 
 from ddpc_controllers.checks import knowing, per_signal
 from ddpc_controllers.data.hankel import resting_input
+from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.optimisation.limits import HELD
 from ddpc_cosim import (
     Action,
     ConfigError,
-    Controller,
     Factor,
     FloatArray,
     Linear,
@@ -41,7 +41,7 @@ _STEP_DECAY, _PERTURBATION_DECAY = 0.602, 0.101  # the values that Spall recomme
 
 
 @dataclass(kw_only=True)
-class SPSA(Controller):
+class SPSA(Exportable):
     """PID gains of pairs of inputs and outputs, tuned by SPSA while they control.
 
     A pair's loss is the growth of ``e^2 + (t e')^2`` over a window of length t, as a logarithm: it does not
@@ -124,6 +124,19 @@ class SPSA(Controller):
             pair.settle(free)
         self._u = u
         return Action(u.copy(), info=self._gains())
+
+    def c_step(self, code: Code, loop: Loop) -> str:
+        """Refuse: random perturbations go on for as long as it runs.
+
+        Raises
+        ------
+        ConfigError
+            Always, with the remedy.
+        """
+        raise ConfigError(
+            "SPSA cannot be exported: it draws random perturbations of its gains for as long as it runs; "
+            "export a PID with the gains it ends with (kp and kd of its signals)"
+        )
 
     def _gains(self) -> dict[str, float]:
         return {

@@ -71,11 +71,19 @@ def inner_step(controller: Controller, code: "Code", loop: Loop) -> str:
 
 
 class Code:
-    """The parts of a controller's C code, in the order in which they were added."""
+    """The parts of a controller's C code, in the order in which they were added.
+
+    Attributes
+    ----------
+    parts : list of str
+        Constants and step functions.
+    start : list of float
+        What the memory begins with.
+    """
 
     def __init__(self) -> None:
-        self._parts: list[str] = []
-        self._start: list[float] = []
+        self.parts: list[str] = []
+        self.start: list[float] = []
         self._kernels: list[str] = []
         self._count = 0
 
@@ -96,8 +104,8 @@ class Code:
         start : array
             Their values before the first step, row after row.
         """
-        place = len(self._start)
-        self._start += np.asarray(start, dtype=np.float64).ravel().tolist()
+        place = len(self.start)
+        self.start += np.asarray(start, dtype=np.float64).ravel().tolist()
         return f"(memory + {place})"
 
     def constant(self, kind: str, **fields: object) -> str:
@@ -112,8 +120,21 @@ class Code:
         """
         name = self._name(kind.lower())
         members = ", ".join(f".{field} = {_member(value)}" for field, value in fields.items())
-        self._parts.append(f"static const {kind} {name} = {{{members}}};")
+        self.parts.append(f"static const {kind} {name} = {{{members}}};")
         return name
+
+    def held(self, kind: str, *starts: ArrayLike) -> str:
+        """Return the declaration of ``held``, a structure of a kernel, for a step function.
+
+        Parameters
+        ----------
+        kind : str
+            The type.
+        *starts : array or str
+            Its members in their order: what each begins with, or a name or initialiser.
+        """
+        members = (start if isinstance(start, str) else self.memory(start) for start in starts)
+        return f"const {kind} held = {{{', '.join(members)}}};\n"
 
     def kernel(self, name: str) -> None:
         """Use the kernel NAME.h with NAME.c, of ``runtime`` or a folder in it, and what it includes."""
@@ -133,7 +154,7 @@ class Code:
         lines = [f"(void){word};" for word in unused] + body.strip().splitlines()
         text = "\n".join(f"    {line}".rstrip() for line in lines)
         head = f"static void {name}(double memory[], const Sample *sample, double u[], Told *told)"
-        self._parts.append(f"{head}\n{{\n{text}\n}}")
+        self.parts.append(f"{head}\n{{\n{text}\n}}")
         return name
 
     def controller(self, step: str, horizon: int, loop: Loop) -> ControllerCode:
@@ -157,18 +178,18 @@ class Code:
         reference = self.memory(np.zeros(horizon * p))
         last = self.memory(resting_input(loop))
         low, high = self.doubles(loop.bounds.u_min), self.doubles(loop.bounds.u_max)
-        start = self.doubles(self._start)
+        start = self.doubles(self.start)
         sizes = {
             "MEASUREMENTS": p + len(others),
             "REFERENCES": (1 + preview) * p,
             "INPUTS": m,
-            "MEMORY": len(self._start),
+            "MEMORY": len(self.start),
         }
         body = [
             "Told told = {0, 0, 0};",
             "double *const memory = state->memory;",
             f"const Sample sample = {{y, {measured}, {reference}, r}};",
-            f"choose_measured(y, {places}, {q}, {measured});",
+            f"choose(y, {places}, {q}, {measured});",
             f"repeat_last(r, {preview}, {horizon}, {p}, {reference});",
             f"{step}(memory, &sample, u, &told);",
             f"hold_bounds(u, {low}, {high}, {m}, {last}, &told);",
@@ -183,7 +204,7 @@ class Code:
         parts = [
             "\n".join(f'#include "{name}"' for name in includes)
             + "\n\n#include <math.h>\n#include <stddef.h>\n#include <string.h>",
-            *self._parts,
+            *self.parts,
             _START.format(table=start),
             f"{_STEP}\n{{\n{text}\n}}",
         ]
@@ -210,7 +231,7 @@ class Code:
         name = self._name("table")
         rows = [", ".join(values[i : i + _WIDTH]) for i in range(0, len(values), _WIDTH)]
         text = ",\n    ".join(rows)
-        self._parts.append(f"static const {kind} {name}[{len(values)}] = {{\n    {text}}};")
+        self.parts.append(f"static const {kind} {name}[{len(values)}] = {{\n    {text}}};")
         return name
 
     def _name(self, kind: str) -> str:

@@ -2,9 +2,9 @@
 
 #include <math.h>
 
-void choose_measured(const double y[], const size_t places[], size_t q, double measured[])
+void choose(const double values[], const size_t places[], size_t n, double chosen[])
 {
-    for (size_t i = 0; i < q; ++i) measured[i] = y[places[i]];
+    for (size_t i = 0; i < n; ++i) chosen[i] = values[places[i]];
 }
 
 void repeat_last(const double r[], size_t preview, size_t horizon, size_t p, double reference[])

@@ -34,8 +34,8 @@ typedef struct {
     unsigned active_bounds;
 } Told;
 
-/* measured[i] = y[places[i]] */
-void choose_measured(const double y[], const size_t places[], size_t q, double measured[]);
+/* chosen[i] = values[places[i]] */
+void choose(const double values[], const size_t places[], size_t n, double chosen[]);
 
 /* The references after the setpoint that r begins with; the last one that is known stands for those beyond. */
 void repeat_last(const double r[], size_t preview, size_t horizon, size_t p, double reference[]);

@@ -1,0 +1,38 @@
+#include "pid.h"
+
+#include "vectors.h"
+
+#include <string.h>
+
+static double kept(const PID *pid, size_t loop, double increment, double excess)
+{
+    if (pid->clamping) return increment * excess < 0.0 ? 0.0 : increment;
+    return increment + pid->tracking[loop] * excess;
+}
+
+void pid_step(const PID *pid, const PIDMemory *held, const Sample *sample, double u[], Told *told)
+{
+    const double *y = sample->y, *r = sample->reference;
+    if (!all_finite(y, pid->p) || !all_finite(r, pid->p)) {
+        *held->elapsed += pid->sampling_time;
+        memcpy(u, held->u, pid->m * sizeof(double));
+        told->status |= STATUS_HELD;
+        return;
+    }
+    for (size_t i = 0; i < pid->p; ++i) {
+        double *input = held->u + pid->inputs[i];
+        const double share = pid->setpoint_share, gain = pid->proportional[i], filter = pid->filter_time[i];
+        if (held->begun[0] == 0.0) held->bias[i] = *input + gain * (1.0 - share) * y[i];
+        if (held->begun[1] == 0.0) held->before[i] = y[i];
+        held->rate[i] = (filter * held->rate[i] - pid->derivative[i] * (y[i] - held->before[i])) / (filter + *held->elapsed);
+        const double increment = pid->sampling_time * pid->integral[i] * (r[i] - y[i]);
+        const double wanted = gain * (share * r[i] - y[i]) + held->bias[i] + increment + held->rate[i];
+        const double limited = clip(wanted, pid->low[i], pid->high[i]);
+        held->bias[i] += kept(pid, i, increment, limited - wanted);
+        held->before[i] = y[i];
+        *input = limited;
+    }
+    held->begun[0] = held->begun[1] = 1.0;
+    *held->elapsed = pid->sampling_time;
+    memcpy(u, held->u, pid->m * sizeof(double));
+}

@@ -1,0 +1,27 @@
+/* PID control of pairs of an output and an input: pid.py. */
+#ifndef PID_H
+#define PID_H
+
+#include "sample.h"
+
+#include <stdbool.h>
+
+typedef struct {
+    size_t p, m;
+    const size_t *inputs; /* the input of each output */
+    const double *proportional, *integral, *derivative, *filter_time, *tracking; /* of each loop */
+    const double *low, *high; /* limits of the input of each loop */
+    double sampling_time, setpoint_share;
+    bool clamping;
+} PID;
+
+typedef struct {
+    double *begun;   /* whether `bias` is known, and `before` */
+    double *elapsed; /* since `before` [s] */
+    double *u;       /* m inputs */
+    double *before, *bias, *rate; /* p values each: y, I and D */
+} PIDMemory;
+
+void pid_step(const PID *pid, const PIDMemory *held, const Sample *sample, double u[], Told *told);
+
+#endif

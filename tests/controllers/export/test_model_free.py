@@ -1,0 +1,125 @@
+"""Controllers without a model and those that hold others, in C: as in Python at every sample."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ddpc_controllers import IPID, PID, SPSA, Cascade, Decentralised, Group, Idle, Scaled
+from ddpc_cosim import ConfigError, Controller, FloatArray, Loop, Sample
+
+from .compiled import Beside
+from .loops import COUPLED, PENDULUM, Bench
+
+ALL = {
+    "pid": PID(proportional=0.5, integral=0.3, derivative=0.05, filter_time=0.05, setpoint_share=0.3),
+    "pid-clamping": PID(proportional=3.0, integral=[2.0], anti_windup="clamping"),
+    "pid-tracking": PID(proportional=3.0, integral=2.0, tracking_time=0.5, derivative=0.4),
+    "pid-step-test": PID(tuning="step-test"),
+    "ipid": IPID(alpha=5.0, kp=2.0),
+    "ipid-second-order": IPID(order=2, alpha=5.0, kp=9.0, kd=4.0, ki=3.0, window=6),
+}
+COUPLED_ONES = {
+    "pid": PID(proportional=[0.1, 0.2], integral=[0.3, 0.1], derivative=0.01, pairing=[1, 0]),
+    "ipid": IPID(alpha=[[5.0, 0.3], [0.0, 4.0]], kp=1.0, ki=0.5),
+    "ipid-coupled": IPID(order=2, alpha=[[50.0, 3.0], [2.0, 40.0]], kp=2.0, kd=3.0, window=5),
+    "decentralised": Decentralised(
+        groups=[
+            Group(inputs=["u1"], outputs=["x0"], controller=PID(proportional=0.5, integral=0.3)),
+            Group(inputs=["u0"], outputs=["x1"], measurements=["x2", "x1"], controller=IPID(alpha=4.0)),
+        ]
+    ),
+    "scaled-decentralised": Scaled(
+        controller=Decentralised(
+            groups=[
+                Group(
+                    inputs=["u0", "u1"], outputs=["x0", "x1"], controller=PID(proportional=2.0, integral=1.0)
+                )
+            ]
+        )
+    ),
+}
+CASCADES = {
+    "ipid-in-pid": Cascade(inner=IPID(order=2, alpha=5.0, kp=9.0, kd=6.0), outer=PID(proportional=0.2)),
+    "slow-outer": Cascade(inner=PID(proportional=2.0), outer=IPID(alpha=2.0, window=2), outer_period=3),
+    "scaled-outer": Cascade(
+        inner=PID(proportional=2.0, integral=1.0),
+        outer=Scaled(controller=PID(proportional=0.3, integral=0.2), scale_by="nominal"),
+        outer_period=2,
+    ),
+    "of-a-measurement": Cascade(
+        inner=PID(proportional=2.0), outer=PID(proportional=2.0), inner_outputs=["x1"], outer_period=2
+    ),
+    "idle-outer": Cascade(inner=PID(proportional=2.0), outer=Idle()),
+    "in-a-cascade": Cascade(
+        inner=PID(proportional=2.0),
+        outer=Cascade(inner=PID(integral=0.3), outer=PID(integral=0.1), outer_period=2),
+    ),
+}
+CASES = [
+    *((PENDULUM, name, controller) for name, controller in (ALL | CASCADES).items()),
+    *((COUPLED, name, controller) for name, controller in COUPLED_ONES.items()),
+]
+
+
+def check(beside: Beside, bound: float = 1e-11) -> None:
+    assert beside.difference < bound
+    assert not beside.disagreements
+    assert beside.fallbacks >= 4
+
+
+@pytest.mark.parametrize("continues", [False, True], ids=["from rest", "continues"])
+@pytest.mark.parametrize(("bench", "name", "controller"), CASES, ids=[name for _, name, _ in CASES])
+def test_the_code_is_the_controller(bench: Bench, name: str, controller: Controller, continues: bool) -> None:
+    if name == "pid-step-test":  # the rules are for monotonic plants
+        bench = Bench(bench.advance, bench.nominal, bench.limits / 50.0, 1, bench.rest)
+    check(bench.close(controller, continues_recording=continues))
+
+
+@pytest.mark.parametrize("preview", [0, 1, 3])
+def test_an_outer_controller_sees_as_much_of_the_future_as_in_python(preview: int) -> None:
+    @dataclass(kw_only=True)
+    class Ahead(Idle):
+        """Asks for what it sees ahead."""
+
+        horizon: int = 4
+
+        def step(self, sample: Sample) -> FloatArray:
+            return np.asarray(sample.reference[-1])
+
+        def c_step(self, code: Any, loop: Loop) -> str:
+            return code.step(f"memcpy(u, sample->reference + {self.horizon - 1}, sizeof(double));")
+
+    cascade = Cascade(inner=PID(proportional=2.0), outer=Ahead(), outer_period=2)
+    check(PENDULUM.close(cascade, preview=preview, unknown=(), lost=(3, 8, 20, 31)))
+
+
+def test_what_cannot_run_in_c_says_why() -> None:
+    @dataclass(kw_only=True)
+    class Crooked(Idle):
+        def start(self, loop: Loop) -> None:
+            super().start(loop)
+            self._u = np.square(self._u)
+
+        def c_step(self, code: Any, loop: Loop) -> str:
+            return super().c_step(code, loop)
+
+    @dataclass(kw_only=True)
+    class Mine(Controller):
+        def start(self, loop: Loop) -> None: ...
+
+        def step(self, sample: Sample) -> FloatArray:
+            return np.zeros(1)
+
+    refused: dict[str, Controller] = {
+        "SPSA cannot be exported: it draws random perturbations": SPSA(),
+        "Cascade: Crooked cannot be exported as the outer controller": Cascade(inner=PID(), outer=Crooked()),
+        "Mine cannot be exported within another controller": Cascade(inner=Mine(), outer=PID()),
+        "Mine cannot be": Decentralised(groups=[Group(inputs=["u0"], outputs=["x0"], controller=Mine())]),
+    }
+    loop, _ = PENDULUM.loop()
+    for reason, controller in refused.items():
+        controller.start(loop)
+        with pytest.raises(ConfigError, match=reason):
+            controller.c_code(loop)
