@@ -29,9 +29,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ddpc_controllers.export.code import Code, inner_step
 from ddpc_controllers.models.identification import fit_arx, markov_parameters
 from ddpc_controllers.wrapper import SingleWrapper
-from ddpc_cosim import Action, Bounds, FloatArray, Loop, Recording, Sample, setting
+from ddpc_cosim import Action, Bounds, ConfigError, FloatArray, Loop, Recording, Sample, setting
 
 _FEWEST_SAMPLES = 20
 _NEGLIGIBLE = 0.01
@@ -78,6 +79,7 @@ def projector(gain: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
 
 _LARGEST_GAIN = 0.2
 _AT_A_LIMIT = 1e-9
+_LARGEST_TABLE = 4096
 
 
 @dataclass(kw_only=True)
@@ -136,6 +138,45 @@ class OffsetFree(SingleWrapper):
         """Return the controller's values, and the largest disturbance of each output, in its unit."""
         largest = {f"largest_disturbance[{i}]": value for i, value in enumerate(self._largest.tolist())}
         return {**super().diagnostics(), **largest}
+
+    def c_step(self, code: Code, loop: Loop) -> str:
+        """Add the controller, and what shifts its reference."""
+        inside = self._inner.controller
+        step = inner_step(inside, code, loop)
+        code.kernel("offset_free")
+        p, m, n = len(loop.outputs), len(loop.inputs), inside.horizon
+        wrapper = code.constant(
+            "OffsetFree",
+            p=p,
+            m=m,
+            horizon=n,
+            phi=self._phi,
+            gain=self._gain,
+            y_min=code.doubles(self._bounds.y_min),
+            y_max=code.doubles(self._bounds.y_max),
+            low=code.doubles(self._low),
+            high=code.doubles(self._high),
+            directions=code.doubles(self._all_directions(m, p)),
+        )
+        free = int((self._high > self._low) @ (1 << np.arange(m)))
+        memory = code.memory([0.0, free, *np.zeros((6 + n) * p)])
+        return code.step(
+            f"const Sample inside = shift_references(&{wrapper}, {memory}, sample);\n"
+            f"{step}(memory, &inside, u, told);\n"
+            f"remember_free(&{wrapper}, {memory}, u);"
+        )
+
+    def _all_directions(self, m: int, p: int) -> FloatArray:
+        """Return the directions for every set of free inputs, shape (2^m, p, p): bit i is input i."""
+        size = 2**m * p**2
+        if size > _LARGEST_TABLE:
+            raise ConfigError(
+                f"OffsetFree cannot be exported for {m} inputs and {p} outputs: what a set of free inputs "
+                f"can do is a table of {size} numbers, more than {_LARGEST_TABLE}: wrap the controllers of a "
+                "Decentralised one by one"
+            )
+        sets = (np.arange(2**m)[:, np.newaxis] >> np.arange(m)) & 1
+        return np.array([self._directions(free == 1) for free in sets])
 
     def _start_directions(self, loop: Loop) -> None:
         """Learn how the inputs move the outputs, where it matters and there is a recording."""

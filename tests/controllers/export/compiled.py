@@ -105,6 +105,7 @@ class Beside(Controller):
         self.controller.start(loop)
         self.c = CompiledController(self.controller, loop)
         bounds, self.difference, self.steps, self.fallbacks = loop.bounds, 0.0, 0, 0
+        self.limited = self.statuses = self.active = 0
         self.disagreements = list[tuple[int, str, int]]()
         self._span = np.array(
             [_size(v, *ends) for v, *ends in zip(loop.inputs, bounds.u_min, bounds.u_max, strict=True)]
@@ -120,6 +121,8 @@ class Beside(Controller):
         if (action.status == OK) != (self.c.status == 0):
             self.disagreements.append((sample.k, action.status, self.c.status))
         self.steps, self.fallbacks = self.steps + 1, self.fallbacks + (self.c.status != 0)
+        self.limited += bool(((u <= self._bounds.u_min) | (u >= self._bounds.u_max)).any())
+        self.statuses, self.active = self.statuses | self.c.status, max(self.active, self.c.told[2])
         assert self.c.status & ~sum(STATUSES) == 0
         return Action(u, action.status) if self.drives else action
 

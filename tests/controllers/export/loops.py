@@ -103,14 +103,20 @@ class Bench:
         return state
 
 
-PENDULUM = Bench(quick_pendulum, np.array([0.5, 2.0]), np.array([[-3.5, 3.5]]), 1, np.zeros(1))
+PENDULUM = Bench(
+    quick_pendulum,
+    nominal=np.array([0.5, 2.0]),
+    limits=np.array([[-3.5, 3.5]]),
+    outputs=1,
+    rest=np.zeros(1),
+)
 """The built-in pendulum: angle and velocity, torque."""
 
 COUPLED = Bench(
     lambda state, u: TANKS @ state + PIPES @ u,
-    np.array([20.0, 10.0, 5.0]),
-    np.array([[0.0, 6.0], [-1.0, 4.0]]),
-    2,
-    np.array([2.0, 1.0]),
+    nominal=np.array([20.0, 10.0, 5.0]),
+    limits=np.array([[0.0, 6.0], [-1.0, 4.0]]),
+    outputs=2,
+    rest=np.array([2.0, 1.0]),
 )
 """A linear plant with two inputs, two outputs and one more measurement, about an operating point."""
