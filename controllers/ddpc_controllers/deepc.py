@@ -33,6 +33,8 @@ from ddpc_controllers.data.hankel import (
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.quality import Span, fit_by_windows, judge
+from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Problem
@@ -170,6 +172,31 @@ class BehavioralTracking(ScaledSignals):
         if learner:
             learner.learn(u=u, y=y)
         return action(u, fault or missing, self._told)
+
+    def _c_step(self, code: Code, loop: Loop) -> str:
+        """Add the window and the law."""
+        code.kernel("window")
+        steps, limits = self.apply_steps, self._limits.tables()
+        law = add_law(code, self._law, self._planned[1])
+        window = code.constant(
+            "Window",
+            m=self._inputs,
+            p=self._outputs,
+            past_u=self.initial_length,
+            past_y=self._past_outputs,
+            horizon=self.horizon,
+            steps=steps,
+            current=self.use_current_output,
+            low=code.doubles(limits["low"]),
+            high=code.doubles(limits["high"]),
+            rates=code.doubles(self._rates),
+            law=law.pointer,
+        )
+        forecast = np.zeros(steps * self._outputs)
+        forecast[: self._outputs] = self._forecast[: self._outputs]
+        rest = np.zeros(self._planned[1] + law.memory)
+        memory = code.memory([*self._parameters.array, self._resting, 0.0, *forecast, *rest])
+        return code.step(f"step_window(&{window}, {memory}, sample, u, told);")
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that can excite the inputs up to the order needed."""

@@ -279,12 +279,27 @@ def contradiction(gain: FloatArray, excess: FloatArray) -> ActiveSet:
 
     By Farkas' lemma they are those with a positive multiplier in ``gain' y = 0, excess' y = 1, y >= 0``.
     """
+    multipliers, distance = _multipliers(gain, excess)
+    if distance > _CONTRADICTION:
+        return ()
+    return tuple(np.flatnonzero(multipliers > _CONTRADICTION * multipliers.max()).tolist())
+
+
+def least_distance(gain: FloatArray, excess: FloatArray) -> ActiveSet:
+    """Return the active bounds of the optimum; empty if there is none.
+
+    Slower than the solvers, but for limits that leave next to no room, such as a terminal condition's, right
+    where these see none (C. L. Lawson, R. J. Hanson, *Solving least squares problems*, chapter 23).
+    """
+    multipliers, distance = _multipliers(gain, excess)
+    return tuple(np.flatnonzero(multipliers).tolist()) if distance > _CONTRADICTION else ()
+
+
+def _multipliers(gain: FloatArray, excess: FloatArray) -> tuple[FloatArray, float]:
+    """Return y >= 0 that comes closest to ``gain' y = 0, excess' y = 1``, and how close."""
     from scipy.optimize import nnls
 
     system = np.vstack([gain.T / (np.abs(gain).max(initial=0.0) or 1.0), excess])
     system /= np.maximum(np.linalg.norm(system, axis=0), np.finfo(float).tiny)
-    target = np.append(np.zeros(gain.shape[1]), 1.0)
-    multipliers, distance = nnls(system, target)
-    if distance > _CONTRADICTION:
-        return ()
-    return tuple(np.flatnonzero(multipliers > _CONTRADICTION * multipliers.max()).tolist())
+    multipliers, distance = nnls(system, np.append(np.zeros(gain.shape[1]), 1.0))
+    return multipliers, float(distance)

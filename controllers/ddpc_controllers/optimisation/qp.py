@@ -29,7 +29,7 @@ import scipy  # whose parts are imported when they are first used
 
 from ddpc_controllers.checks import all_finite
 from ddpc_controllers.data.online import OnlineData
-from ddpc_controllers.optimisation.backends import ActiveSet, Backend, PIQPBackend
+from ddpc_controllers.optimisation.backends import ActiveSet, Backend, PIQPBackend, least_distance
 from ddpc_controllers.optimisation.condensing import (
     CondensedProblem,
     ReducedProblem,
@@ -49,7 +49,9 @@ from ddpc_controllers.optimisation.limits import (
 from ddpc_controllers.optimisation.problem import Problem
 from ddpc_cosim import OK, Action, ConfigError, FloatArray, Variable
 
-_FEASIBLE = 1e-11
+FEASIBLE = 1e-11
+"""By how much an optimum may exceed a bound, in parts of its range: rounding."""
+
 _NO_CONFLICT = 1e-6
 _LARGEST_CONDITION = 1e12
 _SINGULAR = 1e-6
@@ -215,7 +217,7 @@ class _BoundedLaw(ABC):
     unmet = ""
 
     def __init__(self, limits: InputLimits, backend: Backend, relaxation: Relaxation | None) -> None:
-        self._limits, self._backend, self._relaxation = limits, backend, relaxation
+        self.limits, self._backend, self._relaxation = limits, backend, relaxation
         self._active: ActiveSet = ()
         self._easier: _BoundedLaw | None = None
         self._rest, self._gain = 0, np.empty((0, 0))
@@ -228,6 +230,12 @@ class _BoundedLaw(ABC):
         if self._easier is None:
             return StepInfo(ends_told, (ends, predicted, unit))
         return self._easier.info(ends, predicted, unit)
+
+    def easier(self) -> "_BoundedLaw | None":
+        """Return the law that takes over where there is no solution, None if there is none."""
+        if self._easier is None and self._relaxation:
+            self._easier = self._relaxation.law(self.limits, self._backend)
+        return self._easier
 
     @abstractmethod
     def solve(self, parameters: FloatArray) -> Move:
@@ -244,7 +252,7 @@ class _BoundedLaw(ABC):
         self._bounds, self._labels = len(problem.excess_law), problem.labels
         self._conflict_law, self._watches_conflict = problem.conflict_law, problem.conflict_law.size > 0
         # Where nothing else would hold it back, an input that is not finite would pass.
-        self._checks_inputs = self._limits.endless or not self._bounds
+        self._checks_inputs = self.limits.endless or not self._bounds
 
     def _move(
         self,
@@ -262,25 +270,24 @@ class _BoundedLaw(ABC):
             if not all_finite(excess):
                 return Move(None, HELD)
             correction = correct(excess, u)
-            self._limits.reach(u)
+            self.limits.reach(u)
             if correction is None:
                 unmet = self.unmet or unmet_bounds(self._gain, excess, self._labels)
                 return self._relax(u, parameters, unmet)
             self._solution = Solution(answer, *correction)
         elif self._checks_inputs and not np.isfinite(u).all():
             return Move(None, HELD)
-        self._limits.hold(u)
+        self.limits.hold(u)
         return Move(u, bounds_not_met(self.unmet, *self.given_up) if self.given_up else fault)
 
     def _relax(self, u: FloatArray, parameters: FloatArray, unmet: str) -> Move:
         """Return the move of the easier problem; where there is none clip ``u``."""
         self._solution = None
-        if self._easier is None and self._relaxation:
-            self._easier = self._relaxation.law(self._limits, self._backend)
-        if self._easier is not None:
-            self._easier.unmet = unmet
-            return self._easier.solve(parameters)
-        self._limits.hold(u)
+        easier = self.easier()
+        if easier is not None:
+            easier.unmet = unmet
+            return easier.solve(parameters)
+        self.limits.hold(u)
         return Move(u, bounds_not_met(unmet, CLIPPED))
 
 
@@ -297,6 +304,13 @@ class ParametricQP(_BoundedLaw):
         The solver for active sets not seen before; default: PIQP.
     relaxation : Relaxation, optional
         What takes over where there is no solution; default: the inputs are clipped.
+
+    Attributes
+    ----------
+    problem : CondensedProblem
+        What is solved now.
+    limits : InputLimits
+        See above.
     """
 
     def __init__(
@@ -312,7 +326,7 @@ class ParametricQP(_BoundedLaw):
 
     def replace(self, problem: CondensedProblem) -> None:
         """Take new matrices; active sets seen before stay the first guesses."""
-        self._easier = None
+        self._easier, self.problem = None, problem
         self._take(problem)
         cost_law = np.empty((0, problem.move_law.shape[1])) if problem.cost_law is None else problem.cost_law
         self._law = np.vstack([problem.excess_law, problem.move_law, cost_law])
@@ -352,7 +366,7 @@ class ParametricQP(_BoundedLaw):
         if law is None:
             return False
         answer = np.dot(law, excess)
-        if not max(answer[: self._bounds].tolist()) <= _FEASIBLE:
+        if not max(answer[: self._bounds].tolist()) <= FEASIBLE:
             return False
         u += answer[self._bounds :]
         return True
@@ -374,11 +388,12 @@ class ParametricQP(_BoundedLaw):
         """Solve, read off the active set, and prefer its exact law to the solver's digits."""
         t, active, failure = self._backend.solve(excess)
         # Whatever the solver says of itself: a law that satisfies the optimality conditions is the optimum.
-        if active and self._apply(active, excess, u):
-            self._active = active
-            _make_room(self._active_sets)
-            self._active_sets[pattern] = active
-            return active, None
+        for found in (active, least_distance(self._gain, excess - FEASIBLE) if failure else ()):
+            if found and self._apply(found, excess, u):
+                self._active = found
+                _make_room(self._active_sets)
+                self._active_sets[pattern] = found
+                return found, None
         if failure:
             return None
         u += self._move_gain @ t
@@ -582,4 +597,4 @@ def _certified(gain: FloatArray, excess: FloatArray, active: ActiveSet) -> Float
         return None
     t = -(multipliers @ rows)
     beyond = max((excess + gain @ t).tolist())
-    return np.asarray(t) if beyond <= _FEASIBLE else None
+    return np.asarray(t) if beyond <= FEASIBLE else None

@@ -54,20 +54,20 @@ class CompiledController:
             if "#define CONTROLLER_" in line and len(line.split()) == 3
         )
         self._memory = int(sizes["CONTROLLER_MEMORY"])
-        self._state = (ctypes.c_double * (self._memory + 2))()  # and three unsigned
+        self.state = (ctypes.c_double * (self._memory + 2))()  # and three unsigned
         self._u = (ctypes.c_double * int(sizes["CONTROLLER_INPUTS"]))()
         outputs = [variable.name for variable in loop.outputs]
         self._others = [i for i, v in enumerate(loop.measurements) if v.name not in outputs]
         self._preview = min(loop.preview, controller.horizon)
         self._doubles = ctypes.POINTER(ctypes.c_double)
-        self._library.controller_start(ctypes.byref(self._state))
+        self._library.controller_start(ctypes.byref(self.state))
 
     def step(self, sample: Sample) -> FloatArray:
         """Return the inputs for a sample, shape (m,)."""
         y = np.ascontiguousarray(np.append(sample.y, sample.measured[self._others]))
         r = np.ascontiguousarray(np.vstack([sample.setpoint, sample.reference[: self._preview]]))
         self.status = self._library.controller_step(
-            ctypes.byref(self._state),
+            ctypes.byref(self.state),
             y.ctypes.data_as(self._doubles),
             r.ctypes.data_as(self._doubles),
             self._u,
@@ -77,7 +77,7 @@ class CompiledController:
     @property
     def told(self) -> tuple[int, int, int]:
         """Status, iterations and active bounds of the last step."""
-        status, iterations, active = np.frombuffer(self._state, np.uint32)[2 * self._memory :][:3].tolist()
+        status, iterations, active = np.frombuffer(self.state, np.uint32)[2 * self._memory :][:3].tolist()
         return status, iterations, active
 
 

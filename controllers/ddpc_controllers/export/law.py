@@ -1,0 +1,120 @@
+"""A condensed problem in C: ``runtime/law.c`` with the tables of a law and of the easier ones after it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ddpc_controllers.export.code import Code
+from ddpc_controllers.optimisation.condensing import CondensedProblem
+from ddpc_controllers.optimisation.limits import InputLimits
+from ddpc_controllers.optimisation.qp import FEASIBLE, AdaptiveQP, Law, ParametricQP
+from ddpc_cosim import ConfigError
+
+_OPPOSITE = 1e-13
+
+
+class LawInC(NamedTuple):
+    """A law in C, for ``solve_law(pointer, parameters, memory, answer, told)``.
+
+    Parameters
+    ----------
+    pointer : str
+        Expression of its tables.
+    memory : int
+        How many numbers it remembers, zero at first.
+    """
+
+    pointer: str
+    memory: int
+
+
+def add_law(code: Code, law: Law, answers: int) -> LawInC:
+    """Add a law and the easier ones after it to the code.
+
+    Parameters
+    ----------
+    code : Code
+        Where its tables go.
+    law : Law
+        The law of a started controller.
+    answers : int
+        How many numbers of an answer are needed: the first ones, which begin with the inputs.
+
+    Raises
+    ------
+    ConfigError
+        The law cannot be exported, and why.
+    """
+    if isinstance(law, AdaptiveQP):
+        raise ConfigError(
+            "online_data cannot be exported: the data are factorised anew while the loop runs, with "
+            "decisions on their rank, and take as much memory as the recording: use online_data = 'frozen'"
+        )
+    if not isinstance(law, ParametricQP):
+        raise ConfigError(
+            "regulariser = 'l1' cannot be exported: its problem has no condensed form, and more variables "
+            "the longer the recording: use another regulariser"
+        )
+    code.kernel("law")
+    laws, easier = [law], law.easier()
+    while isinstance(easier, ParametricQP):
+        laws.append(easier)
+        easier = easier.easier()
+    added = LawInC("NULL", 0)
+    for one in reversed(laws):
+        pointer, memory = _add(code, one.problem, one.limits, answers, added.pointer)
+        added = LawInC(pointer, added.memory + memory)
+    return added
+
+
+def _add(code: Code, problem: CondensedProblem, limits: InputLimits, answers: int, easier: str) -> LawInC:
+    """Add one law."""
+    upper, lower = _sides(problem)
+    law, gain = problem.excess_law[upper], problem.excess_gain[upper]
+    size = np.linalg.norm(gain, axis=1)
+    size[size == 0.0] = 1.0
+    # Both sides of a bound are one row: where the other one's excess begins is a limit of this one's.
+    limit = np.full(len(upper), -np.inf)
+    both = lower >= 0
+    limit[both] = (problem.excess_law[lower[both], -1] + law[both, -1]) / size[both]
+    move_law, move_gain = problem.move_law[:answers], problem.move_gain[:answers]
+    tables = {
+        "law": np.vstack([law / size[:, np.newaxis], move_law, problem.conflict_law]),
+        "gain": np.vstack([gain / size[:, np.newaxis], move_gain]),
+        "lower": limit,
+        "upper": np.zeros(len(upper)),
+        "tolerance": FEASIBLE / size,
+        **limits.tables(),
+    }
+    bounds, unknowns = gain.shape
+    name = code.constant(
+        "Law",
+        parameters=law.shape[1],
+        bounds=bounds,
+        size=unknowns,
+        answers=answers,
+        inputs=len(limits.tables()["low"]),
+        conflicts=len(problem.conflict_law),
+        **{table: code.doubles(values) for table, values in tables.items()},
+        easier=easier,
+    )
+    method = 2 + 6 * unknowns + unknowns**2 + unknowns * (unknowns + 1) // 2
+    return LawInC(f"&{name}", bounds + unknowns + method)
+
+
+def _sides(problem: CondensedProblem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows that are not the other side of an earlier one, and their other sides, -1 for none."""
+    rows = np.hstack([problem.excess_law[:, :-1], problem.excess_gain])
+    size = np.linalg.norm(rows, axis=1, keepdims=True)
+    size[size == 0.0] = 1.0
+    rows /= size
+    first, second = np.full(len(rows), -1), np.zeros(len(rows), dtype=bool)
+    for i in range(len(rows)):
+        opposite = np.abs(rows[i + 1 :] + rows[i]).max(axis=1) <= _OPPOSITE
+        others = i + 1 + np.flatnonzero(opposite & ~second[i + 1 :])
+        if others.size and not second[i]:
+            first[i] = others[0]
+            second[others[0]] = True
+    kept = np.flatnonzero(~second)
+    return kept, first[kept]
