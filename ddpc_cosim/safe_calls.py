@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Self, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_cosim.controller import OK, Action, Bounds, Controller, Loop, Sample
+from ddpc_cosim.controller import OK, Action, Bounds, Controller, ControllerCode, Loop, Sample
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.texts import recorded
@@ -301,6 +301,12 @@ def controller_knowledge(controller: Controller, loop: Loop) -> dict[str, str]:
     """Return what a controller says it goes by, in words."""
     with _ControllerCall(controller, "knowledge"):
         return {recorded(name): recorded(text) for name, text in controller.knowledge(loop).items()}
+
+
+def controller_code(controller: Controller, loop: Loop) -> ControllerCode:
+    """Return a started controller as C code; one that cannot be exported raises ConfigError."""
+    with _ControllerCall(controller, "c_code", own=CosimError):
+        return controller.c_code(loop)
 
 
 def controller_diagnostics(controller: Controller) -> dict[str, float]:

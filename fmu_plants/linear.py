@@ -1,6 +1,5 @@
 """Plants given by state-space matrices, x' = A x + B u, y = C x + D u, and such matrices of any plant."""
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
@@ -10,7 +9,16 @@ import sympy
 from numpy.typing import ArrayLike, NDArray
 
 from fmu_plants.equations import resolve
-from fmu_plants.model import TIME, Equations, ModelError, PlantModel, Symbols, Variable, derivative_name
+from fmu_plants.model import (
+    TIME,
+    Equations,
+    ModelError,
+    PlantModel,
+    Symbols,
+    Variable,
+    derivative_name,
+    identifier,
+)
 
 _MATRICES = ("A", "B", "C", "D")
 
@@ -22,12 +30,6 @@ class StateSpaceMatrices(Protocol):
     B: Any
     C: Any
     D: Any
-
-
-def identifier(text: str) -> str:
-    """Return the text as a name that a variable or model can have."""
-    name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
-    return name if name and not name[0].isdigit() else f"_{name}"
 
 
 def state_space_model(

@@ -17,6 +17,12 @@ TIME = "time"
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
+def identifier(text: str) -> str:
+    """Return the text as a name that a variable or model can have."""
+    name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
+    return name if name and not name[0].isdigit() else f"_{name}"
+
+
 class ModelError(ValueError):
     """A plant model contradicts itself; the message lists all errors that were found."""
 

@@ -1,4 +1,4 @@
-"""``ddpc-cosim export``."""
+"""``ddpc-cosim export`` and ``ddpc-cosim export-controller``."""
 
 import importlib.util
 import sys
@@ -9,8 +9,10 @@ from typing import Any
 
 from ddpc_cosim.cli.output import say
 from ddpc_cosim.cli.progress import shown
+from ddpc_cosim.cli.run import warnings_in_one_line
 from ddpc_cosim.errors import ConfigError, CosimError, PluginError
 from ddpc_cosim.plugins import find_modules_in, load_plugin
+from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.texts import printable
 
 _MATRICES = ("A", "B", "C", "D")
@@ -63,6 +65,22 @@ def export_command(target: str, fmi_version: str, out: Path | None, platforms: s
         raise ConfigError(str(error)) from error
     except ExportError as error:
         raise CosimError(str(error)) from error
+    print(printable(str(path)))
+
+
+def export_controller_command(
+    study: str, controller: str, out: Path | None, fmi_version: str, platforms: str | None, **case: Any
+) -> None:
+    """Export a controller of a study as an FMU and print its path.
+
+    ``case`` says which of its cases: parameters and errors as of
+    :func:`ddpc_cosim.exporting.of_study.export_from_study`.
+    """
+    from ddpc_cosim.exporting.of_study import export_from_study
+
+    with shown(f"reading {study}") as progress, warnings_in_one_line():
+        resolved = read_study(study)
+        path = export_from_study(resolved, controller, out, fmi_version, platforms, progress, **case)
     print(printable(str(path)))
 
 

@@ -522,13 +522,39 @@ def check(
     sys.exit(check_command(subject, sampling_time, timeout, settings, sandboxed=sandbox))
 
 
+_FMI = click.option(
+    "--fmi", type=_Choice(["2.0", "3.0"]), default="2.0", show_default=True, help="FMI version."
+)
+_PLATFORMS = click.option("--platforms", metavar="all|NAME,...", help="Platforms to compile for [this one].")
+
+
 @main.command()
 @click.argument("plant", shell_complete=_names("plants"))
-@click.option("--fmi", type=_Choice(["2.0", "3.0"]), default="2.0", show_default=True, help="FMI version.")
-@click.option("--platforms", metavar="all|NAME,...", help="Platforms to compile for [this one].")
+@_FMI
+@_PLATFORMS
 @click.option("--out", type=_Path(dir_okay=False), help="The FMU [PLANT.fmu].")
 def export(plant: str, fmi: str, platforms: str | None, out: Path | None) -> None:
     """Export PLANT (a name from `list plants`, module:MODEL or file.py:MODEL) as an FMU."""
     from ddpc_cosim.cli.export import export_command
 
     export_command(plant, fmi, out, platforms)
+
+
+@main.command("export-controller")
+@click.argument("study", shell_complete=_names("studies"))
+@click.option("--controller", required=True, metavar="NAME", help="Its name in the study.")
+@click.option("--out", type=_Path(dir_okay=False), metavar="FILE.fmu", help="The FMU [NAME.fmu].")
+@_FMI
+@_PLATFORMS
+@click.option("--problem", metavar="NAME", help="Where the study has several.")
+@click.option("--scenario", metavar="NAME", help="Whose experiment, bounds and preview [the first].")
+@click.option("--seed", type=click.IntRange(min=0), help="Of the experiment [the study's first].")
+@_SANDBOX
+def export_controller(
+    study: str, controller: str, out: Path | None, fmi: str, platforms: str | None, sandbox: bool, **case: Any
+) -> None:
+    """Export a controller of STUDY, as it is after its experiment, as an FMU in plain C."""
+    with orderly_end():
+        from ddpc_cosim.cli.export import export_controller_command
+
+        export_controller_command(study, controller, out, fmi, platforms, sandboxed=sandbox, **case)

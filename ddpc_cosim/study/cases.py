@@ -14,7 +14,7 @@ import numpy as np
 
 from ddpc_cosim import safe_calls
 from ddpc_cosim.conditions import Conditions, changed_inputs
-from ddpc_cosim.controller import Bounds, Controller, Recording
+from ddpc_cosim.controller import Bounds, Controller, Loop, Recording, Sample
 from ddpc_cosim.errors import (
     ConfigError,
     CosimError,
@@ -34,7 +34,7 @@ from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.trace import Outcome, Trace
-from ddpc_cosim.variables import Variable, names
+from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 
 if TYPE_CHECKING:  # a worker, which runs cases, does without what reads studies
@@ -292,13 +292,6 @@ def plugins_in(case: Case) -> Iterator[str]:
     yield from types_in(_sections(case))
 
 
-def _hash_of_recording(recording: Recording) -> str:
-    content = hashlib.sha256(repr((recording.seams, recording.sampling_time)).encode())
-    for array in (recording.u, recording.y, recording.measured):
-        content.update(repr(array.shape).encode() + array.tobytes())
-    return content.hexdigest()
-
-
 def _hash_of(case: Case, content: Mapping[str, Any]) -> "hashlib._Hash":
     """Return a hash of everything that decides a case's result, but for its seed."""
     decisive = {one.name: getattr(case, one.name) for one in fields(case)}
@@ -318,12 +311,62 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
     return replace(trace, reason=f"{trace.reason}{_TRIED_AGAIN}") if trace.transient else trace
 
 
+def started(case: Case) -> tuple[Controller, Loop]:
+    """Return the controller of a case as its loop starts, and the loop; experiments have been run.
+
+    Raises
+    ------
+    CosimError
+        What keeps the loop from starting.
+    """
+    controller = _controller(case.section, case.plant)
+    if controller is None:
+        raise ConfigError(f'"{case.controller}" is no controller: the plant runs in open loop')
+    only_started = _OnlyStarted(controller)
+    plant = _open(case)
+    try:
+        with suppress(_StartedError):
+            _close_the_loop(case, plant, only_started, None)
+    finally:
+        with suppress(CosimError):  # the first error counts
+            safe_calls.close_plant(plant)
+    return controller, only_started.loop
+
+
+class _StartedError(CosimError):
+    """The controller has been started, which is all that is wanted."""
+
+
+class _OnlyStarted(Controller):
+    """Starts another controller, keeps its loop, and ends the run there."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self.horizon = safe_calls.horizon_of(controller)
+
+    @property
+    def uses_recording(self) -> bool:
+        return safe_calls.learns_from_recording(self._controller)
+
+    def start(self, loop: Loop) -> None:
+        safe_calls.start_controller(self._controller, loop)
+        self.loop = loop
+        raise _StartedError
+
+    def step(self, sample: Sample) -> FloatArray:
+        raise AssertionError
+
+
+def _open(case: Case) -> Plant:
+    read = (*names(case.outputs), *names(case.measurements))
+    return case.plant.open(names((*case.inputs, *case.undriven)), tuple(dict.fromkeys(read)))
+
+
 def _trace(case: Case, store: RowStore | None) -> Trace:
     store = store or row_store(case)
     safe_calls.announce_calls(store.announce)
-    read = (*names(case.outputs), *names(case.measurements))
     try:
-        plant = case.plant.open(names((*case.inputs, *case.undriven)), tuple(dict.fromkeys(read)))
+        plant = _open(case)
     except CosimError as error:
         return _not_begun(case, error)
     try:
@@ -341,32 +384,36 @@ def _trace(case: Case, store: RowStore | None) -> Trace:
 
 
 def _run(case: Case, plant: Plant, store: RowStore) -> Trace:
-    """Close the loop of a case and an open plant."""
+    """Close the loop of a case and an open plant; an error before its first sample is in the trace, too."""
     try:
-        return cosimulate(
-            plant,
-            _controller(case.section, case.plant),
-            sampling_time=case.sampling_time,
-            duration=case.duration,
-            reference=case.reference,
-            excitation=case.excitation and case.excitation.with_seed(case.seed),
-            recording=case.recording,
-            stabiliser=_controller(case.stabiliser, case.plant) if case.stabiliser else None,
-            bounds=case.bounds,
-            outputs=names(case.outputs),
-            measurements=names(case.measurements),
-            parameters=case.parameters,
-            noise=GaussianNoise(case.noise) if case.noise else None,
-            conditions=case.conditions,
-            events=case.events,
-            preview=case.preview,
-            seed=case.seed,
-            start_time=case.start_time,
-            continue_recording=case.continue_recording,
-            store=store,
-        )
+        return _close_the_loop(case, plant, _controller(case.section, case.plant), store)
     except CosimError as error:
         return _not_begun(case, error)
+
+
+def _close_the_loop(case: Case, plant: Plant, controller: Controller | None, store: RowStore | None) -> Trace:
+    return cosimulate(
+        plant,
+        controller,
+        sampling_time=case.sampling_time,
+        duration=case.duration,
+        reference=case.reference,
+        excitation=case.excitation and case.excitation.with_seed(case.seed),
+        recording=case.recording,
+        stabiliser=_controller(case.stabiliser, case.plant) if case.stabiliser else None,
+        bounds=case.bounds,
+        outputs=names(case.outputs),
+        measurements=names(case.measurements),
+        parameters=case.parameters,
+        noise=GaussianNoise(case.noise) if case.noise else None,
+        conditions=case.conditions,
+        events=case.events,
+        preview=case.preview,
+        seed=case.seed,
+        start_time=case.start_time,
+        continue_recording=case.continue_recording,
+        store=store,
+    )
 
 
 def _not_begun(case: Case, error: CosimError) -> Trace:
@@ -450,7 +497,7 @@ def _cases_of_problem(
     study = resolved.study
     stabiliser = study.recording.controller if study.recording is not None else None
     events = {name: _events(scenario, study.loop) for name, scenario in study.scenarios.items()}
-    recording = {"recording": _hash_of_recording(resolved.recording) if resolved.recording else None}
+    recording = {"recording": resolved.recording.digest if resolved.recording else None}
     for controller, section in study.controllers.items():
         content: dict[str, Any] = {}
         for name, scenario in study.scenarios.items():

@@ -19,6 +19,7 @@ from ddpc_cosim.study.file_format.replacing import (
 )
 from ddpc_cosim.study.file_format.sections import Study, StudyHead
 from ddpc_cosim.study.file_format.validation_errors import ValidationErrors
+from ddpc_cosim.texts import encodable
 from fmu_plants.spelling import did_you_mean
 
 OF_HEAD = tuple(StudyHead.model_fields)
@@ -81,6 +82,12 @@ class WholeStudy:
             },
             CONTROLLERS: controllers,
         }
+
+    def toml(self) -> bytes:
+        """Return the study as the content of a file."""
+        import tomli_w
+
+        return encodable(tomli_w.dumps(self.tables())).encode()
 
     def with_seeds(self, seeds: list[int]) -> Self:
         """Return the study on other seeds; on none: on its own."""

@@ -420,7 +420,7 @@ def claim_folder(folder: Path, study: "WholeStudy") -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not path.exists():
-            _write_first(path, _toml(study))
+            _write_first(path, study.toml())
         there = tomllib.loads(path.read_bytes().decode())
         others, names = _plants(there), {there.get("name", own["name"]), *there.get("based_on", ())}
     except (ValueError, AttributeError, TypeError):  # damaged: whose it was is not known, and no case is lost
@@ -460,12 +460,6 @@ def _plants(tables: dict[str, Any]) -> set[str]:
     return {plant.get("name") or Path(plant.get("fmu", "")).name for plant in plants}
 
 
-def _toml(study: "WholeStudy") -> bytes:
-    import tomli_w
-
-    return encodable(tomli_w.dumps(study.tables())).encode()
-
-
 def _study(content: bytes) -> "WholeStudy":
     from ddpc_cosim.study.problems import WholeStudy  # a worker, which writes cases, does without
 
@@ -493,7 +487,7 @@ def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> 
     CosimError
         They cannot be written, and why.
     """
-    folder, content = results.folder, _toml(results.whole)
+    folder, content = results.folder, results.whole.toml()
     provenance = {**results.provenance, _STUDY_CHECKSUM: checksum(content)}
     ids = [*(case.id for case in results.cases), *results.damaged] if whole is None else [*whole]
     facts = {**provenance, "cases": ids}

@@ -17,7 +17,7 @@ from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from ddpc_cosim.csv_files import load_pyarrow
 from ddpc_cosim.errors import ConfigError, CosimError
@@ -79,6 +79,7 @@ _REPLY_SECONDS = 5.0
 # Opening a plant, computing metrics and writing take no longer. Without a limit, a process that a dead worker
 # has forked could hold its channel open for ever.
 _BETWEEN_CALLS_SECONDS = 600.0
+_LONGEST_ANSWER_SECONDS = 3600.0
 # A column's name and unit; a row's status and info; a number.
 _HEADER_BYTES, _ROW_BYTES, _NUMBER_BYTES = 100_000, 10_000, 32
 _STAGING = ".staging-"
@@ -418,6 +419,46 @@ def run_cases(
                 run.close()
 
 
+def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:
+    """Return what a function, which returns what JSON can say, makes of a case in a worker of its own.
+
+    Raises
+    ------
+    CosimError
+        What the function raises, or that its process crashed or was not done in time.
+    """
+    around = Surroundings.of(case)
+    seconds = case.case_timeout or _LONGEST_ANSWER_SECONDS
+    with _scratch() as folder:
+        sandbox = Sandbox((folder,), (*around.read, cache_dir())) if case.sandbox else None
+        preload = [*_PRELOAD, *_plugin_modules([case])]
+        memory = _memory(case, 1)
+        worker = Worker(serve_calls, folder=folder, preload=preload, memory=memory, sandbox=sandbox)
+        try:
+            ask(worker.channel, _answer, function, case, around.modules, around.values)
+            return result_of(worker.channel.receive(LONGEST_REPLY, seconds=seconds))
+        except TimeoutError as error:
+            remedy = "raise loop.case_timeout if it needs longer"
+            raise CosimError(f"{case.name}: not done within {seconds:g} s; {remedy}") from error
+        except (OSError, EOFError, ValueError) as error:
+            raise CosimError(f"{case.name}: its process crashed: {worker.end()}") from error
+        except UnexpectedError as error:
+            raise CosimError(f"{case.name}: {error}") from error
+        finally:
+            worker.end()
+
+
+def _answer(function: Callable[[Case], Any], case: Case, modules: str, values: bytes) -> Any:
+    _settle(modules, values)
+    return function(case)
+
+
+def _settle(modules: str, values: bytes) -> None:
+    """Let a worker find what is around the process that it works for."""
+    find_modules_in(modules)
+    keep_values(pickle.loads(values))
+
+
 def _memory(case: Case, workers: int) -> int:
     """Return how many bytes the worker of a case may have."""
     return default_memory(workers) if case.memory_limit is None else int(1e9 * case.memory_limit)
@@ -584,7 +625,6 @@ def run_and_stage(case: Case, rows: Path, staged: Path, modules: str, values: by
 
     ``began`` is when its worker was asked for, which is part of what it takes.
     """
-    find_modules_in(modules)
-    keep_values(pickle.loads(values))
+    _settle(modules, values)
     trace = run_case(case, row_store(case, rows))
     stage_case(staged, trace, case.head() | {"wall_time": monotonic() - began}, case.metrics)

@@ -18,7 +18,7 @@ from fmu_plants.export.description import Contents, Description, plant_contents
 from fmu_plants.export.platforms import Platform, binary_files, parse_platforms
 from fmu_plants.export.sampled_block import SampledBlock
 from fmu_plants.files import cached, write_atomically, zip_bytes
-from fmu_plants.model import ExportError, ExportUsageError, PlantModel
+from fmu_plants.model import ExportError, ExportUsageError, PlantModel, identifier
 
 DEFAULT_TOLERANCE = 1e-10
 FMI_VERSIONS = ("2.0", "3.0")
@@ -236,7 +236,7 @@ def _plant(model: PlantModel | Any, path: Path) -> PlantModel:
     if isinstance(model, PlantModel):
         return model
     # NumPy, which it needs, is not needed for models that are equations.
-    from fmu_plants.linear import identifier, state_space_model
+    from fmu_plants.linear import state_space_model
 
     return state_space_model(model, identifier(path.stem))
 

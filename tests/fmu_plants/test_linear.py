@@ -10,7 +10,8 @@ from fmpy.validation import validate_fmu
 from scipy.linalg import expm
 
 from fmu_plants import DisplayUnit, Equations, ModelError, Variable, export_fmu
-from fmu_plants.linear import identifier, linearise, state_space_model
+from fmu_plants.linear import linearise, state_space_model
+from fmu_plants.model import identifier
 from fmu_plants.pendulum import MODEL
 
 A = np.array([[-1.0, 2.0, 0.0], [-3.0, -0.5, 1.0], [0.0, 0.0, -0.2]])

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from itertools import groupby
@@ -65,7 +66,7 @@ def facts_of_run(
         "ddpc-cosim version": package_version(),
         "ddpc-cosim commit": commit_of(Path(__file__)),
         "python version": platform.python_version(),
-        **dict(_versions()),
+        **versions(),
         "plug-ins": ", ".join(_plugins_of(file)),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "cpu": "of dask workers, not recorded" if workers == "dask" else _cpu(),
@@ -125,13 +126,13 @@ def _facts_of_file(file: "StudyFile") -> dict[str, str]:
     return {"study file": file.source, "study file sha256": content, "study file commit": commit_of(path)}
 
 
-def _versions() -> Iterator[tuple[str, str]]:
-    """Yield the versions of the packages that decide figures, as far as they are installed."""
+def versions() -> dict[str, str]:
+    """Return the versions of the packages that decide figures, as far as they are installed."""
+    found = {}
     for name in _VERSIONS_OF:
-        try:
-            yield f"{name.lower()} version", metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
+        with suppress(metadata.PackageNotFoundError):
+            found[f"{name.lower()} version"] = metadata.version(name)
+    return found
 
 
 def _plugins_of(file: "StudyFile") -> list[str]:

@@ -306,7 +306,7 @@ def test_cases_are_chosen_by_labels_with_brackets_too(folder: Path, write_study:
         (["list"], "pl", {"plants"}),
         (["run", "paper"], "--no-r", {"--no-report"}),
         (["run", "paper", "--executor"], "d", {"dask"}),
-        ([], "exp", {"export"}),
+        ([], "exp", {"export", "export-controller"}),
     ],
 )
 def test_a_shell_completes_commands_options_and_names(

@@ -1,0 +1,136 @@
+"""A controller of a study as an FMU: the loop of its case is set up, in a worker, up to its first sample."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.exporting import block_of, write_block
+from ddpc_cosim.processes.sandbox import require
+from ddpc_cosim.study.cases import Case, cases_of_problems, started
+from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
+from ddpc_cosim.study.runner import Progress, answer_of, built_plants
+from ddpc_cosim.variables import DisplayUnit
+from fmu_plants import Variable
+from fmu_plants.export.platforms import ALL, parse_platforms
+from fmu_plants.export.sampled_block import SampledBlock
+from fmu_plants.model import ExportUsageError
+from fmu_plants.spelling import did_you_mean
+
+_SIGNALS = ("measurements", "references", "controls")
+
+
+def export_from_study(
+    resolved: ResolvedProblems,
+    controller: str,
+    path: Path | None,
+    fmi_version: str,
+    platforms: str | Sequence[str] | None,
+    progress: Progress,
+    *,
+    problem: str | None = None,
+    scenario: str | None = None,
+    seed: int | None = None,
+    sandboxed: bool = False,
+) -> Path:
+    """Write the FMU of a controller as it is at the first sample of one of its cases, and return its path.
+
+    Parameters
+    ----------
+    resolved : ResolvedProblems
+        The study.
+    controller : str
+        The controller's name there.
+    path : Path or None
+        The file; default: the controller's name, in the current folder.
+    fmi_version, platforms
+        As of :func:`ddpc_cosim.export_controller`.
+    progress : Progress
+        Follows what is done.
+    problem, scenario : str or None
+        Which of the study's; default: the only problem, the first scenario.
+    seed : int or None
+        Of the recording; default: the study's first.
+    sandboxed : bool
+        Whether the experiment runs in a sandbox.
+
+    Raises
+    ------
+    CosimError
+        The study has no such controller, problem or scenario; the controller cannot be exported; the
+        experiment or the compiler fails.
+    """
+    path = path or Path(f"{controller}.fmu")
+    _check_wishes(path, platforms)
+    one = _chosen("problem", problem, resolved.problems, only=True)
+    study = resolved.problems[one].study
+    _chosen("controller", controller, study.controllers)
+    within = _chosen("scenario", scenario, study.scenarios)
+    alone = replace(resolved, problems={one: resolved.problems[one]})
+    plant = built_plants(alone, progress)[one]
+    case = _case(alone.problem, plant, controller, within, study.seeds[0] if seed is None else seed)
+    if case.late:
+        raise ConfigError(f'controller "{controller}": {case.late}')
+    if sandboxed:
+        case = replace(case, sandbox=require())
+    facts = {
+        "controller": controller,
+        "study": resolved.head.name,
+        "problem": "" if len(resolved.problems) == 1 else one,
+        "scenario": within,
+        "seed": case.seed,
+        "case": case.id,
+    }
+    progress.prepare(f"starting {case.name}")
+    told = answer_of(case, partial(_block, name=path.stem, facts=facts, study=resolved.whole.toml().decode()))
+    return write_block(_read(told), path, fmi_version, platforms, progress.prepare)
+
+
+def _check_wishes(path: Path, platforms: str | Sequence[str] | None) -> None:
+    """Refuse before the experiment what cannot be written after it."""
+    faults = []
+    if not path.parent.is_dir():
+        faults.append(f"the FMU cannot be written to {path}: there is no folder {path.parent}")
+    try:
+        parse_platforms(ALL if platforms is None else platforms)
+    except ExportUsageError as error:
+        faults.append(str(error))
+    if faults:
+        raise ConfigError(faults)
+
+
+def _chosen(what: str, name: str | None, known: Iterable[str], *, only: bool = False) -> str:
+    """Return a name that there is; without one the first, or the only one."""
+    listed = list(known)
+    if name is None:
+        if only and len(listed) > 1:
+            raise ConfigError(f"the study has several {what}s: choose one by --{what}: {', '.join(listed)}")
+        return listed[0]
+    if name not in listed:
+        raise ConfigError(f'the study has no {what} "{name}"; {did_you_mean(name, listed)}')
+    return name
+
+
+def _case(resolved: ResolvedStudy, plant: Any, controller: str, scenario: str, seed: int) -> Case:
+    """Return one case, of all that the study has of a controller."""
+    cases = cases_of_problems({"": (resolved, plant)}, [seed])
+    (case,) = (case for case in cases if (case.controller, case.scenario) == (controller, scenario))
+    return case
+
+
+def _block(case: Case, name: str, facts: dict[str, Any], study: str) -> dict[str, Any]:
+    """Return, in a worker, a case's controller as a block, in plain values."""
+    controller, loop = started(case)
+    return asdict(block_of(controller, loop, name, facts, {"study.toml": study}))
+
+
+def _read(told: dict[str, Any]) -> SampledBlock:
+    """Return the block that a worker told in plain values."""
+
+    def variable(fields: dict[str, Any]) -> Variable:
+        shown = fields["display_unit"]
+        return Variable(**fields | {"display_unit": shown and DisplayUnit(**shown)})
+
+    return SampledBlock(**told | {key: [variable(one) for one in told[key]] for key in _SIGNALS})
