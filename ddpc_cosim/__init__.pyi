@@ -11,6 +11,8 @@ from .controller import (
     Recording as Recording,
     Sample as Sample,
 )
+from .coupling.plant import CoupledPlant as CoupledPlant
+from .coupling.wiring import Connection as Connection
 from .data_quality import judge_prediction as judge_prediction
 from .errors import (
     ConfigError as ConfigError,

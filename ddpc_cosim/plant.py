@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Literal
 
 from ddpc_cosim.errors import ConfigError
@@ -25,6 +26,11 @@ class Plant(ABC):
 
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
+    dependencies: Mapping[str, frozenset[str]] = MappingProxyType({})
+    """For each output the inputs that it depends on without delay; one that is left out depends on none.
+
+    A plant that says so has :meth:`outputs_at` too: others take its outputs as ``step`` left them.
+    """
 
     def plan(self, sampling_time: float, stop_time: float) -> None:  # noqa: B027 - most plants take any run
         """Announce sampling and stop time of the next runs, before ``reset``.
@@ -98,15 +104,6 @@ class Plant(ABC):
         """
         if parameters:
             raise ConfigError(f"{type(self).__name__}: no tunable parameters ({', '.join(parameters)})")
-
-    @property
-    def dependencies(self) -> Mapping[str, frozenset[str]]:
-        """For each output the inputs that it depends on without delay; one left out depends on none.
-
-        Only a plant with :meth:`outputs_at` can be held to it: default: none, outputs are as ``step`` left
-        them.
-        """
-        return {}
 
     @property
     def can_give_outputs(self) -> bool:

@@ -92,21 +92,21 @@ def reset_plant(plant: Plant, parameters: Mapping[str, ParameterValue] | None, t
     """Reset a plant, which may raise any CosimError itself, and return its outputs, shape (p,)."""
     with _PlantCall(f"{type(plant).__name__}.reset", t0, own=CosimError):
         y = np.asarray(plant.reset(parameters, t0))
-    return _outputs(plant, "reset", y, t0)
+    return plant_outputs(plant, "reset", y, t0)
 
 
 def step_plant(plant: Plant, u: FloatArray, h: float, time: float) -> FloatArray:
     """Step a plant by h [s] from ``time`` [s] on and return its outputs, shape (p,)."""
     with _PlantCall(f"{type(plant).__name__}.step", time):
         y = np.asarray(plant.step(u, h))
-    return _outputs(plant, "step", y, time + h)
+    return plant_outputs(plant, "step", y, time + h)
 
 
 def outputs_of_plant_at(plant: Plant, u: FloatArray, time: float) -> FloatArray:
     """Return the outputs of a plant, shape (p,), at other inputs at ``time`` [s], which does not pass."""
     with _PlantCall(f"{type(plant).__name__}.outputs_at", time, own=(ConfigError, FMUStepError)):
         y = np.asarray(plant.outputs_at(u))
-    return _outputs(plant, "outputs_at", y, time)
+    return plant_outputs(plant, "outputs_at", y, time)
 
 
 def feedthrough_of_plant(plant: Plant, u: FloatArray, time: float) -> FloatArray | None:
@@ -358,8 +358,7 @@ class _PlantCall(_Call):
         self._words = words
 
     def _fault(self, error: BaseException) -> CosimError:
-        when = "" if math.isnan(self._time) else f" at t = {self._time:g} s"
-        return FMUStepError(f"{self._words} {_raised(error)}{when}", StepStatus.CRASHED, self._time)
+        return plant_fault(self._words, error, self._time)
 
 
 class _ControllerCall(_Call):
@@ -376,7 +375,13 @@ class _ControllerCall(_Call):
         return ControllerError(f"{whose}.{self._name} {_raised(error)}")
 
 
-def _outputs(plant: Plant, call: str, y: NDArray[Any], time: float) -> FloatArray:
+def plant_fault(words: str, error: BaseException, time: float) -> FMUStepError:
+    """Return the error for what a call of a plant, named by words, raised."""
+    when = "" if math.isnan(time) else f" at t = {time:g} s"
+    return FMUStepError(f"{words} {_raised(error)}{when}", StepStatus.CRASHED, time)
+
+
+def plant_outputs(plant: Plant, call: str, y: NDArray[Any], time: float) -> FloatArray:
     """Return a plant's answer if it can be its outputs; whether they are finite, the loop checks."""
     size = len(plant.outputs)
     if y.shape != (size,) or y.dtype.kind not in _REAL_KINDS:

@@ -75,6 +75,27 @@ def conversions(unit: str, defined: Iterable[DisplayUnit] = ()) -> dict[str, Dis
     return usual_display_units(unit) | {shown.name: shown for shown in defined} | {unit: DisplayUnit(unit)}
 
 
+def unit_shown(variable: Variable, unit: str) -> DisplayUnit:
+    """Return how a variable's values are shown in a unit.
+
+    Raises
+    ------
+    ConfigError
+        It is neither the variable's unit nor its display unit, and not a unit of the same quantity.
+    """
+    own = variable.unit
+    if unit in ("", own) or {unit, own} == {"", "1"}:
+        return DisplayUnit(own)
+    declared = () if variable.display_unit is None else (variable.display_unit,)
+    known = conversions(own, declared)
+    try:
+        return known[unit] if unit in known else display_unit(own, unit)
+    except ValueError as error:
+        allowed = dict.fromkeys((own or "1", *(shown.name for shown in declared), *known))
+        units = ", ".join(name for name in allowed if name)
+        raise ConfigError(f'unit "{unit}" does not fit {variable.name}; allowed: {units}') from error
+
+
 def converter(variable: Variable, unit: str, *, difference: bool = False) -> Callable[[Any], Any]:
     """Return the conversion of values, numbers or arrays, from ``unit`` to the variable's own unit.
 
@@ -86,18 +107,8 @@ def converter(variable: Variable, unit: str, *, difference: bool = False) -> Cal
     ConfigError
         It is neither the variable's unit nor its display unit, and not a unit of the same quantity.
     """
-    own = variable.unit
-    if unit in ("", own) or {unit, own} == {"", "1"}:
-        return DisplayUnit(own).to_unit
-    declared = () if variable.display_unit is None else (variable.display_unit,)
-    known = conversions(own, declared)
-    try:
-        shown = known[unit] if unit in known else display_unit(own, unit)
-        return (replace(shown, offset=0.0) if difference else shown).to_unit
-    except ValueError as error:
-        allowed = dict.fromkeys((own or "1", *(shown.name for shown in declared), *known))
-        units = ", ".join(name for name in allowed if name)
-        raise ConfigError(f'unit "{unit}" does not fit {variable.name}; allowed: {units}') from error
+    shown = unit_shown(variable, unit)
+    return (replace(shown, offset=0.0) if difference else shown).to_unit
 
 
 def with_display_units(

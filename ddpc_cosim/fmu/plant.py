@@ -69,6 +69,8 @@ class FMUPlant(Plant):
 
     Attributes
     ----------
+    dependencies : mapping of str to frozenset of str
+        For each output the inputs that it depends on directly; all, where the FMU does not say.
     warnings : tuple of str
         What is wrong with the FMU but does not keep it from running.
 
@@ -137,6 +139,7 @@ class FMUPlant(Plant):
                 trace_calls=Path(trace_calls).absolute() if trace_calls else None,
             )
             self.inputs, self.outputs = self._shown_in(display_units or {})
+            self.dependencies = direct_dependencies(self.description, self._fmu.inputs, self._fmu.outputs)
             self.warnings = self._fmu.warnings
             for warning in self.warnings:  # where warnings are errors, they end it here
                 warnings.warn(f"{self.path.name}: {warning}", CosimWarning, stacklevel=2)
@@ -217,11 +220,6 @@ class FMUPlant(Plant):
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, and inputs that are not driven, from the next step on."""
         self._session.set_parameters(parameters)
-
-    @property
-    def dependencies(self) -> Mapping[str, frozenset[str]]:
-        """For each output the inputs that it depends on directly; all, where the FMU does not say."""
-        return direct_dependencies(self.description, self._fmu.inputs, self._fmu.outputs)
 
     def outputs_at(self, u: FloatArray) -> FloatArray:
         """Return the outputs now, shape (p,), at other inputs u, shape (m,)."""

@@ -359,6 +359,9 @@ class PythonPlant(Plant):
         self._u = np.array([variable.start for variable in every], dtype=np.float64)
         self.inputs = tuple(every[index] for index in self._driven)
         self.outputs = tuple(self._plant.outputs)
+        self.dependencies = {
+            name: frozenset(inputs).intersection(on) for name, on in self._plant.dependencies.items()
+        }
         self._t0, self._steps, self._h = 0.0, 0, 0.0
 
     @property
@@ -384,12 +387,6 @@ class PythonPlant(Plant):
         y = step_plant(self._plant, self._every(u), h, self._time)
         self._steps, self._h = self._steps + 1, h
         return y
-
-    @property
-    def dependencies(self) -> Mapping[str, frozenset[str]]:
-        """For each output the driven inputs that it depends on without delay."""
-        driven = names(self.inputs)
-        return {name: on.intersection(driven) for name, on in self._plant.dependencies.items()}
 
     @property
     def can_give_outputs(self) -> bool:

@@ -1,0 +1,1 @@
+"""Several plants and their connections as one plant."""

@@ -1,0 +1,213 @@
+"""What coupled parts exchange, and when: all values, and how they go from one instant to the next.
+
+With linear extrapolation every value has a slope: how fast it changed over the last step of its part. A part
+that holds its inputs over a step takes them from that line in the middle of the step, which is exact to
+second order: beyond the last value (extrapolation), or, where the part that it comes from has gone ahead,
+between two (interpolation).
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ddpc_cosim.coupling.graph import Evaluation, Graph
+from ddpc_cosim.coupling.loops import AlgebraicLoop
+from ddpc_cosim.coupling.parts import Part
+from ddpc_cosim.coupling.wiring import Wiring
+from ddpc_cosim.errors import FMUStepError, StepStatus
+from ddpc_cosim.variables import FloatArray
+
+
+class Update(NamedTuple):
+    """Parts, and what brings their outputs up to date at a time [s] without a step."""
+
+    parts: tuple[Part, ...]
+    do: Callable[[float], None]
+
+
+class Interval(NamedTuple):
+    """What happens in one communication interval: parts that begin a step, parts that end one, updates."""
+
+    due: Sequence[Part]
+    ended: Sequence[Part]
+    updates: Sequence[Update]
+
+
+class Exchange:
+    """The values that parts exchange.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        The parts in the order in which they are stepped.
+    wiring : Wiring
+        How inputs follow from values.
+    graph : Graph
+        What depends on what.
+    sequential : bool
+        Whether a part has the newest values of those before it (Gauss-Seidel), or those that were there when
+        its step began (Jacobi).
+    linear : bool
+        Whether values are extrapolated.
+    loop_tolerance : float
+        How exactly algebraic loops are solved.
+
+    Attributes
+    ----------
+    memory : array
+        All that the exchange remembers between two samples.
+    values : array
+        All values, in the order of the wiring.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[Part],
+        wiring: Wiring,
+        graph: Graph,
+        *,
+        sequential: bool,
+        linear: bool,
+        loop_tolerance: float,
+    ) -> None:
+        self._parts, self._sequential, self._linear = parts, sequential, linear
+        self._wiring, self._graph, self._loop_tolerance = wiring, graph, loop_tolerance
+        self.memory = np.zeros((4, len(wiring.values)))
+        self.values, self._slopes, self._stamps, self._before = self.memory
+        self._arriving: dict[Part, FloatArray] = {}
+        self._agenda: Sequence[Interval] = ()
+        self._is_plain = True
+        driven, outputs = range(graph.outputs.start), graph.outputs
+        self._all = self._updates(range(len(wiring.values)))
+        self._after_steps = self._updates(outputs)
+        fed = {source for part in parts for source in part.sources.tolist()}
+        self._after_inputs = self._updates(driven) if fed & graph.reached(driven) else []
+        # Their outputs at the end of a step are not those with the inputs that were held over it.
+        self._estimated = {part for update in self._after_steps for part in update.parts}
+
+    def reset(self, time: float) -> None:
+        """Forget everything before a time [s]."""
+        self.memory[:] = 0.0
+        self._stamps[:] = time
+        self.values[:] = self._wiring.start
+
+    def arrange(self, intervals: int) -> None:
+        """Lay down what happens in so many intervals, after which all parts are at one instant."""
+        is_multirate = any(part.every > 1 for part in self._parts)
+        self._is_plain = not self._linear and all(part.every * part.substeps == 1 for part in self._parts)
+        if not is_multirate:
+            self._agenda = [Interval(self._parts, self._parts, self._after_steps)] * intervals
+            return
+        agenda = []
+        for i in range(intervals):
+            due = [part for part in self._parts if i % part.every == 0]
+            ended = [part for part in self._parts if (i + 1) % part.every == 0]
+            updates = [update for update in self._after_steps if set(update.parts) <= set(ended)]
+            agenda.append(Interval(due, ended, updates))
+        self._agenda = agenda
+
+    def refresh(self, time: float) -> None:
+        """Bring all outputs up to date at a time [s] at which all parts are."""
+        for update in self._all:
+            update.do(time)
+
+    def set_inputs(self, u: FloatArray, time: float) -> None:
+        """Take over the system's inputs, shape (m,), at a time [s], and what others have of them at once."""
+        driven = self.values[: len(u)]
+        if not self._after_inputs:
+            driven[:] = u
+        elif (driven != u).any():
+            driven[:] = u
+            for update in self._after_inputs:
+                update.do(time)
+
+    def advance(self, h: float, time: float) -> FMUStepError | None:
+        """Advance by the intervals, of h [s] each, from a time [s] at which all parts are.
+
+        A part may come to its end with the last interval: then the outputs are as the steps left them, and
+        what the part says about it is returned.
+        """
+        values, sequential, linear = self.values, self._sequential, self._linear
+        for i, (due, ended, updates) in enumerate(self._agenda):
+            now, end = time + i * h, time + (i + 1) * h
+            for part in due:
+                if linear:
+                    self._before[part.span] = values[part.span]
+                if self._is_plain:
+                    y = part.step(part.inputs_from(values), h, now)
+                else:
+                    y = self._substeps(part, h, now)
+                if sequential:
+                    values[part.span] = y
+                    if linear:
+                        self._draw_line(part, now + part.every * h, part.every * h)
+                else:
+                    self._arriving[part] = y
+            if not sequential:
+                for part in ended:
+                    values[part.span] = self._arriving[part]
+            if linear:
+                self._draw_lines(ended, end, h)
+            try:
+                for update in updates:
+                    update.do(end)
+            except FMUStepError as error:
+                if error.status is StepStatus.TERMINATED and i + 1 == len(self._agenda):
+                    return error
+                raise
+            if linear and updates:
+                self._draw_lines(ended, end, h)
+        return None
+
+    def _substeps(self, part: Part, h: float, now: float) -> FloatArray:
+        """Let a part do its step from a time [s] on; return its outputs at the end."""
+        length = part.every * h / part.substeps
+        for i in range(part.substeps):
+            begin = now + i * length
+            y = part.step(self._inputs(part, begin + length / 2.0), length, begin)
+        end = now + part.every * h
+        if self._linear and self._sequential and part in self._estimated:
+            y = part.outputs_at(self._inputs(part, end), end)
+        return y
+
+    def _inputs(self, part: Part, time: float) -> FloatArray:
+        """Return the inputs of a part, shape (m,), at a time [s] near to that of the values."""
+        if not self._linear:
+            return part.inputs_from(self.values)
+        return part.inputs_from(self.values + self._slopes * (time - self._stamps))
+
+    def _draw_lines(self, parts: Iterable[Part], end: float, h: float) -> None:
+        for part in parts:
+            self._draw_line(part, end, part.every * h)
+
+    def _draw_line(self, part: Part, end: float, length: float) -> None:
+        """Note when and how fast the outputs of a part changed in a step that ends at a time [s]."""
+        span = part.span
+        self._slopes[span] = (self.values[span] - self._before[span]) / length
+        self._stamps[span] = end
+
+    def _updates(self, changed: Iterable[int]) -> list[Update]:
+        """Return what brings everything up to date that depends on some values, as far as parts can."""
+        by_name = {part.name: part for part in self._parts}
+
+        def update(evaluation: Evaluation) -> Update:
+            parts = tuple(by_name[name] for name in evaluation.parts)
+            if not evaluation.loop:
+                return Update(parts, lambda time: self._evaluate(parts[0], time))
+            loop = AlgebraicLoop(
+                parts,
+                evaluation.loop,
+                self.values,
+                self._wiring.scale,
+                self._loop_tolerance,
+                self._wiring.values,
+                self._inputs,
+            )
+            return Update(parts, loop.solve)
+
+        found = map(update, self._graph.evaluations(changed))
+        return [one for one in found if all(part.plant.can_give_outputs for part in one.parts)]
+
+    def _evaluate(self, part: Part, time: float) -> None:
+        self.values[part.span] = part.outputs_at(self._inputs(part, time), time)

@@ -1,0 +1,198 @@
+"""The order in which coupled parts are stepped and evaluated, and their algebraic loops."""
+
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from typing import NamedTuple, TypeVar
+
+from ddpc_cosim.coupling.wiring import Signals, Wiring
+
+Node = TypeVar("Node", bound=Hashable)
+
+
+class Evaluation(NamedTuple):
+    """Parts whose outputs are to be computed together: one, or all those in an algebraic loop.
+
+    Parameters
+    ----------
+    parts : tuple of str
+        Their names.
+    loop : tuple of int
+        The values that follow from each other in a circle; empty for one part.
+    """
+
+    parts: tuple[str, ...]
+    loop: tuple[int, ...] = ()
+
+
+class Graph:
+    """What depends on what in a coupled plant.
+
+    Parameters
+    ----------
+    parts : mapping of str to Signals
+        The parts by name.
+    wiring : Wiring
+        Their connections.
+
+    Attributes
+    ----------
+    order : tuple of str
+        The parts as they are stepped one after the other: each after those that it follows, and within a
+        circle of parts those first on whose outputs others depend without delay.
+    loops : tuple of tuple of str
+        The algebraic loops: inputs and outputs that follow from each other without delay.
+    """
+
+    def __init__(self, parts: Mapping[str, Signals], wiring: Wiring) -> None:
+        self._wiring = wiring
+        self._owner = [part for part, span in wiring.spans.items() for _ in range(span.start, span.stop)]
+        self._first_output = len(wiring.values) - len(self._owner)
+        needs = self._needs(parts)
+        # The values that each output depends on without delay.
+        self._direct = {place: {value for value, _ in links} for place, links in needs.items() if links}
+        self.order = self._part_order(parts)
+        self._components = components(range(len(wiring.values)), self._users(self._direct))
+        self.loops = tuple(
+            self._loop_texts(component, needs) for component in self._components if self._is_loop(component)
+        )
+
+    def evaluations(self, changed: Iterable[int]) -> list[Evaluation]:
+        """Return what has to be computed, in this order, after some values have changed."""
+        depth = dict.fromkeys(changed, 0)
+        steps: dict[tuple[int, tuple[str, ...]], list[int]] = {}
+        for component in self._components:
+            before = {value for place in component for value in self._direct.get(place, ())}
+            known = [depth[value] for value in before if value in depth]
+            if not known or not any(place in self._direct for place in component):
+                continue
+            level = 1 + max(known)
+            depth.update(dict.fromkeys(component, level))
+            parts = tuple(dict.fromkeys(self.part_of(place) for place in component))
+            steps.setdefault((level, parts), []).extend(component if self._is_loop(component) else ())
+        in_order = sorted(steps.items(), key=lambda step: step[0][0])
+        return [Evaluation(parts, tuple(loop)) for (_, parts), loop in in_order]
+
+    def reached(self, changed: Iterable[int]) -> set[int]:
+        """Return the outputs that depend on some values without delay, directly or through others."""
+        found, users = set[int](), self._users(self._direct)
+        waiting = list(changed)
+        while waiting:
+            for place in users.get(waiting.pop(), ()):
+                if place not in found:
+                    found.add(place)
+                    waiting.append(place)
+        return found
+
+    def dependencies(self) -> dict[str, frozenset[str]]:
+        """Return for each output of the system the inputs of it that it depends on without delay."""
+        wiring = self._wiring
+        reached = {v.name: {place, *self.reached([place])} for place, v in enumerate(wiring.inputs)}
+        return {
+            output.name: frozenset(name for name, places in reached.items() if source in places)
+            for output, source in zip(wiring.outputs, wiring.outlet.sources.tolist(), strict=True)
+        }
+
+    @property
+    def outputs(self) -> range:
+        """The values that are outputs of parts."""
+        return range(self._first_output, len(self._wiring.values))
+
+    def part_of(self, place: int) -> str:
+        """Return the part whose output a value is."""
+        return self._owner[place - self._first_output]
+
+    def _needs(self, parts: Mapping[str, Signals]) -> dict[int, list[tuple[int, str]]]:
+        """Return for each output the values it depends on without delay, each with the input between."""
+        wiring = self._wiring
+        needs: dict[int, list[tuple[int, str]]] = {}
+        for name, part in parts.items():
+            sources = wiring.intakes[name].sources.tolist()
+            value_of = {v.name: source for v, source in zip(part.inputs, sources, strict=True)}
+            dependencies = part.dependencies
+            for place, output in enumerate(part.outputs, wiring.spans[name].start):
+                on = dependencies.get(output.name, frozenset())
+                needs[place] = [
+                    (value, f"{name}.{known}") for known, value in value_of.items() if known in on
+                ]
+        return needs
+
+    @staticmethod
+    def _users(needs: Mapping[int, Iterable[int]]) -> dict[int, list[int]]:
+        users: dict[int, list[int]] = {}
+        for place, values in needs.items():
+            for value in values:
+                users.setdefault(value, []).append(place)
+        return users
+
+    def _is_loop(self, component: Sequence[int]) -> bool:
+        return len(component) > 1 or component[0] in self._direct.get(component[0], ())
+
+    def _loop_texts(
+        self, component: Sequence[int], needs: Mapping[int, list[tuple[int, str]]]
+    ) -> tuple[str, ...]:
+        """Return the variables of a loop on the way around it."""
+        members, texts = set(component), dict[str, None]()
+        for place in component:
+            texts.update((through, None) for value, through in needs[place] if value in members)
+            texts[self._wiring.values[place]] = None
+        return tuple(texts)
+
+    def _part_order(self, parts: Mapping[str, Signals]) -> tuple[str, ...]:
+        follows: dict[str, set[str]] = {name: set() for name in parts}  # by any connection
+        awaits: dict[str, set[str]] = {name: set() for name in parts}  # without delay
+        for name in parts:
+            for value in self._wiring.intakes[name].sources.tolist():
+                if value >= self._first_output:
+                    follows[self.part_of(value)].add(name)
+        for place, values in self._direct.items():
+            for value in values:
+                if value >= self._first_output:
+                    awaits[self.part_of(value)].add(self.part_of(place))
+        return tuple(
+            name
+            for circle in components(parts, follows)
+            for group in components(circle, awaits)
+            for name in group
+        )
+
+
+def components(nodes: Iterable[Node], successors: Mapping[Node, Iterable[Node]]) -> list[list[Node]]:
+    """Return the strongly connected components of a graph, each before those that follow from it.
+
+    Nodes that do not follow from each other keep their order (R. Tarjan, SIAM J. Computing 1 (1972) 146-160).
+    """
+    given = {node: i for i, node in enumerate(nodes)}
+    index: dict[Node, int] = {}
+    low: dict[Node, int] = {}
+    path: dict[Node, None] = {}
+    found: list[list[Node]] = []
+    for root in reversed(given):
+        if root in index:
+            continue
+        work = [(root, iter(_within(given, successors.get(root, ()))))]
+        index[root] = low[root] = len(index)
+        path[root] = None
+        while work:
+            node, following = work[-1]
+            for other in following:
+                if other not in index:
+                    index[other] = low[other] = len(index)
+                    path[other] = None
+                    work.append((other, iter(_within(given, successors.get(other, ())))))
+                    break
+                if other in path:
+                    low[node] = min(low[node], index[other])
+            else:
+                work.pop()
+                if work:
+                    low[work[-1][0]] = min(low[work[-1][0]], low[node])
+                if low[node] == index[node]:
+                    component = [node]
+                    while (other := path.popitem()[0]) != node:
+                        component.append(other)
+                    found.append(sorted(component, key=given.__getitem__))
+    return found[::-1]
+
+
+def _within(given: Mapping[Node, int], nodes: Iterable[Node]) -> list[Node]:
+    """Return those of the nodes that count, the last one first: components are found from the end."""
+    return sorted((node for node in nodes if node in given), key=given.__getitem__, reverse=True)

@@ -1,0 +1,295 @@
+"""Several plants that are one."""
+
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import Any, Literal, Self, cast, get_args
+
+import numpy as np
+
+from ddpc_cosim.coupling.exchange import Exchange
+from ddpc_cosim.coupling.graph import Graph
+from ddpc_cosim.coupling.parts import Part
+from ddpc_cosim.coupling.wiring import Connection, Wiring
+from ddpc_cosim.errors import ConfigError, FMUStepError
+from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.safe_calls import plant_provenance
+from ddpc_cosim.variables import FloatArray, Variable
+from fmu_plants.spelling import did_you_mean
+
+Algorithm = Literal["sequential", "parallel"]
+Extrapolation = Literal["hold", "linear"]
+_WHOLE = 1e-6
+
+
+class CoupledPlant(Plant):
+    """Several plants and their connections behind the contract of one.
+
+    Parameters
+    ----------
+    parts : mapping of str to Plant
+        The plants by name, without dots; from now on theirs is the coupled plant that closes them.
+    connections : sequence of Connection
+        What they exchange.
+    inputs, outputs : sequence of str, optional
+        Signals of the whole, ``"part.variable"`` or names of connectors; default: its connectors, then all
+        inputs that no connection feeds, and all outputs. An input that no connection feeds and that is not
+        named rests at its start value.
+    algorithm : str
+        ``"sequential"``: a part has the newest values of those before it (Gauss-Seidel); ``"parallel"``:
+        all have the values at the beginning of the step (Jacobi).
+    communication_step : float, optional
+        Time between two exchanges [s], of which the sampling time is a multiple; default: the sampling time.
+    steps : mapping of str to float, optional
+        Steps of parts that differ from it [s]: multiples, or parts of it.
+    extrapolation : str
+        ``"hold"``: values are held over a step; ``"linear"``: they are continued on a line, which is exact to
+        second order.
+    loop_tolerance : float
+        How exactly algebraic loops are solved, relative to nominal or present values.
+    connectors : sequence of Variable
+        Names, units and start values of the system's own connectors.
+
+    Attributes
+    ----------
+    order : tuple of str
+        The parts in the order in which they are stepped.
+    loops : tuple of tuple of str
+        The algebraic loops, as ``"part.variable"``.
+
+    Raises
+    ------
+    ConfigError
+        Names, units, sizes or steps do not fit; all faults at once.
+
+    Examples
+    --------
+    >>> parts = {"first": FMUPlant(pendulum_fmu), "second": FMUPlant(pendulum_fmu)}
+    >>> plant = CoupledPlant(parts, [Connection("first.angle", "second.torque", convert_units=False)])
+    >>> [variable.name for variable in plant.inputs]
+    ['first.torque']
+    >>> plant.order
+    ('first', 'second')
+    >>> plant.close()
+    """
+
+    def __init__(
+        self,
+        parts: Mapping[str, Plant],
+        connections: Sequence[Connection],
+        *,
+        inputs: Sequence[str] | None = None,
+        outputs: Sequence[str] | None = None,
+        algorithm: Algorithm = "sequential",
+        communication_step: float | None = None,
+        steps: Mapping[str, float] | None = None,
+        extrapolation: Extrapolation = "hold",
+        loop_tolerance: float = 1e-9,
+        connectors: Sequence[Variable] = (),
+    ) -> None:
+        steps = steps or {}
+        faults = [
+            f'{name} = "{value}" is not possible; allowed: {", ".join(allowed)}'
+            for name, value, allowed in (
+                ("algorithm", algorithm, get_args(Algorithm)),
+                ("extrapolation", extrapolation, get_args(Extrapolation)),
+            )
+            if value not in allowed
+        ]
+        numbers = {
+            "communication_step": communication_step,
+            "loop_tolerance": loop_tolerance,
+            **{f'steps["{part}"]': step for part, step in steps.items()},
+        }
+        faults += [
+            f"{name} = {value!r} is not possible; allowed: a finite number > 0"
+            for name, value in numbers.items()
+            if value is not None and not 0.0 < value < np.inf
+        ]
+        faults += [
+            f'steps: no part "{name}"; {did_you_mean(name, parts)}' for name in steps if name not in parts
+        ]
+        if faults:
+            raise ConfigError(faults)
+        wiring = Wiring(parts, connections, inputs, outputs, connectors)
+        graph = Graph(parts, wiring)
+        self.inputs, self.outputs = wiring.inputs, wiring.outputs
+        self.order, self.loops = graph.order, graph.loops
+        self.dependencies = graph.dependencies()
+        self._wiring = wiring
+        self._parts = {n: Part(n, parts[n], wiring.intakes[n], wiring.spans[n]) for n in graph.order}
+        self._communication_step, self._steps = communication_step, steps
+        self._how = f"{algorithm}, {extrapolation}"
+        self._exchange = Exchange(
+            tuple(self._parts.values()),
+            wiring,
+            graph,
+            sequential=algorithm == "sequential",
+            linear=extrapolation == "linear",
+            loop_tolerance=loop_tolerance,
+        )
+        self._base_time, self._samples, self._h, self._tick = 0.0, 0, 0.0, 0.0
+        self._is_running = False
+        self._ending: FMUStepError | None = None
+
+    @property
+    def time(self) -> float:
+        """Simulation time [s]."""
+        return self._base_time + self._samples * self._h
+
+    def plan(self, sampling_time: float, stop_time: float) -> None:
+        """Tell all parts their steps and the stop time."""
+        self._arrange(sampling_time)
+        for part in self._parts.values():
+            step = self._tick * part.every / part.substeps
+            part.call("plan", self.time, step, stop_time)
+
+    def reset(self, parameters: Mapping[str, ParameterValue] | None = None, t0: float = 0.0) -> FloatArray:
+        """Reset all parts and return the outputs, shape (p,), with everything exchanged at ``t0``.
+
+        Parameters are named ``"part.name"``; an input that rests can be given too.
+        """
+        by_part, resting = self._by_part(parameters or {})
+        self._base_time, self._samples, self._ending = t0, 0, None
+        exchange = self._exchange
+        exchange.reset(t0)
+        for place, value in resting.items():
+            exchange.values[place] = value
+        for name, part in self._parts.items():
+            exchange.values[part.span] = part.reset(by_part.get(name, {}), t0)
+        exchange.refresh(t0)
+        self._is_running = True
+        return self._outlet()
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
+        if not self._is_running:
+            raise ConfigError("a coupled plant: step before reset")
+        if self._ending is not None:
+            raise self._ending
+        if h != self._h:
+            self._base_time, self._samples = self.time, 0
+            self._arrange(h)
+        if len(u) != len(self.inputs):
+            raise ConfigError(f"u has {len(u)} numbers; needed: {len(self.inputs)}")
+        time = self._base_time + self._samples * h
+        self._exchange.set_inputs(u, time)
+        self._ending = self._exchange.advance(self._tick, time)
+        self._samples += 1
+        return self._outlet()
+
+    def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
+        """Change tunable parameters, ``"part.name"``, and inputs that rest, from the next step on."""
+        by_part, resting = self._by_part(parameters)
+        for place, value in resting.items():
+            self._exchange.values[place] = value
+        for name, chosen in by_part.items():
+            self._parts[name].call("set_parameters", self.time, chosen)
+        self._exchange.refresh(self.time)
+
+    def outputs_at(self, u: FloatArray) -> FloatArray:
+        """Return the outputs now, shape (p,), at other inputs u, shape (m,)."""
+        self._exchange.values[: len(self.inputs)] = u
+        self._exchange.refresh(self.time)
+        return self._outlet()
+
+    @property
+    def can_save_state(self) -> bool:
+        """Whether the states of all parts can be saved."""
+        return all(part.plant.can_save_state for part in self._parts.values())
+
+    def save_state(self) -> object:
+        """Return a copy of the states of all parts and of what they exchange."""
+        states = [part.call("save_state", self.time) for part in self._parts.values()]
+        return states, self._exchange.memory.copy(), self._base_time, self._samples, self._h, self._ending
+
+    def restore_state(self, state: object) -> None:
+        """Go back to a saved state."""
+        states, memory, self._base_time, self._samples, h, self._ending = cast("tuple[Any, ...]", state)
+        for part, saved in zip(self._parts.values(), states, strict=True):
+            part.call("restore_state", self.time, saved)
+        self._exchange.memory[:] = memory
+        if h != self._h:
+            self._arrange(h)
+
+    def close(self) -> None:
+        """Close all parts, also if some cannot."""
+        self._is_running = False
+        first: Exception | None = None
+        for part in self._parts.values():
+            try:
+                part.call("close", self.time)
+            except Exception as error:
+                if first is None:
+                    first = error
+                else:
+                    first.add_note(str(error))
+        if first is not None:
+            raise first
+
+    def provenance(self) -> Mapping[str, str]:
+        """Return how the parts are coupled, and the identifiers of each, ``"part.name"``."""
+        told = {"class": "CoupledPlant", "coupling": self._how, "parts": ", ".join(self._parts)}
+        for name, part in self._parts.items():
+            told |= {f"{name}.{key}": value for key, value in plant_provenance(part.plant).items()}
+        return told
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _outlet(self) -> FloatArray:
+        sources, factor, offset = self._wiring.outlet
+        return self._exchange.values[sources] * factor + offset
+
+    def _arrange(self, h: float) -> None:
+        """Divide a sample of h [s] into communication intervals, and these among the parts."""
+        wanted, faults = self._communication_step, []
+        intervals = 1 if wanted is None else _whole(h, wanted)
+        if intervals is None:
+            raise ConfigError(
+                f"communication_step = {wanted:g} s does not divide the sampling time of {h:g} s"
+            )
+        tick = h / intervals
+        for name, step in self._steps.items():
+            part = self._parts[name]
+            part.every, part.substeps = _whole(step, tick) or 1, _whole(tick, step) or 1
+            fits = _whole(step, tick) is not None or _whole(tick, step) is not None
+            if not fits or intervals % part.every:
+                faults.append(
+                    f'steps["{name}"] = {step:g} s fits neither the communication step of {tick:g} s nor the '
+                    f"sampling time of {h:g} s: one must divide the other"
+                )
+        if faults:
+            raise ConfigError(faults)
+        self._h, self._tick = h, tick
+        self._exchange.arrange(intervals)
+
+    def _by_part(
+        self, parameters: Mapping[str, ParameterValue]
+    ) -> tuple[dict[str, dict[str, ParameterValue]], dict[int, float]]:
+        """Return parameters by part, and the values of inputs that rest by their place."""
+        by_part: dict[str, dict[str, ParameterValue]] = {}
+        resting: dict[int, float] = {}
+        faults = []
+        for full, value in parameters.items():
+            part, _, name = full.partition(".")
+            if full in self._wiring.resting:
+                resting[self._wiring.resting[full]] = float(value)
+            elif part in self._parts and name:
+                by_part.setdefault(part, {})[name] = value
+            else:
+                faults.append(f'no parameter "{full}": its part must be one of {", ".join(self._parts)}')
+        if faults:
+            raise ConfigError(faults)
+        return by_part, resting
+
+
+def _whole(long: float, short: float) -> int | None:
+    """Return how many short times make a long one, None if that is not a whole number."""
+    ratio = long / short
+    number = round(ratio)
+    return number if number >= 1 and abs(ratio - number) <= _WHOLE * number else None
