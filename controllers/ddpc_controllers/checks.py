@@ -94,21 +94,29 @@ class LastMeasurement:
         What was recorded, time along axis 0.
     y : array, shape (T, p)
         The outputs recorded at the same time.
+
+    Attributes
+    ----------
+    newest : array, shape (q,)
+        The last finite value of every signal; changed in place.
+    shared : (array, array)
+        The numbers of the signals that are outputs, and of these outputs.
     """
 
     def __init__(self, measured: FloatArray, y: FloatArray) -> None:
-        self._newest: FloatArray = measured[-1].copy()
+        self.newest: FloatArray = measured[-1].copy()
         same = (measured[:, :, np.newaxis] == y[:, np.newaxis, :]).all(axis=0)
-        self._signals, self._outputs = np.nonzero(same)
+        self.shared = np.nonzero(same)
 
     def take(self, measured: FloatArray) -> FloatArray:
         """Take the signals, shape (q,), all of them finite."""
-        self._newest[...] = measured
+        self.newest[...] = measured
         return measured
 
     def complete(self, measured: FloatArray, y: FloatArray | None = None) -> FloatArray:
         """Return the signals, shape (q,), missing ones as the outputs y, shape (p,), or as they were."""
         if y is not None:
-            self._newest[self._signals] = y[self._outputs]
-        self._newest[...] = fill_missing(measured, self._newest)
-        return self._newest
+            signals, outputs = self.shared
+            self.newest[signals] = y[outputs]
+        self.newest[...] = fill_missing(measured, self.newest)
+        return self.newest

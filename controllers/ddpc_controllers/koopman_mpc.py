@@ -24,7 +24,14 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ddpc_controllers.checks import check_settings_and, knowing
-from ddpc_controllers.data.dictionaries import Dictionary, ThinPlate, embed, memory_of, require_dictionary
+from ddpc_controllers.data.dictionaries import (
+    Dictionary,
+    ThinPlate,
+    c_lift,
+    embed,
+    memory_of,
+    require_dictionary,
+)
 from ddpc_controllers.data.hankel import (
     StateWindow,
     count_windows,
@@ -35,6 +42,7 @@ from ddpc_controllers.data.hankel import (
     without_first,
 )
 from ddpc_controllers.data.quality import PredictionTest, Span, fit_by_model, head_of, judge
+from ddpc_controllers.export.code import Code
 from ddpc_controllers.models.linear import SampledModel
 from ddpc_controllers.mpc import Predictor
 from ddpc_controllers.optimisation.limits import PREDICTED
@@ -160,6 +168,23 @@ class LiftedState:
         if self._kind == "measured":
             return self._lift(self._states.append(measured))
         return self._lift(self._states.append(np.concatenate([self._y.append(y), self._u.append(last_u)])))
+
+    def members(self, code: Code) -> dict[str, object]:
+        """Add the lift to code in C; return the members of a structure that describe it."""
+        delays = self._kind == "delays"
+        return {
+            "delays": len(self._u.newest_first) if delays else 0,
+            "size": self._size,
+            "depth": len(self._states.newest_first),
+            "lifted": self.recorded.shape[1],
+            **c_lift(code, self._observables, self._size),
+        }
+
+    @property
+    def windows(self) -> FloatArray:
+        """All that it remembers, the newest first: what states are made of, unless measured, and states."""
+        windows = [self._y, self._u] if self._kind == "delays" else []
+        return np.concatenate([window.newest_first.ravel() for window in (*windows, self._states)])
 
     def _lift(self, states: FloatArray) -> FloatArray:
         newest = states[..., : self._size]
@@ -302,6 +327,26 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         z = self._lifted.follow(sample.y, sample.measured, self._u)
         self._disturbance += self.disturbance_gain * (z - predicted)
         return z
+
+    def _c_step(self, code: Code, loop: Loop) -> str:
+        code.kernel("koopman")
+        model, p = self._model, len(loop.outputs)
+        predictor, size = self._predictor.constant(code)
+        koopman = code.constant(
+            "Koopman",
+            p=p,
+            q=len(loop.measurements),
+            m=len(loop.inputs),
+            **self._lifted.members(code),
+            **{name: code.doubles(getattr(model, name)) for name in ("a", "b", "c")},
+            gain=self.disturbance_gain,
+            predictor=f"&{predictor}",
+        )
+        n, begun = len(model.a), self._predicted is not None
+        predicted = np.zeros(n) if self._predicted is None else self._predicted
+        own = [[begun], self._u, np.zeros(n), self._disturbance, predicted, self._lifted.windows]
+        memory = code.memory(np.concatenate([*own, np.zeros(p + size)]))
+        return code.step(f"step_koopman(&{koopman}, {memory}, sample, u, told);")
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the samples at which there are as many equations as coefficients."""

@@ -16,6 +16,8 @@ import numpy as np
 
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.data.quality import Span
+from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.law import add_law
 from ddpc_controllers.models.kalman import DISTURBANCES, Disturbance, ModelBased
 from ddpc_controllers.optimisation.backends import make_backend
 from ddpc_controllers.optimisation.limits import InputLimits, rate_limits
@@ -88,7 +90,7 @@ class Predictor:
         rest: FloatArray,
     ) -> None:
         n, m, p = len(a), b.shape[1], len(c)
-        rates = rate_limits(settings.rate_bounds, m) / scales.u
+        self._rates = rates = rate_limits(settings.rate_bounds, m) / scales.u
         self._inputs, self._unit = m, scales.y
         self._ends, self.told = predicted_ends(scales.loop.outputs), NOTHING_TOLD
         self._limits = InputLimits(bounds.u_min, bounds.u_max, rates)
@@ -135,6 +137,24 @@ class Predictor:
         self._limits.hold_changes(u[np.newaxis], last_input)
         return u, fault
 
+    def constant(self, code: Code) -> tuple[str, int]:
+        """Add it to code in C; return its name, and how many numbers ``solve_predictor`` remembers."""
+        code.kernel("predictor")
+        law = add_law(code, self._law, self._inputs)
+        sizes = self._parameters.sizes
+        limits = self._limits.tables()
+        name = code.constant(
+            "Predictor",
+            n=sizes["x"],
+            m=self._inputs,
+            references=sizes["r"],
+            low=code.doubles(limits["low"]),
+            high=code.doubles(limits["high"]),
+            rates=code.doubles(self._rates),
+            law=law.pointer,
+        )
+        return name, len(self._parameters.array) + law.memory
+
 
 @dataclass(kw_only=True)
 class MPC(TrackingSettings, ModelBased):
@@ -174,6 +194,11 @@ class MPC(TrackingSettings, ModelBased):
         u, fault = self._predictor.solve(self._observer.state, self._u, sample.reference)
         self._told = self._predictor.told
         return u, fault
+
+    def _c_decide(self, code: Code, loop: Loop, observer: str) -> str:
+        predictor, size = self._predictor.constant(code)
+        known = f"estimate.state, estimate.u, sample->reference, {code.memory(np.zeros(size))}"
+        return f"solve_predictor(&{predictor}, {known}, u, told);"
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model with its disturbances, its slowest or most unstable pole, its fit."""

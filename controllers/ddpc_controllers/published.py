@@ -13,10 +13,11 @@ from ddpc_controllers.checks import all_finite
 from ddpc_controllers.data.dictionaries import Lift, ThinPlate
 from ddpc_controllers.data.hankel import hankel_matrix
 from ddpc_controllers.deepc import DeePC, Regulariser
+from ddpc_controllers.export.code import Code
 from ddpc_controllers.optimisation.condensing import condense
 from ddpc_controllers.optimisation.qp import ParametricQP
 from ddpc_controllers.wkpc import WKPC
-from ddpc_cosim import Action, DataError, FloatArray, Loop, Recording, Sample, setting
+from ddpc_cosim import Action, ConfigError, DataError, FloatArray, Loop, Recording, Sample, setting
 
 
 def padded_with_zeros(recording: Recording, samples: int) -> Recording:
@@ -113,6 +114,12 @@ class PublishedWKPC(WKPC):
         elif not self._resting:
             self._shift(self._last.complete(sample.measured))
         return super()._step(sample)
+
+    def _c_step(self, code: Code, loop: Loop) -> str:
+        raise ConfigError(
+            "PublishedWKPC cannot be exported: the program draws random centres and condenses its problem "
+            "anew at every sample: use WKPC"
+        )
 
     def _rest(self, sample: Sample) -> None:
         """Start from rest, but with the lifted memory of the recording."""

@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ddpc_controllers.checks import LastMeasurement, all_finite, check_settings_and, fill_missing, knowing
-from ddpc_controllers.data.dictionaries import Dictionary, Lift, ThinPlate, embed, memory_of
+from ddpc_controllers.data.dictionaries import Dictionary, Lift, ThinPlate, c_lift, embed, memory_of
 from ddpc_controllers.data.hankel import (
     StateWindow,
     WindowLayout,
@@ -23,6 +23,8 @@ from ddpc_controllers.data.hankel import (
 )
 from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.quality import Span, fit_by_windows, judge
+from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.law import add_law
 from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem
@@ -186,6 +188,35 @@ class WKPC(OnlineSettings, ScaledSignals):
         self._unlearned = self._memory + 1 if missing else max(self._unlearned - 1, 0)
         z = self._parameters.window("z_ini")[-1]
         learner.learn(z=z, u=u, y=np.full(len(y), np.nan) if self._unlearned else y)
+
+    def _c_step(self, code: Code, loop: Loop) -> str:
+        code.kernel("wkpc")
+        m, p, q, n = (
+            self._inputs,
+            self._outputs,
+            len(loop.measurements),
+            self._parameters.window("z_ini").shape[1],
+        )
+        law = add_law(code, self._law, m + p)
+        measured, outputs = self._last.shared
+        wkpc = code.constant(
+            "Wkpc",
+            p=p,
+            q=q,
+            m=m,
+            past=self.initial_length,
+            horizon=self.horizon,
+            depth=self._memory + 1,
+            lifted=n,
+            **c_lift(code, self._observables, q),
+            shared=len(measured),
+            measured=code.sizes(measured),
+            outputs=code.sizes(outputs),
+            law=law.pointer,
+        )
+        own = [self._parameters.array, [self._resting], self._states.newest_first.ravel(), self._last.newest]
+        memory = code.memory(np.concatenate([*own, np.zeros(m + p + n + p + law.memory)]))
+        return code.step(f"step_wkpc(&{wkpc}, {memory}, sample, u, told);")
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that can excite the inputs up to the order needed."""

@@ -154,7 +154,7 @@ def test_thin_plates_are_as_printed_and_vanish_at_their_centres() -> None:
 
 def test_centres_lie_in_the_box() -> None:
     functions = ThinPlate(count=200, low=-2.0, high=-1.0).draw(np.zeros((1, 3)), np.random.default_rng(0))
-    assert ((functions.keywords["centres"] >= -2.0) & (functions.keywords["centres"] <= -1.0)).all()
+    assert ((functions.centres >= -2.0) & (functions.centres <= -1.0)).all()
 
 
 def test_a_box_upside_down_is_refused() -> None:

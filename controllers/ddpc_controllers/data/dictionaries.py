@@ -8,14 +8,14 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, groupby
 from math import comb
 from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from ddpc_controllers.data.hankel import window_starts
+from ddpc_controllers.export.code import Code
 from ddpc_cosim import ConfigError, DataError, FloatArray, check_settings, setting
 from ddpc_cosim.plugins import load_target
 
@@ -102,6 +102,60 @@ class Dictionary(Protocol):
         """
 
 
+class _Observables(ABC):
+    """Observables that can be exported: what they are follows from numbers."""
+
+    @abstractmethod
+    def __call__(self, states: FloatArray) -> FloatArray: ...
+
+    @abstractmethod
+    def terms(self, code: Code) -> list[str]:
+        """Add them to code in C; return the names of the constants of type ``Term``."""
+
+
+def _terms(code: Code, lift: Lift) -> list[str]:
+    if not isinstance(lift, _Observables):
+        name = getattr(lift, "__qualname__", type(lift).__name__)
+        raise ConfigError(
+            f"observables that are a Python function ({name}) cannot be exported to C: say the same with "
+            "Polynomials, ThinPlate, Gaussian, Delays and Combined"
+        )
+    return lift.terms(code)
+
+
+def _products(code: Code, factors: list[list[int]]) -> str:
+    size = len(factors[0])
+    table = code.sizes([i for factor in factors for i in factor] or [0])
+    return code.constant("Term", kind="MONOMIALS", count=len(factors), size=size, factors=table)
+
+
+def _radial(code: Code, kind: str, centres: FloatArray, **more: float) -> str:
+    count, size = centres.shape
+    return code.constant("Term", kind=kind, count=count, size=size, centres=code.doubles(centres), **more)
+
+
+def c_lift(code: Code, lift: Lift, size: int) -> dict[str, object]:
+    """Add ``z = (x, psi(x))`` to code in C; return the members of a structure that refer to it.
+
+    Parameters
+    ----------
+    code : Code
+        Where to.
+    lift : Lift
+        The observables psi.
+    size : int
+        Number of signals of x, the newest sample of the state.
+
+    Raises
+    ------
+    ConfigError
+        They are a function in Python.
+    """
+    code.kernel("lift")
+    terms = [_products(code, [[i] for i in range(size)]), *_terms(code, lift)]
+    return {"terms": code.table("Term *const", [f"&{term}" for term in terms]), "term_count": len(terms)}
+
+
 def memory_of(dictionary: Dictionary) -> int:
     """Return how many past samples a dictionary needs besides the newest."""
     return int(getattr(dictionary, "memory", 0))
@@ -182,14 +236,21 @@ class ThinPlate(_Radial):
     centres: Centres = setting("box", choices=CENTRES, doc="where centres come from")
 
     def _about(self, centres: FloatArray) -> Lift:
-        return partial(_thin_plate, centres=centres)
+        return _ThinPlates(centres)
 
 
-def _thin_plate(states: FloatArray, centres: FloatArray) -> FloatArray:
-    distance = np.sqrt(np.square(states[..., np.newaxis, :] - centres).sum(axis=-1))
-    logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)  # 0 at the centres
-    values: FloatArray = distance * logarithm
-    return values
+@dataclass(frozen=True, slots=True)
+class _ThinPlates(_Observables):
+    centres: FloatArray
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        distance = np.sqrt(np.square(states[..., np.newaxis, :] - self.centres).sum(axis=-1))
+        logarithm = np.log10(distance, out=np.zeros_like(distance), where=distance > 0.0)  # 0 at the centres
+        values: FloatArray = distance * logarithm
+        return values
+
+    def terms(self, code: Code) -> list[str]:
+        return [_radial(code, "THIN_PLATES", self.centres)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,13 +264,21 @@ class Gaussian(_Radial):
     centres: Centres = setting("box", choices=CENTRES, doc="where centres come from")
 
     def _about(self, centres: FloatArray) -> Lift:
-        return partial(_gaussian, centres=centres, width=self.width)
+        return _Gaussians(centres, self.width)
 
 
-def _gaussian(states: FloatArray, centres: FloatArray, width: float) -> FloatArray:
-    squares = np.square(states[..., np.newaxis, :] - centres).sum(axis=-1)
-    values: FloatArray = np.exp(-squares / (2.0 * width**2))
-    return values
+@dataclass(frozen=True, slots=True)
+class _Gaussians(_Observables):
+    centres: FloatArray
+    width: float
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        squares = np.square(states[..., np.newaxis, :] - self.centres).sum(axis=-1)
+        values: FloatArray = np.exp(-squares / (2.0 * self.width**2))
+        return values
+
+    def terms(self, code: Code) -> list[str]:
+        return [_radial(code, "GAUSSIANS", self.centres, spread=2.0 * self.width**2)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,16 +297,28 @@ class Polynomials:
     def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
         """Return the monomials; see :class:`Dictionary`."""
         size = states.shape[-1]
-        factors = [
-            list(factors)
-            for degree in range(2, self.degree + 1)
-            for factors in combinations_with_replacement(range(size), degree)
-        ]
-        return partial(_monomials, factors=factors)
+        return _Monomials(
+            [
+                list(factors)
+                for degree in range(2, self.degree + 1)
+                for factors in combinations_with_replacement(range(size), degree)
+            ]
+        )
 
 
-def _monomials(states: FloatArray, factors: list[list[int]]) -> FloatArray:
-    return np.stack([states[..., chosen].prod(axis=-1) for chosen in factors], axis=-1)
+@dataclass(frozen=True, slots=True)
+class _Monomials(_Observables):
+    factors: list[list[int]]
+    """The numbers of the coordinates that each is the product of."""
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        values = np.empty((*states.shape[:-1], len(self.factors)))
+        for i, chosen in enumerate(self.factors):
+            values[..., i] = states[..., chosen].prod(axis=-1)
+        return values
+
+    def terms(self, code: Code) -> list[str]:
+        return [_products(code, list(alike)) for _, alike in groupby(self.factors, len)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,11 +331,7 @@ class Identity:
 
     def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
         """Return the empty function; see :class:`Dictionary`."""
-        return _nothing
-
-
-def _nothing(states: FloatArray) -> FloatArray:
-    return np.empty((*states.shape[:-1], 0))
+        return _Monomials([])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,11 +344,7 @@ class Constant:
 
     def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
         """Return the function; see :class:`Dictionary`."""
-        return _one
-
-
-def _one(states: FloatArray) -> FloatArray:
-    return np.ones((*states.shape[:-1], 1))
+        return _Monomials([[]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -334,12 +407,21 @@ class Delays:
 
     def draw(self, states: FloatArray, rng: np.random.Generator) -> Lift:
         """Draw the inner dictionary; see :class:`Dictionary`."""
-        size = states.shape[-1] // (self.samples + 1)
-        return partial(_delayed, size=size, inner=self.dictionary.draw(states, rng))
+        width = states.shape[-1]
+        return _Delayed(width // (self.samples + 1), width, self.dictionary.draw(states, rng))
 
 
-def _delayed(states: FloatArray, size: int, inner: Lift) -> FloatArray:
-    return np.concatenate([states[..., size:], inner(states)], axis=-1)
+@dataclass(frozen=True, slots=True)
+class _Delayed(_Observables):
+    size: int
+    width: int
+    inner: Lift
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        return np.concatenate([states[..., self.size :], self.inner(states)], axis=-1)
+
+    def terms(self, code: Code) -> list[str]:
+        return [_products(code, [[i] for i in range(self.size, self.width)]), *_terms(code, self.inner)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -369,9 +451,17 @@ class Combined:
         size = states.shape[-1] // (self.memory + 1)
         widths = [(memory_of(dictionary) + 1) * size for dictionary in self.dictionaries]
         lifts = [d.draw(states[:, :width], rng) for d, width in zip(self.dictionaries, widths, strict=True)]
-        return partial(_side_by_side, lifts=lifts, widths=widths)
+        return _SideBySide(lifts, widths)
 
 
-def _side_by_side(states: FloatArray, lifts: list[Lift], widths: list[int]) -> FloatArray:
-    parts = [lift(states[..., :width]) for lift, width in zip(lifts, widths, strict=True)]
-    return np.concatenate(parts, axis=-1)
+@dataclass(frozen=True, slots=True)
+class _SideBySide(_Observables):
+    lifts: list[Lift]
+    widths: list[int]
+
+    def __call__(self, states: FloatArray) -> FloatArray:
+        parts = [lift(states[..., :width]) for lift, width in zip(self.lifts, self.widths, strict=True)]
+        return np.concatenate(parts, axis=-1)
+
+    def terms(self, code: Code) -> list[str]:
+        return [term for lift in self.lifts for term in _terms(code, lift)]

@@ -414,6 +414,11 @@ class StateWindow:
         self._newest_first = samples[::-1].copy()
         self.size = samples.shape[1]
 
+    @property
+    def newest_first(self) -> FloatArray:
+        """The samples, shape (memory + 1, q)."""
+        return self._newest_first
+
     def fill(self, sample: FloatArray) -> FloatArray:
         """Pretend that the state has always been this, shape (q,); return it with its past."""
         self._newest_first[:] = sample

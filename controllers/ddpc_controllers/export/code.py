@@ -1,6 +1,6 @@
 """The C code of one controller, put together from constants, memory and step functions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files as package_files
 from typing import Any
 
@@ -90,11 +90,11 @@ class Code:
     def doubles(self, values: ArrayLike) -> str:
         """Return the name of a constant table of numbers, row after row; NULL for none."""
         flat = np.asarray(values, dtype=np.float64).ravel()
-        return self._table("double", [_double(value) for value in flat.tolist()])
+        return self.table("double", [_double(value) for value in flat.tolist()])
 
-    def sizes(self, values: Sequence[int]) -> str:
+    def sizes(self, values: Iterable[int]) -> str:
         """Return the name of a constant table of sizes or indices (``size_t``); NULL for none."""
-        return self._table("size_t", [str(int(value)) for value in values])
+        return self.table("size_t", [str(int(value)) for value in values])
 
     def memory(self, start: ArrayLike) -> str:
         """Return the place of numbers that the controller remembers, as an expression within a step function.
@@ -108,7 +108,7 @@ class Code:
         self.start += np.asarray(start, dtype=np.float64).ravel().tolist()
         return f"(memory + {place})"
 
-    def constant(self, kind: str, **fields: object) -> str:
+    def constant(self, kind: str, /, **fields: object) -> str:
         """Return the name of a constant structure of a kernel's type.
 
         Parameters
@@ -225,7 +225,8 @@ class Code:
             STATUSES,
         )
 
-    def _table(self, kind: str, values: Sequence[str]) -> str:
+    def table(self, kind: str, values: Sequence[str]) -> str:
+        """Return the name of a constant table of values of one type, as C has them; NULL for none."""
         if not values:
             return "NULL"
         name = self._name("table")

@@ -88,7 +88,7 @@ def test_radial_functions_say_their_settings_in_the_order_of_their_formula() -> 
 
 def test_gaussians_are_one_at_their_centres_and_fall_as_written(states: FloatArray) -> None:
     lift, _ = drawn(Gaussian(count=5, width=0.7, centres="data"), states)
-    centre = lift.keywords["centres"][2]
+    centre = lift.centres[2]
     assert lift(centre)[2] == 1.0
     assert lift(centre + np.array([0.7, 0.0]))[2] == pytest.approx(np.exp(-0.5), abs=1e-15)
 
@@ -123,7 +123,7 @@ def test_combined_dictionaries_stand_side_by_side(states: FloatArray) -> None:
 def test_centres_from_data_are_recorded_states_and_differ(states: FloatArray) -> None:
     lift, _ = drawn(ThinPlate(count=12, centres="data"), states)
     recorded = {tuple(row) for row in states.tolist()}
-    chosen = {tuple(row) for row in lift.keywords["centres"].tolist()}
+    chosen = {tuple(row) for row in lift.centres.tolist()}
     assert len(chosen) == 12
     assert chosen <= recorded
 
@@ -133,7 +133,7 @@ def test_k_means_finds_the_clusters() -> None:
     middles = np.array([[0.0, 0.0], [5.0, 0.0], [0.0, 5.0]])
     samples = np.vstack([middle + 0.1 * rng.normal(size=(30, 2)) for middle in middles])
     lift, _ = drawn(ThinPlate(count=3, centres="k-means"), samples)
-    distance = np.linalg.norm(lift.keywords["centres"][:, np.newaxis] - middles, axis=-1)
+    distance = np.linalg.norm(lift.centres[:, np.newaxis] - middles, axis=-1)
     assert distance.min(axis=0).max() < 0.1
 
 
