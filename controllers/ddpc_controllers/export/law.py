@@ -78,16 +78,19 @@ def _add(code: Code, problem: CondensedProblem, limits: InputLimits, answers: in
     limit = np.full(len(upper), -np.inf)
     both = lower >= 0
     limit[both] = (problem.excess_law[lower[both], -1] + law[both, -1]) / size[both]
-    move_law, move_gain = problem.move_law[:answers], problem.move_gain[:answers]
+    # A solution lies in the range of gain', of as few coordinates as there are independent bounds.
+    _, values, right = np.linalg.svd(gain / size[:, np.newaxis], full_matrices=False)
+    directions = right[values > np.finfo(float).eps * max(gain.shape) * values[:1]].T
+    move_law, move_gain = problem.move_law[:answers], problem.move_gain[:answers] @ directions
     tables = {
         "law": np.vstack([law / size[:, np.newaxis], move_law, problem.conflict_law]),
-        "gain": np.vstack([gain / size[:, np.newaxis], move_gain]),
+        "gain": np.vstack([gain @ directions / size[:, np.newaxis], move_gain]),
         "lower": limit,
         "upper": np.zeros(len(upper)),
         "tolerance": FEASIBLE / size,
         **limits.tables(),
     }
-    bounds, unknowns = gain.shape
+    bounds, unknowns = len(gain), directions.shape[1]
     name = code.constant(
         "Law",
         parameters=law.shape[1],

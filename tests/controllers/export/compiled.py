@@ -83,7 +83,11 @@ class CompiledController:
 
 @dataclass(kw_only=True)
 class Beside(Controller):
-    """A controller in Python that runs the loop, with its C code beside it that sees the same samples."""
+    """A controller in Python that runs the loop, with its C code beside it that sees the same samples.
+
+    The one that does not drive the plant is in no loop: where a controller by itself is unstable, roundings
+    grow in it, and two loops are to be compared.
+    """
 
     controller: Controller
     horizon: int = field(init=False)

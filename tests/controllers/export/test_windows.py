@@ -108,6 +108,14 @@ def test_bounds_and_pasts_out_of_reach_fall_back_as_in_python(name: str) -> None
     assert any(fallback in status for status in said)
 
 
+@pytest.mark.parametrize("make", [DeePC, lambda: SPC(apply_steps=2, rate_bounds=0.1)])
+def test_a_loop_without_bounds(make: Callable[[], BehavioralTracking]) -> None:
+    loop = make_loop(TWO_BY_TWO, np.full(2, np.inf), np.full(2, np.inf), preview=9)
+    beside, _ = side_by_side(make(), loop, LAG.advance, LAG.c, 0.0, steps=40)
+    assert beside.difference <= 1e-9
+    assert not beside.disagreements
+
+
 def test_what_cannot_be_exported_says_why_and_what_can() -> None:
     loop = make_loop(PENDULUM, np.array([1.5]), np.array([0.4]))
     for settings, reason in (
