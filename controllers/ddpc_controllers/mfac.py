@@ -29,6 +29,7 @@ import scipy  # whose parts are imported when they are first used
 from ddpc_controllers.checks import knowing
 from ddpc_controllers.data.hankel import resting_input
 from ddpc_controllers.data.quality import Judgement, Span, judge
+from ddpc_controllers.export.code import Code
 from ddpc_controllers.models.data_model import DataModel, Estimation, Form
 from ddpc_controllers.models.data_model_prediction import Forecast, GradientForecast, LinearisedPrediction
 from ddpc_controllers.optimisation.limits import HELD, ChangeLimits, rate_limits
@@ -120,6 +121,7 @@ class ModelFreeAdaptive(ScaledSignals):
         self._limits = ChangeLimits(loop.bounds, rates, steps, optimise)
         self._ends, self._unit = predicted_ends(loop.outputs), self._scales.y
         self._u: list[float] = resting_input(loop).tolist()
+        self._forecasts: list[GradientForecast] = []
         self._judgement = Judgement()
         if loop.recording:
             self._judgement = judge(type(self).__name__, loop.recording, loop.outputs, [self._ahead])
@@ -190,6 +192,45 @@ class ModelFreeAdaptive(ScaledSignals):
         answer: FloatArray = changes
         return answer
 
+    def _c_step(self, code: Code, loop: Loop) -> str:
+        """Add the method, with what it has learned."""
+        code.kernel("adaptive")
+        form, n, rows = self._model.form, self._ridge.shape[0], self.horizon * len(self._unit)
+        limits, limits_held = self._limits.in_c(code)
+        adaptive = code.constant(
+            "Adaptive",
+            p=form.outputs,
+            m=form.inputs,
+            output_length=form.output_length,
+            input_length=form.input_length,
+            diagonal=form.diagonal,
+            horizon=self.horizon,
+            control_horizon=n // form.inputs,
+            assume_sign=self.assume_sign,
+            eta=self.eta,
+            mu=self.mu,
+            epsilon=self.epsilon,
+            lambda_u=self.lambda_u,
+            **self._own_constants(),
+            initial=code.doubles([row.initial for row in self._model.gradients]),
+            limits=f"&{limits}",
+        )
+        gradients = np.array([row.value for row in self._model.gradients])
+        known, y, changes = self._model.signals
+        theta, past = ([getattr(one, name) for one in self._forecasts] for name in ("theta", "newest_first"))
+        sizes = [gradients.shape[1], gradients.size * self.horizon, rows * (n + 1), rows, n * n, n * n, n, n]
+        held = code.held(
+            "AdaptiveMemory",
+            *(known, y, changes, self._u, gradients, theta, past),
+            *map(np.zeros, [*sizes, (rows + n) * n]),
+            limits_held,
+        )
+        return code.step(f"{held}adaptive_step(&{adaptive}, &held, sample, u, told);")
+
+    @abstractmethod
+    def _own_constants(self) -> dict[str, float]:
+        """Return the constants that the other methods do not have, for code in C."""
+
     @property
     def _ahead(self) -> Span:
         """How far the method looks ahead."""
@@ -230,6 +271,9 @@ class MFAC(ModelFreeAdaptive):
         self, a: FloatArray, error: FloatArray, hessian: FloatArray, slope: FloatArray
     ) -> FloatArray:
         return self.step_factor * super()._unlimited(a, error, hessian, slope)
+
+    def _own_constants(self) -> dict[str, float]:
+        return {"step_factor": self.step_factor}
 
 
 @dataclass(kw_only=True)
@@ -276,3 +320,12 @@ class MFAPC(ModelFreeAdaptive):
             forecast.update()
             gradients += forecast.ahead(self.horizon)
         return gradients
+
+    def _own_constants(self) -> dict[str, float]:
+        return {
+            "step_factor": 1.0,
+            "forecast_order": self.forecast_order,
+            "delta": self.delta,
+            "theta_0": self.initial_forecast,
+            "theta_limit": self.forecast_limit,
+        }

@@ -70,6 +70,11 @@ def inner_step(controller: Controller, code: "Code", loop: Loop) -> str:
     return controller.c_step(code, loop)
 
 
+def qp_memory(unknowns: int) -> int:
+    """Return how many numbers the QP kernel needs: QP_MEMORY in C."""
+    return 2 + 6 * unknowns + unknowns**2 + unknowns * (unknowns + 1) // 2
+
+
 class Code:
     """The parts of a controller's C code, in the order in which they were added.
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ddpc_controllers.export.code import Code
+from ddpc_controllers.export.code import Code, qp_memory
 from ddpc_controllers.optimisation.condensing import CondensedProblem
 from ddpc_controllers.optimisation.limits import InputLimits
 from ddpc_controllers.optimisation.qp import FEASIBLE, AdaptiveQP, Law, ParametricQP
@@ -102,8 +102,7 @@ def _add(code: Code, problem: CondensedProblem, limits: InputLimits, answers: in
         **{table: code.doubles(values) for table, values in tables.items()},
         easier=easier,
     )
-    method = 2 + 6 * unknowns + unknowns**2 + unknowns * (unknowns + 1) // 2
-    return LawInC(f"&{name}", bounds + unknowns + method)
+    return LawInC(f"&{name}", bounds + unknowns + qp_memory(unknowns))
 
 
 def _sides(problem: CondensedProblem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

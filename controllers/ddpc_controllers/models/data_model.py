@@ -90,11 +90,13 @@ class PseudoGradient:
     ----------
     value : list of float
         The estimate Phi_k.
+    initial : list of float
+        Phi_1.
     """
 
     def __init__(self, initial: Sequence[float], regressor: Regressor, constants: Estimation) -> None:
         self.value = list(initial)
-        self._initial = list(initial)
+        self.initial = list(initial)
         self._eta, self._mu = constants.eta, constants.mu
         self._epsilon, self._assume_sign = constants.epsilon, constants.assume_sign
         self._output_terms = regressor.output_terms
@@ -112,7 +114,7 @@ class PseudoGradient:
             step = self._eta / (self._mu + squared) * (dy - dot(phi, h))  # (16)
             self.value = self.plausible([old + step * change for old, change in zip(phi, h, strict=True)])
         elif self._assume_sign:
-            self.value = self._initial.copy()  # without the assumption it may point the wrong way by now
+            self.value = self.initial.copy()  # without the assumption it may point the wrong way by now
 
     def plausible(self, phi: list[float]) -> list[float]:
         """Reset what is too short or has changed its sign (17); ``phi`` may be changed.
@@ -127,8 +129,8 @@ class PseudoGradient:
             if right_sign and (abs(now) >= epsilon or dot(phi[pair], phi[pair]) >= epsilon**2):
                 continue
             sign = 1.0 if assume_sign else copysign(1.0, now * direct)
-            phi[pair] = [sign * coefficient for coefficient in self._initial[pair]]
-            phi[: self._output_terms] = self._initial[: self._output_terms]
+            phi[pair] = [sign * coefficient for coefficient in self.initial[pair]]
+            phi[: self._output_terms] = self.initial[: self._output_terms]
         return phi
 
     def all_plausible(self, paths: Sequence[Sequence[float]]) -> bool:
@@ -252,12 +254,14 @@ class DataModel:
 
     Attributes
     ----------
+    form : Form
+        Its size and structure.
     gradients : list of PseudoGradient
         One row for each output.
     """
 
     def __init__(self, form: Form, initial: FloatArray, constants: Estimation) -> None:
-        self._form = form
+        self.form = form
         regressors = form.regressors()
         # None: the whole of H.
         self._places = [form.places(regressor) for regressor in regressors] if form.diagonal else None
@@ -272,7 +276,7 @@ class DataModel:
 
     def resume(self, recording: Recording) -> None:
         """Go on where a recording ended."""
-        form = self._form
+        form = self.form
         self._y = recording.y[-1].tolist()
         self._newest_dy = _newest_changes(recording.y, form.output_length)
         self._newest_du = _newest_changes(recording.u, form.input_length)
@@ -301,9 +305,15 @@ class DataModel:
         self._newest_du = [0.0] * len(self._newest_du)
 
     @property
+    def signals(self) -> tuple[bool, list[float], list[float]]:
+        """Whether there is a sample before the next one, its outputs, and the changes up to it."""
+        y = [0.0] * self.form.outputs if self._y is None else self._y
+        return self._y is not None, y, self._newest_dy + self._newest_du
+
+    @property
     def known(self) -> list[float]:
         """The changes that H_k holds before du_k is decided, newest first: outputs, then inputs."""
-        return self._newest_dy + self._newest_du[: len(self._newest_du) - self._form.inputs]
+        return self._newest_dy + self._newest_du[: len(self._newest_du) - self.form.inputs]
 
 
 def _newest_changes(signal: FloatArray, length: int) -> list[float]:

@@ -185,30 +185,35 @@ class GradientForecast:
         The row, before its first update.
     constants : Forecast
         See there.
+
+    Attributes
+    ----------
+    theta, newest_first : list of list of float
+        The coefficients of the forecast of each one of the row, and its latest values.
     """
 
     def __init__(self, gradient: PseudoGradient, constants: Forecast) -> None:
         self._gradient = gradient
         self._constants = constants
-        self._theta = [[constants.theta_0] * constants.n_m for _ in gradient.value]
-        self._newest_first = [[phi] * (constants.n_m + 1) for phi in gradient.value]
+        self.theta = [[constants.theta_0] * constants.n_m for _ in gradient.value]
+        self.newest_first = [[phi] * (constants.n_m + 1) for phi in gradient.value]
 
     def update(self) -> None:
         """Adapt the coefficients to the latest estimate (18)."""
         constants = self._constants
         for i, phi in enumerate(self._gradient.value):
-            theta, past = self._theta[i], self._newest_first[i][:-1]
-            self._newest_first[i] = [phi, *past]
+            theta, past = self.theta[i], self.newest_first[i][:-1]
+            self.newest_first[i] = [phi, *past]
             step = (phi - dot(theta, past)) / (constants.delta + dot(past, past))
             theta = [t + step * old for t, old in zip(theta, past, strict=True)]  # (18)
             if dot(theta, theta) >= constants.theta_limit**2:
                 theta = [constants.theta_0] * constants.n_m
-            self._theta[i] = theta
+            self.theta[i] = theta
 
     def ahead(self, steps: int) -> list[float]:
         """Return Phi_k, ..., Phi_k+steps-1, one after another."""
-        paths = [past.copy() for past in self._newest_first]
-        for theta, path in zip(self._theta, paths, strict=True):
+        paths = [past.copy() for past in self.newest_first]
+        for theta, path in zip(self.theta, paths, strict=True):
             for _ in range(steps - 1):
                 path.insert(0, sum(map(mul, theta, path)))
         # Newest first, one coefficient after another: back to the order of time.
@@ -219,10 +224,10 @@ class GradientForecast:
 
     def _ahead_with_resets(self, steps: int) -> list[float]:
         """Return the same where a forecast is reset, and what follows rests on it."""
-        paths = [past.copy() for past in self._newest_first]
+        paths = [past.copy() for past in self.newest_first]
         phis = self._gradient.value.copy()
         for _ in range(steps - 1):
-            predicted = [dot(theta, path) for theta, path in zip(self._theta, paths, strict=True)]
+            predicted = [dot(theta, path) for theta, path in zip(self.theta, paths, strict=True)]
             phi = self._gradient.plausible(predicted)
             for path, value in zip(paths, phi, strict=True):
                 path.insert(0, value)

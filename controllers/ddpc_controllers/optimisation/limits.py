@@ -5,9 +5,11 @@ from itertools import accumulate
 from math import isfinite
 
 import numpy as np
+import scipy  # whose parts are imported when they are first used
 from numpy.typing import NDArray
 
 from ddpc_controllers.checks import per_signal
+from ddpc_controllers.export.code import Code, qp_memory
 from ddpc_controllers.optimisation.backends import PIQPBackend, contradiction
 from ddpc_cosim import Bounds, FloatArray, Weight
 
@@ -187,6 +189,25 @@ class ChangeLimits:
             for old, change, (low, high, rate) in zip(u, plan, self._channels, strict=False)
         ], fault
 
+    def in_c(self, code: Code) -> tuple[str, str]:
+        """Add the limits to code in C; return their name, and the initialiser of what they need in memory."""
+        m, n = len(self._rates), len(self._scales) if self._optimise else 0
+        rated = bool(np.isfinite(self._rates).any())
+        limits = code.constant(
+            "ChangeLimits",
+            m=m,
+            steps=self._steps,
+            optimise=self._optimise,
+            rated=rated,
+            low=code.doubles(self._u_min),
+            high=code.doubles(self._u_max),
+            rates=code.doubles(self._rates),
+            spans=code.doubles(self._spans),
+        )
+        limited = (1 + rated) * n
+        sizes = (n * n, limited * n, limited, limited, limited, limited, n, qp_memory(n))
+        return limits, f"{{{', '.join(code.memory(np.zeros(size)) for size in sizes)}}}"
+
     def reached(self, u: Sequence[float], changes: FloatArray) -> int:
         """Return at how many limits changes, shape (Nu, m), from ``u`` on are, as far as they keep them."""
         kept = changes if self._optimise else changes[:1]
@@ -239,6 +260,7 @@ class ChangeLimits:
                 labels = np.repeat(kinds, len(slope))[sides].tolist()
                 return plan, bounds_not_met(unmet_bounds(gain, excess, labels), CLIPPED)
             if optimum is None:
+                t = _at_corner(gain, excess, list(found), t)
                 optimum = free + np.linalg.solve(root.T, t)
         changes: list[float] = (optimum * scales).tolist()
         return changes, ""
@@ -275,6 +297,18 @@ class ChangeLimits:
                 return np.asarray(solution[:n])
             at_low, at_high = (at_low & ~released) | beyond_low, (at_high & ~released) | beyond_high
         return None
+
+
+def _at_corner(gain: FloatArray, excess: FloatArray, active: list[int], t: FloatArray) -> FloatArray:
+    """Return the shortest t at the active limits; the one given if that is not the optimum.
+
+    Limits that depend on each other have no multipliers of their own, and an interior-point method leaves
+    half of the digits there. Any that are not negative prove the optimum.
+    """
+    corner = np.asarray(np.linalg.lstsq(gain[active], -excess[active])[0], dtype=np.float64)
+    _, missed = scipy.optimize.nnls(gain[active].T, -corner)
+    beyond = (excess + gain @ corner).max()
+    return corner if max(missed, beyond) <= _AT_LIMIT * np.linalg.norm(corner) else t
 
 
 def _spans(ranges: FloatArray, rates: FloatArray) -> FloatArray:

@@ -1,13 +1,13 @@
 """Controllers without a model and those that hold others, in C: as in Python at every sample."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ddpc_controllers import IPID, PID, SPSA, Cascade, Decentralised, Group, Idle, Scaled
-from ddpc_cosim import ConfigError, Controller, FloatArray, Loop, Sample
+from ddpc_controllers import IPID, MFAC, MFAPC, PID, SPSA, Cascade, Decentralised, Group, Idle, Scaled
+from ddpc_cosim import Bounds, ConfigError, Controller, FloatArray, Loop, Sample
 
 from .compiled import Beside
 from .loops import COUPLED, PENDULUM, Bench
@@ -17,10 +17,21 @@ ALL = {
     "pid-clamping": PID(proportional=3.0, integral=[2.0], anti_windup="clamping"),
     "pid-tracking": PID(proportional=3.0, integral=2.0, tracking_time=0.5, derivative=0.4),
     "pid-step-test": PID(tuning="step-test"),
+    "mfapc": MFAPC(limits="clip"),
+    "mfapc-qp": MFAPC(lambda_u=0.02, horizon=8, control_horizon=3, scaling="range"),
+    "mfapc-pfdl": MFAPC(
+        form="pfdl", rate_bounds=0.3, assume_sign=False, forecast_order=2, forecast_limit=0.5
+    ),
+    "mfapc-ffdl": MFAPC(form="ffdl", rate_bounds=0.3, lambda_u=0.01, output_length=2, initial_gradient=0.01),
+    "mfac": MFAC(form="ffdl", step_factor=0.6, rate_bounds=0.5),
     "ipid": IPID(alpha=5.0, kp=2.0),
     "ipid-second-order": IPID(order=2, alpha=5.0, kp=9.0, kd=4.0, ki=3.0, window=6),
 }
 COUPLED_ONES = {
+    "mfapc": MFAPC(form="ffdl", initial_gradient=[[0.5, 0.1], [0.0, 0.4]], rate_bounds=[0.3, 0.5]),
+    "mfapc-diagonal": MFAPC(form="pfdl", structure="diagonal", horizon=6, rate_bounds=[0.7, 0.4]),
+    "mfapc-diagonal-ffdl": MFAPC(form="ffdl", structure="diagonal", output_length=3, control_horizon=2),
+    "mfac": MFAC(form="pfdl", lambda_u=0.01),
     "pid": PID(proportional=[0.1, 0.2], integral=[0.3, 0.1], derivative=0.01, pairing=[1, 0]),
     "ipid": IPID(alpha=[[5.0, 0.3], [0.0, 4.0]], kp=1.0, ki=0.5),
     "ipid-coupled": IPID(order=2, alpha=[[50.0, 3.0], [2.0, 40.0]], kp=2.0, kd=3.0, window=5),
@@ -41,6 +52,9 @@ COUPLED_ONES = {
     ),
 }
 CASCADES = {
+    "mfapc-outer": Cascade(
+        inner=PID(proportional=2.0), outer=MFAPC(form="ffdl", scaling="range"), outer_period=2
+    ),
     "ipid-in-pid": Cascade(inner=IPID(order=2, alpha=5.0, kp=9.0, kd=6.0), outer=PID(proportional=0.2)),
     "slow-outer": Cascade(inner=PID(proportional=2.0), outer=IPID(alpha=2.0, window=2), outer_period=3),
     "scaled-outer": Cascade(
@@ -75,6 +89,30 @@ def test_the_code_is_the_controller(bench: Bench, name: str, controller: Control
     if name == "pid-step-test":  # the rules are for monotonic plants
         bench = Bench(bench.advance, bench.nominal, bench.limits / 50.0, 1, bench.rest)
     check(bench.close(controller, continues_recording=continues))
+
+
+def test_a_weight_below_the_rounding_of_the_gradients_leaves_the_least_change() -> None:
+    loop, _ = COUPLED.loop(recording=None)
+    loop = replace(loop, outputs=loop.outputs[:1])
+    beside = Beside(controller=MFAPC(horizon=1, initial_gradient=[[3e8, 4e8]], scaling="none"))
+    beside.start(loop)
+    beside.step(Sample(0, 0.0, np.zeros(1), np.zeros(3), np.full((1, 1), 1e7), np.zeros(1)))
+    assert beside.difference < 1e-12
+
+
+def test_limits_that_no_change_can_keep_are_told_and_clipped() -> None:
+    loop, _ = PENDULUM.loop(continues_recording=True)
+    high = float(loop.recording.u[-1, 0]) - 1.0  # the recording ended a volt beyond, the rate is a tenth
+    free = np.full(1, np.inf)
+    loop = replace(loop, bounds=Bounds(np.array([high - 5.0]), np.array([high]), -free, free))
+    beside = Beside(controller=MFAPC(rate_bounds=0.1, scaling="none"))
+    beside.start(loop)
+    for k in range(3):
+        y = np.array([0.1 * k])
+        beside.step(Sample(k, 0.1 * k, y, np.append(0.0, y), np.full((5, 1), 1e3), np.zeros(1)))
+        assert beside.c.status == (8 if k == 0 else 0)
+    assert beside.difference < 1e-12
+    assert not beside.disagreements
 
 
 @pytest.mark.parametrize("preview", [0, 1, 3])

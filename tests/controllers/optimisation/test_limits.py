@@ -85,6 +85,19 @@ def test_a_limit_that_is_only_just_active_is_met_to_rounding(excess: float) -> N
     assert (found, fault) == (pytest.approx([0.5 - excess / 2.0], abs=1e-14), "")
 
 
+def test_limits_that_depend_on_each_other_are_met_to_rounding() -> None:
+    # The first input climbs to its limit at its largest rate: both limit its first change, and its level the
+    # second, which is 0. The second input has room: what is best for it depends on that.
+    rng = np.random.default_rng(986)
+    a = rng.standard_normal((4, 4))
+    hessian, plan = a @ a.T + 0.1 * np.eye(4), np.array([5.0, rng.normal(), 3.0, rng.normal()])
+    slope, kept = hessian @ plan, np.array([0.4, 0.0])
+    best = np.linalg.solve(hessian[1::2, 1::2], slope[1::2] - hessian[1::2, ::2] @ kept)
+    tight = limits(np.array([0.8, 50.0]), np.array([0.4, 10.0]), 2)
+    found, fault = tight.apply([0.4, 0.0], plan, hessian, slope)
+    assert (found, fault) == (pytest.approx([0.8, best[0]], abs=1e-10), "")
+
+
 def test_an_input_without_room_stays_and_leaves_the_other_its_optimum() -> None:
     bounds = Bounds(np.array([0.3, -1.0]), np.array([0.3, 1.0]), -FREE, FREE)
     plan = np.array([0.5, 0.2])
