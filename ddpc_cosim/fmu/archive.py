@@ -75,17 +75,28 @@ class UnpackLimits:
     max_files: int = 20_000
 
 
-def unpack(path: Path, folder: Path, limits: UnpackLimits | None = None) -> None:
-    """Unpack an FMU.
+def unpack(
+    path: Path,
+    folder: Path,
+    limits: UnpackLimits | None = None,
+    *,
+    needed: str = MODEL_DESCRIPTION,
+    kind: str = "FMU",
+) -> None:
+    """Unpack an FMU, or another archive.
 
     Parameters
     ----------
     path : Path
-        The FMU.
+        The archive.
     folder : Path
         An empty folder; nothing is written outside of it. What was unpacked before a fault is left in it.
     limits : UnpackLimits, optional
         Limits on size and number of files.
+    needed : str
+        The file that it has to have.
+    kind : str
+        What it is called in errors.
 
     Raises
     ------
@@ -99,10 +110,10 @@ def unpack(path: Path, folder: Path, limits: UnpackLimits | None = None) -> None
         _check_directory(path, limits)
         archive = zipfile.ZipFile(path)
     except (*_DAMAGED, OSError) as error:
-        raise FMUImportError(f"{path.name}: not an FMU: {_reason(error)}") from error
+        raise FMUImportError(f"{path.name}: not an {kind}: {_reason(error)}") from error
     try:
         with archive:
-            _unpack_entries(archive, folder, limits, path.name)
+            _unpack_entries(archive, folder, limits, path.name, needed, kind)
     except _DAMAGED as error:
         raise FMUImportError(f"{path.name}: damaged archive: {_reason(error)}") from error
     except OSError as error:
@@ -257,12 +268,14 @@ def _check_count(count: int, limits: UnpackLimits, label: str) -> None:
         )
 
 
-def _unpack_entries(archive: zipfile.ZipFile, folder: Path, limits: UnpackLimits, label: str) -> None:
+def _unpack_entries(
+    archive: zipfile.ZipFile, folder: Path, limits: UnpackLimits, label: str, needed: str, kind: str
+) -> None:
     entries = archive.infolist()
     _check_count(len(entries), limits, label)
     files = _checked(entries, label)
-    if MODEL_DESCRIPTION not in files:
-        raise FMUImportError(f"{label}: not an FMU: the archive has no {MODEL_DESCRIPTION}{_hint(files)}")
+    if needed not in files:
+        raise FMUImportError(f"{label}: not an {kind}: the archive has no {needed}{_hint(files, needed)}")
     too_large = FMUImportError(
         f"{label}: unpacks to more than {limits.max_unpacked_size} bytes (max_unpacked_size); "
         "raise it if you trust the FMU"
@@ -360,6 +373,6 @@ def _reason(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
-def _hint(files: dict[str, zipfile.ZipInfo]) -> str:
-    inner = [name for name in files if name.endswith("/" + MODEL_DESCRIPTION)]
+def _hint(files: dict[str, zipfile.ZipInfo], needed: str) -> str:
+    inner = [name for name in files if name.endswith("/" + needed)]
     return f"; there is {inner[0]}: archive the content of that folder, not the folder" if inner else ""
