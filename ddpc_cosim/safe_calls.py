@@ -76,6 +76,11 @@ def announce_calls(announce: Announce) -> None:
     _announce = announce
 
 
+def announce_call_of_plant(call: str, time: float) -> None:
+    """Announce what a plant is in at a time of the run [s], where its call consists of several."""
+    _announce("plant", call, time)
+
+
 def make_plant(make: Callable[[], Plant]) -> Plant:
     """Make a plant, which may raise any CosimError itself."""
     with _PlantCall(getattr(make, "__name__", repr(make)) + "()", own=CosimError):

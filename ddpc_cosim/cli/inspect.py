@@ -16,10 +16,11 @@ from rich.table import Table
 from rich.text import Text
 
 from ddpc_cosim.cli.output import fitting
+from ddpc_cosim.coupling.ssp import SSPConnection
 from ddpc_cosim.fmu.description import Clock, FMUDescription, FMUVariable, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Severity
-from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu
-from ddpc_cosim.inspection.checks import NO_INPUTS, NO_OUTPUTS
+from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu, systems
+from ddpc_cosim.inspection.systems import SystemInspection, inspect_ssp
 from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import Variable
 
@@ -27,11 +28,12 @@ _MOST_ROWS = 20
 _LONGEST_CELL = 10_000
 _STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: ""}
 _HEADINGS = ("name", "unit", "start", "min", "max", "nominal", "more", "description")
-_IN_WORDS = ("unit", "more", "description")
+_IN_WORDS = ("unit", "more", "description", "values set")
 _NARROW, _LONGEST_NAME = 14, 30
 _BYTES_PER_KILOBYTE = 1000
 
 Row = tuple[str, ...]
+Inspected = Inspection | SystemInspection
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +47,13 @@ class _Section:
 
 
 def inspect_command(path: Path, *, as_json: bool, strict: bool, every: bool) -> int:
-    """Print what an FMU is; return 1 if a defect prevents it from running here."""
-    inspection = inspect_fmu(path, strict=strict)
+    """Print what an FMU or an SSP archive is; return 1 if a defect prevents it from running here."""
+    is_system = path.suffix.lower() == ".ssp"
+    inspection = inspect_ssp(path) if is_system else inspect_fmu(path, strict=strict)
     if as_json:
+        data = as_data(inspection) if isinstance(inspection, Inspection) else systems.as_data(inspection)
         # Part by part: as one text it would take more memory than all that it tells.
-        sys.stdout.writelines(json.JSONEncoder(indent=2, allow_nan=False).iterencode(as_data(inspection)))
+        sys.stdout.writelines(json.JSONEncoder(indent=2, allow_nan=False).iterencode(data))
         click.echo()
     elif (console := Console()).is_terminal:
         _print_tables(console, inspection, every=every)
@@ -59,7 +63,7 @@ def inspect_command(path: Path, *, as_json: bool, strict: bool, every: bool) -> 
     return 0 if inspection.can_run else 1
 
 
-def _print_tables(console: Console, inspection: Inspection, *, every: bool) -> None:
+def _print_tables(console: Console, inspection: Inspected, *, every: bool) -> None:
     facts = Table(box=None, show_header=False, pad_edge=False)
     facts.add_column(style="bold", no_wrap=True)
     facts.add_column(overflow="fold")
@@ -108,7 +112,7 @@ def _table(section: _Section, rows: Sequence[Row], columns: Sequence[int], narro
     return table
 
 
-def _plain_lines(inspection: Inspection) -> Iterator[str]:
+def _plain_lines(inspection: Inspected) -> Iterator[str]:
     """Yield one line per fact, variable and defect, with tabs between the columns: for grep and cut."""
     for name, value in _facts(inspection):
         yield _line(name, value)
@@ -136,15 +140,18 @@ def _line(*cells: str) -> str:
     return "\t".join(printable(cell, _LONGEST_CELL) for cell in cells)
 
 
-def _next_step(inspection: Inspection) -> str:
+def _next_step(inspection: Inspected) -> str:
     path = quote(printable(str(inspection.path)))
-    if any(defect.kind in (NO_INPUTS, NO_OUTPUTS) for defect in inspection.defects):
+    if not inspection.inputs or not inspection.outputs:
         return f"open loop: ddpc-cosim simulate {path}"
     return f"suggested study: ddpc-cosim init {path} && ddpc-cosim run study.toml"
 
 
-def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
+def _facts(inspection: Inspected) -> Iterator[tuple[str, str]]:
     """Yield what there is to say in one line each."""
+    if isinstance(inspection, SystemInspection):
+        yield from _system_facts(inspection)
+        return
     description = inspection.description
     yield "file", f"{inspection.path.name}, {inspection.size / _BYTES_PER_KILOBYTE:.1f} kB"
     if description is not None:
@@ -155,6 +162,58 @@ def _facts(inspection: Inspection) -> Iterator[tuple[str, str]]:
     runs = {"binary": "yes", "sources": "yes, from its sources", "": "no"}[binaries.route]
     yield "runs here", runs if inspection.can_run else "no"
     yield "sha256", inspection.sha256
+
+
+def _system_facts(inspection: SystemInspection) -> Iterator[tuple[str, str]]:
+    yield "file", f"{inspection.path.name}, {inspection.size / _BYTES_PER_KILOBYTE:.1f} kB"
+    system = inspection.system
+    if system is not None:
+        yield "system", _joined((system.name, f"SSP {system.version}"))
+        times = (("start", system.start_time), ("stop", system.stop_time), ("step", system.step_size))
+        yield "experiment", _joined(f"{k} {t:g} s" for k, t in times if t is not None) or "none given"
+        yield "order", _joined(inspection.order, " -> ")
+        for loop in inspection.loops:
+            yield "algebraic loop", _joined(loop, " -> ")
+        if inspection.order and not inspection.loops:
+            yield "algebraic loop", "none"
+    yield "runs here", "yes" if inspection.can_run else "no"
+    yield "sha256", inspection.sha256
+
+
+def _system_sections(inspection: SystemInspection) -> Iterator[_Section]:
+    system = inspection.system
+    if system is None:
+        return
+    parts = [
+        (
+            part.name,
+            part.source,
+            f"FMI {one.description.fmi_version}" if one.description else "",
+            part.fmi_type
+            if part.fmi_type != "auto"
+            else _joined(one.interfaces[0].kind for _ in one.interfaces[:1]),
+            _joined(f"{name} = {value}" for name, value in {**part.start, **part.parameters}.items()),
+        )
+        for part in system.parts
+        if (one := inspection.parts.get(part.name)) is not None
+    ]
+    yield _Section("Parts", "part", ("name", "file", "fmi", "runs for", "values set"), parts)
+    rows = [
+        (one.source, one.target, _units(one), _scale(one.factor, one.offset)) for one in system.connections
+    ]
+    yield _Section("Connections", "connection", ("from", "to", "unit", "more"), rows)
+    yield _Section("Inputs", "input", _HEADINGS, [_row(v) for v in inspection.inputs])
+    yield _Section("Outputs", "output", _HEADINGS, [_row(v) for v in inspection.outputs])
+
+
+def _units(connection: SSPConnection) -> str:
+    source, target = connection.source_unit or "1", connection.target_unit or "1"
+    return f"[{source}]" if source == target else f"[{source}] -> [{target}]"
+
+
+def _scale(factor: float, offset: float) -> str:
+    """Return what happens to a value on its way, conversion of the unit included."""
+    return _joined((f"* {factor:g}" if factor != 1.0 else "", f"{offset:+g}" if offset else ""), " ")
 
 
 def _model_facts(description: FMUDescription) -> Iterator[tuple[str, str]]:
@@ -213,7 +272,10 @@ def _joined(parts: Iterable[str], by: str = ", ") -> str:
     return by.join(part for part in parts if part)
 
 
-def _sections(inspection: Inspection) -> Iterator[_Section]:
+def _sections(inspection: Inspected) -> Iterator[_Section]:
+    if isinstance(inspection, SystemInspection):
+        yield from _system_sections(inspection)
+        return
     feedthrough = inspection.feedthrough
     yield _Section("Inputs", "input", _HEADINGS, [_row(v) for v in inspection.inputs])
     outputs = [_row(v, _on_feedthrough(feedthrough, v.name)) for v in inspection.outputs]

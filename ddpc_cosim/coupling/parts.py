@@ -8,7 +8,7 @@ import numpy as np
 from ddpc_cosim.coupling.wiring import Intake
 from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError, FMUStepError
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.safe_calls import feedthrough_of_plant, plant_fault, plant_outputs
+from ddpc_cosim.safe_calls import announce_call_of_plant, feedthrough_of_plant, plant_fault, plant_outputs
 from ddpc_cosim.variables import FloatArray
 
 _FLOAT = np.dtype(np.float64)
@@ -32,6 +32,7 @@ class Part:
     def __init__(self, name: str, plant: Plant, intake: Intake, span: slice) -> None:
         self.name, self.plant, self.span = name, plant, span
         self.sources, self.factor, self.offset = intake
+        self._step = f'step of part "{name}"'
         self._is_scaled = intake.is_scaled
         self._shape = (len(plant.outputs),)
         self.every, self.substeps = 1, 1
@@ -51,6 +52,7 @@ class Part:
 
     def step(self, u: FloatArray, h: float, time: float) -> FloatArray:
         """Hold the inputs over h [s] from ``time`` [s] on and return the outputs, shape (p,)."""
+        announce_call_of_plant(self._step, time)
         try:
             y = self.plant.step(u, h)
         except (Exception, SystemExit) as error:
@@ -74,6 +76,7 @@ class Part:
 
     def call(self, method: str, time: float, *arguments: Any) -> Any:
         """Call a method of the plant at a time [s]."""
+        announce_call_of_plant(f'{method} of part "{self.name}"', time)
         try:
             return getattr(self.plant, method)(*arguments)
         except (Exception, SystemExit) as error:

@@ -48,6 +48,8 @@ class CoupledPlant(Plant):
         How exactly algebraic loops are solved, relative to nominal or present values.
     connectors : sequence of Variable
         Names, units and start values of the system's own connectors.
+    parameters : mapping of str to float, int, bool or str, optional
+        Values that differ from the parts' own in every run, ``"part.name"``; :meth:`reset` may give others.
 
     Attributes
     ----------
@@ -85,6 +87,7 @@ class CoupledPlant(Plant):
         extrapolation: Extrapolation = "hold",
         loop_tolerance: float = 1e-9,
         connectors: Sequence[Variable] = (),
+        parameters: Mapping[str, ParameterValue] | None = None,
     ) -> None:
         steps = steps or {}
         faults = [
@@ -127,6 +130,7 @@ class CoupledPlant(Plant):
             linear=extrapolation == "linear",
             loop_tolerance=loop_tolerance,
         )
+        self._parameters = dict(parameters or {})
         self._base_time, self._samples, self._h, self._tick = 0.0, 0, 0.0, 0.0
         self._is_running = False
         self._ending: FMUStepError | None = None
@@ -148,7 +152,7 @@ class CoupledPlant(Plant):
 
         Parameters are named ``"part.name"``; an input that rests can be given too.
         """
-        by_part, resting = self._by_part(parameters or {})
+        by_part, resting = self._by_part({**self._parameters, **(parameters or {})})
         self._base_time, self._samples, self._ending = t0, 0, None
         exchange = self._exchange
         exchange.reset(t0)

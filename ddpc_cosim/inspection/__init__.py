@@ -190,26 +190,31 @@ def as_data(inspection: Inspection) -> dict[str, Any]:
         "has_sources": inspection.binaries.has_sources,
         "model": _model(description) if description else None,
         "interfaces": {interface.kind: _interface(interface) for interface in inspection.interfaces},
-        "inputs": _variables(inspection.inputs),
-        "outputs": _variables(inspection.outputs),
+        "inputs": variables_as_data(inspection.inputs),
+        "outputs": variables_as_data(inspection.outputs),
         "parameters": [_parameter(variable) for variable in inspection.parameters],
-        "states": _variables(inspection.states),
+        "states": variables_as_data(inspection.states),
         "clocks": [_clock(clock) for clock in description.clocks] if description else [],
         "direct_feedthrough": {
             output: None if inputs is None else list(inputs)
             for output, inputs in inspection.feedthrough.items()
         },
-        "defects": [
-            {
-                "kind": defect.kind.name,
-                "severity": defect.severity.value,
-                "message": defect.kind.message,
-                "remedy": defect.kind.remedy or None,
-                "places": list(defect.places),
-            }
-            for defect in inspection.defects
-        ],
+        "defects": defects_as_data(inspection.defects),
     }
+
+
+def defects_as_data(defects: Iterable[Defect]) -> list[dict[str, Any]]:
+    """Return defects in plain values."""
+    return [
+        {
+            "kind": defect.kind.name,
+            "severity": defect.severity.value,
+            "message": defect.kind.message,
+            "remedy": defect.kind.remedy or None,
+            "places": list(defect.places),
+        }
+        for defect in defects
+    ]
 
 
 def _model(description: FMUDescription) -> dict[str, Any]:
@@ -240,7 +245,8 @@ def _interface(interface: Any) -> Mapping[str, Any]:
     return {name: getattr(interface, name) for name in interface.__dataclass_fields__ if name != "kind"}
 
 
-def _variables(variables: Iterable[Variable]) -> list[dict[str, Any]]:
+def variables_as_data(variables: Iterable[Variable]) -> list[dict[str, Any]]:
+    """Return variables in plain values."""
     return [_variable(variable) for variable in variables]
 
 

@@ -19,8 +19,8 @@ from ddpc_cosim.signals import Interpolated, Steps, values_at
 from ddpc_cosim.simulation.golden import TIME, Golden
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.file_format.sections import PlantSection
-from ddpc_cosim.study.plants import PlantSpec, PlantVariables, read_fmu
-from ddpc_cosim.variables import FloatArray, Variable, converter
+from ddpc_cosim.study.plants import PlantSpec, read_fmu
+from ddpc_cosim.variables import FloatArray, PlantVariables, Variable, converter
 from fmu_plants.spelling import did_you_mean
 
 if TYPE_CHECKING:

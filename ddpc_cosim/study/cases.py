@@ -249,13 +249,13 @@ def _files(case: Case) -> list[list[str]]:
 
 
 def data_files(case: Case) -> list[str]:
-    """Return the paths of the files that a case reads: FMU and files that settings name."""
-    return [path for paths in ([case.plant.fmu], *_files(case)) for path in paths if path]
+    """Return the paths of the files that a case reads: FMUs and files that settings name."""
+    return [path for paths in (case.plant.files, *_files(case)) for path in paths]
 
 
 def files_read(case: Case) -> list[Path]:
-    """Return what a case reads besides what is installed: FMU, files of settings, modules of the study's."""
-    modules = [own_folder()] if any(":" in kind for kind in types_in(_sections(case))) else []
+    """Return what a case reads besides what is installed: FMUs, files of settings, the study's modules."""
+    modules = [own_folder()] if any(":" in name for name in plugins_in(case)) else []
     return [Path(path) for path in (*data_files(case), *modules)]
 
 
@@ -288,7 +288,7 @@ class Surroundings:
 
 def plugins_in(case: Case) -> Iterator[str]:
     """Yield the names of the plug-ins that a case is made of."""
-    yield case.plant.name
+    yield from case.plant.plugins
     yield from types_in(_sections(case))
 
 

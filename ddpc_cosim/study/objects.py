@@ -11,6 +11,7 @@ import numpy as np
 
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
+from ddpc_cosim.coupling.wiring import Connection
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.plant import FMIType, ParameterValue
@@ -94,8 +95,9 @@ class Problem:
 
     Parameters
     ----------
-    plant : str, path, PlantModel or class
-        A plant of ``ddpc-cosim list plants``, an FMU file, equations, or a class derived from ``Plant``.
+    plant : str, path, PlantModel or class, or mapping of str to these
+        A plant of ``ddpc-cosim list plants``, an FMU or SSP file, equations, or a class derived from
+        ``Plant``; of a coupled plant its parts by name.
     sampling_time, duration : float
         Time between samples and simulated time [s].
     reference : Reference or mapping of str to Reference
@@ -130,6 +132,11 @@ class Problem:
         How an FMU is run.
     step_timeout : float, optional
         Longest time for any call of the plant or of a controller [s].
+    connections : sequence of Connection
+        What the parts of a coupled plant exchange.
+    coupling : mapping of str to float or str
+        How they do: ``algorithm``, ``communication_step``, ``steps`` (of parts, by name) and further
+        arguments of :class:`ddpc_cosim.CoupledPlant`.
 
     Raises
     ------
@@ -162,6 +169,8 @@ class Problem:
     display_units: Mapping[str, str] = field(default_factory=dict)
     fmi_type: FMIType = "auto"
     step_timeout: float | None = None
+    connections: Sequence[Connection] = ()
+    coupling: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         faults = []
@@ -235,12 +244,16 @@ class Problem:
         return {**self._plant_name(), **_given(given), **how}
 
     def _plant_name(self) -> Table:
-        plant = self.plant
-        if isinstance(plant, PathLike) or (isinstance(plant, str) and plant.lower().endswith(".fmu")):
-            return {"fmu": str(Path(plant).resolve())}
-        if isinstance(plant, str):
-            return {"name": plant}
-        return {"name": name_of("plants", plant, getattr(plant, "name", type(plant).__name__))}
+        coupling = dict(self.coupling)
+        if not isinstance(self.plant, Mapping):
+            return _plant(self.plant, "name") | ({"coupling": coupling} if coupling else {})
+        steps = coupling.pop("steps", {})
+        parts = [
+            {"name": name, **_plant(part, "plant"), **({"step": steps[name]} if name in steps else {})}
+            for name, part in self.plant.items()
+        ]
+        connections = [{"from": one.source, "to": one.target, **_more(one)} for one in self.connections]
+        return {"parts": parts, "connections": connections, **({"coupling": coupling} if coupling else {})}
 
     def _recording_table(self, path: str) -> Table:
         if self.recording is not None:
@@ -259,8 +272,26 @@ class Problem:
         from ddpc_cosim.study.file_format.sections import PlantSection
         from ddpc_cosim.study.plants import PlantSpec
 
-        variables = PlantSpec.of(PlantSection(**self._plant_name()), Path()).variables()
+        variables = PlantSpec.of(PlantSection.model_validate(self._plant_name()), Path()).variables()
         return list(getattr(variables, f"default_{which}") or getattr(variables, which))
+
+
+def _plant(plant: Any, key: str) -> Table:
+    """Return a plant as a study file says it; ``key`` is that of plug-ins."""
+    path = plant if isinstance(plant, PathLike) else Path(plant) if isinstance(plant, str) else None
+    suffix = "" if path is None else Path(path).suffix.lower()
+    if path is not None and (suffix in (".fmu", ".ssp") or isinstance(plant, PathLike)):
+        return {"ssp" if suffix == ".ssp" else "fmu": str(Path(path).resolve())}
+    if isinstance(plant, str):
+        return {key: plant}
+    return {key: name_of("plants", plant, getattr(plant, "name", type(plant).__name__))}
+
+
+def _more(connection: Connection) -> Table:
+    """Return what a connection has besides its ends, where it differs from the default."""
+    default = Connection("", "")
+    keys = ("factor", "offset", "convert_units")
+    return {key: value for key in keys if (value := getattr(connection, key)) != getattr(default, key)}
 
 
 _NOTHING: tuple[Any, ...] = ({}, (), [], Conditions(), GaussianNoise({}))

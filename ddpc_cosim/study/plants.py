@@ -2,7 +2,7 @@
 
 import hashlib
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
+from ddpc_cosim.coupling.specification import CoupledSpec
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.plugins import hash_of_code, load_plugin
@@ -23,57 +24,22 @@ from ddpc_cosim.safe_calls import (
     set_plant_parameters,
     step_plant,
 )
-from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable, names, with_display_units
+from ddpc_cosim.variables import (
+    DisplayUnit,
+    FloatArray,
+    PlantVariables,
+    Variable,
+    names,
+    with_display_units,
+    with_nominal,
+    with_start,
+)
 from fmu_plants.files import is_file
+from fmu_plants.spelling import did_you_mean
 
 if TYPE_CHECKING:
     from ddpc_cosim.fmu.description import FMUDescription
-    from ddpc_cosim.study.file_format.sections import PlantSection
-
-
-@dataclass(frozen=True, slots=True)
-class PlantVariables:
-    """The variables of a plant by name, as a study may use them.
-
-    Parameters
-    ----------
-    inputs, outputs, parameters : mapping of str to Variable
-        What can be driven, read and set; some may be several of these.
-    tunable : frozenset of str
-        The parameters that can change during a run.
-    default_inputs, default_outputs : tuple of str
-        What takes part if a study names none; empty: all.
-    display_units : mapping of str to tuple of DisplayUnit
-        The display units that the plant defines for each unit.
-    """
-
-    inputs: Mapping[str, Variable]
-    outputs: Mapping[str, Variable]
-    parameters: Mapping[str, Variable]
-    tunable: frozenset[str] = field(default_factory=frozenset)
-    default_inputs: tuple[str, ...] = ()
-    default_outputs: tuple[str, ...] = ()
-    display_units: Mapping[str, tuple[DisplayUnit, ...]] = field(default_factory=dict)
-
-    def shown(
-        self, display_units: Mapping[str, str], nominal: Mapping[str, float], start: Mapping[str, float]
-    ) -> Self:
-        """Return the variables with a study's display units, nominal values and start values of inputs.
-
-        Raises
-        ------
-        ConfigError
-            There is no conversion to such a display unit; all of them at once.
-        """
-        inputs, outputs = (
-            with_display_units(group.values(), display_units, self.display_units)
-            for group in (self.inputs, self.outputs)
-        )
-        return replace(
-            self,
-            inputs={v.name: v for v in _with_start(_with_nominal(inputs, nominal), start)},
-            outputs={v.name: v for v in _with_nominal(outputs, nominal)},
-        )
+    from ddpc_cosim.study.file_format.sections import PartSection, PlantSection
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +67,10 @@ class PlantSpec:
         until :meth:`built`.
     trace_calls : str
         File that every FMI call is written to; empty: none.
+    coupled : CoupledSpec or None
+        What a coupled plant consists of, which has no name and is no FMU.
+    own_process : bool
+        Whether the FMU, a part, has a process of its own within that of the case.
     """
 
     name: str
@@ -112,6 +82,8 @@ class PlantSpec:
     start: Mapping[str, float] = field(default_factory=dict)
     content: str = ""
     trace_calls: str = ""
+    coupled: CoupledSpec | None = None
+    own_process: bool = False
 
     @classmethod
     def of(cls, section: "PlantSection", folder: Path) -> Self:
@@ -136,24 +108,72 @@ class PlantSpec:
         spec = cls(
             name=section.name,
             fmu=str(in_folder(folder, section.fmu)) if section.fmu else "",
-            # The project's own C code is trusted; what a supplied FMU does is not known.
-            isolated=bool(section.fmu) if section.isolated == "auto" else section.isolated,
             fmi_type=section.fmi_type,
             display_units=section.display_units,
             nominal=section.nominal,
             start=section.start,
+            coupled=_coupled(section) if section.ssp or section.parts else None,
         )
-        plugin = None if spec.fmu else spec._plugin()
+        # The project's own C code is trusted; what a supplied FMU does is not known.
+        isolated = spec.is_supplied if section.isolated == "auto" else section.isolated
+        return replace(spec, isolated=isolated)._checked()
+
+    @classmethod
+    def of_part(cls, section: "PartSection") -> Self:
+        """Return the part of a coupled plant that a section names; errors as of :meth:`of`."""
+        return cls(
+            name=section.plant,
+            fmu=section.fmu,
+            own_process=section.isolated,
+            fmi_type=section.fmi_type,
+            start=section.start,
+        )._checked()
+
+    def _checked(self) -> Self:
+        """Return the plant if its plug-in can be one."""
+        plugin = None if self.fmu or self.coupled else self._plugin()
         if plugin is not None and not (_is_model(plugin) or _is_plant_class(plugin)):
-            raise ConfigError(f'plant "{spec.name}" is neither a PlantModel nor a Plant class: {plugin!r}')
-        if spec.isolated and not spec.is_fmu:
-            raise ConfigError(f'plant "{spec.name}" is a Python class; only FMUs can be isolated')
-        return spec
+            raise ConfigError(f'plant "{self.name}" is neither a PlantModel nor a Plant class: {plugin!r}')
+        if (self.isolated or self.own_process) and not (self.is_fmu or self.coupled):
+            raise ConfigError(f'plant "{self.name}" is a Python class; only FMUs can be isolated')
+        return self
 
     @property
     def is_fmu(self) -> bool:
         """Whether the plant runs as an FMU, supplied or built from equations."""
-        return bool(self.fmu) or _is_model(self._plugin())
+        return bool(self.fmu) or (self.coupled is None and _is_model(self._plugin()))
+
+    @property
+    def is_supplied(self) -> bool:
+        """Whether an FMU of others is in it: what that does is not known."""
+        parts = self.coupled.parts.values() if self.coupled else ()
+        return bool(self.fmu) or any(part.is_supplied for part in parts)
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Paths of its FMUs."""
+        if self.coupled is None:
+            return (self.fmu,) if self.fmu else ()
+        return tuple(path for part in self.coupled.parts.values() for path in part.files)
+
+    @property
+    def plugins(self) -> tuple[str, ...]:
+        """Names of the plug-ins that it is made of, FMUs excepted."""
+        if self.coupled is None:
+            return () if self.fmu else (self.name,)
+        return tuple(name for part in self.coupled.parts.values() for name in part.plugins)
+
+    @property
+    def label(self) -> str:
+        """What it is called: a plug-in's name, an FMU's file, or those of its parts."""
+        return self.name or Path(self.fmu).name or ", ".join(self.coupled.parts if self.coupled else ())
+
+    def moved(self, place: Callable[[str], str]) -> Self:
+        """Return the plant with its FMUs elsewhere: at ``place(path)``."""
+        if self.coupled is None:
+            return replace(self, fmu=place(self.fmu))
+        parts = {name: part.moved(place) for name, part in self.coupled.parts.items()}
+        return replace(self, coupled=replace(self.coupled, parts=parts))
 
     def _plugin(self) -> Any:
         return load_plugin("plants", self.name)
@@ -166,6 +186,8 @@ class PlantSpec:
         CosimError
             The plant cannot be read.
         """
+        if self.coupled:
+            return self.coupled.variables()
         if self.fmu:
             return _fmu_variables(read_fmu(Path(self.fmu)), Path(self.fmu).name, self.fmi_type)
         plugin = self._plugin()
@@ -183,6 +205,9 @@ class PlantSpec:
 
     def built(self) -> Self:
         """Return the plant ready to run: equations are exported to an FMU, which is compiled if it is new."""
+        if self.coupled:
+            coupled = self.coupled.built()
+            return replace(self, coupled=coupled, content=coupled.content + self._shown())
         if not self.is_fmu:
             plugin = self._plugin()
             content = f"{plugin.__module__}:{plugin.__qualname__} {hash_of_code(self.name, plugin)}"
@@ -214,14 +239,17 @@ class PlantSpec:
 
     def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
         """Open the plant with the chosen inputs and outputs."""
-        if self.fmu:
+        if self.coupled:
+            plant = self.coupled.open(inputs, outputs)
+            plant.inputs = with_start(plant.inputs, self.start)
+        elif self.fmu:
             plant = self._open_fmu(inputs, outputs)
         else:
             plant = PythonPlant(self._plugin(), inputs, self.start)
             plant.inputs = with_display_units(plant.inputs, self.display_units, {})
             plant.outputs = with_display_units(plant.outputs, self.display_units, {})
-        plant.inputs = _with_nominal(plant.inputs, self.nominal)
-        plant.outputs = _with_nominal(plant.outputs, self.nominal)
+        plant.inputs = with_nominal(plant.inputs, self.nominal)
+        plant.outputs = with_nominal(plant.outputs, self.nominal)
         return plant
 
     def _open_fmu(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
@@ -238,15 +266,57 @@ class PlantSpec:
                 display_units=units,
                 start=self.start,
                 trace_calls=self.trace_calls or None,
+                isolated=self.own_process,
             )
 
 
-def _with_nominal(variables: Iterable[Variable], nominal: Mapping[str, float]) -> tuple[Variable, ...]:
-    return tuple(replace(v, nominal=nominal.get(v.name, v.nominal)) for v in variables)
+def _coupled(section: "PlantSection") -> CoupledSpec:
+    """Return what the parts, or the SSP, of a plant section consist of."""
+    options = section.coupling.options if section.coupling else {}
+    steps = {part.name: part.step for part in section.parts if part.step}
+    given = {part.name: part for part in section.parts}
+    parts, faults = dict[str, PlantSpec](), list[str]()
+    parameters = dict[str, ParameterValue]()
+    connections = [one.connection for one in section.connections]
+    connectors: tuple[Variable, ...] = ()
+    if section.ssp:
+        from ddpc_cosim.coupling.ssp import read_ssp
 
-
-def _with_start(variables: Iterable[Variable], start: Mapping[str, float]) -> tuple[Variable, ...]:
-    return tuple(replace(v, start=start.get(v.name, v.start)) for v in variables)
+        system = read_ssp(Path(section.ssp))
+        connections = [one.connection for one in system.connections]
+        connectors = (*system.inputs, *system.outputs)
+        for warning in system.warnings:
+            warnings.warn(f"{Path(section.ssp).name}: {warning}", CosimWarning, stacklevel=3)
+        for one in system.parts:
+            parts[one.name] = PlantSpec("", one.fmu, fmi_type=one.fmi_type, start=one.start)
+            parameters |= {f"{one.name}.{name}": value for name, value in one.parameters.items()}
+        for name in given.keys() - parts.keys():
+            faults.append(f'parts: no part "{name}" in the SSP; {did_you_mean(name, parts)}')
+        for name in given.keys() & parts.keys():
+            own = given[name]
+            parts[name] = replace(
+                parts[name],
+                start={**parts[name].start, **own.start},
+                own_process=own.isolated,
+                fmi_type=parts[name].fmi_type if own.fmi_type == "auto" else own.fmi_type,
+            )
+    else:
+        for name, own in given.items():
+            try:
+                parts[name] = PlantSpec.of_part(own)
+            except CosimError as error:
+                faults.append(f'part "{name}": {error}')
+    if faults:
+        raise ConfigError(faults)
+    for name, own in given.items():
+        parameters |= {f"{name}.{key}": value for key, value in own.parameters.items()}
+    for full, value in section.start.items():
+        name, _, input_name = full.partition(".")
+        if name in parts and input_name:
+            parts[name] = replace(parts[name], start={**parts[name].start, input_name: value})
+    connectors = with_start(connectors, section.start)
+    options |= {"steps": steps} if steps else {}
+    return CoupledSpec(parts, tuple(connections), connectors, options, parameters)
 
 
 def _build(model: Any) -> Path:
@@ -354,7 +424,7 @@ class PythonPlant(Plant):
         self, make: Callable[[], Plant], inputs: Sequence[str], start: Mapping[str, float] | None = None
     ) -> None:
         self._plant = make_plant(make)
-        every = _with_start(self._plant.inputs, start or {})
+        every = with_start(self._plant.inputs, start or {})
         self._driven = [names(every).index(name) for name in inputs]
         self._u = np.array([variable.start for variable in every], dtype=np.float64)
         self.inputs = tuple(every[index] for index in self._driven)

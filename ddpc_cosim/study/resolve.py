@@ -26,11 +26,11 @@ from ddpc_cosim.study.controllers import (
 from ddpc_cosim.study.file_format.sections import BoundsSection, RecordingSection, Study, StudyHead
 from ddpc_cosim.study.file_format.study_files import StudyFile
 from ddpc_cosim.study.file_format.validation_errors import Section, ValidationErrors, independent
-from ddpc_cosim.study.plants import PlantSpec, PlantVariables
+from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.scenarios import Scenarios
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters
-from ddpc_cosim.variables import Variable
+from ddpc_cosim.variables import PlantVariables, Variable
 
 _MOST_LISTED = 8
 Limits = dict[str, tuple[float, float]]
@@ -309,15 +309,29 @@ class _Resolution:
     def _plant(self, folder: Path) -> tuple[PlantSpec, PlantVariables] | None:
         """Return the plant and its variables; None if there is none to check the study against."""
         section = self.study.plant
-        doubtful = any(self.errors.in_doubt((*_PLANT, key)) for key in ("name", "fmu"))
-        if doubtful or _PLANT in self.errors.found:
+        what = ("name", "fmu", "ssp", "parts", "connections", "coupling")
+        doubtful = any(self.errors.in_doubt((*_PLANT, key)) for key in what)
+        is_wrong = any(place[:1] == _PLANT and place[1] in what for place in self.errors.found if place[1:])
+        if doubtful or is_wrong or _PLANT in self.errors.found:
             return None
         try:
             spec = PlantSpec.of(section, folder)
             return spec, self.known.variables(spec)
         except CosimError as error:
-            self.errors.add((*_PLANT, "fmu" if section.fmu else "name"), str(error))
+            for fault in getattr(error, "faults", (str(error),)):
+                self.errors.add((*_PLANT, *self._of_plant(fault)), fault)
             return None
+
+    def _of_plant(self, fault: str) -> Place:
+        """Return the keys below the plant's that a fault is of."""
+        section = self.study.plant
+        for i, one in enumerate(section.connections):
+            if fault.startswith(str(one.connection)):
+                return "connections", i
+        for i, part in enumerate(section.parts):
+            if fault.startswith(f'part "{part.name}"'):
+                return "parts", i
+        return (next((key for key in ("fmu", "ssp", "parts") if getattr(section, key)), "name"),)
 
     def _check_plant(self) -> None:
         section, errors = self.study.plant, self.errors
@@ -334,7 +348,8 @@ class _Resolution:
         check_parameters(errors, (*_PLANT, "parameters"), "parameter", section.parameters, parameters)
         for controller in self.controllers if not self.plant.is_fmu else ():
             if PLANT in files_of(type(controller.controller), controller.settings):
-                what = f'"{PLANT}" stands for the FMU of the plant, which is a Python class'
+                kind = "consists of parts" if self.plant.coupled else "is a Python class"
+                what = f'"{PLANT}" stands for the FMU of the plant, which {kind}'
                 errors.add(controller.place, what)
 
     @independent

@@ -529,12 +529,11 @@ def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
         cells = ["" if math.isnan(value) else repr(value) for value in values]
         one = study.problems[case.problem]
         variant = [variant_words(one.varied)] if has_variants else []
-        plant = one.plant.name or Path(one.plant.fmu).name
         what = [
             study.head.name,
             one.variant_of or case.problem,
             *variant,
-            plant,
+            one.plant.label,
             case.controller,
             case.scenario,
         ]

@@ -321,7 +321,7 @@ def run_missing(
 
 def built_plants(resolved: "ResolvedProblems", progress: Progress) -> dict[str, PlantSpec]:
     """Return each problem's plant, by name, ready to run; one that several problems have is built once."""
-    _compile_ahead((Path(one.plant.fmu) for one in resolved.problems.values()), progress)
+    _compile_ahead((Path(path) for one in resolved.problems.values() for path in one.plant.files), progress)
     built = list[tuple[PlantSpec, PlantSpec]]()
     plants = {}
     for name, one in resolved.problems.items():
@@ -603,13 +603,13 @@ class _Run:
         ending = self.worker.end()
         who, time = "the run", math.nan
         if call.who == "plant":
-            who, time = Path(case.plant.fmu).name or case.plant.name, call.time
+            who, time = case.plant.label, call.time
         elif call.who == "controller":
             who = f"controller {case.section['type']}"
             time = case.start_time + (count - 1) * case.sampling_time if count else math.nan
         error = lost(who, call.name or "between two calls", time, ending, seconds)
         when = "" if count else "before the first sample: "
-        if call.name in _AT_THE_END:
+        if call.name.partition(" ")[0] in _AT_THE_END:
             when = "after the last sample: "
         self._give_up(OUTCOME_OF[error.status], f"{when}{error}")
 

@@ -11,8 +11,7 @@ from ddpc_cosim.signals import Reference
 from ddpc_cosim.study.file_format.sections import RecordingSection, Study
 from ddpc_cosim.study.file_format.signal_sections import Excited, Experiment
 from ddpc_cosim.study.file_format.validation_errors import InvalidFieldError, ValidationErrors, independent
-from ddpc_cosim.study.plants import PlantVariables
-from ddpc_cosim.variables import Variable, converter
+from ddpc_cosim.variables import PlantVariables, Variable, converter
 
 K = TypeVar("K", str, int)
 

@@ -4,7 +4,6 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import islice, zip_longest
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -567,7 +566,7 @@ def _facts(results: StudyResults) -> dict[str, str]:
     """Return the strip of key facts under the title."""
     study = results.study
     facts = {
-        "Plant": clipped(study.plant.name or Path(study.plant.fmu).name),
+        "Plant": clipped(study.plant.label),
         "Sampling time": with_unit(as_given(study.loop.sampling_time), "s"),
         "Duration": with_unit(as_given(study.loop.duration), "s"),
         "Controllers": _controllers_words(results),

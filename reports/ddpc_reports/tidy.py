@@ -4,7 +4,6 @@ import csv
 import io
 import math
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 from ddpc_cosim import CaseResult, StudyResults
 from ddpc_cosim.metrics import metric_of, split_key
@@ -46,13 +45,12 @@ def tidy_rows(results: Sequence[StudyResults]) -> Iterator[tuple[Value, ...]]:
 def _rows(results: StudyResults, part: StudyResults) -> Iterator[tuple[Value, ...]]:
     """Yield the rows of one problem, or of a variant of one by the study's sweep."""
     study = part.study
-    plant = study.plant.name or Path(study.plant.fmu).name
     ranks = {one.controller: one.rank for one in standings(study, part.cases).order}
     words = variant_words(study.varied)
     for condition in conditions(part):
         for one in (*condition.controllers, *condition.variants):
             lost = len(one.cases) - len(one.holding)
-            of_whom = (results.whole.head.name, study.variant_of or study.name, words, plant)
+            of_whom = (results.whole.head.name, study.variant_of or study.name, words, study.plant.label)
             of_run = (condition.scenario, one.key, one.label, ranks.get(one.key, ""), lost, len(one.cases))
             for key in dict.fromkeys(key for case in one.cases for key in case.metrics):
                 yield *of_whom, *of_run, *_of_metric(key, one.cases)

@@ -18,7 +18,7 @@ _OF_RESULTS = ("name", "title", "summary")
 # What a controller's section says of one type.
 _OF_TYPE = ("settings", "sweep", "search", "tuned")
 # Of each table, keys of which one excludes the other.
-_ALTERNATIVES = {"plant": {"name", "fmu"}, "recording": {"samples", "file"}}
+_ALTERNATIVES = {"plant": {"name", "fmu", "ssp", "parts"}, "recording": {"samples", "file"}}
 
 
 def replaced(base: Table, changes: Table, *, leave_out: bool = False) -> Table:

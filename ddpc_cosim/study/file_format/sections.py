@@ -4,10 +4,12 @@ import itertools
 import reprlib
 from collections.abc import Iterator, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, create_model
 
+from ddpc_cosim.coupling.wiring import Connection
 from ddpc_cosim.csv_files import TIME_TOLERANCE
 from ddpc_cosim.loop_setup import MOST_STEPS, end_time, limits_error, whole_steps
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
@@ -27,9 +29,18 @@ from ddpc_cosim.study.file_format.sweeps import MOST_VARIANTS, count, sweep_erro
 from ddpc_cosim.study.file_format.validation_errors import FilePath, Section
 from ddpc_cosim.texts import printable
 
+
+def _without_dots(name: str) -> str:
+    if not name or "." in name:
+        raise ValueError(f'must be a name without dots, as signals are NAME.variable, got "{name}"')
+    return name
+
+
 Text = Annotated[str, AfterValidator(partial(printable, keep="\n"))]
 """What people read: nothing in it acts on a terminal or a page."""
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
+PartName = Annotated[str, AfterValidator(_without_dots)]
+FMIKind = Literal["auto", "co-simulation", "model-exchange"]
 Preview = Annotated[int, Field(ge=0)] | Literal["horizon"]
 Value = bool | int | Finite | str
 
@@ -71,11 +82,75 @@ def expand_seeds(seeds: Any) -> list[int]:
 Seeds = Annotated[list[int], BeforeValidator(expand_seeds)]
 
 
+class PartSection(Section):
+    """One part of a coupled plant; of an SSP archive, what differs for it."""
+
+    name: PartName = Field(description="its name; its signals are called NAME.variable")
+    plant: str = Field("", description="a plant of `ddpc-cosim list plants`, or module:PLANT")
+    fmu: FilePath = Field("", description="path of an FMU, relative to the study file")
+    parameters: dict[str, Value] = Field({}, description="parameters that differ from its defaults")
+    start: dict[str, Finite] = Field({}, description="start values of its inputs; empty: its own")
+    step: Positive | None = Field(
+        None, description="its own step, which divides the communication step [s]; none: that step"
+    )
+    fmi_type: FMIKind = Field("auto", description="how the FMU is run; auto: Co-Simulation if it has it")
+    isolated: bool = Field(False, description="run the FMU in a process of its own")
+
+
+# "from" is a word of Python, which no class can spell.
+_FROM: Any = {
+    "from": (str, Field(description="an output, PART.variable, or an input of the system as a whole"))
+}
+_From: Any = create_model("_From", __base__=Section, **_FROM)
+
+
+class ConnectionSection(_From):
+    """A signal that follows another one, in the unit that it has there."""
+
+    to: str = Field(description="an input, PART.variable, or an output of the system as a whole")
+    factor: Finite = Field(1.0, description="applied after the conversion of the unit")
+    offset: Finite = Field(0.0, description="added then, in the unit there")
+    convert_units: bool = Field(True, description="convert units, and require that they fit")
+
+    @property
+    def connection(self) -> Connection:
+        """The connection."""
+        ends = getattr(self, "from"), self.to
+        return Connection(*ends, self.factor, self.offset, self.convert_units)
+
+
+class CouplingSection(Section):
+    """How and when parts exchange their signals."""
+
+    algorithm: Literal["sequential", "parallel"] = Field(
+        "sequential",
+        description="parallel: all parts step on what was known; sequential: on what those before them gave",
+    )
+    communication_step: Positive | None = Field(
+        None, description="time between exchanges, which divides the sampling time [s]; none: that time"
+    )
+    extrapolation: Literal["hold", "linear"] = Field(
+        "hold", description="inputs from other parts during a step"
+    )
+    loop_tolerance: Positive | None = Field(
+        None, description="tolerance of algebraic loops, relative to nominal values"
+    )
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What differs from the defaults of a coupled plant."""
+        return self.model_dump(exclude_defaults=True)
+
+
 class PlantSection(Section):
-    """Which plant, and which of its variables take part; exactly one of ``name`` and ``fmu``."""
+    """Which plant, and which of its variables take part; one of ``name``, ``fmu``, ``ssp`` and ``parts``."""
 
     name: str = Field("", description="a plant of `ddpc-cosim list plants`, or module:PLANT")
     fmu: str = Field("", description="path of an FMU, relative to the study file")
+    ssp: FilePath = Field("", description="path of an SSP archive, relative to the study file")
+    parts: list[PartSection] = Field([], description="the parts of a coupled plant")
+    connections: list[ConnectionSection] = Field([], description="what the parts exchange")
+    coupling: CouplingSection | None = Field(None, description="how the parts are coupled")
     inputs: list[str] = Field([], description="inputs that the controller drives; empty: all")
     outputs: list[str] = Field([], description="controlled outputs; empty: all")
     measurements: list[str] = Field(
@@ -93,9 +168,7 @@ class PlantSection(Section):
         {},
         description="nominal values, which controllers scale by, in the variables' units; empty: the plant's",
     )
-    fmi_type: Literal["auto", "co-simulation", "model-exchange"] = Field(
-        "auto", description="how the FMU is run; auto: Co-Simulation if it has it"
-    )
+    fmi_type: FMIKind = Field("auto", description="how the FMU is run; auto: Co-Simulation if it has it")
     isolated: Literal["auto", True, False] = Field(
         "auto", description="run each case in a process of its own; auto: if the FMU is a supplied file"
     )
@@ -103,8 +176,32 @@ class PlantSection(Section):
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong with the choice of the plant."""
-        if bool(self.name) == bool(self.fmu):
-            yield "", "needs exactly one of the keys name and fmu"
+        given = [key for key in ("name", "fmu", "ssp") if getattr(self, key)]
+        if self.parts and given != ["ssp"]:
+            given.append("parts")
+        if len(given) != 1:
+            yield "", "needs exactly one of the keys name, fmu, ssp and parts"
+        is_coupled = bool(self.parts or self.ssp)
+        if self.connections and (self.ssp or not self.parts):
+            yield "connections", "must not be given: the SSP has them" if self.ssp else "needs parts"
+        if self.coupling is not None and not is_coupled:
+            yield "coupling", "needs parts or ssp"
+        if is_coupled and self.fmi_type != "auto":
+            yield "fmi_type", "must be said for each part"
+        names = [part.name for part in self.parts]
+        for i, part in enumerate(self.parts):
+            if part.name in names[:i]:
+                yield "parts", f'there are two parts "{part.name}"'
+            if bool(part.fmu) + bool(part.plant) != (0 if self.ssp else 1):
+                needed = (
+                    "the SSP says what it is" if self.ssp else "needs exactly one of the keys fmu and plant"
+                )
+                yield "parts", f'"{part.name}": {needed}'
+
+    @property
+    def label(self) -> str:
+        """What it is called: a plug-in's name, a file's, or those of the parts."""
+        return self.name or Path(self.fmu or self.ssp).name or " + ".join(one.name for one in self.parts)
 
 
 class LoopSection(Section):

@@ -244,16 +244,22 @@ def absolute_paths(tables: Table, folder: Path) -> Table:
             found[PROBLEMS] = {name: of_controller(one, kind) for name, one in found[PROBLEMS].items()}
         return found
 
+    def of_parts(parts: Any) -> Any:
+        several = isinstance(parts, list) and all(isinstance(one, dict) for one in parts)
+        return [{**one, "fmu": absolute(one.get("fmu", ""))} for one in parts] if several else parts
+
     def of_sweep(key: str, values: Any) -> Any:
         path = tuple(map(str, path_of(key) or ("",)))
         if path[0] == CONTROLLERS and path[-2:-1] == ("settings",):
             with suppress(KeyError, TypeError):
                 return of_settings({path[-1]: values}, tables[CONTROLLERS][path[1]]["type"])[path[-1]]
-        return absolute(values) if path[-1] in ("file", "fmu") else values
+        return absolute(values) if path[-1] in ("file", "fmu", "ssp") else values
 
     found: Table = {key: of_signals(one) if key in OF_PROBLEM else one for key, one in tables.items()}
     for table, key, change in (
         ("plant", "fmu", absolute),
+        ("plant", "ssp", absolute),
+        ("plant", "parts", of_parts),
         ("recording", "file", absolute),
         ("recording", "controller", of_controller),
     ):

@@ -267,10 +267,10 @@ class _Run:
 
 
 def _installed_in(case: Case) -> Iterator[tuple[str, str]]:
-    """Yield kind and name of the installed plug-ins of a case: the others, and an FMU, travel with it."""
-    plant, *controllers = plugins_in(case)
-    pairs = [("controllers", name) for name in controllers if name]
-    pairs += [] if case.plant.fmu else [("plants", plant)]
+    """Yield kind and name of the installed plug-ins of a case: the others, and FMUs, travel with it."""
+    plants = case.plant.plugins
+    pairs = [("controllers", name) for name in [*plugins_in(case)][len(plants) :] if name]
+    pairs += [("plants", name) for name in plants]
     for kind, name in pairs:
         if not values_of([name]) and not own_files([name]):
             yield kind, name
@@ -361,9 +361,8 @@ def _moved(case: Case, places: Mapping[str, str], recording: Recording | None) -
             return [moved(item) for item in value]
         return places.get(value, value) if isinstance(value, str) else value
 
-    plant = replace(case.plant, fmu=moved(case.plant.fmu))
     sections = {"section": moved(case.section), "stabiliser": moved(case.stabiliser)}
-    return replace(case, plant=plant, recording=recording, **sections)
+    return replace(case, plant=case.plant.moved(moved), recording=recording, **sections)
 
 
 def _files(folder: Path, places: Mapping[str, str]) -> dict[str, bytes]:

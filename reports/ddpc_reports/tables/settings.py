@@ -265,8 +265,9 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
 
 def _plant_facts(plant: PlantSection, units: Mapping[str, str]) -> list[tuple[str, str]]:
     said = {"name", "fmu", "inputs", "outputs", "measurements", "parameters", "nominal"}
+    said |= {"ssp", "parts", "connections", "coupling"}
     return [
-        ("plant", plant.name) if plant.name else ("FMU", Path(plant.fmu).name),
+        *_what_plant(plant),
         ("inputs", _names(plant.inputs) or "all of the plant"),
         ("controlled outputs", _names(plant.outputs) or "all of the plant"),
         ("measurements", _names(plant.measurements) or "the controlled outputs"),
@@ -277,6 +278,25 @@ def _plant_facts(plant: PlantSection, units: Mapping[str, str]) -> list[tuple[st
         ),
         *((f"plant: {name}", text) for name, text in _others(plant, said)),
     ]
+
+
+def _what_plant(plant: PlantSection) -> Iterator[tuple[str, str]]:
+    """Yield what a plant is: a plug-in, an FMU, or parts and how they are coupled."""
+    if plant.name:
+        yield "plant", plant.name
+    elif plant.ssp or plant.fmu:
+        yield ("SSP", Path(plant.ssp).name) if plant.ssp else ("FMU", Path(plant.fmu).name)
+    for part in plant.parts:
+        what = part.plant or Path(part.fmu).name
+        others = (f"{name}: {text}" for name, text in _others(part, {"name", "plant", "fmu"}))
+        yield f"part {_plain(part.name)}", "; ".join(filter(None, (what, *others)))
+    for one in plant.connections:
+        scale = f"{as_given(one.factor)} · " if one.factor != 1.0 else ""
+        more = f" + {as_given(one.offset)}" if one.offset else ""
+        how = "" if one.convert_units else ", whatever their units"
+        yield _plain(one.to), f"follows {scale}{getattr(one, 'from')}{more}{how}"
+    if plant.coupling:
+        yield from ((f"coupling: {name}", text) for name, text in _others(plant.coupling, ()))
 
 
 def _timing_facts(loop: LoopSection) -> list[tuple[str, str]]:

@@ -43,6 +43,25 @@ CONTENT: dict[str, Any] = {
         "nominal": {"angle": 0.5},
         "fmi_type": "co-simulation",
         "isolated": True,
+        "parts": [
+            {"name": "motor", "plant": "drive", "step": 0.01, "parameters": {"gain": 2.0}},
+            {
+                "name": "arm",
+                "fmu": "arm.fmu",
+                "start": {"torque": 1.0},
+                "fmi_type": "model-exchange",
+                "isolated": True,
+            },
+        ],
+        "connections": [
+            {"from": "motor.torque", "to": "arm.torque", "factor": 2.0, "offset": 0.5, "convert_units": False}
+        ],
+        "coupling": {
+            "algorithm": "parallel",
+            "communication_step": 0.02,
+            "extrapolation": "linear",
+            "loop_tolerance": 1e-6,
+        },
     },
     "loop": {
         "sampling_time": 0.1,
@@ -227,8 +246,11 @@ def alternatives(value: Any) -> list[Any]:
     if isinstance(value, list):
         return [value[:-1], [*value, *alternatives(value[-1])[:1]]] if value else []
     if isinstance(value, str):
-        return ["model-exchange", "rest", "hold", "schroeder", "linear", f"{value}x"]
+        return [*_WORDS, f"{value}x"]
     return []
+
+
+_WORDS = ("model-exchange", "co-simulation", "rest", "hold", "schroeder", "linear", "sequential")
 
 
 def changes(content: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
@@ -316,7 +338,7 @@ def test_the_study_of_these_tests_sets_every_field_there_is() -> None:
     """A field that is added to the study files has to be added to these tests."""
     known = {(one.__name__, name) for one in sections_in(Study) for name in one.model_fields}
     elsewhere = {
-        ("PlantSection", "fmu"),  # in place of its name
+        *(("PlantSection", key) for key in ("fmu", "ssp")),  # in place of its name
         ("ControllerSection", "search"),  # of what is tuned, not of what is run
         *(("SearchSection", key) for key in SearchSection.model_fields),
         ("ReportSection", "reference_points"),  # in tests of shares

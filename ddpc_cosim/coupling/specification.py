@@ -1,0 +1,227 @@
+"""What a coupled plant consists of, before anything of it runs: its variables, and how a worker opens it."""
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol, Self
+
+from ddpc_cosim.coupling.wiring import Connection, Wiring
+from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError, FMUStepError
+from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.variables import PlantVariables, Variable
+
+Exchanged = tuple[tuple[str, ...], tuple[str, ...]]
+"""The inputs of a part that connections feed, and its outputs that they start from."""
+
+
+class PartSpec(Protocol):
+    """A plant that is not open yet."""
+
+    @property
+    def content(self) -> str:
+        """What decides its behaviour."""
+
+    @property
+    def is_supplied(self) -> bool:
+        """Whether an FMU of others is in it."""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Paths of its FMUs."""
+
+    @property
+    def plugins(self) -> tuple[str, ...]:
+        """Names of the plug-ins that it is made of."""
+
+    def variables(self) -> PlantVariables:
+        """Return its variables."""
+
+    def built(self) -> Self:
+        """Return it ready to run."""
+
+    def moved(self, place: Callable[[str], str]) -> Self:
+        """Return it with its FMUs elsewhere."""
+
+    def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
+        """Open it with the chosen signals."""
+
+
+class Signals(NamedTuple):
+    """The signals of a part, which its connections are checked against."""
+
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    dependencies: Mapping[str, frozenset[str]] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class CoupledSpec:
+    """What a coupled plant consists of.
+
+    Parameters
+    ----------
+    parts : mapping of str to PartSpec
+        Its parts.
+    connections : tuple of Connection
+        What they exchange.
+    connectors : tuple of Variable
+        What is known of the system's own inputs and outputs.
+    options : mapping of str to object
+        Further arguments of :class:`CoupledPlant`.
+    parameters : mapping of str to float, int, bool or str
+        Values that differ from the parts' own, as ``part.name``.
+    exchanged : mapping of str to (tuple of str, tuple of str)
+        By part the inputs that connections feed and the outputs that they start from; empty until
+        :meth:`built`.
+    """
+
+    parts: Mapping[str, PartSpec]
+    connections: tuple[Connection, ...]
+    connectors: tuple[Variable, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
+    exchanged: Mapping[str, Exchanged] = field(default_factory=dict)
+
+    @property
+    def content(self) -> str:
+        """What decides its behaviour: that of the parts, their connections and options; once it is built."""
+        parts = [f"{name}: {part.content}" for name, part in self.parts.items()]
+        how = [repr(one) for one in (*self.connections, *self.connectors)]
+        settings = [f"{k}={v!r}" for k, v in sorted({**self.options, **self.parameters}.items())]
+        return "coupled " + hashlib.sha256("\n".join((*parts, *how, *settings)).encode()).hexdigest()
+
+    def variables(self) -> PlantVariables:
+        """Return the variables of the whole, those of the parts as ``part.variable``.
+
+        Raises
+        ------
+        CosimError
+            A part cannot be read, or a connection does not fit.
+        """
+        known = self._variables_of_parts()
+        wiring = self._wiring(known)
+        inputs, outputs = ({v.name: v for v in group} for group in (wiring.inputs, wiring.outputs))
+        parameters = {
+            f"{part}.{name}": replace(variable, name=f"{part}.{name}")
+            for part, one in known.items()
+            for name, variable in one.parameters.items()
+        }
+        tunable = {f"{part}.{name}" for part, one in known.items() for name in one.tunable}
+        fed = {f"{part}.{name}" for part, (fed, _) in self._exchanged(known).items() for name in fed}
+
+        def usual(every: Mapping[str, Variable], of: Callable[[PlantVariables], Iterable[str]]) -> Any:
+            """Return the system's own signals; of a system without any, those of its parts."""
+            of_parts = [f"{part}.{name}" for part, one in known.items() for name in of(one)]
+            return tuple(name for name in every if "." not in name) or tuple(
+                name for name in of_parts if name in every
+            )
+
+        return PlantVariables(
+            inputs,
+            outputs,
+            {name: variable for name, variable in parameters.items() if name not in fed},
+            frozenset(tunable - fed),
+            usual(inputs, lambda one: one.default_inputs or one.inputs),
+            usual(outputs, lambda one: one.default_outputs or one.outputs),
+            {unit: shown for one in known.values() for unit, shown in one.display_units.items()},
+        )
+
+    def _variables_of_parts(self) -> dict[str, PlantVariables]:
+        found, faults = dict[str, PlantVariables](), list[str]()
+        for name, part in self.parts.items():
+            try:
+                found[name] = part.variables()
+            except CosimError as error:
+                faults.append(f'part "{name}": {error}')
+        if faults:
+            raise ConfigError(faults)
+        return found
+
+    def _wiring(self, known: Mapping[str, PlantVariables], outputs: Sequence[str] | None = None) -> Wiring:
+        signals = {
+            name: Signals(tuple(one.inputs.values()), tuple(one.outputs.values()))
+            for name, one in known.items()
+        }
+        return Wiring(signals, self.connections, outputs=outputs, connectors=self.connectors)
+
+    def _exchanged(
+        self, known: Mapping[str, PlantVariables]
+    ) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+        """Return by part the inputs that connections feed, and the outputs that they start from."""
+        own = [v.name for v in self._wiring(known).outputs if "." not in v.name]
+        wiring = self._wiring(known, own)
+        sources = {part: wiring.intakes[part].sources.tolist() for part in known}
+        places = {*wiring.outlet.sources.tolist(), *(place for some in sources.values() for place in some)}
+        used = {wiring.values[place] for place in places}
+        return {
+            part: (
+                tuple(
+                    name
+                    for name, place in zip(one.inputs, sources[part], strict=True)
+                    if wiring.values[place] != f"{part}.{name}"
+                ),
+                tuple(name for name in one.outputs if f"{part}.{name}" in used),
+            )
+            for part, one in known.items()
+        }
+
+    def built(self) -> Self:
+        """Return it ready to run: its parts are built."""
+        known = self._variables_of_parts()
+        parts = dict[str, PartSpec]()
+        for name, part in self.parts.items():
+            with _naming(name):
+                parts[name] = part.built()
+        return replace(self, parts=parts, exchanged=self._exchanged(known))
+
+    def moved(self, place: Callable[[str], str]) -> Self:
+        """Return it with its FMUs elsewhere."""
+        return replace(self, parts={name: part.moved(place) for name, part in self.parts.items()})
+
+    def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
+        """Open all parts, each with the signals that are chosen or connected, and couple them."""
+        from ddpc_cosim.coupling.plant import CoupledPlant
+
+        parts = dict[str, Plant]()
+        try:
+            for name, spec in self.parts.items():
+                fed, used = self.exchanged[name]
+                with _naming(name):
+                    parts[name] = spec.open(
+                        list(dict.fromkeys((*fed, *_within(name, inputs)))),
+                        list(dict.fromkeys((*used, *_within(name, outputs)))),
+                    )
+            return CoupledPlant(
+                parts,
+                self.connections,
+                inputs=inputs,
+                outputs=outputs,
+                connectors=self.connectors,
+                parameters=self.parameters,
+                **self.options,
+            )
+        except BaseException:
+            for plant in parts.values():
+                plant.close()
+            raise
+
+
+def _within(part: str, signals: Iterable[str]) -> list[str]:
+    """Return the names of a part's variables among full names of signals."""
+    divided = (signal.partition(".") for signal in signals)
+    return [name for whose, dot, name in divided if dot and whose == part]
+
+
+@contextmanager
+def _naming(part: str) -> Iterator[None]:
+    """Have errors say which part they are of."""
+    try:
+        yield
+    except ConfigError as error:
+        raise ConfigError([f'part "{part}": {fault}' for fault in error.faults]) from error
+    except FMUImportError as error:
+        raise FMUImportError(f'part "{part}": {error}') from error
+    except FMUStepError as error:
+        raise FMUStepError(f'part "{part}": {error.message}', error.status, error.time) from error
