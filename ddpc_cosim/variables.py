@@ -1,6 +1,7 @@
 """Signals and parameters: their names, units, ranges and display units."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -137,6 +138,8 @@ def with_display_units(
         if variable.name in wanted:
             known = conversions(variable.unit, defined.get(variable.unit, ()))
             name = wanted[variable.name]
+            with suppress(ValueError):  # of another quantity, or not known
+                known.setdefault(name, display_unit(variable.unit, name))
             if name not in known:
                 options = did_you_mean(name, known)
                 faults.append(f'{variable.name}: no conversion from "{variable.unit}" to "{name}"; {options}')

@@ -80,7 +80,7 @@ def export_controller(
     >>> limits = Bounds(*(np.array([one]) for one in (-3.5, 3.5, -np.inf, np.inf)))
     >>> angle, torque = Variable("angle", "rad"), Variable("torque", "N.m")
     >>> loop = Loop(0.1, (torque,), (angle,), (angle,), limits, None, np.random.default_rng(0))
-    >>> pid = PID(gain=2.0)
+    >>> pid = PID(proportional=2.0)
     >>> pid.start(loop)
     >>> export_controller(pid, loop, "pid.fmu").name
     'pid.fmu'

@@ -44,8 +44,8 @@ class FMUPlant(Plant):
     fmi_type : str
         ``"co-simulation"``, ``"model-exchange"``, or ``"auto"``: the former if the FMU has it.
     display_units : mapping of str to str, optional
-        Units to show inputs and outputs in, by name: one that the FMU defines, or a usual one (``"deg"`` for
-        ``"rad"``, ``"degC"`` for ``"K"``, ``"bar"`` for ``"Pa"``, ...); default: as the FMU says.
+        Units to show inputs and outputs in, by name: one that the FMU defines, or another one of the same
+        quantity (``"deg"`` for ``"rad"``, ``"degC"`` for ``"K"``, ...); default: as the FMU says.
     start : mapping of str to float, optional
         Values of inputs at the start and at rest, driven or not; default: the FMU's own.
     isolated : bool

@@ -1,6 +1,7 @@
 """From the controller sections of a study to controllers: sweeps written out, each one built once."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -182,8 +183,10 @@ def _build(
 
     try:
         kind = controller_class(section.type)  # here: not every module can be imported in another thread
+        with suppress(PluginError):  # of a class among the settings: making it tells where
+            given = map_files(kind, given, absolute)
         if section.type in late:
-            return named._replace(settings=map_files(kind, given, absolute), late=late[section.type])
+            return named._replace(settings=given, late=late[section.type])
         controller, settings, uses_recording, horizon = in_time(asked)
         # What a file cannot say is a default, or what the controller has made of what the file says.
         own = {name: value for name, value in settings.items() if is_plain(value)}
@@ -195,7 +198,7 @@ def _build(
         )
     except TimeoutError:
         late[section.type] = doing
-        return named._replace(settings=map_files(kind, given, absolute), late=doing)
+        return named._replace(settings=given, late=doing)
     except SettingsError as error:
         for setting, fault in error.found:
             at = (*place, "settings", *setting)

@@ -1,14 +1,28 @@
 """Every installed controller keeps the contract that is asked of anyone's."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import pytest
 
-from ddpc_controllers import MFAPC, NMPC, WKPC, Decentralised, DeePC, Group, OffsetFree, Scaled
-from ddpc_cosim import Controller
+from ddpc_controllers import (
+    MFAPC,
+    NMPC,
+    PID,
+    WKPC,
+    Decentralised,
+    DeePC,
+    FMUController,
+    Group,
+    OffsetFree,
+    Scaled,
+)
+from ddpc_cosim import Controller, export_controller
 from ddpc_cosim.plugins import installed
 from ddpc_cosim.testing import ControllerConformance
+from ddpc_cosim.testing.reference_plant import ReferencePlant
+from fmu_plants.files import cache_dir
 
 from . import plant_models
 
@@ -23,8 +37,18 @@ def two_loops() -> Controller:
     )
 
 
+@cache
+def exported() -> str:
+    """Return the FMU of a PID controller for the plant that all are tried on."""
+    plant, controller = ReferencePlant(1, 0.1), PID(proportional=1.0, integral=1.0)
+    loop = plant.loop_for(controller, 0)
+    controller.start(loop)
+    return str(export_controller(controller, loop, cache_dir() / "pid.fmu"))
+
+
 WRAPPERS: dict[str, Callable[[], Controller]] = {
     "decentralised": two_loops,
+    "fmu": lambda: FMUController(file=exported()),
     "nmpc": lambda: NMPC(model=f"{plant_models.__name__}:REFERENCE", horizon=5),
     "offset-free": lambda: OffsetFree(controller=WKPC()),
     "scaled": lambda: Scaled(controller=DeePC()),

@@ -1,0 +1,279 @@
+"""A controller that is an FMU: one that was exported from here, or one of Simulink, Modelica or another tool.
+
+At sample k its inputs are set to what is measured and wanted then, it does one step of the sampling time, and
+what its outputs are after that is the control signal u_k.
+"""
+
+import json
+import re
+import warnings
+import zipfile
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ddpc_controllers.checks import knowing
+from ddpc_cosim import (
+    OK,
+    Action,
+    ConfigError,
+    Controller,
+    ControllerError,
+    CosimWarning,
+    FMUImportError,
+    FMUStepError,
+    Loop,
+    Sample,
+    Variable,
+    check_settings,
+    setting,
+)
+from ddpc_cosim.texts import printable
+
+if TYPE_CHECKING:  # what runs FMUs is imported where there is one
+    from ddpc_cosim import FMUPlant
+
+_RESOURCE = "resources/controller.json"
+_AHEAD = re.compile(r"reference\.(?P<name>.+)\[(?P<k>[1-9]\d*)\]")
+_WHOLE = 1e-6
+_ROUNDING = 1e-9
+_CLIPPED = "an input beyond the bounds of this loop, clipped"
+
+
+@dataclass(kw_only=True)
+class FMUController(Controller):
+    """A controller that is an FMU.
+
+    Its inputs get the loop's signals: controlled outputs and measurements by name, ``setpoint.NAME`` (the
+    reference now) and ``reference.NAME[k]`` (that in k samples). Its outputs called as the plant's inputs are
+    the control signal, those beside them are recorded as information. Units are converted where both sides
+    have one. An FMU that was exported from here is told missing measurements as NaN, and says in words why
+    its answer is a fallback.
+    """
+
+    file: str = setting(file=True, doc="path of the FMU")
+    signals: Mapping[str, str | float] = setting(
+        default_factory=dict,
+        doc="of its variables, by name: the signal in the loop, or for an input a constant; others: alike",
+    )
+    parameters: Mapping[str, Any] = setting(default_factory=dict, doc="parameters of the FMU, by name")
+    status: str = setting("status", doc="its output that is 0 where all is well, if it has it")
+    several_steps: bool = setting(
+        False, doc="an FMU of a fixed, shorter step does several in a sample, inputs held"
+    )
+    isolated: bool = setting(False, doc="open the FMU in a process of its own")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if not Path(self.file).is_file():
+            raise ConfigError(f"{self.file}: no such file")
+        with _errors_as(ConfigError), self._open() as plant:
+            description = plant.description
+            interface = description.preferred
+            self._tool = description.generation_tool
+            self._step = interface.fixed_step if interface is not None else None
+            if interface is not None and not interface.variable_step:
+                self._step = self._step or description.default_experiment.step_size
+            inputs, self._outputs = (
+                {signal.variable.name: signal.variable for signal in description.signals(kind)}
+                for kind in ("input", "output")
+            )
+            # Each needs a signal but those that are no real numbers, such as switches.
+            needed = {variable.name for variable in plant.inputs} | set(self.signals)
+        self._inputs = {name: variable for name, variable in inputs.items() if name in needed}
+        self._resource = _resource_of(self.file)
+        known = [*inputs, *self._outputs]
+        faults = [f'the FMU has no "{n}"; it has: {", ".join(known)}' for n in self.signals if n not in known]
+        constant = [n for n in self._outputs if not isinstance(self.signals.get(n, n), str)]
+        faults += [f'"{name}" is an output, which is no constant' for name in constant]
+        if faults:
+            raise ConfigError([f"signals: {fault}" for fault in faults])
+
+    @property
+    def horizon(self) -> int:  # type: ignore[override]  # the FMU has it
+        """How many future references its inputs ask for."""
+        ahead = (_AHEAD.fullmatch(str(self._signal_of(name))) for name in self._inputs)
+        return max((int(match["k"]) for match in ahead if match), default=0)
+
+    @property
+    def accepts_missing(self) -> bool:
+        """Whether it was exported from here, and so takes NaN for a missing measurement."""
+        return bool(self._resource)
+
+    def start(self, loop: Loop) -> None:
+        """Connect its variables with the loop's signals and initialise it.
+
+        Raises
+        ------
+        ConfigError
+            Inputs or outputs without a signal, units that do not fit, or another sampling time, by name.
+        ControllerError
+            The FMU cannot be loaded or initialised.
+        """
+        self._check_step(loop.sampling_time)
+        controlled = [variable.name for variable in loop.outputs]
+        self._others = [i for i, v in enumerate(loop.measurements) if v.name not in controlled]
+        measured = [*loop.outputs, *(loop.measurements[i] for i in self._others)]
+        # The loop's signals side by side: what is measured, then the references of one sample after another.
+        signals = [*measured, *(1 + self.horizon) * loop.outputs]
+        wanted, faults = dict[str, Variable](), list[str]()
+        places, self._constants = list[int](), list[float]()
+        for name in self._inputs:
+            signal = self._signal_of(name)
+            if not isinstance(signal, str):
+                places.append(len(signals) + len(self._constants))
+                self._constants.append(float(signal))
+            elif (place := _place(signal, measured, controlled)) is not None:
+                places.append(place)
+                wanted[name] = signals[place]
+            else:
+                has = ", ".join(variable.name for variable in measured)
+                faults.append(
+                    f'input "{name}": the loop has no signal "{signal}"; it has: {has}; '
+                    "setpoint.NAME and reference.NAME[k] of controlled outputs; map it in `signals`"
+                )
+        driving = {str(self._signal_of(name)): name for name in self._outputs}
+        for variable in loop.inputs:
+            if variable.name in driving:
+                wanted[driving[variable.name]] = variable
+            else:
+                has = ", ".join(self._outputs) or "none"
+                faults.append(f'no output is called "{variable.name}"; there are: {has}; map it in `signals`')
+        if faults:
+            raise ConfigError([f"{Path(self.file).name}: {fault}" for fault in faults])
+        controls = [driving[variable.name] for variable in loop.inputs]
+        self._told = [name for name in self._outputs if name not in controls]
+        own = {**self._inputs, **self._outputs}
+        units = {n: v.unit for n, v in wanted.items() if v.unit and own[n].unit not in ("", v.unit)}
+        self._how = {
+            "inputs": list(self._inputs),
+            "outputs": [*controls, *self._told],
+            "display_units": units,
+        }
+        with _errors_as(ControllerError):
+            self._plant = self._open(**self._how)
+            self._reset(0.0)
+        self._to, self._from = (
+            _scales(variables, units)
+            for variables in (self._plant.inputs, self._plant.outputs[: len(controls)])
+        )
+        self._places, self._sampling_time = np.array(places, dtype=np.intp), loop.sampling_time
+        self._low, self._high = loop.bounds.u_min, loop.bounds.u_max
+
+    def step(self, sample: Sample) -> Action:
+        """Return what the FMU's outputs are after a step with this sample's inputs, shape (m,)."""
+        measured = (sample.y, sample.measured[self._others])
+        signals = np.concatenate((*measured, sample.setpoint, sample.reference.ravel(), self._constants))
+        factor, offset = self._to
+        inputs = (signals[self._places] - offset) / factor
+        with _errors_as(ControllerError):
+            if sample.k == 0 and sample.time:
+                self._reset(sample.time)
+            outputs = self._plant.step(inputs, self._sampling_time)
+        self._given.frombytes(inputs.tobytes())
+        factor, offset = self._from
+        told = dict(zip(self._told, outputs[len(factor) :].tolist(), strict=True))
+        status = self._status_words(told.pop(self.status, 0.0))
+        info = {name: value for name, value in told.items() if np.isfinite(value)}
+        u = outputs[: len(factor)] * factor + offset
+        held = np.minimum(np.maximum(u, self._low), self._high)  # of another loop's FMU: its own are others
+        if np.abs(u - held).max() > _ROUNDING * np.abs(held).max() and status == OK:
+            status = _CLIPPED
+        return Action(held, status, info)
+
+    def knowledge(self, loop: Loop) -> Mapping[str, str]:
+        """Return the signals that it is told; what else it knows, the FMU does not say."""
+        named = {self._signal_of(name) for name in self._inputs}
+        used = [v for v in (*loop.outputs, *loop.measurements) if v.name in named]
+        return knowing(f"what its FMU was made with ({printable(self._tool)})", used)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the FMU: what it has been given leads to where it is."""
+        return {name: value for name, value in vars(self).items() if name != "_plant"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        if "_how" not in state:
+            return
+        given = np.frombuffer(self._given).reshape(-1, len(self._inputs))
+        with _errors_as(ControllerError):
+            self._plant = self._open(**self._how)
+            self._reset(self._began)
+            for inputs in given:
+                self._plant.step(inputs, self._sampling_time)
+        self._given.frombytes(given.tobytes())
+
+    def _reset(self, time: float) -> None:
+        """Initialise the FMU at a time [s]; nothing has been given to it yet."""
+        self._plant.reset(self.parameters, time)
+        self._began, self._given = time, array("d")
+
+    def _open(self, **how: Any) -> "FMUPlant":
+        from ddpc_cosim import FMUPlant
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", CosimWarning)  # `inspect` shows them
+            return FMUPlant(self.file, isolated=self.isolated, **how)
+
+    def _signal_of(self, name: str) -> str | float:
+        return self.signals.get(name, name)
+
+    def _check_step(self, sampling_time: float) -> None:
+        """Raise ConfigError where the FMU is made for another sampling time."""
+        if self._step is None:
+            return
+        steps = sampling_time / self._step
+        allowed = max(round(steps), 1) if self.several_steps else 1
+        if abs(steps - allowed) > _WHOLE:
+            raise ConfigError(
+                f"{Path(self.file).name}: the FMU's step is fixed at {self._step:g} s, the loop's sampling "
+                f"time is {sampling_time:g} s; choose this sampling time, or export the FMU for the loop's; "
+                "where its step is a part of the loop's, several_steps = true has it do several in a sample"
+            )
+
+    def _status_words(self, value: float) -> str:
+        """Return what a status says, a sum of bits where the FMU explains them."""
+        bits = int(value) if float(value).is_integer() and value > 0 else 0
+        explained = self._resource.get("status", {}).items()
+        said = [str(text) for bit, text in explained if bits & int(bit)]
+        return "; ".join(said) or (f"status {value:g}" if value else OK)
+
+
+def _place(signal: str, measured: Sequence[Variable], controlled: Sequence[str]) -> int | None:
+    """Return where a signal stands among what is measured and the references; None if there is none."""
+    names = [variable.name for variable in measured]
+    if signal in names:
+        return names.index(signal)
+    ahead = _AHEAD.fullmatch(signal)
+    name, k = (ahead["name"], int(ahead["k"])) if ahead else (signal.removeprefix("setpoint."), 0)
+    if name not in controlled or name == signal:
+        return None
+    return len(names) + k * len(controlled) + controlled.index(name)
+
+
+def _scales(variables: Sequence[Variable], units: Mapping[str, str]) -> Any:
+    """Return factors and offsets from the FMU's units to the loop's, shape (2, n)."""
+    shown = [(v.shown_in.factor, v.shown_in.offset) if v.name in units else (1.0, 0.0) for v in variables]
+    return np.array(shown, dtype=np.float64).reshape(-1, 2).T
+
+
+def _resource_of(file: str) -> dict[str, Any]:
+    """Return what an FMU that was exported from here says of itself; nothing of another one."""
+    with suppress(KeyError, ValueError), zipfile.ZipFile(file) as archive:
+        content = json.loads(archive.read(_RESOURCE))
+        return content if isinstance(content, dict) else {}
+    return {}
+
+
+@contextmanager
+def _errors_as(kind: type[ConfigError | ControllerError]) -> Iterator[None]:
+    """Turn faults of the FMU into errors of a controller: those of an FMU are the plant's."""
+    try:
+        yield
+    except (FMUImportError, FMUStepError) as error:
+        raise kind(str(error)) from error
