@@ -18,14 +18,16 @@
 
 #include "vectors.h"
 
-/* A new row is held dependent on the active ones where less than this is left of it, */
-static const double DEPENDENT = 1e-10;
-/* or less than this in parts of what was left of the most dependent one of them: the rounding of its direction. */
+/* A new row depends on the active ones where less than this is left of it, */
+static const double DEPENDENT = 1e-12;
+/* or less than this in parts of its share in one of them: its direction would be rounding, */
 static const double LOST = 64.0 * DBL_EPSILON;
+/* or so little that the next step would be longer than t is by more than the inverse of this. */
+static const double REMOTE = 1e-7;
 /* What of a row's combination counts as zero. */
 static const double INSIGNIFICANT = 1e-9;
 /* Rounding of a row's value in parts of its terms. */
-static const double ROUNDING = 1e-14;
+static const double ROUNDING = 1e-12;
 /* Q is made anew after so many rotations. */
 static const double ROTATIONS = 100.0;
 
@@ -101,8 +103,9 @@ static void solve_lower(const Set *set, double x[])
     }
 }
 
-/* Add a limit unless its row depends on the active ones; `combination` receives Q' times its normal. */
-static bool append(const QP *qp, const Set *set, double number)
+/* Add a limit unless its row depends on the active ones; as little as `remote` does not count. `combination` receives
+ * the shares of the active normals in its own. */
+static bool append(const QP *qp, const Set *set, double number, double remote)
 {
     const size_t k = qp->size, n = size_of(set);
     const double *row = qp->rows + row_of(number) * k;
@@ -118,10 +121,11 @@ static bool append(const QP *qp, const Set *set, double number)
         }
     }
     const double norm = sqrt(dot(rest, rest, k));
-    double least = 1.0;
-    for (size_t j = 0; j < n; ++j) least = fmin(least, fabs(column(set, j)[j]));
-    if (n == k || !(norm > fmax(DEPENDENT, LOST / least))) return false;
-    memcpy(entries, set->combination, n * sizeof(double));
+    double largest = 1.0;
+    if (n < k) memcpy(entries, set->combination, n * sizeof(double));
+    solve_upper(set, set->combination);
+    for (size_t j = 0; j < n; ++j) largest = fmax(largest, fabs(set->combination[j]));
+    if (n == k || !(norm > fmax(fmax(DEPENDENT, remote), LOST * largest))) return false;
     entries[n] = norm;
     for (size_t i = 0; i < k; ++i) set->q[n * k + i] = rest[i] / norm;
     set->numbers[n] = number;
@@ -197,8 +201,9 @@ static size_t move(const Set *set)
     return first;
 }
 
-/* Return the number of the limit that t exceeds most, 0 if it keeps all. */
-static double most_exceeded(const QP *qp, const double t[])
+/* Return the number of the limit that t exceeds most, 0 if it keeps all. `remote` receives what has to be left of its
+ * row for a step that is not too long. */
+static double most_exceeded(const QP *qp, const double t[], double *remote)
 {
     const size_t k = qp->size;
     const double size = sqrt(dot(t, t, k));
@@ -212,6 +217,7 @@ static double most_exceeded(const QP *qp, const double t[])
             number = above > below ? (double)(i + 1) : -(double)(i + 1);
         }
     }
+    *remote = REMOTE * worst / fmax(size, worst);
     return number;
 }
 
@@ -222,7 +228,6 @@ static bool exchange(const Set *set, double *multiplier, size_t k)
     const size_t n = size_of(set);
     double *combination = set->combination, step = INFINITY, largest = 1.0;
     size_t first = n;
-    solve_upper(set, combination);
     for (size_t j = 0; j < n; ++j) largest = fmax(largest, fabs(combination[j]));
     for (size_t j = 0; j < n; ++j) {
         if (combination[j] > INSIGNIFICANT * largest && set->multipliers[j] < step * combination[j]) {
@@ -252,10 +257,10 @@ QPResult qp_solve(const QP *qp, double memory[], double t[], unsigned *iteration
             ++*iterations;
             continue;
         }
-        const double number = most_exceeded(qp, t);
+        double remote = 0.0, multiplier = 0.0;
+        const double number = most_exceeded(qp, t, &remote);
         if (number == 0.0) return QP_SOLVED;
-        double multiplier = 0.0;
-        while (!append(qp, &set, number)) {
+        while (!append(qp, &set, number, remote)) {
             if (!exchange(&set, &multiplier, qp->size)) return QP_INFEASIBLE;
             ++*iterations;
         }
@@ -278,6 +283,6 @@ void qp_refactor(const QP *qp, double memory[])
     *set.count = *set.rotated = 0.0;
     for (size_t j = 0; j < n; ++j) { /* no number is overwritten before it is read */
         const double multiplier = set.multipliers[j];
-        if (append(qp, &set, set.numbers[j])) set.multipliers[size_of(&set) - 1] = multiplier;
+        if (append(qp, &set, set.numbers[j], 0.0)) set.multipliers[size_of(&set) - 1] = multiplier;
     }
 }
