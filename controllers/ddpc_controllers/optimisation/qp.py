@@ -53,7 +53,7 @@ FEASIBLE = 1e-11
 """By how much an optimum may exceed a bound, in parts of its range: rounding."""
 
 _NO_CONFLICT = 1e-6
-_LARGEST_CONDITION = 1e12
+_LARGEST_CONDITION = 1e6
 _SINGULAR = 1e-6
 _ILL_CONDITIONED = 1e-5
 _REMEMBERED = 256
@@ -374,15 +374,16 @@ class ParametricQP(_BoundedLaw):
     def _derive_law(self, active: ActiveSet) -> FloatArray | None:
         """Return the map from e_0 to (e inactive, -mu active; change of u), None if degenerate."""
         rows = list(active)
-        gain = self._gain[rows]
-        curvature = gain @ gain.T
-        if np.linalg.cond(curvature) > _LARGEST_CONDITION:
+        # By orthogonal directions: the product of the gain with itself has the square of its condition.
+        directions, triangular = np.linalg.qr(self._gain[rows].T)
+        if len(triangular) < len(rows) or np.linalg.cond(triangular) > _LARGEST_CONDITION:
             return None
-        multipliers = np.zeros((len(rows), self._bounds))
-        multipliers[:, rows] = np.linalg.inv(curvature)
-        certificate = np.eye(self._bounds) - self._gain @ (gain.T @ multipliers)
+        inverse = np.linalg.inv(triangular)
+        multipliers, towards = np.zeros((len(rows), self._bounds)), np.zeros((len(directions), self._bounds))
+        multipliers[:, rows], towards[:, rows] = inverse @ inverse.T, directions @ inverse.T
+        certificate = np.eye(self._bounds) - self._gain @ towards
         certificate[rows] = -multipliers / np.abs(multipliers).max()
-        return np.vstack([certificate, -self._move_gain @ (gain.T @ multipliers)])
+        return np.vstack([certificate, -self._move_gain @ towards])
 
     def _ask_solver(self, excess: FloatArray, u: FloatArray, pattern: ActiveSet) -> Correction | None:
         """Solve, read off the active set, and prefer its exact law to the solver's digits."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 from scipy.optimize import nnls
+from sympy import Matrix, Rational
 
 from ddpc_controllers.optimisation.condensing import CondensedProblem
 from ddpc_controllers.optimisation.limits import HELD, InputLimits
@@ -55,6 +56,19 @@ def test_the_optimum_is_that_of_another_method(n: int, size: int, repeated: bool
         move = qp.solve(np.append(excess, 1.0))
         assert move.fault == ""
         assert move.u == pytest.approx(move_gain @ t, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_bounds_of_nearly_one_direction_leave_the_digits_of_the_optimum(seed: int) -> None:
+    """The oracle is exact: rational numbers."""
+    rng = np.random.default_rng(seed)
+    gain = 1.0 + 1e-4 * rng.standard_normal((3, 3))
+    excess, move_gain = gain @ gain.T @ rng.uniform(1.0, 2.0, 3), rng.standard_normal((1, 3))
+    rows = Matrix(3, 3, [Rational(value) for value in gain.ravel().tolist()])
+    multipliers = (rows * rows.T).LUsolve(Matrix([Rational(value) for value in excess.tolist()]))
+    t = -np.array((rows.T * multipliers).T.tolist(), dtype=float)[0]
+    move = ParametricQP(problem(gain, move_gain), WIDE).solve(np.append(excess, 1.0))
+    assert move.u == pytest.approx(move_gain @ t, rel=1e-10)
 
 
 def test_an_infeasible_problem_is_a_fault_and_the_move_stays_within_limits() -> None:
