@@ -346,7 +346,7 @@ def list_(kind: str | None, as_json: bool) -> None:
     sys.exit(list_command((kind,) if kind else _LISTED, as_json=as_json))
 
 
-_FMU = click.argument("fmu", type=_Path(exists=True, dir_okay=False), metavar="FILE.fmu")
+_FMU = click.argument("fmu", type=_Path(exists=True, dir_okay=False), metavar="FILE.fmu|FILE.ssp")
 
 
 @main.command()
@@ -355,7 +355,7 @@ _FMU = click.argument("fmu", type=_Path(exists=True, dir_okay=False), metavar="F
 @click.option("--strict", is_flag=True, help="FMPy's full validation too; slow with thousands of variables.")
 @click.option("--all", "every", is_flag=True, help="Show every row of long lists.")
 def inspect(fmu: Path, as_json: bool, strict: bool, every: bool) -> None:
-    """Show what an FMU is, what it can do, and what is wrong with it; exit with 1 if it cannot run here."""
+    """Show what an FMU or an SSP is, and what is wrong with it; exit with 1 if it cannot run here."""
     from ddpc_cosim.cli.inspect import inspect_command
 
     sys.exit(inspect_command(fmu, as_json=as_json, strict=strict, every=every))
@@ -428,7 +428,7 @@ def init(
 
 
 @main.command()
-@click.argument("plant", metavar="FILE.fmu|PLANT", shell_complete=_names("plants"))
+@click.argument("plant", metavar="FILE.fmu|FILE.ssp|PLANT", shell_complete=_names("plants"))
 @click.option(
     "--inputs",
     type=_Path(dir_okay=False),
@@ -481,7 +481,7 @@ def init(
 )
 @_SANDBOX
 def simulate(**options: Any) -> None:
-    """Simulate an FMU or a PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
+    """Simulate an FMU, SSP or PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
     with orderly_end():
         from ddpc_cosim.cli.simulate import simulate_command
 

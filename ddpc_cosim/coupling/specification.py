@@ -10,10 +10,13 @@ from typing import Any, NamedTuple, Protocol, Self
 from ddpc_cosim.coupling.wiring import Connection, Wiring
 from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError, FMUStepError
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.variables import PlantVariables, Variable
+from ddpc_cosim.variables import PlantVariables, Variable, with_start
 
 Exchanged = tuple[tuple[str, ...], tuple[str, ...]]
 """The inputs of a part that connections feed, and its outputs that they start from."""
+
+
+Experiment = tuple[float | None, float | None, float | None]
 
 
 class PartSpec(Protocol):
@@ -44,6 +47,9 @@ class PartSpec(Protocol):
     def moved(self, place: Callable[[str], str]) -> Self:
         """Return it with its FMUs elsewhere."""
 
+    def starting_at(self, start: Mapping[str, float]) -> Self:
+        """Return it with other start values of inputs."""
+
     def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
         """Open it with the chosen signals."""
 
@@ -72,6 +78,8 @@ class CoupledSpec:
         Further arguments of :class:`CoupledPlant`.
     parameters : mapping of str to float, int, bool or str
         Values that differ from the parts' own, as ``part.name``.
+    experiment : (float or None, float or None, float or None)
+        Start time, stop time and step size that its author had in mind [s].
     exchanged : mapping of str to (tuple of str, tuple of str)
         By part the inputs that connections feed and the outputs that they start from; empty until
         :meth:`built`.
@@ -82,6 +90,7 @@ class CoupledSpec:
     connectors: tuple[Variable, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
+    experiment: Experiment = (None, None, None)
     exchanged: Mapping[str, Exchanged] = field(default_factory=dict)
 
     @property
@@ -109,7 +118,7 @@ class CoupledSpec:
             for name, variable in one.parameters.items()
         }
         tunable = {f"{part}.{name}" for part, one in known.items() for name in one.tunable}
-        fed = {f"{part}.{name}" for part, (fed, _) in self._exchanged(known).items() for name in fed}
+        fed = {f"{part}.{name}" for part, (fed, _) in self._exchanged(known, ()).items() for name in fed}
 
         def usual(every: Mapping[str, Variable], of: Callable[[PlantVariables], Iterable[str]]) -> Any:
             """Return the system's own signals; of a system without any, those of its parts."""
@@ -146,12 +155,9 @@ class CoupledSpec:
         }
         return Wiring(signals, self.connections, outputs=outputs, connectors=self.connectors)
 
-    def _exchanged(
-        self, known: Mapping[str, PlantVariables]
-    ) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+    def _exchanged(self, known: Mapping[str, PlantVariables], outputs: Sequence[str]) -> dict[str, Exchanged]:
         """Return by part the inputs that connections feed, and the outputs that they start from."""
-        own = [v.name for v in self._wiring(known).outputs if "." not in v.name]
-        wiring = self._wiring(known, own)
+        wiring = self._wiring(known, outputs)
         sources = {part: wiring.intakes[part].sources.tolist() for part in known}
         places = {*wiring.outlet.sources.tolist(), *(place for some in sources.values() for place in some)}
         used = {wiring.values[place] for place in places}
@@ -174,7 +180,18 @@ class CoupledSpec:
         for name, part in self.parts.items():
             with _naming(name):
                 parts[name] = part.built()
-        return replace(self, parts=parts, exchanged=self._exchanged(known))
+        wiring = self._wiring(known)
+        own = tuple(v for v in (*wiring.inputs, *wiring.outputs) if "." not in v.name)
+        exchanged = self._exchanged(known, [v.name for v in wiring.outputs if "." not in v.name])
+        return replace(self, parts=parts, connectors=own, exchanged=exchanged)
+
+    def starting_at(self, start: Mapping[str, float]) -> Self:
+        """Return it, built, with other start values of inputs, by full name."""
+        parts = {
+            name: part.starting_at({one: start[f"{name}.{one}"] for one in _within(name, start)})
+            for name, part in self.parts.items()
+        }
+        return replace(self, parts=parts, connectors=with_start(self.connectors, start))
 
     def moved(self, place: Callable[[str], str]) -> Self:
         """Return it with its FMUs elsewhere."""

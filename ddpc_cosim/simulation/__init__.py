@@ -138,7 +138,8 @@ def simulate(
     Parameters
     ----------
     plant : str or Path
-        An FMU, the name of a plant, or ``module:attribute``.
+        An FMU, an SSP archive, whose parts exchange values once a step, the name of a plant, or
+        ``module:attribute``.
     inputs : DataFrame, str or Path, optional
         Signals of inputs: a frame or a CSV file with a column ``time`` (or a frame's index), and one
         for each input to drive, its unit in brackets if it is not the plant's own. Real inputs that are

@@ -75,14 +75,19 @@ class _Subject:
 
     def __init__(self, request: Request) -> None:
         path = Path(request.plant)
-        is_file = path.suffix.lower() == ".fmu" or (bool(path.suffix) and path.is_file())
+        is_file = path.suffix.lower() in (".fmu", ".ssp") or (bool(path.suffix) and path.is_file())
         if is_file and not path.is_file():
             raise ConfigError(f"{path}: no such file")
         if request.fmi_type not in (allowed := get_args(FMIType)):
             raise ConfigError(
                 f"fmi_type = {request.fmi_type!r} is not possible; allowed: {', '.join(allowed)}"
             )
-        named: dict[str, Any] = {"fmu": request.plant} if is_file else {"name": request.plant}
+        what = "name" if not is_file else "ssp" if path.suffix.lower() == ".ssp" else "fmu"
+        of_fmus = {"trace_calls": request.trace_calls, "fmi_type": request.fmi_type != "auto"}
+        if what == "ssp" and any(of_fmus.values()):
+            given = next(key for key, value in of_fmus.items() if value)
+            raise ConfigError(f"{path}: {given} is of one FMU, and this is a system of several")
+        named: dict[str, Any] = {what: request.plant}
         section = PlantSection(**named, fmi_type=request.fmi_type)
         self.label = path.name if is_file else request.plant
         self.spec = PlantSpec.of(section, Path.cwd()).built()
@@ -123,7 +128,8 @@ class _Subject:
             unknown = [name for name in wanted or () if name not in known]
             if unknown:
                 raise ConfigError([f'no output "{name}"; {did_you_mean(name, known)}' for name in unknown])
-            return [known[name] for name in dict.fromkeys(wanted or known)], notes
+            usual = self.variables.default_outputs or known
+            return [known[name] for name in dict.fromkeys(wanted or usual)], notes
         from ddpc_cosim.fmu.description import choose_signals
 
         if wanted is None:
@@ -248,7 +254,7 @@ def prepare(request: Request) -> Prepared:
         seed=0,
         label=subject.label,
         section={"type": "", "settings": {}},
-        plant=replace(subject.spec, start=at_start, trace_calls=request.trace_calls),
+        plant=replace(subject.spec.starting_at(at_start), trace_calls=request.trace_calls),
         inputs=(),
         outputs=(),
         measurements=tuple(outputs),
@@ -331,7 +337,9 @@ def _times(
     """Return start time, time between samples [s], number of intervals, and what was chosen."""
     from ddpc_cosim.fmu.description import DefaultExperiment
 
-    experiment = subject.description.default_experiment if subject.description else DefaultExperiment()
+    coupled = subject.spec.coupled
+    experiment = DefaultExperiment(*coupled.experiment) if coupled else DefaultExperiment()
+    experiment = subject.description.default_experiment if subject.description else experiment
     start, notes, faults = experiment.start_time or 0.0, list[str](), list[str]()
     stop, step = request.stop, request.step
     if stop is None and golden is not None and golden.time[-1] > start:

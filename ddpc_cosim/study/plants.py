@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
-from ddpc_cosim.coupling.specification import CoupledSpec
+from ddpc_cosim.coupling.specification import CoupledSpec, Experiment
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.plugins import hash_of_code, load_plugin
@@ -168,6 +168,11 @@ class PlantSpec:
         """What it is called: a plug-in's name, an FMU's file, or those of its parts."""
         return self.name or Path(self.fmu).name or ", ".join(self.coupled.parts if self.coupled else ())
 
+    def starting_at(self, start: Mapping[str, float]) -> Self:
+        """Return the plant, which is built, with other start values of inputs, by name."""
+        coupled = self.coupled.starting_at(start) if self.coupled else None
+        return replace(self, start={**self.start, **start}, coupled=coupled)
+
     def moved(self, place: Callable[[str], str]) -> Self:
         """Return the plant with its FMUs elsewhere: at ``place(path)``."""
         if self.coupled is None:
@@ -206,7 +211,7 @@ class PlantSpec:
     def built(self) -> Self:
         """Return the plant ready to run: equations are exported to an FMU, which is compiled if it is new."""
         if self.coupled:
-            coupled = self.coupled.built()
+            coupled = self.coupled.built().starting_at(self.start)
             return replace(self, coupled=coupled, content=coupled.content + self._shown())
         if not self.is_fmu:
             plugin = self._plugin()
@@ -241,7 +246,6 @@ class PlantSpec:
         """Open the plant with the chosen inputs and outputs."""
         if self.coupled:
             plant = self.coupled.open(inputs, outputs)
-            plant.inputs = with_start(plant.inputs, self.start)
         elif self.fmu:
             plant = self._open_fmu(inputs, outputs)
         else:
@@ -279,14 +283,16 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
     parameters = dict[str, ParameterValue]()
     connections = [one.connection for one in section.connections]
     connectors: tuple[Variable, ...] = ()
+    experiment: Experiment = (None, None, None)
     if section.ssp:
         from ddpc_cosim.coupling.ssp import read_ssp
 
         system = read_ssp(Path(section.ssp))
         connections = [one.connection for one in system.connections]
         connectors = (*system.inputs, *system.outputs)
+        experiment = (system.start_time, system.stop_time, system.step_size)
         for warning in system.warnings:
-            warnings.warn(f"{Path(section.ssp).name}: {warning}", CosimWarning, stacklevel=3)
+            warnings.warn(warning, CosimWarning, stacklevel=3)
         for one in system.parts:
             parts[one.name] = PlantSpec("", one.fmu, fmi_type=one.fmi_type, start=one.start)
             parameters |= {f"{one.name}.{name}": value for name, value in one.parameters.items()}
@@ -310,13 +316,8 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
         raise ConfigError(faults)
     for name, own in given.items():
         parameters |= {f"{name}.{key}": value for key, value in own.parameters.items()}
-    for full, value in section.start.items():
-        name, _, input_name = full.partition(".")
-        if name in parts and input_name:
-            parts[name] = replace(parts[name], start={**parts[name].start, input_name: value})
-    connectors = with_start(connectors, section.start)
     options |= {"steps": steps} if steps else {}
-    return CoupledSpec(parts, tuple(connections), connectors, options, parameters)
+    return CoupledSpec(parts, tuple(connections), connectors, options, parameters, experiment)
 
 
 def _build(model: Any) -> Path:

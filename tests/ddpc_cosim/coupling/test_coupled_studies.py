@@ -18,6 +18,7 @@ from ddpc_cosim import (
     Scenario,
     Study,
     load_results,
+    simulate,
 )
 from ddpc_cosim.study.case_files import read_trace
 from ddpc_cosim.study.cases import Case, cases_of, run_case
@@ -300,3 +301,24 @@ def test_an_archive_in_a_study(tmp_path: Path) -> None:
     np.testing.assert_allclose(trace.y, 2.25)
     plant["parts"] = [{"name": "c"}]
     assert 'plant.ssp: parts: no part "c" in the SSP' in faults(tmp_path, study(plant))
+
+
+def test_an_archive_is_simulated_in_open_loop(tmp_path: Path) -> None:
+    """Its default experiment says for how long; inputs start where the file of inputs does."""
+    described = ssd(
+        system(
+            "s",
+            component("a", "resources/gain.fmu", "input u, output y"),
+            connections=connection("in", "a/u") + connection("a/y", "out"),
+            connectors="input in, output out",
+        ),
+        more='<ssd:DefaultExperiment startTime="1" stopTime="2"/>',
+    )
+    path = write_ssp(tmp_path / "one.ssp", described, {"resources/gain.fmu": GAIN})
+    (tmp_path / "in.csv").write_text("time,in\n1,0.5\n2,1.5\n", encoding="utf-8")
+    found = simulate(path, inputs=tmp_path / "in.csv", parameters={"a.k": 2.0}, step=0.5)
+    assert [*found.columns] == ["time [s]", "out [1]", "in [1]"]
+    # Inputs are held, so that the output of a step is of the input at its beginning.
+    np.testing.assert_allclose(found.to_numpy(), [[1.0, 1.0, 0.5], [1.5, 1.0, 1.0], [2.0, 2.0, 1.5]])
+    with pytest.raises(ConfigError, match="trace_calls is of one FMU"):
+        simulate(path, trace_calls=tmp_path / "calls.txt")
