@@ -76,6 +76,11 @@ def announce_calls(announce: Announce) -> None:
     _announce = announce
 
 
+def calls_are_watched() -> bool:
+    """Whether calls of this process are announced to anybody."""
+    return _announce is not _announce_to_no_one
+
+
 def announce_call_of_plant(call: str, time: float) -> None:
     """Announce what a plant is in at a time of the run [s], where its call consists of several."""
     _announce("plant", call, time)

@@ -15,7 +15,8 @@ from ddpc_cosim.coupling.graph import Evaluation, Graph
 from ddpc_cosim.coupling.loops import AlgebraicLoop
 from ddpc_cosim.coupling.parts import Part
 from ddpc_cosim.coupling.wiring import Wiring
-from ddpc_cosim.errors import FMUStepError, StepStatus
+from ddpc_cosim.errors import ConfigError, FMUStepError, StepStatus
+from ddpc_cosim.safe_calls import announce_call_of_plant, calls_are_watched
 from ddpc_cosim.variables import FloatArray
 
 
@@ -75,16 +76,18 @@ class Exchange:
         self._wiring, self._graph, self._loop_tolerance = wiring, graph, loop_tolerance
         self.memory = np.zeros((4, len(wiring.values)))
         self.values, self._slopes, self._stamps, self._before = self.memory
+        self._driven = self.values[: len(wiring.inputs)]
+        self._calls = [(p, p.unchecked_step, p.sources, p.span, p.size) for p in parts]
         self._arriving: dict[Part, FloatArray] = {}
         self._agenda: Sequence[Interval] = ()
         self._is_plain = True
         driven, outputs = range(graph.outputs.start), graph.outputs
         self._all = self._updates(range(len(wiring.values)))
-        self._after_steps = self._updates(outputs)
+        self._all_after_steps = self._updates(outputs)
         fed = {source for part in parts for source in part.sources.tolist()}
         self._after_inputs = self._updates(driven) if fed & graph.reached(driven) else []
-        # Their outputs at the end of a step are not those with the inputs that were held over it.
-        self._estimated = {part for update in self._after_steps for part in update.parts}
+        # Their outputs at the end of a step are other ones than those with inputs that were held over it.
+        self._estimated = {part for update in self._all_after_steps for part in update.parts}
 
     def reset(self, time: float) -> None:
         """Forget everything before a time [s]."""
@@ -95,15 +98,16 @@ class Exchange:
     def arrange(self, intervals: int) -> None:
         """Lay down what happens in so many intervals, after which all parts are at one instant."""
         is_multirate = any(part.every > 1 for part in self._parts)
+        after_steps = self._all_after_steps if is_multirate else self._needed(self._all_after_steps)
         self._is_plain = not self._linear and all(part.every * part.substeps == 1 for part in self._parts)
         if not is_multirate:
-            self._agenda = [Interval(self._parts, self._parts, self._after_steps)] * intervals
+            self._agenda = [Interval(self._parts, self._parts, after_steps)] * intervals
             return
         agenda = []
         for i in range(intervals):
             due = [part for part in self._parts if i % part.every == 0]
             ended = [part for part in self._parts if (i + 1) % part.every == 0]
-            updates = [update for update in self._after_steps if set(update.parts) <= set(ended)]
+            updates = [update for update in after_steps if set(update.parts) <= set(ended)]
             agenda.append(Interval(due, ended, updates))
         self._agenda = agenda
 
@@ -114,11 +118,12 @@ class Exchange:
 
     def set_inputs(self, u: FloatArray, time: float) -> None:
         """Take over the system's inputs, shape (m,), at a time [s], and what others have of them at once."""
-        driven = self.values[: len(u)]
-        if not self._after_inputs:
-            driven[:] = u
-        elif (driven != u).any():
-            driven[:] = u
+        driven = self._driven
+        if len(u) != len(driven):
+            raise ConfigError(f"u has {len(u)} numbers; needed: {len(driven)}")
+        is_new = bool(self._after_inputs) and (driven != u).any()
+        driven[:] = u
+        if is_new:
             for update in self._after_inputs:
                 update.do(time)
 
@@ -128,64 +133,87 @@ class Exchange:
         A part may come to its end with the last interval: then the outputs are as the steps left them, and
         what the part says about it is returned.
         """
-        values, sequential, linear = self.values, self._sequential, self._linear
-        for i, (due, ended, updates) in enumerate(self._agenda):
-            now, end = time + i * h, time + (i + 1) * h
-            for part in due:
-                if linear:
-                    self._before[part.span] = values[part.span]
-                if self._is_plain:
-                    y = part.step(part.inputs_from(values), h, now)
-                else:
-                    y = self._substeps(part, h, now)
-                if sequential:
-                    values[part.span] = y
-                    if linear:
-                        self._draw_line(part, now + part.every * h, part.every * h)
-                else:
-                    self._arriving[part] = y
-            if not sequential:
-                for part in ended:
-                    values[part.span] = self._arriving[part]
-            if linear:
-                self._draw_lines(ended, end, h)
+        if self._is_plain and not self._agenda[0].updates:
+            for i in range(len(self._agenda)):
+                self._hold(h, time + i * h)
+            return None
+        for i, interval in enumerate(self._agenda):
+            if self._is_plain:
+                self._hold(h, time + i * h)
+            else:
+                self._step(interval, h, time + i * h)
+            if not interval.updates:
+                continue
+            end = time + (i + 1) * h
             try:
-                for update in updates:
+                for update in interval.updates:
                     update.do(end)
             except FMUStepError as error:
                 if error.status is StepStatus.TERMINATED and i + 1 == len(self._agenda):
                     return error
                 raise
-            if linear and updates:
-                self._draw_lines(ended, end, h)
+            if self._linear:
+                self._draw_lines(interval.ended, end, h)
         return None
+
+    def _hold(self, h: float, now: float) -> None:
+        """Step all parts once, with values that are held: most runs are here most of the time."""
+        old = new = self.values
+        if not self._sequential:
+            old = old.copy()
+        y: FloatArray | None = None
+        is_watched = calls_are_watched()
+        try:
+            for part, step, sources, span, size in self._calls:
+                y = None
+                if is_watched:
+                    announce_call_of_plant(part.in_step, now)
+                y = step(old[sources], h)
+                if len(y) != size:  # one number would be taken for all
+                    raise ValueError
+                new[span] = y
+        except (Exception, SystemExit) as error:
+            raise part.failure("step", error, now, y) from error
+
+    def _step(self, interval: Interval, h: float, now: float) -> None:
+        """Step the parts that are due."""
+        values = self.values
+        for part in interval.due:
+            self._before[part.span] = values[part.span]
+            y = self._substeps(part, h, now)
+            if self._sequential:
+                values[part.span] = y
+                self._draw_lines([part], now + part.every * h, h)
+            else:
+                self._arriving[part] = y
+        if not self._sequential:
+            for part in interval.ended:
+                values[part.span] = self._arriving[part]
+            self._draw_lines(interval.ended, now + h, h)
 
     def _substeps(self, part: Part, h: float, now: float) -> FloatArray:
         """Let a part do its step from a time [s] on; return its outputs at the end."""
         length = part.every * h / part.substeps
         for i in range(part.substeps):
             begin = now + i * length
-            y = part.step(self._inputs(part, begin + length / 2.0), length, begin)
+            y = part.step(self._taken(part, begin + length / 2.0), length, begin)
         end = now + part.every * h
         if self._linear and self._sequential and part in self._estimated:
-            y = part.outputs_at(self._inputs(part, end), end)
+            y = part.outputs_at(self._taken(part, end), end)
         return y
 
-    def _inputs(self, part: Part, time: float) -> FloatArray:
-        """Return the inputs of a part, shape (m,), at a time [s] near to that of the values."""
+    def _taken(self, part: Part, time: float) -> FloatArray:
+        """Return the values that a part takes at a time [s], shape (m,)."""
         if not self._linear:
-            return part.inputs_from(self.values)
-        return part.inputs_from(self.values + self._slopes * (time - self._stamps))
+            return self.values[part.sources]
+        return (self.values + self._slopes * (time - self._stamps))[part.sources]
 
     def _draw_lines(self, parts: Iterable[Part], end: float, h: float) -> None:
+        """Note when and how fast the outputs of parts changed in a step that ends at a time [s]."""
         for part in parts:
-            self._draw_line(part, end, part.every * h)
-
-    def _draw_line(self, part: Part, end: float, length: float) -> None:
-        """Note when and how fast the outputs of a part changed in a step that ends at a time [s]."""
-        span = part.span
-        self._slopes[span] = (self.values[span] - self._before[span]) / length
-        self._stamps[span] = end
+            span = part.span
+            self._slopes[span] = (self.values[span] - self._before[span]) / (part.every * h)
+            self._stamps[span] = end
 
     def _updates(self, changed: Iterable[int]) -> list[Update]:
         """Return what brings everything up to date that depends on some values, as far as parts can."""
@@ -202,12 +230,32 @@ class Exchange:
                 self._wiring.scale,
                 self._loop_tolerance,
                 self._wiring.values,
-                self._inputs,
+                self._taken,
             )
             return Update(parts, loop.solve)
 
         found = map(update, self._graph.evaluations(changed))
         return [one for one in found if all(part.plant.can_give_outputs for part in one.parts)]
 
+    def _needed(self, updates: Sequence[Update]) -> list[Update]:
+        """Return the updates after a step of all parts that change something.
+
+        Where values are held, and a part takes all that its outputs depend on directly from parts before it,
+        it has taken them in the step already.
+        """
+        if self._linear or not self._sequential:
+            return list(updates)
+        place = {part.name: i for i, part in enumerate(self._parts)}
+        needed: dict[str, None] = {}
+        chosen = []
+        for update in updates:
+            for part in update.parts:
+                owners = self._graph.directly_before(part.places)
+                if any(owner in needed or place[owner] >= place[part.name] for owner in owners):
+                    needed.update((other.name, None) for other in update.parts)
+            if any(part.name in needed for part in update.parts):
+                chosen.append(update)
+        return chosen
+
     def _evaluate(self, part: Part, time: float) -> None:
-        self.values[part.span] = part.outputs_at(self._inputs(part, time), time)
+        self.values[part.span] = part.outputs_at(self._taken(part, time), time)

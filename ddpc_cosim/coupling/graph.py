@@ -91,6 +91,11 @@ class Graph:
             for output, source in zip(wiring.outputs, wiring.outlet.sources.tolist(), strict=True)
         }
 
+    def directly_before(self, places: Iterable[int]) -> set[str]:
+        """Return the parts whose outputs some values depend on without delay, with no other in between."""
+        values = {value for place in places for value in self._direct.get(place, ())}
+        return {self.part_of(value) for value in values if value >= self._first_output}
+
     @property
     def outputs(self) -> range:
         """The values that are outputs of parts."""

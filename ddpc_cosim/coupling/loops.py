@@ -33,8 +33,8 @@ class AlgebraicLoop:
         Largest change that is left, relative to the larger of nominal and value.
     texts : sequence of str
         Full names of all values.
-    inputs : callable
-        Returns the inputs of a part at a time [s], shape (m,), from all values as they are.
+    taken : callable
+        Returns what a part takes at a time [s], shape (m,), from all values as they are.
     """
 
     def __init__(
@@ -45,13 +45,13 @@ class AlgebraicLoop:
         scale: FloatArray,
         tolerance: float,
         texts: Sequence[str],
-        inputs: Callable[[Part, float], FloatArray],
+        taken: Callable[[Part, float], FloatArray],
     ) -> None:
-        self._parts, self._values, self._tolerance, self._inputs = parts, values, tolerance, inputs
+        self._parts, self._values, self._tolerance, self._taken = parts, values, tolerance, taken
         self._members = np.array(members, dtype=np.intp)
         self._nominal, self._all_nominal = scale[self._members], scale
         self._names = [texts[place] for place in members]
-        self._column = {place: column for column, place in enumerate(members)}
+        self._row = {place: row for row, place in enumerate(members)}
 
     def solve(self, time: float) -> None:
         """Find values that fit each other at a time [s].
@@ -83,7 +83,7 @@ class AlgebraicLoop:
 
     def _sweep(self, time: float) -> None:
         for part in self._parts:
-            self._values[part.span] = part.outputs_at(self._inputs(part, time), time)
+            self._values[part.span] = part.outputs_at(self._taken(part, time), time)
 
     def _newton(self, time: float, told: bool) -> float:
         """Take Newton steps; return the last one, relative to the values: small, if they have converged."""
@@ -117,7 +117,7 @@ class AlgebraicLoop:
 
     def _outputs(self, time: float) -> tuple[list[FloatArray], FloatArray]:
         """Return the outputs of all parts at the values as they are, and by how much the values differ."""
-        found = [part.outputs_at(self._inputs(part, time), time) for part in self._parts]
+        found = [part.outputs_at(self._taken(part, time), time) for part in self._parts]
         values = self._values.copy()
         for part, y in zip(self._parts, found, strict=True):
             values[part.span] = y
@@ -128,30 +128,25 @@ class AlgebraicLoop:
         size, known = len(self._members), not told
         matrix = np.zeros((size, size))
         for part, y in zip(self._parts, outputs, strict=True):
-            u = self._inputs(part, time)
-            derivatives = part.feedthrough(u, time) if told else None
+            taken = self._taken(part, time)
+            derivatives = part.derivatives(taken, time) if told else None
             known = known or derivatives is not None
-            rows = [
-                (self._column[p], p - part.span.start)
-                for p in self._column
-                if part.span.start <= p < part.span.stop
-            ]
+            own = [(row, p - part.span.start) for p, row in self._row.items() if p in part.places]
             for i, source in enumerate(part.sources.tolist()):
-                if source in self._column:
-                    column = (
-                        self._difference(part, u, i, y, time) if derivatives is None else derivatives[:, i]
-                    )
-                    for row, place in rows:
-                        matrix[row, self._column[source]] += column[place] * part.factor[i]
+                if source in self._row:
+                    slope = self._slope(part, taken, i, y, time) if derivatives is None else derivatives[:, i]
+                    for row, place in own:
+                        matrix[row, self._row[source]] += slope[place]
         return matrix if known else None
 
-    def _difference(self, part: Part, u: FloatArray, i: int, y: FloatArray, time: float) -> FloatArray:
-        """Return the derivatives of a part's outputs by one input, within the input's range."""
-        nominal = abs(part.factor[i]) * self._all_nominal[part.sources[i]]
-        step = _DIFFERENCE * max(abs(u[i]), nominal)
-        beside = u.copy()
-        beside[i] += step if u[i] + step <= part.plant.inputs[i].max else -step
-        slope: FloatArray = (part.outputs_at(beside, time) - y) / (beside[i] - u[i])
+    def _slope(self, part: Part, taken: FloatArray, i: int, y: FloatArray, time: float) -> FloatArray:
+        """Return the derivatives of a part's outputs by one of the values that it takes, by a difference."""
+        beside = taken.copy()
+        step = _DIFFERENCE * max(abs(taken[i]), self._all_nominal[part.sources[i]])
+        beside[i] += step
+        if not part.may_take(beside):
+            beside[i] = taken[i] - step
+        slope: FloatArray = (part.outputs_at(beside, time) - y) / (beside[i] - taken[i])
         return slope
 
     def _largest(self, difference: FloatArray) -> float:

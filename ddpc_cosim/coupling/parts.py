@@ -1,4 +1,4 @@
-"""One part of a coupled plant: its calls, whose faults carry its name."""
+"""One part of a coupled plant: its calls, with the values that it takes; its faults carry its name."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,8 +10,6 @@ from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError, FMUStepEr
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.safe_calls import announce_call_of_plant, feedthrough_of_plant, plant_fault, plant_outputs
 from ddpc_cosim.variables import FloatArray
-
-_FLOAT = np.dtype(np.float64)
 
 
 class Part:
@@ -27,52 +25,59 @@ class Part:
         How its inputs follow from all values.
     span : slice
         Where its outputs are among all values.
+
+    Attributes
+    ----------
+    every, substeps : int
+        How many communication intervals its step is long, and how many steps it does meanwhile.
+    in_step : str
+        What is announced of a step.
+    unchecked_step : callable
+        Takes values as ``step``, and returns what the plant returns, or raises what it raises.
     """
 
     def __init__(self, name: str, plant: Plant, intake: Intake, span: slice) -> None:
         self.name, self.plant, self.span = name, plant, span
+        self.places = range(span.start, span.stop)
         self.sources, self.factor, self.offset = intake
-        self._step = f'step of part "{name}"'
-        self._is_scaled = intake.is_scaled
-        self._shape = (len(plant.outputs),)
+        self.in_step = f'step of part "{name}"'
+        self.size = len(plant.outputs)
+        self.unchecked_step = self._scaled_step if intake.is_scaled else plant.step
         self.every, self.substeps = 1, 1
-        """How many communication intervals its step is long, and how many steps it does meanwhile."""
 
-    def inputs_from(self, values: FloatArray) -> FloatArray:
-        """Return the part's inputs, a new array of shape (m,)."""
-        u = values[self.sources]
-        if self._is_scaled:
-            u *= self.factor
-            u += self.offset
-        return u
+    def step(self, taken: FloatArray, h: float, time: float) -> FloatArray:
+        """Hold the inputs over h [s] from ``time`` [s] on and return the outputs, shape (p,)."""
+        announce_call_of_plant(self.in_step, time)
+        try:
+            y = self.unchecked_step(taken, h)
+        except (Exception, SystemExit) as error:
+            raise self.failure("step", error, time) from error
+        return self._outputs("step", y, time + h)
+
+    def _scaled_step(self, taken: FloatArray, h: float) -> FloatArray:
+        return self.plant.step(self.factor * taken + self.offset, h)
 
     def reset(self, parameters: Mapping[str, ParameterValue], t0: float) -> FloatArray:
         """Go to the initial state and return the outputs there, shape (p,)."""
         return self._outputs("reset", self.call("reset", t0, parameters, t0), t0)
 
-    def step(self, u: FloatArray, h: float, time: float) -> FloatArray:
-        """Hold the inputs over h [s] from ``time`` [s] on and return the outputs, shape (p,)."""
-        announce_call_of_plant(self._step, time)
-        try:
-            y = self.plant.step(u, h)
-        except (Exception, SystemExit) as error:
-            raise self.failure("step", error, time) from error
-        return (
-            y
-            if type(y) is np.ndarray and y.shape == self._shape and y.dtype is _FLOAT
-            else self._outputs("step", y, time)
-        )
-
-    def outputs_at(self, u: FloatArray, time: float) -> FloatArray:
+    def outputs_at(self, taken: FloatArray, time: float) -> FloatArray:
         """Return the outputs, shape (p,), at other inputs, without time passing."""
+        u = self.factor * taken + self.offset
         return self._outputs("outputs_at", self.call("outputs_at", time, u), time)
 
-    def feedthrough(self, u: FloatArray, time: float) -> FloatArray | None:
-        """Return the derivatives of the outputs by the inputs, shape (p, m); None: not known."""
+    def derivatives(self, taken: FloatArray, time: float) -> FloatArray | None:
+        """Return those of the outputs by the values that are taken, shape (p, m); None: not known."""
         try:
-            return feedthrough_of_plant(self.plant, u, time)
+            told = feedthrough_of_plant(self.plant, self.factor * taken + self.offset, time)
         except CosimError as error:
             raise self.failure("feedthrough", error, time) from error
+        return None if told is None else told * self.factor
+
+    def may_take(self, taken: FloatArray) -> bool:
+        """Whether the inputs are not above their limits."""
+        high = [variable.max for variable in self.plant.inputs]
+        return bool((self.factor * taken + self.offset <= high).all())
 
     def call(self, method: str, time: float, *arguments: Any) -> Any:
         """Call a method of the plant at a time [s]."""
@@ -82,8 +87,13 @@ class Part:
         except (Exception, SystemExit) as error:
             raise self.failure(method, error, time) from error
 
-    def failure(self, method: str, error: BaseException, time: float) -> CosimError:
-        """Return an error as one of the part."""
+    def failure(self, method: str, error: BaseException, time: float, returned: Any = None) -> CosimError:
+        """Return an error as one of the part, in a call or with what it returned."""
+        if returned is not None:
+            try:
+                plant_outputs(self.plant, method, np.asarray(returned), time)
+            except FMUStepError as fault:
+                error = fault
         whose = f'part "{self.name}": '
         if isinstance(error, ConfigError):
             return ConfigError([whose + fault for fault in error.faults])

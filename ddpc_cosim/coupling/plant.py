@@ -6,11 +6,12 @@ from typing import Any, Literal, Self, cast, get_args
 
 import numpy as np
 
+from ddpc_cosim.coupling.error_control import ErrorControl
 from ddpc_cosim.coupling.exchange import Exchange
 from ddpc_cosim.coupling.graph import Graph
 from ddpc_cosim.coupling.parts import Part
 from ddpc_cosim.coupling.wiring import Connection, Wiring
-from ddpc_cosim.errors import ConfigError, FMUStepError
+from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.safe_calls import plant_provenance
 from ddpc_cosim.variables import FloatArray, Variable
@@ -46,6 +47,10 @@ class CoupledPlant(Plant):
         second order.
     loop_tolerance : float
         How exactly algebraic loops are solved, relative to nominal or present values.
+    error_tolerance : float, optional
+        Error that one sample may add to a value, relative to nominal or present values, as it is estimated:
+        communication steps are repeated in halves, and halves of them, until it is kept (Richardson). All
+        parts must be able to save their states.
     connectors : sequence of Variable
         Names, units and start values of the system's own connectors.
     parameters : mapping of str to float, int, bool or str, optional
@@ -86,6 +91,7 @@ class CoupledPlant(Plant):
         steps: Mapping[str, float] | None = None,
         extrapolation: Extrapolation = "hold",
         loop_tolerance: float = 1e-9,
+        error_tolerance: float | None = None,
         connectors: Sequence[Variable] = (),
         parameters: Mapping[str, ParameterValue] | None = None,
     ) -> None:
@@ -101,6 +107,7 @@ class CoupledPlant(Plant):
         numbers = {
             "communication_step": communication_step,
             "loop_tolerance": loop_tolerance,
+            "error_tolerance": error_tolerance,
             **{f'steps["{part}"]': step for part, step in steps.items()},
         }
         faults += [
@@ -111,14 +118,31 @@ class CoupledPlant(Plant):
         faults += [
             f'steps: no part "{name}"; {did_you_mean(name, parts)}' for name in steps if name not in parts
         ]
+        if error_tolerance is not None:
+            faults += [
+                f'error_tolerance: a step cannot be repeated, as part "{name}" cannot save its state'
+                for name, plant in parts.items()
+                if not plant.can_save_state
+            ]
+            if steps:
+                faults.append("error_tolerance: it chooses the steps, of all parts alike; leave out steps")
         if faults:
             raise ConfigError(faults)
         wiring = Wiring(parts, connections, inputs, outputs, connectors)
         graph = Graph(parts, wiring)
+        faults = [
+            f'algebraic loop of {", ".join(loop)}: part "{name}" cannot give its outputs without a step (it '
+            "has no outputs_at); without a declared dependency they are taken one communication step late"
+            for loop in graph.loops
+            for name in dict.fromkeys(text.partition(".")[0] for text in loop)
+            if not parts[name].can_give_outputs
+        ]
+        if faults:
+            raise ConfigError(faults)
         self.inputs, self.outputs = wiring.inputs, wiring.outputs
         self.order, self.loops = graph.order, graph.loops
         self.dependencies = graph.dependencies()
-        self._wiring = wiring
+        self._wiring, self._is_scaled = wiring, wiring.outlet.is_scaled
         self._parts = {n: Part(n, parts[n], wiring.intakes[n], wiring.spans[n]) for n in graph.order}
         self._communication_step, self._steps = communication_step, steps
         self._how = f"{algorithm}, {extrapolation}"
@@ -131,9 +155,21 @@ class CoupledPlant(Plant):
             loop_tolerance=loop_tolerance,
         )
         self._parameters = dict(parameters or {})
+        self._control: ErrorControl | None = None
+        if error_tolerance is not None:
+            order = 2 if extrapolation == "linear" else 1
+            taken = [intake.sources for intake in (*wiring.intakes.values(), wiring.outlet)]
+            watched = np.unique(np.concatenate(taken))
+            self._control = ErrorControl(
+                tuple(self._parts.values()),
+                self._exchange,
+                order,
+                error_tolerance,
+                watched,
+                wiring.scale[watched],
+            )
         self._base_time, self._samples, self._h, self._tick = 0.0, 0, 0.0, 0.0
-        self._is_running = False
-        self._ending: FMUStepError | None = None
+        self._ending: CosimError | None = ConfigError("step before reset")
 
     @property
     def time(self) -> float:
@@ -153,7 +189,7 @@ class CoupledPlant(Plant):
         Parameters are named ``"part.name"``; an input that rests can be given too.
         """
         by_part, resting = self._by_part({**self._parameters, **(parameters or {})})
-        self._base_time, self._samples, self._ending = t0, 0, None
+        self._base_time, self._samples = t0, 0
         exchange = self._exchange
         exchange.reset(t0)
         for place, value in resting.items():
@@ -161,25 +197,28 @@ class CoupledPlant(Plant):
         for name, part in self._parts.items():
             exchange.values[part.span] = part.reset(by_part.get(name, {}), t0)
         exchange.refresh(t0)
-        self._is_running = True
+        self._ending = None
         return self._outlet()
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
-        if not self._is_running:
-            raise ConfigError("a coupled plant: step before reset")
-        if self._ending is not None:
-            raise self._ending
-        if h != self._h:
-            self._base_time, self._samples = self.time, 0
-            self._arrange(h)
-        if len(u) != len(self.inputs):
-            raise ConfigError(f"u has {len(u)} numbers; needed: {len(self.inputs)}")
+        if h != self._h or self._ending is not None:
+            self._get_ready(h)
         time = self._base_time + self._samples * h
         self._exchange.set_inputs(u, time)
-        self._ending = self._exchange.advance(self._tick, time)
+        if self._control is None:
+            self._ending = self._exchange.advance(self._tick, time)
+        else:
+            self._ending = self._control.advance(self._intervals, self._tick, time)
         self._samples += 1
         return self._outlet()
+
+    def _get_ready(self, h: float) -> None:
+        """Go over to another sampling time [s], or raise what keeps the plant from going on."""
+        if self._ending is not None:
+            raise self._ending
+        self._base_time, self._samples = self.time, 0
+        self._arrange(h)
 
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, ``"part.name"``, and inputs that rest, from the next step on."""
@@ -217,7 +256,7 @@ class CoupledPlant(Plant):
 
     def close(self) -> None:
         """Close all parts, also if some cannot."""
-        self._is_running = False
+        self._ending = ConfigError("step after close")
         first: Exception | None = None
         for part in self._parts.values():
             try:
@@ -247,7 +286,8 @@ class CoupledPlant(Plant):
 
     def _outlet(self) -> FloatArray:
         sources, factor, offset = self._wiring.outlet
-        return self._exchange.values[sources] * factor + offset
+        y = self._exchange.values[sources]
+        return factor * y + offset if self._is_scaled else y
 
     def _arrange(self, h: float) -> None:
         """Divide a sample of h [s] into communication intervals, and these among the parts."""
@@ -269,8 +309,8 @@ class CoupledPlant(Plant):
                 )
         if faults:
             raise ConfigError(faults)
-        self._h, self._tick = h, tick
-        self._exchange.arrange(intervals)
+        self._h, self._tick, self._intervals = h, tick, intervals
+        self._exchange.arrange(intervals if self._control is None else 1)
 
     def _by_part(
         self, parameters: Mapping[str, ParameterValue]

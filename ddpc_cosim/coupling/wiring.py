@@ -134,9 +134,6 @@ class Wiring:
         for name in parts:
             if not name or "." in name:
                 self._faults.append(f'part "{name}": a name must be a text without dots')
-        for name, part in parts.items():
-            for twice in set(names(part.inputs)) & set(names(part.outputs)):
-                self._faults.append(f'part "{name}": "{twice}" is the name of an input and of an output')
         self._parts = parts
         self._connectors = {variable.name: variable for variable in connectors}
         self._in = {f"{part}.{v.name}": v for part, signals in parts.items() for v in signals.inputs}
@@ -233,6 +230,8 @@ class Wiring:
     def _number(self, inputs: Sequence[str] | None, outputs: Sequence[str] | None) -> None:
         """Lay out the vector of all values, and how everything follows from it."""
         free = {name: replace(v, name=name) for name, v in self._in.items() if name not in self._links}
+        for name in free.keys() & self._out.keys():
+            self._faults.append(f'"{name}" is an input that no connection feeds, and an output: rename one')
         available = {**self._system_inputs, **free}
         readable = {**self._system_outputs, **{n: replace(v, name=n) for n, v in self._out.items()}}
         driven = self._chosen(inputs, available, "input")

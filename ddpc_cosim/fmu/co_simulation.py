@@ -111,8 +111,8 @@ class CoSimulationRun(Run):
 
     def _change_step_size(self, h: float) -> None:
         substeps = self._substeps_of(h)
-        self._base_time, self._steps = self.time, 0
-        self._sample, self._substeps, self._step_size = h, substeps, h / substeps
+        self._count_in(h / substeps)
+        self._sample, self._substeps = h, substeps
 
 
 # Beyond that, an FMU's preferred step is not meant for communication.

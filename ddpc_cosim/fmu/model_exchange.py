@@ -68,7 +68,7 @@ class ModelExchangeRun(Run):
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
         if h != self._step_size:
-            self._base_time, self._steps, self._step_size = self.time, 0, h
+            self._count_in(h)
         self.hold(u)
         self._integrate(self.time, self._base_time + (self._steps + 1) * h)
         self._steps += 1

@@ -110,6 +110,15 @@ class Run(ABC):
         """When the sample ends that is being done [s]."""
         return self._base_time + (self._steps + 1) * self._step_size
 
+    def _count_in(self, step_size: float) -> None:
+        """Count time in steps of another size [s]; where they lead here, from the same start."""
+        steps = self._steps * self._step_size / step_size
+        if steps.is_integer():  # halves of steps, and steps of halves
+            self._steps = int(steps)
+        else:
+            self._base_time, self._steps = self.time, 0
+        self._step_size = step_size
+
     @abstractmethod
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold u, shape (m,), over h [s] and return the outputs at its end, shape (p,).

@@ -314,6 +314,7 @@ class FMUSession:
 
     def restore_state(self, state: object) -> None:
         """Go back to a saved state of this run."""
+        self._ending = None  # back to before it
         run = self._started("restore_state")
         with self._told():
             run.restore_state(state)
