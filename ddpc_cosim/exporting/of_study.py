@@ -10,6 +10,7 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.exporting import block_of, write_block
 from ddpc_cosim.processes.sandbox import require
 from ddpc_cosim.study.cases import Case, cases_of_problems, started
+from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 from ddpc_cosim.study.runner import Progress, answer_of, built_plants
 from ddpc_cosim.variables import DisplayUnit
@@ -84,7 +85,7 @@ def export_from_study(
         "case": case.id,
     }
     progress.prepare(f"starting {case.name}")
-    told = answer_of(case, partial(_block, name=path.stem, facts=facts, study=resolved.whole.toml().decode()))
+    told = answer_of(case, partial(_block, name=path.stem, facts=facts, study=_alone(case, alone.problem)))
     return write_block(_read(told), path, fmi_version, platforms, progress.prepare)
 
 
@@ -118,6 +119,18 @@ def _case(resolved: ResolvedStudy, plant: Any, controller: str, scenario: str, s
     cases = cases_of_problems({"": (resolved, plant)}, [seed])
     (case,) = (case for case in cases if (case.controller, case.scenario) == (controller, scenario))
     return case
+
+
+def _alone(case: Case, resolved: ResolvedStudy) -> str:
+    """Return the study that is left when a case is all that is run."""
+    study = resolved.study
+    parts = {
+        "seeds": [case.seed],
+        "controllers": {case.controller: study.controllers[case.controller]},
+        "scenarios": {case.scenario: study.scenarios[case.scenario]},
+        "report": type(study.report)(),
+    }
+    return WholeStudy.of(study.model_copy(update=parts)).toml().decode()
 
 
 def _block(case: Case, name: str, facts: dict[str, Any], study: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib.resources import files as package_files
 from math import isfinite
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from fmu_plants.export.compiler import Compiler, compile_library, cross_compiler, find_compiler
@@ -53,8 +54,10 @@ class FMUSource:
         Texts of the description files and resources by name inside the FMU.
     sources : mapping of str to str
         The C files by name.
-    with_sources : bool
-        Whether they are part of the FMU.
+    packed : frozenset of str
+        Those that are part of the FMU.
+    apart : frozenset of str
+        The C files that may use the same names within a file as others.
     """
 
     name: str
@@ -62,7 +65,8 @@ class FMUSource:
     fmi_version: str
     descriptions: Mapping[str, str]
     sources: Mapping[str, str]
-    with_sources: bool
+    packed: frozenset[str]
+    apart: frozenset[str] = frozenset()
 
 
 def export_fmu(
@@ -132,13 +136,21 @@ def export_block(
     platforms: str | Sequence[str] | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a sampled block as a standalone FMU for Co-Simulation, with its C code in `sources`.
+    """Write a sampled block as a standalone FMU for Co-Simulation, with its own C code in `sources` always.
 
     Parameters and errors as of `export_fmu`.
     """
     compilers = _compilers(platforms)
-    sources = {**block.sources, **_runtime(*_SAMPLED)}
-    source = _fmu_source(fmi_version, block.contents(), block.code(), sources, block.resources)
+    own = frozenset(block.sources)
+    source = _fmu_source(
+        fmi_version,
+        block.contents(),
+        block.code(),
+        {**block.sources, **_runtime(*_SAMPLED)},
+        resources=block.resources,
+        packed=None if platforms is None else own,
+        apart=own,
+    )
     return _write(source, Path(path), compilers, progress)
 
 
@@ -193,7 +205,8 @@ def fmu_source(
     symbolic = resolve(model)
     contents = plant_contents(model, symbolic.dependencies(), relative_tolerance)
     code = model_source(model, symbolic, *tolerances)
-    return _fmu_source(fmi_version, contents, code, _runtime(*_INTEGRATION), {}, with_sources=with_sources)
+    packed = None if with_sources else frozenset[str]()
+    return _fmu_source(fmi_version, contents, code, _runtime(*_INTEGRATION), packed=packed)
 
 
 def _runtime(*names: str) -> dict[str, str]:
@@ -207,11 +220,15 @@ def _fmu_source(
     contents: Contents,
     code: str,
     sources: Mapping[str, str],
-    resources: Mapping[str, str],
     *,
-    with_sources: bool = True,
+    packed: frozenset[str] | None,
+    resources: Mapping[str, str] = MappingProxyType({}),
+    apart: frozenset[str] = frozenset(),
 ) -> FMUSource:
-    """Put together what an FMU consists of; the code, with an empty GUID, is that of its `model.c`."""
+    """Put together what an FMU consists of; the code, with an empty GUID, is that of its `model.c`.
+
+    ``packed`` are the sources that are part of it; None: all, from which importers can compile it.
+    """
     if fmi_version not in _FRONT_ENDS:
         available = ", ".join(FMI_VERSIONS)
         raise ExportUsageError(f"FMI version {fmi_version!r} cannot be exported; available: {available}")
@@ -222,9 +239,10 @@ def _fmu_source(
     # The code of the model is the same but for the GUID in it, which its own text decides on.
     def described(guid: str) -> FMUSource:
         all_sources = {_MODEL_SOURCE: code.replace('.guid = ""', f'.guid = "{guid}"'), **others}
-        listed = [name for name in all_sources if name.endswith(".c") and with_sources]
+        listed = [name for name in all_sources if name.endswith(".c") and packed is None]
         files = Description(fmi_version, contents, guid, listed).files() | texts
-        return FMUSource(contents.name, guid, fmi_version, files, all_sources, with_sources)
+        included = frozenset(all_sources) if packed is None else packed
+        return FMUSource(contents.name, guid, fmi_version, files, all_sources, included, apart)
 
     without_guid = described(guid="")
     all_texts = {**without_guid.descriptions, **without_guid.sources}
@@ -251,8 +269,7 @@ def _compilers(platforms: str | Sequence[str] | None) -> list[Compiler]:
 def _archive(source: FMUSource, compilers: Sequence[Compiler], progress: Progress | None = None) -> bytes:
     """Compile the library for every platform and return the FMU's content."""
     files = {name: text.encode() for name, text in source.descriptions.items()}
-    if source.with_sources:
-        files |= {f"sources/{name}": text.encode() for name, text in source.sources.items()}
+    files |= {f"sources/{name}": source.sources[name].encode() for name in source.packed}
     files |= binary_files(source.fmi_version, source.name, _compile(source, compilers, progress))
     return zip_bytes(files)
 
@@ -265,7 +282,10 @@ def _compile(
     all_files, functions = {**source.sources, **headers}, fmi_functions(headers)
     libraries: dict[Platform, bytes] = {}
     with ThreadPoolExecutor(_COMPILERS_AT_ONCE) as pool:
-        jobs = {c.platform: pool.submit(compile_library, c, all_files, functions) for c in compilers}
+        jobs = {
+            c.platform: pool.submit(compile_library, c, all_files, functions, apart=source.apart)
+            for c in compilers
+        }
         try:
             for count, (platform, job) in enumerate(jobs.items(), 1):
                 if progress:

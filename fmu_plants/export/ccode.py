@@ -22,8 +22,8 @@ _expand_powers = create_expand_pow_optimization(LARGEST_WRITTEN_OUT_POWER)
 
 @cache
 def callable_functions() -> frozenset[str]:
-    """Return the C functions that equations can call on every platform: `runtime/windows.c` lists them."""
-    windows = (package_files("fmu_plants") / "runtime" / "windows.c").read_text(encoding="utf-8")
+    """Return the C functions that equations can call on every platform, as `runtime/windows_math.h` lists."""
+    windows = (package_files("fmu_plants") / "runtime" / "windows_math.h").read_text(encoding="utf-8")
     return _INLINE_FUNCTIONS | frozenset(_IMPORTED_FUNCTION.findall(windows))
 
 

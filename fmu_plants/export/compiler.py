@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files as package_files
 from pathlib import Path
@@ -51,7 +51,7 @@ _SMALL = (
     "-fno-ident",
 )
 # Errors of mathematical functions show in their results, not in errno. Windows is left out: functions without
-# errno are operations of the compiler, and call its own code instead of what windows.c imports.
+# errno are operations of the compiler, and call its own code instead of what windows_math.h imports.
 _COMPILE = {
     "linux": ("-fPIC", "-flto", "-fno-plt", "-fno-math-errno"),
     "windows": ("-flto",),
@@ -65,8 +65,8 @@ _LINK = {
     "windows": ("-flto", "-nostdlib", *_WINDOWS_LIBRARIES),
     "darwin": ("-Wl,-x", "-lm"),
 }
-_UNIT, _OBJECT = "library.c", "library.o"
-_WINDOWS_SOURCE = "windows.c"
+_UNIT = "library.c"
+_WINDOWS_SOURCE, _WINDOWS_HEADER = "windows.c", "windows_math.h"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +100,17 @@ class Compiler:
         """The arguments that come after the files."""
         return () if self.platform.system == "windows" else ("-lm",)
 
-    def build(self, sources: Sequence[str], library: str, extra_flags: Sequence[str], folder: Path) -> None:
+    def build(
+        self,
+        sources: Sequence[str],
+        library: str,
+        extra_flags: Sequence[str],
+        folder: Path,
+        apart: Collection[str] = (),
+    ) -> None:
         """Make a shared library of the sources in a folder, with headers from there.
+
+        ``apart`` are those whose names within a file may be those within another one.
 
         Raises
         ------
@@ -143,7 +152,7 @@ class Compiler:
 class CrossCompiler(Compiler):
     """A compiler for several platforms in turn, and for size instead of speed.
 
-    It sees all sources as one file: its linker for macOS does not optimise across several.
+    It sees all sources but those apart as one file: its linker for macOS does not optimise across several.
     """
 
     @property
@@ -156,16 +165,33 @@ class CrossCompiler(Compiler):
         """The arguments that come after the object file."""
         return _LINK[self.platform.system]
 
-    def build(self, sources: Sequence[str], library: str, extra_flags: Sequence[str], folder: Path) -> None:
+    def build(
+        self,
+        sources: Sequence[str],
+        library: str,
+        extra_flags: Sequence[str],
+        folder: Path,
+        apart: Collection[str] = (),
+    ) -> None:
         """Compile, where the system's headers are found, and link."""
+        alone = [name for name in sources if name in apart]
+        together = [name for name in sources if name not in apart]
+        before = list[str]()
         if self.platform.system == "windows":
-            windows = package_files("fmu_plants") / "runtime" / _WINDOWS_SOURCE
-            (folder / _WINDOWS_SOURCE).write_bytes(windows.read_bytes())
-            sources = [_WINDOWS_SOURCE, *sources]
-        unit = "".join(f'#include "{name}"\n' for name in sources)
-        (folder / _UNIT).write_text(unit, encoding="utf-8", newline="\n")
-        self.run([*self.flags, *extra_flags, "-I.", "-c", "-o", _OBJECT, _UNIT], folder)
-        self.run(["-shared", "-s", _FOR_SIZE, "-o", library, _OBJECT, *self.libraries], folder)
+            for name in (_WINDOWS_SOURCE, _WINDOWS_HEADER):
+                content = (package_files("fmu_plants") / "runtime" / name).read_bytes()
+                (folder / name).write_bytes(content)
+            together, before = [_WINDOWS_SOURCE, *together], [_WINDOWS_HEADER]
+        units = {_UNIT: together} | {
+            f"{number}_{_UNIT}": [*before, name] for number, name in enumerate(alone)
+        }
+        objects = []
+        for unit, names in units.items():
+            text = "".join(f'#include "{name}"\n' for name in names)
+            (folder / unit).write_text(text, encoding="utf-8", newline="\n")
+            objects.append(str(Path(unit).with_suffix(".o")))
+            self.run([*self.flags, *extra_flags, "-I.", "-c", "-o", objects[-1], unit], folder)
+        self.run(["-shared", "-s", _FOR_SIZE, "-o", library, *objects, *self.libraries], folder)
 
 
 def find_compiler() -> Compiler:
@@ -224,7 +250,11 @@ def cross_compiler(platform: Platform) -> CrossCompiler:
 
 
 def compile_library(
-    compiler: Compiler, files: Mapping[str, str], required: Sequence[str], extra_flags: Sequence[str] = ()
+    compiler: Compiler,
+    files: Mapping[str, str],
+    required: Sequence[str],
+    extra_flags: Sequence[str] = (),
+    apart: Collection[str] = (),
 ) -> bytes:
     """Compile and link C files to a shared library.
 
@@ -237,6 +267,8 @@ def compile_library(
         Names of the functions that the library must export.
     extra_flags : sequence of str
         Further arguments, for example stricter warnings.
+    apart : collection of str
+        Sources that may use the same names within a file as others.
 
     Raises
     ------
@@ -249,7 +281,8 @@ def compile_library(
             (folder / name).write_text(text, encoding="utf-8", newline="\n")
         # Everything is named relative to one folder: nothing depends on how its path is spelt.
         built = folder / f"library{platform.suffix}"
-        compiler.build(sorted(name for name in files if name.endswith(".c")), built.name, extra_flags, folder)
+        sources = sorted(name for name in files if name.endswith(".c"))
+        compiler.build(sources, built.name, extra_flags, folder, apart)
         missing = (_unloadable if platform == host_platform() else _unlisted)(built, required)
         if missing:
             builder = f"the library for {platform.name} built by {compiler.command[0]}"

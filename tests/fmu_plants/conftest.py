@@ -221,7 +221,7 @@ def no_compilation(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """Let FMUs have an empty library; return the list of what would have been compiled."""
     calls: list[object] = []
 
-    def pretend(*arguments: object) -> bytes:
+    def pretend(*arguments: object, **_: object) -> bytes:
         calls.append(arguments)
         return b""
 

@@ -31,7 +31,7 @@ class SYSTEM:
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """An empty folder to be in, with a plant in a module of its own name; libraries are left empty."""
-    monkeypatch.setattr("fmu_plants.export.compile_library", lambda *_: b"")
+    monkeypatch.setattr("fmu_plants.export.compile_library", lambda *_, **__: b"")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "plant_of_mine.py").write_text(OWN_PLANT, encoding="utf-8")
     return tmp_path

@@ -2,6 +2,8 @@
 
 import ctypes
 import math
+import zipfile
+from dataclasses import replace
 
 import fmpy
 import numpy as np
@@ -12,6 +14,7 @@ from fmpy.validation import validate_fmu
 from fmu_plants import ExportError, Variable
 from fmu_plants.export import FMI_VERSIONS, export_block, fmi_functions, fmi_headers
 from fmu_plants.export.compiler import compile_library, find_compiler
+from fmu_plants.export.platforms import PLATFORMS
 from fmu_plants.export.sampled_block import SampledBlock
 from tests.fmu_plants.conftest import Instance, Instance3, Library
 
@@ -294,6 +297,23 @@ def test_no_call_without_an_instance_crashes(block_fmu, tmp_path):
 def test_importers_can_compile_its_sources_as_c99(block_fmu, tmp_path):
     strict = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror")
     assert compile_library(find_compiler(), *c_files(block_fmu, tmp_path / "fmu"), strict)
+
+
+@pytest.mark.parametrize("platform", PLATFORMS, ids=lambda platform: platform.name)
+def test_each_of_its_files_may_use_names_of_the_others(platform, tmp_path):
+    """What is compiled for several platforms is small, and no file's own names get into another one."""
+    helper = "#include <math.h>\nstatic double check_step(double x) { return isnan(x) ? 0.0 : sin(x); }\n"
+    steps = [
+        f"double step_{i}(double x);\ndouble step_{i}(double x) {{ return check_step(x); }}\n" for i in "12"
+    ]
+    sources = {f"part{i}.c": helper + step for i, step in enumerate(steps)}
+    block = replace(BLOCK, sources=BLOCK.sources | sources)
+    path = export_block(block, tmp_path / "pi.fmu", platforms=[platform.name])
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    assert {"sources/controller.h", "sources/controller.c", "sources/part0.c"} <= set(names)
+    assert not [name for name in names if "instance" in name]
+    assert validate_fmu(str(path)) == []
 
 
 def test_an_importer_of_others_runs_it(block_fmu):
