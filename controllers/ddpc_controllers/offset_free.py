@@ -129,7 +129,9 @@ class OffsetFree(SingleWrapper):
         shifted = np.clip(wanted, self._bounds.y_min, self._bounds.y_max)
         target = min(1, self.horizon)  # the first that the controller is to reach
         self._clipped = shifted[target] != wanted[target]
-        self._expected = self._phi * expected + (1.0 - self._phi) * shifted[target]
+        expected = self._phi * expected + (1.0 - self._phi) * shifted[target]
+        # Without a reference nothing is expected of the next sample.
+        self._expected = expected if np.isfinite(expected).all() else None
         action = self._inner.step(sample._replace(reference=shifted[1:], setpoint=shifted[0]))
         self._reachable = self._directions((action.u > self._low) & (action.u < self._high))
         return action

@@ -183,6 +183,18 @@ def test_without_a_recording_one_limited_input_holds_all_estimates() -> None:
     assert largest(controller, 2) == [0.0, 0.0]
 
 
+def test_the_estimate_goes_on_after_a_reference_that_is_not_finite() -> None:
+    controller = OffsetFree(controller=Constant(u=0.5), gain=0.5)
+    controller.start(make_loop(None, np.ones(1), np.full(1, np.inf)))
+    for r in (1.0, np.nan, 1.0, 1.0):
+        controller.step(Sample(0, 0.0, np.zeros(1), np.zeros(1), np.full((1, 1), r), np.full(1, r)))
+    # Nothing is known of the first sample, and of that after the gap; the lag has phi = exp(-1 / 2).
+    first = 0.5 * (0.0 - (1.0 - np.exp(-0.5)))
+    shifted = 1.0 - first
+    expected = np.exp(-0.5) * (0.0 - first) + (1.0 - np.exp(-0.5)) * shifted
+    assert largest(controller, 1)[0] == pytest.approx(abs(first + 0.5 * (0.0 - expected - first)), rel=1e-12)
+
+
 def test_more_outputs_than_inputs_end_where_the_input_can_do_no_more() -> None:
     plant = LinearPlant(COUPLED.a, COUPLED.b[:, :1], COUPLED.c)
     loop = make_loop(recorded(plant), np.full(1, 9.0), np.full(2, np.inf))

@@ -20,7 +20,6 @@ def test_offset_free_in_c_is_offset_free(bench: Bench, recorded: bool) -> None:
     inside = LQR() if recorded else LQR(model=MODELS[bench.outputs])
     run = bench.close(
         OffsetFree(controller=inside, gain=0.3, response_time=0.5),
-        unknown=(),
         reach=2.0,
         bounds=bounds,
         recording=loop.recording if recorded else None,

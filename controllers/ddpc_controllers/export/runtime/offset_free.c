@@ -44,7 +44,6 @@ Sample shift_references(const OffsetFree *wrapper, double memory[], const Sample
     const Parts parts = parts_of(wrapper, memory);
     if (all_finite(sample->y, p)) estimate_disturbance(wrapper, &parts, sample->y);
     else if (*parts.begun == 0.0) memcpy(parts.expected, sample->setpoint, p * sizeof(double));
-    *parts.begun = 1.0;
     for (size_t k = 0; k <= wrapper->horizon; ++k) {
         const double *reference = k ? sample->reference + (k - 1) * p : sample->setpoint;
         for (size_t i = 0; i < p; ++i) {
@@ -56,6 +55,7 @@ Sample shift_references(const OffsetFree *wrapper, double memory[], const Sample
             parts.expected[i] = wrapper->phi * parts.expected[i] + (1.0 - wrapper->phi) * shifted;
         }
     }
+    *parts.begun = all_finite(parts.expected, p); /* without a reference nothing is expected of the next sample */
     return (Sample){sample->y, sample->measured, parts.shifted + p, parts.shifted};
 }
 
