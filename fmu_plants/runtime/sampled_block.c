@@ -82,9 +82,9 @@ double simulation_value(const Simulation *simulation, size_t reference)
 
 void simulation_set_value(Simulation *simulation, size_t reference, double value)
 {
-    double *present = &simulation->values[reference];
-    const bool same = *present == value || (isnan(*present) && isnan(value));
-    *present = value;
+    double *stored = &simulation->values[reference];
+    const bool same = *stored == value || (isnan(*stored) && isnan(value));
+    *stored = value;
     if (simulation->phase == AT_INSTANT || (simulation->phase == ANSWERED && !same)) simulation->phase = ASKED;
 }
 

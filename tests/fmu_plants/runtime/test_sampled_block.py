@@ -2,6 +2,7 @@
 
 import ctypes
 import math
+import subprocess
 import zipfile
 from dataclasses import replace
 
@@ -297,6 +298,16 @@ def test_no_call_without_an_instance_crashes(block_fmu, tmp_path):
 def test_importers_can_compile_its_sources_as_c99(block_fmu, tmp_path):
     strict = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror")
     assert compile_library(find_compiler(), *c_files(block_fmu, tmp_path / "fmu"), strict)
+
+
+def test_a_static_analyser_finds_nothing_in_them(block_fmu, tmp_path):
+    for name, text in c_files(block_fmu, tmp_path / "fmu")[0].items():
+        (tmp_path / name).write_text(text)
+    checks = "--enable=warning,style,performance,portability"
+    quiet = ["--quiet", "--std=c99", "--error-exitcode=1", "--suppress=missingIncludeSystem"]
+    command = ["cppcheck", checks, *quiet, "-I.", *(path.name for path in tmp_path.glob("*.c"))]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("platform", PLATFORMS, ids=lambda platform: platform.name)
