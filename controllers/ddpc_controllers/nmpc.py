@@ -20,6 +20,7 @@ import numpy as np
 
 from ddpc_controllers.checks import check_settings_and, knowing, weight_matrices
 from ddpc_controllers.data.hankel import resting_input
+from ddpc_controllers.export.code import Code, Exportable
 from ddpc_controllers.models.plant_equations import (
     ExtendedKalmanFilter,
     PlantEquations,
@@ -27,7 +28,7 @@ from ddpc_controllers.models.plant_equations import (
     find_model,
 )
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_REFERENCE, LAST_HELD, PREDICTED
-from ddpc_cosim import OK, Action, Controller, FloatArray, Loop, Sample, Weight, setting
+from ddpc_cosim import OK, Action, ConfigError, FloatArray, Loop, Sample, Weight, setting
 
 _EXCEEDED = 1e4
 """Weight of what predicted outputs exceed their bounds by, in parts of their nominal values."""
@@ -40,7 +41,7 @@ def preload() -> None:
 
 
 @dataclass(kw_only=True)
-class NMPC(Controller):
+class NMPC(Exportable):
     """Nonlinear model predictive control on the plant's own equations.
 
     A measurement that is not finite is replaced by the model's prediction. Where IPOPT finds no optimum
@@ -203,6 +204,19 @@ class NMPC(Controller):
     def diagnostics(self) -> Mapping[str, float]:
         """Return the number of states, and of Runge-Kutta steps in a sample."""
         return {"model_order": float(len(self._filter.x)), "steps_per_sample": float(self._steps)}
+
+    def c_step(self, code: Code, loop: Loop) -> str:
+        """Refuse: IPOPT iterates on equations of any plant.
+
+        Raises
+        ------
+        ConfigError
+            Always, with the remedy.
+        """
+        raise ConfigError(
+            "NMPC cannot be exported: it solves a nonlinear program at every sample, which takes IPOPT; "
+            "use mpc or koopman-mpc"
+        )
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
         """Return that it has the plant's own equations."""

@@ -5,9 +5,11 @@ import hashlib
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,19 +29,33 @@ def _folder() -> Path:
 
 
 def compiled(code: ControllerCode) -> ctypes.CDLL:
-    """Return the code as a loaded library."""
-    digest = hashlib.sha256(repr(sorted(code.sources.items())).encode()).hexdigest()[:16]
-    folder = _folder() / digest
+    """Return the code as a loaded library; kernels are compiled once for all controllers."""
+    folder = _folder() / _digest(code.sources)
     library = folder / "controller.so"
     if not library.exists():
         folder.mkdir(exist_ok=True)
         for name, text in code.sources.items():
             (folder / name).write_text(text, encoding="utf-8")
-        sources = [name for name in code.sources if name.endswith(".c")]
-        command = ["cc", *STRICT, "-fPIC", "-shared", *sources, "-o", library.name, "-lm"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
+        headers = {name: text for name, text in code.sources.items() if name.endswith(".h")}
+        own = headers.pop("controller.h")
+        objects = []
+        for name, text in code.sources.items():
+            if name.endswith(".c"):
+                seen = headers | {name: text, "controller.h": own if name == "controller.c" else ""}
+                objects.append(_folder() / f"{_digest(seen)}.o")
+                if not objects[-1].exists():
+                    _cc(folder, *STRICT, "-fPIC", "-c", name, "-o", str(objects[-1]))
+        _cc(folder, "-shared", *map(str, objects), "-o", library.name, "-lm")
     return ctypes.CDLL(str(library))
+
+
+def _digest(sources: Mapping[str, str]) -> str:
+    return hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()[:16]
+
+
+def _cc(folder: Path, *arguments: str) -> None:
+    done = subprocess.run(["cc", *arguments], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 class CompiledController:
@@ -107,21 +123,24 @@ class Beside(Controller):
 
     def start(self, loop: Loop) -> None:
         self.controller.start(loop)
-        self.c = CompiledController(self.controller, loop)
+        self.c = self._other(loop)
         bounds, self.difference, self.steps, self.fallbacks = loop.bounds, 0.0, 0, 0
         self.limited = self.statuses = self.active = 0
         self.disagreements = list[tuple[int, str, int]]()
-        self._span = np.array(
+        self.span = np.array(
             [_size(v, *ends) for v, *ends in zip(loop.inputs, bounds.u_min, bounds.u_max, strict=True)]
         )
         self._bounds = bounds
+
+    def _other(self, loop: Loop) -> Any:
+        return CompiledController(self.controller, loop)
 
     def step(self, sample: Sample) -> Action:
         answer = self.controller.step(sample)
         action = answer if isinstance(answer, Action) else Action(answer)
         u = self.c.step(sample)
         wanted = np.clip(action.u, self._bounds.u_min, self._bounds.u_max)  # as the master does
-        self.difference = max(self.difference, float(np.max(np.abs(u - wanted) / self._span)))
+        self.difference = max(self.difference, float(np.max(np.abs(u - wanted) / self.span)))
         if (action.status == OK) != (self.c.status == 0):
             self.disagreements.append((sample.k, action.status, self.c.status))
         self.steps, self.fallbacks = self.steps + 1, self.fallbacks + (self.c.status != 0)

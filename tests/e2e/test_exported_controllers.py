@@ -1,0 +1,106 @@
+"""Every controller of the built-in studies that can be exported: its C code decides as it does."""
+
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from controllers.export.compiled import Beside
+
+from ddpc_cosim import Action, ConfigError, Controller, FloatArray, Loop, Outcome, Sample, safe_calls
+from ddpc_cosim.study import cases
+from ddpc_cosim.study.cases import Case, cases_of_problems
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.runner import built_plants
+
+from .test_studies import STUDIES, Silent
+
+pytestmark = pytest.mark.slow
+
+BOUND = 1e-8
+LAST_DIGIT = 2.0**-52
+MOST = 45
+"""Cases of a study: spread evenly where there are more."""
+
+REFUSED = {
+    "spsa": "it draws random perturbations of its gains for as long as it runs",
+    "nmpc": "it solves a nonlinear program",
+    "wkpc-published-code": "the program draws random centres",
+    "deepc-online": "the data are factorised anew while the loop runs",
+    "wkpc-online": "the data are factorised anew while the loop runs",
+}
+
+
+class Rounded:
+    """A controller in Python whose measurements are rounded otherwise, in their last digit."""
+
+    status, told = 0, (0, 0, 0)
+
+    def __init__(self, controller: Controller, loop: Loop) -> None:
+        self._controller, self._bounds = deepcopy(controller), loop.bounds
+        self._rng = np.random.default_rng(0)
+        self._controller.start(loop)
+
+    def step(self, sample: Sample) -> FloatArray:
+        y, measured = (v * (1.0 + LAST_DIGIT * self._rng.choice([-1.0, 1.0], v.shape)) for v in sample[2:4])
+        answer = self._controller.step(sample._replace(y=y, measured=measured))
+        u = answer.u if isinstance(answer, Action) else answer
+        return np.asarray(np.clip(u, self._bounds.u_min, self._bounds.u_max))
+
+
+@dataclass(kw_only=True)
+class BesideRounded(Beside):
+    """The same with a controller in Python in place of the C code."""
+
+    def _other(self, loop: Loop) -> Rounded:
+        return Rounded(self.controller, loop)
+
+
+def closed(case: Case, kind: type[Beside], drives: bool) -> tuple[Beside, FloatArray]:
+    """Close the loop of a case with its controller and another one beside it; return both and the inputs."""
+    controller = cases._controller(case.section, case.plant)
+    assert controller is not None
+    beside, plant = kind(controller=controller, drives=drives), cases._open(case)
+    try:
+        trace = cases._close_the_loop(case, plant, beside, None)
+    finally:
+        safe_calls.close_plant(plant)
+    assert trace.outcome is Outcome.COMPLETED, trace.reason
+    return beside, trace.u
+
+
+def distance(case: Case, kind: type[Beside]) -> float:
+    """Return how far another controller is from a case's: at the same samples, or in a loop of its own.
+
+    Where a controller by itself is unstable, roundings grow in the one of the two that drives nothing.
+    """
+    beside, u = closed(case, kind, drives=False)
+    if beside.difference < BOUND:
+        assert not beside.disagreements
+        return beside.difference
+    _, own = closed(case, kind, drives=True)
+    return min(beside.difference, float((np.abs(u - own) / beside.span).max()))
+
+
+def cases_of(study: str) -> list[Case]:
+    """Return the cases of a study's first scenario and seed, of all its problems."""
+    resolved, found = read_study(study), list[Case]()
+    plants = built_plants(resolved, Silent())
+    for name, one in resolved.problems.items():
+        of_problem = cases_of_problems({name: (one, plants[name])}, one.study.seeds[:1])
+        found += [case for case in of_problem if case.scenario == of_problem[0].scenario]
+    chosen = sorted(found, key=lambda case: case.section["type"])[:: -(-len(found) // MOST)]
+    assert {case.section["type"] for case in chosen} == {case.section["type"] for case in found}
+    return chosen
+
+
+@pytest.mark.parametrize("study", sorted(path.stem for path in STUDIES.glob("*.toml")))
+def test_the_code_of_every_controller_is_that_controller(study: str) -> None:
+    for case in cases_of(study):
+        if case.controller in REFUSED:
+            with pytest.raises(ConfigError, match=REFUSED[case.controller]):
+                closed(case, Beside, drives=False)
+            continue
+        apart = distance(case, Beside)
+        # Where a loop is that sensitive, Python is as far from itself with a digit rounded otherwise.
+        assert apart < BOUND or apart < 10.0 * distance(case, BesideRounded), (case.controller, apart)
