@@ -27,7 +27,7 @@ static const double REMOTE = 1e-7;
 /* What of a row's combination counts as zero. */
 static const double INSIGNIFICANT = 1e-9;
 /* Rounding of a row's value in parts of its terms. */
-static const double ROUNDING = 1e-12;
+static const double ROUNDING = 1e-13;
 /* Q is made anew after so many rotations. */
 static const double ROTATIONS = 100.0;
 
