@@ -41,7 +41,7 @@ def compiled(code: ControllerCode) -> ctypes.CDLL:
         objects = []
         for name, text in code.sources.items():
             if name.endswith(".c"):
-                seen = headers | {name: text, "controller.h": own if name == "controller.c" else ""}
+                seen = headers | {name: text, "controller.h": own if '"controller.h"' in text else ""}
                 objects.append(_folder() / f"{_digest(seen)}.o")
                 if not objects[-1].exists():
                     _cc(folder, *STRICT, "-fPIC", "-c", name, "-o", str(objects[-1]))
