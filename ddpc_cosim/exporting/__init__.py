@@ -75,6 +75,7 @@ def export_controller(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from ddpc_controllers import PID
     >>> from ddpc_cosim import Bounds, Loop, Variable
     >>> limits = Bounds(*(np.array([one]) for one in (-3.5, 3.5, -np.inf, np.inf)))

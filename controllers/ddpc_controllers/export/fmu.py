@@ -12,6 +12,7 @@ from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -162,35 +163,46 @@ class FMUController(Controller):
             _scales(variables, units)
             for variables in (self._plant.inputs, self._plant.outputs[: len(controls)])
         )
+        self._converts = bool(units)
         self._places, self._sampling_time = np.array(places, dtype=np.intp), loop.sampling_time
         self._low, self._high = loop.bounds.u_min, loop.bounds.u_max
 
     def step(self, sample: Sample) -> Action:
         """Return what the FMU's outputs are after a step with this sample's inputs, shape (m,)."""
-        measured = (sample.y, sample.measured[self._others])
-        signals = np.concatenate((*measured, sample.setpoint, sample.reference.ravel(), self._constants))
-        factor, offset = self._to
-        inputs = (signals[self._places] - offset) / factor
-        with _errors_as(ControllerError):
+        parts = (sample.y, sample.measured[self._others], sample.setpoint, sample.reference.ravel())
+        inputs = np.concatenate((*parts, self._constants))[self._places]
+        if self._converts:
+            inputs = (inputs - self._to[1]) / self._to[0]
+        try:
             if sample.k == 0 and sample.time:
                 self._reset(sample.time)
             outputs = self._plant.step(inputs, self._sampling_time)
+        except FMUStepError as error:
+            raise ControllerError(str(error)) from error
         self._given.frombytes(inputs.tobytes())
-        factor, offset = self._from
-        told = dict(zip(self._told, outputs[len(factor) :].tolist(), strict=True))
+        m = len(self._low)
+        u, told = outputs[:m], dict(zip(self._told, outputs[m:].tolist(), strict=True))
+        if self._converts:
+            u = u * self._from[0] + self._from[1]
         status = self._status_words(told.pop(self.status, 0.0))
-        info = {name: value for name, value in told.items() if np.isfinite(value)}
-        u = outputs[: len(factor)] * factor + offset
-        held = np.minimum(np.maximum(u, self._low), self._high)  # of another loop's FMU: its own are others
-        if np.abs(u - held).max() > _ROUNDING * np.abs(held).max() and status == OK:
-            status = _CLIPPED
-        return Action(held, status, info)
+        held = np.minimum(np.maximum(u, self._low), self._high)
+        if (held != u).any():
+            if not np.isfinite(u).all():
+                raise ControllerError(f"{Path(self.file).name}: the control signal is {u.tolist()}")
+            if np.abs(u - held).max() > _ROUNDING * np.abs(held).max() and status == OK:
+                status = _CLIPPED
+        return Action(held, status, {name: value for name, value in told.items() if isfinite(value)})
 
     def knowledge(self, loop: Loop) -> Mapping[str, str]:
-        """Return the signals that it is told; what else it knows, the FMU does not say."""
+        """Return the signals that it is told; what else it knows, only an FMU from here says."""
         named = {self._signal_of(name) for name in self._inputs}
         used = [v for v in (*loop.outputs, *loop.measurements) if v.name in named]
-        return knowing(f"what its FMU was made with ({printable(self._tool)})", used)
+        made = f"what its FMU was made with ({printable(self._tool)})"
+        if recording := self._resource.get("recording"):
+            made = (
+                f"what the recording was made on that it had learned from, of {recording['samples']} samples"
+            )
+        return knowing(made, used)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the FMU: what it has been given leads to where it is."""
@@ -238,10 +250,12 @@ class FMUController(Controller):
 
     def _status_words(self, value: float) -> str:
         """Return what a status says, a sum of bits where the FMU explains them."""
-        bits = int(value) if float(value).is_integer() and value > 0 else 0
+        if value == 0.0:
+            return OK
+        bits = int(value) if value.is_integer() and value > 0 else 0
         explained = self._resource.get("status", {}).items()
         said = [str(text) for bit, text in explained if bits & int(bit)]
-        return "; ".join(said) or (f"status {value:g}" if value else OK)
+        return "; ".join(said) or f"status {value:g}"
 
 
 def _place(signal: str, measured: Sequence[Variable], controlled: Sequence[str]) -> int | None:
