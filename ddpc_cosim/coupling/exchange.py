@@ -77,10 +77,10 @@ class Exchange:
         self.memory = np.zeros((4, len(wiring.values)))
         self.values, self._slopes, self._stamps, self._before = self.memory
         self._driven = self.values[: len(wiring.inputs)]
-        self._calls = [(p, p.unchecked_step, p.sources, p.span, p.size) for p in parts]
+        self._calls = [(p, p.plant.step, p.sources, p.span, p.size, p.is_scaled) for p in parts]
         self._arriving: dict[Part, FloatArray] = {}
         self._agenda: Sequence[Interval] = ()
-        self._is_plain = True
+        self._is_plain = self._is_simple = True
         driven, outputs = range(graph.outputs.start), graph.outputs
         self._all = self._updates(range(len(wiring.values)))
         self._all_after_steps = self._updates(outputs)
@@ -102,7 +102,9 @@ class Exchange:
         self._is_plain = not self._linear and all(part.every * part.substeps == 1 for part in self._parts)
         if not is_multirate:
             self._agenda = [Interval(self._parts, self._parts, after_steps)] * intervals
+            self._is_simple = self._is_plain and not after_steps
             return
+        self._is_simple = False
         agenda = []
         for i in range(intervals):
             due = [part for part in self._parts if i % part.every == 0]
@@ -119,13 +121,19 @@ class Exchange:
     def set_inputs(self, u: FloatArray, time: float) -> None:
         """Take over the system's inputs, shape (m,), at a time [s], and what others have of them at once."""
         driven = self._driven
-        if len(u) != len(driven):
-            raise ConfigError(f"u has {len(u)} numbers; needed: {len(driven)}")
-        is_new = bool(self._after_inputs) and (driven != u).any()
-        driven[:] = u
-        if is_new:
+        if len(u) != driven.size:
+            raise ConfigError(f"u has {len(u)} numbers; needed: {driven.size}")
+        if not self._after_inputs:
+            driven[:] = u
+        elif (driven != u).any():
+            driven[:] = u
             for update in self._after_inputs:
                 update.do(time)
+
+    @property
+    def advance_once(self) -> Callable[[float, float], FMUStepError | None]:
+        """The quickest way to :meth:`advance` by one interval."""
+        return self._hold if self._is_simple else self.advance
 
     def advance(self, h: float, time: float) -> FMUStepError | None:
         """Advance by the intervals, of h [s] each, from a time [s] at which all parts are.
@@ -133,7 +141,7 @@ class Exchange:
         A part may come to its end with the last interval: then the outputs are as the steps left them, and
         what the part says about it is returned.
         """
-        if self._is_plain and not self._agenda[0].updates:
+        if self._is_simple:
             for i in range(len(self._agenda)):
                 self._hold(h, time + i * h)
             return None
@@ -156,7 +164,7 @@ class Exchange:
                 self._draw_lines(interval.ended, end, h)
         return None
 
-    def _hold(self, h: float, now: float) -> None:
+    def _hold(self, h: float, now: float) -> FMUStepError | None:
         """Step all parts once, with values that are held: most runs are here most of the time."""
         old = new = self.values
         if not self._sequential:
@@ -164,16 +172,21 @@ class Exchange:
         y: FloatArray | None = None
         is_watched = calls_are_watched()
         try:
-            for part, step, sources, span, size in self._calls:
+            for part, step, sources, span, size, is_scaled in self._calls:
                 y = None
+                u = old[sources]
+                if is_scaled:
+                    u *= part.factor
+                    u += part.offset
                 if is_watched:
                     announce_call_of_plant(part.in_step, now)
-                y = step(old[sources], h)
+                y = step(u, h)
                 if len(y) != size:  # one number would be taken for all
                     raise ValueError
                 new[span] = y
         except (Exception, SystemExit) as error:
             raise part.failure("step", error, now, y) from error
+        return None
 
     def _step(self, interval: Interval, h: float, now: float) -> None:
         """Step the parts that are due."""

@@ -32,8 +32,8 @@ class Part:
         How many communication intervals its step is long, and how many steps it does meanwhile.
     in_step : str
         What is announced of a step.
-    unchecked_step : callable
-        Takes values as ``step``, and returns what the plant returns, or raises what it raises.
+    is_scaled : bool
+        Whether its inputs are other numbers than the values that it takes.
     """
 
     def __init__(self, name: str, plant: Plant, intake: Intake, span: slice) -> None:
@@ -42,20 +42,17 @@ class Part:
         self.sources, self.factor, self.offset = intake
         self.in_step = f'step of part "{name}"'
         self.size = len(plant.outputs)
-        self.unchecked_step = self._scaled_step if intake.is_scaled else plant.step
+        self.is_scaled = intake.is_scaled
         self.every, self.substeps = 1, 1
 
     def step(self, taken: FloatArray, h: float, time: float) -> FloatArray:
         """Hold the inputs over h [s] from ``time`` [s] on and return the outputs, shape (p,)."""
         announce_call_of_plant(self.in_step, time)
         try:
-            y = self.unchecked_step(taken, h)
+            y = self.plant.step(self.factor * taken + self.offset, h)
         except (Exception, SystemExit) as error:
             raise self.failure("step", error, time) from error
         return self._outputs("step", y, time + h)
-
-    def _scaled_step(self, taken: FloatArray, h: float) -> FloatArray:
-        return self.plant.step(self.factor * taken + self.offset, h)
 
     def reset(self, parameters: Mapping[str, ParameterValue], t0: float) -> FloatArray:
         """Go to the initial state and return the outputs there, shape (p,)."""

@@ -1,6 +1,7 @@
 """Several plants that are one."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from types import TracebackType
 from typing import Any, Literal, Self, cast, get_args
 
@@ -142,7 +143,8 @@ class CoupledPlant(Plant):
         self.inputs, self.outputs = wiring.inputs, wiring.outputs
         self.order, self.loops = graph.order, graph.loops
         self.dependencies = graph.dependencies()
-        self._wiring, self._is_scaled = wiring, wiring.outlet.is_scaled
+        self._wiring = wiring
+        self._read = None if wiring.outlet.is_scaled else wiring.outlet.sources
         self._parts = {n: Part(n, parts[n], wiring.intakes[n], wiring.spans[n]) for n in graph.order}
         self._communication_step, self._steps = communication_step, steps
         self._how = f"{algorithm}, {extrapolation}"
@@ -206,12 +208,9 @@ class CoupledPlant(Plant):
             self._get_ready(h)
         time = self._base_time + self._samples * h
         self._exchange.set_inputs(u, time)
-        if self._control is None:
-            self._ending = self._exchange.advance(self._tick, time)
-        else:
-            self._ending = self._control.advance(self._intervals, self._tick, time)
+        self._ending = self._advance(self._tick, time)
         self._samples += 1
-        return self._outlet()
+        return self._exchange.values[self._read] if self._read is not None else self._outlet()
 
     def _get_ready(self, h: float) -> None:
         """Go over to another sampling time [s], or raise what keeps the plant from going on."""
@@ -286,8 +285,7 @@ class CoupledPlant(Plant):
 
     def _outlet(self) -> FloatArray:
         sources, factor, offset = self._wiring.outlet
-        y = self._exchange.values[sources]
-        return factor * y + offset if self._is_scaled else y
+        return factor * self._exchange.values[sources] + offset
 
     def _arrange(self, h: float) -> None:
         """Divide a sample of h [s] into communication intervals, and these among the parts."""
@@ -309,8 +307,11 @@ class CoupledPlant(Plant):
                 )
         if faults:
             raise ConfigError(faults)
-        self._h, self._tick, self._intervals = h, tick, intervals
+        self._h, self._tick = h, tick
         self._exchange.arrange(intervals if self._control is None else 1)
+        self._advance = self._exchange.advance_once if intervals == 1 else self._exchange.advance
+        if self._control is not None:
+            self._advance = partial(self._control.advance, intervals)
 
     def _by_part(
         self, parameters: Mapping[str, ParameterValue]

@@ -135,6 +135,10 @@ class CouplingSection(Section):
     loop_tolerance: Positive | None = Field(
         None, description="tolerance of algebraic loops, relative to nominal values"
     )
+    error_tolerance: Positive | None = Field(
+        None,
+        description="error that a sample may add, for which steps are repeated; none: they are not",
+    )
 
     @property
     def options(self) -> dict[str, Any]:
