@@ -181,10 +181,11 @@ class LiftedState:
         }
 
     @property
-    def windows(self) -> FloatArray:
+    def windows(self) -> tuple[FloatArray, FloatArray]:
         """All that it remembers, the newest first: what states are made of, unless measured, and states."""
         windows = [self._y, self._u] if self._kind == "delays" else []
-        return np.concatenate([window.newest_first.ravel() for window in (*windows, self._states)])
+        past = [value for window in windows for value in window.newest_first.ravel()]
+        return np.array(past), self._states.newest_first
 
     def _lift(self, states: FloatArray) -> FloatArray:
         newest = states[..., : self._size]
@@ -344,9 +345,11 @@ class KoopmanMPC(TrackingSettings, ScaledSignals):
         )
         n, begun = len(model.a), self._predicted is not None
         predicted = np.zeros(n) if self._predicted is None else self._predicted
-        own = [[begun], self._u, np.zeros(n), self._disturbance, predicted, self._lifted.windows]
-        memory = code.memory(np.concatenate([*own, np.zeros(p + size)]))
-        return code.step(f"step_koopman(&{koopman}, {memory}, sample, u, told);")
+        z = code.memory([*np.zeros(n), *self._disturbance])
+        windows = self._lifted.windows
+        own = [begun], self._u, z, f"{z} + {n}", predicted, *windows, np.zeros(p), np.zeros(size)
+        held = code.held("KoopmanMemory", *own)
+        return code.step(f"{held}step_koopman(&{koopman}, &held, sample, u, told);")
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the samples at which there are as many equations as coefficients."""

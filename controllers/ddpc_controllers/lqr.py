@@ -101,7 +101,7 @@ class LQR(ModelBased):
         named = {name: code.doubles(table) for name, table in tables.items()}
         regulator = code.constant("Regulator", observer=f"&{observer}", **named)
         sums, scratch = code.memory(np.zeros(1 + p)), code.memory(np.zeros(m + p))
-        return f"regulate(&{regulator}, estimate, {sums}, {scratch}, sample, u, told);"
+        return f"regulate(&{regulator}, &held, {sums}, {scratch}, sample, u, told);"
 
     def diagnostics(self) -> Mapping[str, float]:
         """Return the order of the model, and its fit."""

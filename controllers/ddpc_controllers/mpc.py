@@ -197,7 +197,7 @@ class MPC(TrackingSettings, ModelBased):
 
     def _c_decide(self, code: Code, loop: Loop, observer: str) -> str:
         predictor, size = self._predictor.constant(code)
-        known = f"estimate.state, estimate.u, sample->reference, {code.memory(np.zeros(size))}"
+        known = f"held.state, held.u, sample->reference, {code.memory(np.zeros(size))}"
         return f"solve_predictor(&{predictor}, {known}, u, told);"
 
     def diagnostics(self) -> Mapping[str, float]:

@@ -161,11 +161,11 @@ class OffsetFree(SingleWrapper):
             directions=code.doubles(self._all_directions(m, p)),
         )
         free = int((self._high > self._low) @ (1 << np.arange(m)))
-        memory = code.memory([0.0, free, *np.zeros((6 + n) * p)])
+        held = code.held("OffsetFreeMemory", [0.0], [free], *np.zeros((5, p)), np.zeros((1 + n, p)))
         return code.step(
-            f"const Sample inside = shift_references(&{wrapper}, {memory}, sample);\n"
+            f"{held}const Sample inside = shift_references(&{wrapper}, &held, sample);\n"
             f"{step}(memory, &inside, u, told);\n"
-            f"remember_free(&{wrapper}, {memory}, u);"
+            f"remember_free(&{wrapper}, &held, u);"
         )
 
     def _all_directions(self, m: int, p: int) -> FloatArray:

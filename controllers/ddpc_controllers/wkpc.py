@@ -214,9 +214,16 @@ class WKPC(OnlineSettings, ScaledSignals):
             outputs=code.sizes(outputs),
             law=law.pointer,
         )
-        own = [self._parameters.array, [self._resting], self._states.newest_first.ravel(), self._last.newest]
-        memory = code.memory(np.concatenate([*own, np.zeros(m + p + n + p + law.memory)]))
-        return code.step(f"step_wkpc(&{wkpc}, {memory}, sample, u, told);")
+        parameters, first = (
+            code.memory(self._parameters.array),
+            np.cumsum([0, *self._parameters.sizes.values()]),
+        )
+        own = [f"{parameters} + {place}" for place in first[:4]]
+        of_now = [np.zeros(size) for size in (m + p, n, p, law.memory)]
+        held = code.held(
+            "WkpcMemory", *own, [self._resting], self._states.newest_first, self._last.newest, *of_now
+        )
+        return code.step(f"{held}step_wkpc(&{wkpc}, &held, sample, u, told);")
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
         """Return the fewest samples that can excite the inputs up to the order needed."""

@@ -308,16 +308,15 @@ class ModelBased(ScaledSignals):
         state = self._observer.state
         observer = self._observer.constant(code, self._u)
         scratch = np.zeros(len(state) + len(loop.outputs))
-        memory = code.memory([self._resting, *self._u, *state, *scratch])
         return code.step(
-            f"const Estimate estimate = estimate_in(&{observer}, {memory});\n"
-            f"if (!observe(&{observer}, estimate, sample->y, u, told)) return;\n"
+            f"{code.held('ObserverMemory', [self._resting], self._u, state, scratch)}"
+            f"if (!observe(&{observer}, &held, sample->y, u, told)) return;\n"
             f"{self._c_decide(code, loop, observer)}\n"
-            f"predict(&{observer}, estimate, u);"
+            f"predict(&{observer}, &held, u);"
         )
 
     def _c_decide(self, code: Code, loop: Loop, observer: str) -> str:
-        """Return statements in C that decide on u, given the ``estimate`` of a named observer."""
+        """Return statements in C that decide on u, given what a named observer ``held``."""
         return super()._c_step(code, loop)  # which refuses
 
     @abstractmethod

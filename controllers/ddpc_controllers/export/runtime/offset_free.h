@@ -12,12 +12,19 @@ typedef struct {
     const double *directions;    /* p x p for every set of free inputs: bit i of its number is input i */
 } OffsetFree;
 
-/* Estimate the disturbance; return what the controller inside is to see. The memory: whether an output is expected
- * (1), the set of free inputs (1), the disturbance, the output expected, and whether the reference is cut off (p
- * each), two samples (p each), the shifted references ((horizon + 1) x p). */
-Sample shift_references(const OffsetFree *wrapper, double memory[], const Sample *sample);
+typedef struct {
+    double *begun;                 /* whether an output is expected */
+    double *free;                  /* the set of free inputs */
+    double *disturbance, *expected; /* p each */
+    double *cut_off;               /* p: whether a limit cuts the reference off */
+    double *off, *correctable;     /* p each, of this step only */
+    double *shifted;               /* (horizon + 1) x p: the setpoint and the references */
+} OffsetFreeMemory;
+
+/* Estimate the disturbance; return what the controller inside is to see. */
+Sample shift_references(const OffsetFree *wrapper, const OffsetFreeMemory *held, const Sample *sample);
 
 /* Remember which inputs are free. */
-void remember_free(const OffsetFree *wrapper, double memory[], const double u[]);
+void remember_free(const OffsetFree *wrapper, const OffsetFreeMemory *held, const double u[]);
 
 #endif

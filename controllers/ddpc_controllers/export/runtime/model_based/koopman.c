@@ -4,24 +4,6 @@
 
 #include <string.h>
 
-/* The parts of the memory. */
-typedef struct {
-    double *begun, *u, *z, *disturbance, *predicted, *past, *states, *y, *predictor;
-} Parts;
-
-static Parts parts_of(const Koopman *koopman, double memory[])
-{
-    Parts parts = {.begun = memory, .u = memory + 1};
-    parts.z = parts.u + koopman->m;
-    parts.disturbance = parts.z + koopman->lifted;
-    parts.predicted = parts.disturbance + koopman->lifted;
-    parts.past = parts.predicted + koopman->lifted;
-    parts.states = parts.past + (koopman->delays ? koopman->size : 0);
-    parts.y = parts.states + koopman->depth * koopman->size;
-    parts.predictor = parts.y + koopman->p;
-    return parts;
-}
-
 static void put(bool always, double window[], size_t length, size_t width, const double sample[])
 {
     if (always) fill_window(window, length, width, sample);
@@ -29,40 +11,39 @@ static void put(bool always, double window[], size_t length, size_t width, const
 }
 
 /* Take the next sample; before the first one all was as it is now. */
-static void follow(const Koopman *koopman, const Parts *parts, const double y[], const double measured[])
+static void follow(const Koopman *koopman, const KoopmanMemory *held, const double y[], const double measured[])
 {
-    const bool first = *parts->begun == 0.0;
+    const bool first = *held->begun == 0.0;
     const size_t delays = koopman->delays, p = koopman->p;
     if (delays) {
-        put(first, parts->past, delays + 1, p, y);
-        put(first, parts->past + (delays + 1) * p, delays, koopman->m, parts->u);
+        put(first, held->past, delays + 1, p, y);
+        put(first, held->past + (delays + 1) * p, delays, koopman->m, held->u);
     }
-    put(first, parts->states, koopman->depth, koopman->size, delays ? parts->past : measured);
-    lift(koopman->terms, koopman->term_count, parts->states, parts->z);
+    put(first, held->states, koopman->depth, koopman->size, delays ? held->past : measured);
+    lift(koopman->terms, koopman->term_count, held->states, held->z);
 }
 
-void step_koopman(const Koopman *koopman, double memory[], const Sample *sample, double u[], Told *told)
+void step_koopman(const Koopman *koopman, const KoopmanMemory *held, const Sample *sample, double u[], Told *told)
 {
     const size_t n = koopman->lifted, m = koopman->m;
-    const Parts parts = parts_of(koopman, memory);
-    const bool begun = *parts.begun != 0.0;
+    const bool begun = *held->begun != 0.0;
     if (koopman->delays ? all_finite(sample->y, koopman->p) : all_finite(sample->measured, koopman->q)) {
-        follow(koopman, &parts, sample->y, sample->measured);
+        follow(koopman, held, sample->y, sample->measured);
         for (size_t i = 0; begun && i < n; ++i)
-            parts.disturbance[i] += koopman->gain * (parts.z[i] - parts.predicted[i]);
+            held->disturbance[i] += koopman->gain * (held->z[i] - held->predicted[i]);
     } else if (begun) {
         told->status |= STATUS_EXPECTED;
-        multiply(koopman->c, parts.predicted, koopman->p, n, parts.y);
-        follow(koopman, &parts, parts.y, parts.predicted);
+        multiply(koopman->c, held->predicted, koopman->p, n, held->y);
+        follow(koopman, held, held->y, held->predicted);
     } else {
         told->status |= STATUS_HELD;
-        memcpy(u, parts.u, m * sizeof(double));
+        memcpy(u, held->u, m * sizeof(double));
         return;
     }
-    *parts.begun = 1.0;
-    solve_predictor(koopman->predictor, parts.z, parts.u, sample->reference, parts.predictor, u, told);
-    memcpy(parts.predicted, parts.disturbance, n * sizeof(double));
-    add_product(koopman->a, parts.z, n, n, parts.predicted);
-    add_product(koopman->b, u, n, m, parts.predicted);
-    memcpy(parts.u, u, m * sizeof(double));
+    *held->begun = 1.0;
+    solve_predictor(koopman->predictor, held->z, held->u, sample->reference, held->predictor, u, told);
+    memcpy(held->predicted, held->disturbance, n * sizeof(double));
+    add_product(koopman->a, held->z, n, n, held->predicted);
+    add_product(koopman->b, u, n, m, held->predicted);
+    memcpy(held->u, u, m * sizeof(double));
 }

@@ -17,9 +17,17 @@ typedef struct {
     const Predictor *predictor;
 } Koopman;
 
-/* The memory: whether there is a prediction (1), the inputs applied last (m), the lifted state, the disturbance and
- * the state predicted (`lifted` each), the newest outputs and after them the newest inputs (size, without delays
- * none), the newest states (depth x size), scratch (p); then that of the predictor. The newest are first. */
-void step_koopman(const Koopman *koopman, double memory[], const Sample *sample, double u[], Told *told);
+typedef struct {
+    double *begun;            /* whether there is a prediction */
+    double *u;                /* m inputs applied last */
+    double *z, *disturbance;  /* `lifted` each: the lifted state, and after it the disturbance */
+    double *predicted;        /* the lifted state that was predicted of now */
+    double *past;             /* with delays: outputs, and after them inputs, the newest first (size) */
+    double *states;           /* depth x size, the newest first */
+    double *y;                /* p, of this step only */
+    double *predictor;
+} KoopmanMemory;
+
+void step_koopman(const Koopman *koopman, const KoopmanMemory *held, const Sample *sample, double u[], Told *told);
 
 #endif

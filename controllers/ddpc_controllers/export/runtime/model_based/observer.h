@@ -13,22 +13,19 @@ typedef struct {
     const double *rest;       /* n x (p + 1): the state at rest, given the outputs and 1 */
 } Observer;
 
-/* What changes, as it lies in memory. */
 typedef struct {
     double *resting; /* 1 until there is a finite measurement, else 0 */
     double *u;       /* m inputs applied last */
     double *state;   /* n states */
     double *scratch; /* n + p numbers */
-} Estimate;
-
-Estimate estimate_in(const Observer *observer, double memory[]);
+} ObserverMemory;
 
 /* Correct the estimate by the outputs measured now, as far as they are finite.
  *
  * Returns false while none was; u are the inputs at rest then. */
-bool observe(const Observer *observer, Estimate estimate, const double y[], double u[], Told *told);
+bool observe(const Observer *observer, const ObserverMemory *held, const double y[], double u[], Told *told);
 
 /* Go on by one sample with inputs u. */
-void predict(const Observer *observer, Estimate estimate, const double u[]);
+void predict(const Observer *observer, const ObserverMemory *held, const double u[]);
 
 #endif

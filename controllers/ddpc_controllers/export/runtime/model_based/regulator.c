@@ -4,22 +4,22 @@
 
 #include <math.h>
 
-void regulate(const Regulator *regulator, Estimate estimate, double sums[], double scratch[], const Sample *sample,
+void regulate(const Regulator *regulator, const ObserverMemory *held, double sums[], double scratch[], const Sample *sample,
               double u[], Told *told)
 {
     const Observer *observer = regulator->observer;
     const size_t m = observer->m, n = observer->n, p = observer->p;
     double *sum = sums + 1, *wanted = scratch, *y = scratch + m;
-    multiply(regulator->state_gain, estimate.state, m, n, wanted);
+    multiply(regulator->state_gain, held->state, m, n, wanted);
     for (size_t i = 0; i < m; ++i) {
         wanted[i] = regulator->u_0[i] - wanted[i];
-        u[i] = wanted[i] - estimate.u[i];
+        u[i] = wanted[i] - held->u[i];
     }
     if (sums[0] == 0.0) { /* the loop closes without a bump */
         multiply(regulator->sums_of_inputs, u, p, m, sum);
         sums[0] = 1.0;
     }
-    multiply(observer->c, estimate.state, p, n, y);
+    multiply(observer->c, held->state, p, n, y);
     for (size_t i = 0; i < p; ++i) {
         const double error = (isfinite(sample->y[i]) ? sample->y[i] : y[i]) - sample->reference[i];
         if (isfinite(error)) sum[i] += error;

@@ -14,7 +14,7 @@ typedef struct {
 } Regulator;
 
 /* `sums` are 1 + p numbers: whether there are sums of the errors yet, and they; `scratch` m + p numbers. */
-void regulate(const Regulator *regulator, Estimate estimate, double sums[], double scratch[], const Sample *sample,
+void regulate(const Regulator *regulator, const ObserverMemory *held, double sums[], double scratch[], const Sample *sample,
               double u[], Told *told);
 
 #endif

@@ -16,9 +16,15 @@ typedef struct {
     const Law *law;           /* answers with inputs and the outputs predicted of now */
 } Wkpc;
 
-/* The memory: the law's parameters (past x lifted states, inputs, outputs, references and 1), whether the past is
- * still to be filled (1), the newest samples (depth x q, the newest first), the newest value of every measurement
- * (q), the law's answer (m + p), a state (lifted), outputs (p); then that of the law. */
-void step_wkpc(const Wkpc *wkpc, double memory[], const Sample *sample, double u[], Told *told);
+typedef struct {
+    double *z, *u, *y, *reference; /* the law's parameters: past (lifted, m, p wide), references, and 1 */
+    double *resting;               /* whether the past is still to be filled */
+    double *samples;               /* depth x q, the newest first */
+    double *newest;                /* the newest value of every measurement (q) */
+    double *answer, *state, *now;  /* m + p, lifted and p, of this step only */
+    double *law;
+} WkpcMemory;
+
+void step_wkpc(const Wkpc *wkpc, const WkpcMemory *held, const Sample *sample, double u[], Told *told);
 
 #endif
