@@ -156,13 +156,15 @@ def as_python_does(problem: CondensedProblem, limits: InputLimits, p: FloatArray
     return u, int((told[:, 0] != 0).sum())
 
 
-@pytest.mark.parametrize("repeated", ["rows", "opposite rows", "combinations", "nothing"])
+@pytest.mark.parametrize("repeated", ["rows", "nearly rows", "opposite rows", "combinations", "nothing"])
 def test_dependent_bounds_and_bounds_without_an_interior(repeated: str) -> None:
     rng, n, k = np.random.default_rng(7), 9, 4
     rows = rng.integers(-2, 3, (n, k)).astype(float)
     low, high = -rng.uniform(0.5, 2.0, n), rng.uniform(0.5, 2.0, n)
     if repeated == "rows":
         rows[5:] = rows[:4]
+    elif repeated == "nearly rows":
+        rows[5:] = rows[:4] + 1e-7 * rng.standard_normal((4, k))
     elif repeated == "opposite rows":
         rows[5:] = -2.0 * rows[:4]
     elif repeated == "combinations":
