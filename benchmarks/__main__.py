@@ -5,11 +5,25 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from benchmarks import cases, coupling, fmu, inspection, isolation, mfapc, online, page, peers, step, tuning
+from benchmarks import (
+    cases,
+    coupling,
+    exported,
+    fmu,
+    inspection,
+    isolation,
+    mfapc,
+    online,
+    page,
+    peers,
+    step,
+    tuning,
+)
 
 BENCHMARKS: Mapping[str, Callable[[], bool]] = {
     "cases": cases.main,
     "coupling": coupling.main,
+    "exported": exported.main,
     "fmu": fmu.main,
     "inspect": inspection.main,
     "isolation": isolation.main,
