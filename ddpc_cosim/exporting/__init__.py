@@ -11,7 +11,7 @@ import numpy as np
 from ddpc_cosim.controller import Controller, Loop
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.plugins import package_version
-from ddpc_cosim.safe_calls import controller_code, controller_settings, horizon_of
+from ddpc_cosim.safe_calls import controller_code, controller_settings, horizon_of, learns_from_recording
 from ddpc_cosim.study.case_files import sealed_json
 from ddpc_cosim.study.running.provenance import versions
 from ddpc_cosim.variables import Variable, names
@@ -21,6 +21,7 @@ from fmu_plants.export.sampled_block import SampledBlock
 from fmu_plants.model import ExportError, ExportUsageError, identifier
 
 _RESOURCE = "controller.json"
+_AHEAD = ("now", "at the next sample")
 _OF_SCALAR = tuple(one.name for one in fields(ScalarVariable))
 
 
@@ -110,7 +111,7 @@ def block_of(
         Further files that go along, by name.
     """
     code = controller_code(controller, loop)
-    bounds, recording = loop.bounds, loop.recording
+    bounds, recording = loop.bounds, loop.recording if learns_from_recording(controller) else None
     controlled = names(loop.outputs)
     others = [variable for variable in loop.measurements if variable.name not in controlled]
     preview = min(loop.preview, horizon_of(controller))
@@ -118,8 +119,7 @@ def block_of(
         _scalar(
             variable,
             name=f"reference.{variable.name}[{k}]" if k else f"setpoint.{variable.name}",
-            description=f"Reference of {variable.name} "
-            + (f"in {k} samples" if k else "now, at this sample"),
+            description=f"Reference of {variable.name} " + (f"{k} samples ahead" if k > 1 else _AHEAD[k]),
         )
         for k in range(preview + 1)
         for variable in loop.outputs

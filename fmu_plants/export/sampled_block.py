@@ -14,9 +14,9 @@ STATUS = "status"
 ITERATIONS = "iterations"
 ACTIVE_BOUNDS = "active_bounds"
 _NUMBERS = (
-    Variable(STATUS, description="0, or a sum of bits that say why the outputs are a fallback"),
-    Variable(ITERATIONS, description="Iterations of the optimisation in this sample"),
-    Variable(ACTIVE_BOUNDS, description="Bounds that the optimum lies at"),
+    Variable(STATUS, "1", description="0, or a sum of bits that say why the outputs are a fallback"),
+    Variable(ITERATIONS, "1", description="Iterations of the optimisation in this sample"),
+    Variable(ACTIVE_BOUNDS, "1", description="Bounds that the optimum lies at"),
 )
 _SHOWN_SAMPLES = 100  # of the default experiment: some importers lengthen the steps where there are many
 

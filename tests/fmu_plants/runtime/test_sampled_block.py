@@ -281,6 +281,42 @@ def test_there_is_no_model_exchange_and_no_derivative(block):
     assert block.step(0.0, 0.1) == fmi2OK
 
 
+def test_calls_out_of_order_are_refused_and_change_nothing(block):
+    version = block.library.description.fmiVersion[0]
+    assert block.step(0.0, 0.1) == fmi2Error
+    assert block.get_with_status("torque")[0] == fmi2Error
+    assert block.call(f"fmi{version}ExitInitializationMode") == fmi2Error
+    block.start({"setpoint.angle": 1.0})
+    assert block.set({"torque": 1.0}) == fmi2Error
+    assert "torque is computed" in block.messages[-1][2]
+    assert block.step(0.1, 0.1) == fmi2Error
+    assert block.step(0.0, math.nan) == fmi2Error
+    assert block.step(0.0, 0.1) == fmi2OK
+    assert controlled(block) == pytest.approx(answers([1.0])[0], abs=1e-15)
+    assert block.call(f"fmi{version}Terminate") == fmi2OK
+    assert block.step(0.1, 0.1) == fmi2Error
+    assert block.set({"angle": 1.0}) == fmi2Error
+    assert controlled(block) == pytest.approx(answers([1.0])[0], abs=1e-15)
+
+
+def test_signals_can_have_any_name(tmp_path):
+    """Those of foreign FMUs do: quotes, signs of formats, letters of every language; one name twice."""
+    named = ['a "b"\\', "Größe %s%n", "??/ */ <&>", "time", "der(x)[1,2]"]
+    block = replace(
+        BLOCK,
+        measurements=tuple(Variable(name) for name in named[:2]),
+        references=(Variable(named[2]), Variable(named[3])),
+        controls=(Variable(named[4]), Variable(named[0])),
+    )
+    fmu = export_block(block, tmp_path / "pi.fmu")
+    library = Library(fmu, tmp_path / "named")
+    assert {*named[:3], "reference.time", named[4], f"input.{named[0]}"} <= set(library.references)
+    instance = Instance(library).start()
+    assert instance.set({named[1]: math.inf}) == fmi2Error
+    assert f"for {named[1]} is not finite" in instance.messages[-1][2]
+    instance.free()
+
+
 def test_no_call_without_an_instance_crashes(block_fmu, tmp_path):
     library = Library(block_fmu, tmp_path / "null")
     version = library.description.fmiVersion[0]
