@@ -121,6 +121,8 @@ def find_subject(name: str, settings: Sequence[str], timeout: float) -> Subject:
         if not Path(name).is_file():
             raise ConfigError(f"{name}: no such file")
         return FMUSubject(name)
+    if name.lower().endswith(".ssp"):
+        raise ConfigError(f"{name}: is a system of several FMUs: check each of them; inspect shows the whole")
     if not _is_controller(name):
         return _plant(name)
     subject = ControllerSubject(name, _parse(settings))

@@ -408,7 +408,7 @@ def init(
     budget: float,
     sandbox: bool,
 ) -> None:
-    """Write a study for an FMU, from a step test, with controllers that were tried on it."""
+    """Write a study for an FMU or an SSP, from a step test, with controllers that were tried on it."""
     from ddpc_cosim.cli.init import init_command
 
     init_command(

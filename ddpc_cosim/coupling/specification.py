@@ -50,6 +50,9 @@ class PartSpec(Protocol):
     def starting_at(self, start: Mapping[str, float]) -> Self:
         """Return it with other start values of inputs."""
 
+    def isolating(self, how: Mapping[str, Any]) -> Self:
+        """Return it with each of its FMUs in a process of its own."""
+
     def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
         """Open it with the chosen signals."""
 
@@ -196,6 +199,10 @@ class CoupledSpec:
     def moved(self, place: Callable[[str], str]) -> Self:
         """Return it with its FMUs elsewhere."""
         return replace(self, parts={name: part.moved(place) for name, part in self.parts.items()})
+
+    def isolating(self, how: Mapping[str, Any]) -> Self:
+        """Return it with each of its FMUs in a process of its own."""
+        return replace(self, parts={name: part.isolating(how) for name, part in self.parts.items()})
 
     def open(self, inputs: Sequence[str], outputs: Sequence[str]) -> Plant:
         """Open all parts, each with the signals that are chosen or connected, and couple them."""

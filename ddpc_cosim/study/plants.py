@@ -69,8 +69,9 @@ class PlantSpec:
         File that every FMI call is written to; empty: none.
     coupled : CoupledSpec or None
         What a coupled plant consists of, which has no name and is no FMU.
-    own_process : bool
-        Whether the FMU, a part, has a process of its own within that of the case.
+    isolation : mapping of str to object
+        How the FMU, a part, lives in a process of its own within that of the case: further arguments of
+        :class:`FMUPlant`.
     """
 
     name: str
@@ -83,7 +84,7 @@ class PlantSpec:
     content: str = ""
     trace_calls: str = ""
     coupled: CoupledSpec | None = None
-    own_process: bool = False
+    isolation: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, section: "PlantSection", folder: Path) -> Self:
@@ -124,7 +125,7 @@ class PlantSpec:
         return cls(
             name=section.plant,
             fmu=section.fmu,
-            own_process=section.isolated,
+            isolation={"isolated": True} if section.isolated else {},
             fmi_type=section.fmi_type,
             start=section.start,
         )._checked()
@@ -134,7 +135,7 @@ class PlantSpec:
         plugin = None if self.fmu or self.coupled else self._plugin()
         if plugin is not None and not (_is_model(plugin) or _is_plant_class(plugin)):
             raise ConfigError(f'plant "{self.name}" is neither a PlantModel nor a Plant class: {plugin!r}')
-        if (self.isolated or self.own_process) and not (self.is_fmu or self.coupled):
+        if (self.isolated or self.isolation) and not (self.is_fmu or self.coupled):
             raise ConfigError(f'plant "{self.name}" is a Python class; only FMUs can be isolated')
         return self
 
@@ -172,6 +173,11 @@ class PlantSpec:
         """Return the plant, which is built, with other start values of inputs, by name."""
         coupled = self.coupled.starting_at(start) if self.coupled else None
         return replace(self, start={**self.start, **start}, coupled=coupled)
+
+    def isolating(self, how: Mapping[str, Any]) -> Self:
+        """Return the plant with each of its FMUs in a process of its own."""
+        coupled = self.coupled.isolating(how) if self.coupled else None
+        return replace(self, isolation=how if self.fmu else {}, coupled=coupled)
 
     def moved(self, place: Callable[[str], str]) -> Self:
         """Return the plant with its FMUs elsewhere: at ``place(path)``."""
@@ -270,7 +276,7 @@ class PlantSpec:
                 display_units=units,
                 start=self.start,
                 trace_calls=self.trace_calls or None,
-                isolated=self.own_process,
+                **self.isolation,
             )
 
 
@@ -303,7 +309,7 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
             parts[name] = replace(
                 parts[name],
                 start={**parts[name].start, **own.start},
-                own_process=own.isolated,
+                isolation={"isolated": True} if own.isolated else {},
                 fmi_type=parts[name].fmi_type if own.fmi_type == "auto" else own.fmi_type,
             )
     else:

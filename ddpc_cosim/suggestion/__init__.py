@@ -1,7 +1,7 @@
 """A study for a supplied FMU: signals chosen, limits, sampling time and setpoints from a step test."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,10 +24,11 @@ from ddpc_cosim.suggestion.design import (
     recording_length,
     suggested_controllers,
 )
-from ddpc_cosim.suggestion.operating_point import Found, find, sampling_time_of
+from ddpc_cosim.suggestion.operating_point import Found, TestedPlant, find, sampling_time_of
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.step_test import StepTest, Timing
+from ddpc_cosim.suggestion.systems import System
 from ddpc_cosim.suggestion.trial import Tell, tried_out
 from ddpc_cosim.suggestion.writing import Circumstances, Proposal, comments, hints, study_text
 from ddpc_cosim.variables import FloatArray, Variable
@@ -105,26 +106,32 @@ def suggest_study(
         It cannot be loaded, or does not run.
     """
     path = Path(path)
-    compile_ahead(path, tell)
+    system = System(path) if path.suffix.lower() == ".ssp" else None
+    for file in system.files if system else (path,):
+        compile_ahead(file, tell)
     deadline = monotonic() + budget
     tell(f"reading {path.name}")
-    description = _runnable(path)
+    description = system.description if system else _runnable(path)
     request = Request(at or {}, ranges or {}, sampling_time, duration, inputs, outputs)
     request.check(description, path.name)
     driven, drives_too = _candidates(description, path.name, request, "input", _MOST_INPUT_CANDIDATES)
     read, reads_too = _candidates(description, path.name, request, "output", _MOST_OUTPUT_CANDIDATES)
-    timing = replace(_timing(description, path.name, request), budget=_STEP_TEST * budget)
+    share = _STEP_TEST / 2 if system else _STEP_TEST  # it may take a second one
+    timing = replace(_timing(description, path.name, request), budget=share * budget)
     tell(f"step test of {path.name}")
-    open_plant = partial(
-        FMUPlant,
-        path,
+    open_plant: Callable[..., TestedPlant] = partial(
+        system.open if system else partial(FMUPlant, path, isolated=True),
         inputs=driven,
         outputs=read,
-        isolated=True,
         step_timeout=min(step_timeout, timing.budget),
         sandbox=sandbox,
     )
     found = find(open_plant, description, request, timing)
+    if system and found.choice.inputs:
+        sample = sampling_time_of(found.tested, found.choice, found.timing, found.request)
+        if system.refine(open_plant, found, sample):
+            tell(f"step test of {path.name}, whose parts exchange values every {system.exchange:g} s")
+            found = find(open_plant, description, request, timing)
     candidates = Candidates(found.inputs, found.outputs, (*drives_too, *reads_too), found.warnings)
     if not found.choice.inputs:
         ends = zip(found.inputs, found.rest, found.rest + found.tested.steps, strict=True)
@@ -137,10 +144,15 @@ def suggest_study(
     proposal = _propose(path.stem, candidates, found)
     levels = zip(found.inputs, found.rest.tolist(), strict=True)
     moved = {variable.name: level for variable, level in levels if level != variable.start}
-    proposal = replace(proposal, parameters=request.parameters(description), start={**found.start, **moved})
+    proposal = replace(
+        proposal,
+        parameters=request.parameters(description),
+        start={**found.start, **moved},
+        coupling=system.coupling(proposal.sampling_time) if system else {},
+    )
     if trial:
         proposal = tried_out(proposal, path, deadline, tell, sandboxed=sandbox)
-    head = (*proposal.comments.get("head", ()), *found.remarks)
+    head = (*proposal.comments.get("head", ()), *found.remarks, *(system.remarks if system else ()))
     return replace(proposal, comments={**proposal.comments, "head": head})
 
 
@@ -204,7 +216,10 @@ def _candidates(
         locals_ = [signal.variable.name for signal in description.signals("local")][:_MOST_LISTED]
         hint = f"; local variables may serve, with --output: {', '.join(locals_)}" if locals_ else ""
         why = "drive; `simulate` runs it in open loop" if causality == "input" else f"control{hint}"
-        raise ConfigError(f"{label}: the FMU has no {causality} that is a number: there is nothing to {why}")
+        what = "system" if label.lower().endswith(".ssp") else "FMU"
+        raise ConfigError(
+            f"{label}: the {what} has no {causality} that is a number: there is nothing to {why}"
+        )
     known.sort(key=lambda name: name not in request.ranges)  # what is asked for comes first
     return known[:most], known[most:]
 

@@ -17,7 +17,10 @@ from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.design import Bounds
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, dependence_on_step_size, step_test
+from ddpc_cosim.suggestion.systems import OpenSystem
 from ddpc_cosim.variables import FloatArray, Variable
+
+TestedPlant = FMUPlant | OpenSystem
 
 _USUAL = {"K": 293.15, "Pa": 101325.0}
 _OF_DIFFERENCES = re.compile(r"d[A-Z]\w*|d[pPtT]|.*(?i:delta|diff|relative|gauge|error).*")
@@ -54,7 +57,7 @@ class Found:
 
 
 def find(
-    open_plant: Callable[..., FMUPlant], description: FMUDescription, request: Request, timing: Timing
+    open_plant: Callable[..., TestedPlant], description: FMUDescription, request: Request, timing: Timing
 ) -> Found:
     """Try the plant where it starts, and elsewhere if nothing happens there.
 
@@ -103,7 +106,7 @@ def find(
 
 
 def _at(
-    open_plant: Callable[..., FMUPlant],
+    open_plant: Callable[..., TestedPlant],
     start: Mapping[str, float],
     bounds: dict[str, Bounds],
     parameters: Mapping[str, ParameterValue],

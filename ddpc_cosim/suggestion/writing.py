@@ -60,6 +60,8 @@ class Proposal:
         What the report is to say of the study.
     asked : Request
         What the user wants to have kept.
+    coupling : mapping of str to float or str
+        Options of the coupling of a system of several FMUs.
     """
 
     plant: str
@@ -82,6 +84,7 @@ class Proposal:
     rest: FloatArray = field(default_factory=lambda: np.zeros(0))
     limitations: tuple[str, ...] = ()
     asked: Request = field(default_factory=Request)
+    coupling: Mapping[str, float | str] = field(default_factory=dict)
 
 
 def study_text(proposal: Proposal, fmu: str) -> str:
@@ -119,12 +122,13 @@ def _plant(proposal: Proposal, fmu: str) -> list[str]:
     return [
         *_comments(proposal, "plant"),
         "[plant]",
-        f"fmu = {_value(fmu)}",
+        f"{'ssp' if fmu.lower().endswith('.ssp') else 'fmu'} = {_value(fmu)}",
         *_names("inputs", proposal.inputs),
         *_names("outputs", proposal.outputs),
         *_names("measurements", proposal.measurements),
         *_subtable("plant.parameters", "the operating point", proposal.parameters),
         *_subtable("plant.start", "where inputs start and rest", proposal.start),
+        *_subtable("plant.coupling", "how the parts exchange values, times in s", proposal.coupling),
         *_subtable(
             "plant.nominal", "how far each signal goes: what controllers scale it by", proposal.nominal
         ),

@@ -194,6 +194,8 @@ Fault = tuple[StudyFile, Place, str]
 
 def find_study(name: str) -> Path:
     """Return the path of a study given as a file or by the name of a built-in or plug-in study."""
+    if name.lower().endswith((".fmu", ".ssp")):
+        raise ConfigError(f"{name}: is a plant and not a study; `ddpc-cosim init {name}` proposes one")
     return Path(name) if is_file(Path(name)) else _plugin_study(name)
 
 

@@ -1,0 +1,118 @@
+"""``inspect`` and ``init`` of SSP archives."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from subprocess import CompletedProcess
+
+import numpy as np
+import pytest
+
+from ddpc_cosim import ConfigError
+from ddpc_cosim.cli.inspect import inspect_command
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.suggestion import suggest_study, write_study
+
+from .ssp_files import GAIN, binding, component, connection, linear, ssd, ssv, system, write_ssp
+from .test_ssp_systems import BODY_MODEL, WHEEL_MODEL
+
+Run = Callable[..., CompletedProcess[str]]
+
+
+@pytest.fixture
+def car(tmp_path: Path) -> Path:
+    described = system(
+        "car",
+        component("body", "resources/body.fmu", "input force N, output place m, output speed m/s"),
+        component(
+            "wheel",
+            "resources/wheel.fmu",
+            "input road m, input body_place m, input body_speed m/s, output force N, output place m",
+        ),
+        connections=connection("road", "wheel/road")
+        + connection("body/place", "wheel/body_place")
+        + connection("body/speed", "wheel/body_speed")
+        + connection("wheel/force", "body/force")
+        + connection("body/place", "height", linear(1.0, 5.0)),
+        connectors="input road mm, output height mm",
+        bindings=binding(
+            ssv(
+                {
+                    "body.mass": 3.0,
+                    "wheel.mass": 1.0,
+                    "wheel.spring": 12.0,
+                    "wheel.damping": 6.0,
+                    "wheel.tyre": 99,
+                }
+            )
+        ),
+    )
+    files = {"resources/body.fmu": BODY_MODEL, "resources/wheel.fmu": WHEEL_MODEL}
+    return write_ssp(tmp_path / "car.ssp", ssd(described, "2.0"), files)
+
+
+def test_inspect_shows_parts_connections_order_and_values(
+    car: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert inspect_command(car, as_json=False, strict=False, every=False) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "system\ttest, SSP 2.0" in lines
+    assert "order\tbody -> wheel" in lines
+    assert "algebraic loop\tnone" in lines
+    assert "part\tbody\tresources/body.fmu\tFMI 2.0\tco-simulation\tmass = 3.0" in lines
+    assert "connection\troad\twheel.road\t[mm] -> [m]\t* 0.001" in lines
+    assert "connection\tbody.place\theight\t[m] -> [mm]\t* 1000 +5" in lines
+    assert any(line.startswith("input\troad\t[mm]\tstart 0") for line in lines)
+    assert lines[-1].startswith("suggested study: ddpc-cosim init ")
+
+
+def test_inspect_as_data_has_loops(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    parts = (component(name, "resources/gain.fmu", "input u, output y") for name in "ab")
+    wires = connection("a/y", "b/u") + connection("b/y", "a/u")
+    path = write_ssp(
+        tmp_path / "l.ssp", ssd(system("s", *parts, connections=wires)), {"resources/gain.fmu": GAIN}
+    )
+    assert inspect_command(path, as_json=True, strict=False, every=False) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["algebraic_loops"] == [["a.u", "a.y", "b.u", "b.y"]]
+    assert [part["name"] for part in told["parts"]] == ["a", "b"]
+    assert {one["from"]: one["to"] for one in told["connections"]} == {"a.y": "b.u", "b.y": "a.u"}
+
+
+def test_inspect_of_what_cannot_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_ssp(tmp_path / "bad.ssp", ssd(system("s", component("a", "resources/a.fmu"))), {})
+    assert inspect_command(path, as_json=False, strict=False, every=False) == 1
+    told = capsys.readouterr().out
+    assert "error\tinvalid-system\tthe system cannot run\tbad.ssp: " in told
+    assert 'SystemStructure.ssd: a: no file "resources/a.fmu" in the archive' in told
+
+
+def test_init_proposes_a_study_that_was_tried(car: Path, tmp_path: Path) -> None:
+    proposal = suggest_study(car, budget=30.0)
+    study = read_study(str(write_study(proposal, car, tmp_path / "study.toml"))).problem.study
+    assert (study.plant.ssp, study.plant.inputs, study.plant.outputs) == (str(car), ["road"], ["height"])
+    assert study.plant.coupling is not None
+    assert study.plant.coupling.extrapolation == "linear"
+    # On the road the car stands as high as that; both are in mm.
+    np.testing.assert_allclose(proposal.gains, [[1.0]], atol=0.02)
+    assert proposal.comments["head"][0].startswith("Tried once; best: ")
+
+
+def test_init_of_a_system_without_inputs(tmp_path: Path) -> None:
+    parts = (component(name, "resources/gain.fmu", "input u, output y") for name in "ab")
+    wires = connection("a/y", "b/u") + connection("b/y", "a/u", linear(0.5))
+    path = write_ssp(
+        tmp_path / "l.ssp", ssd(system("s", *parts, connections=wires)), {"resources/gain.fmu": GAIN}
+    )
+    with pytest.raises(ConfigError, match="the system has no input that is a number"):
+        suggest_study(path)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [("check", "is a system of several FMUs"), ("run", "is a plant and not a study; `ddpc-cosim init ")],
+)
+def test_commands_of_something_else_say_so(command: str, words: str, car: Path, run_program: Run) -> None:
+    done = run_program(command, str(car))
+    assert done.returncode == 2
+    assert words in done.stderr
