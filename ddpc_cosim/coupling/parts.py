@@ -60,7 +60,7 @@ class Part:
 
     def outputs_at(self, taken: FloatArray, time: float) -> FloatArray:
         """Return the outputs, shape (p,), at other inputs, without time passing."""
-        u = self.factor * taken + self.offset
+        u = self.factor * taken + self.offset if self.is_scaled else taken
         return self._outputs("outputs_at", self.call("outputs_at", time, u), time)
 
     def derivatives(self, taken: FloatArray, time: float) -> FloatArray | None:

@@ -134,6 +134,15 @@ class Wiring:
         for name in parts:
             if not name or "." in name:
                 self._faults.append(f'part "{name}": a name must be a text without dots')
+        for name, part in parts.items():
+            for what, variables, declared in (
+                ("input", part.inputs, set().union(*part.dependencies.values())),
+                ("output", part.outputs, part.dependencies),
+            ):
+                known = names(variables)
+                for other in sorted(set(declared).difference(known)):
+                    fault = f'dependencies: no {what} "{other}"; {did_you_mean(other, known)}'
+                    self._faults.append(f'part "{name}": {fault}')
         self._parts = parts
         self._connectors = {variable.name: variable for variable in connectors}
         self._in = {f"{part}.{v.name}": v for part, signals in parts.items() for v in signals.inputs}

@@ -66,7 +66,10 @@ class CoSimulationRun(Run):
 
     def at_inputs(self, u: FloatArray, read: Callable[[], T]) -> T:
         """Return what is read with other inputs u, shape (m,); clocks tick with the next step's own."""
-        self.change(lambda _: self._write_inputs(u))
+        if self._slave.uses_event_mode:
+            self._slave.in_event_mode(lambda: self._write_inputs(u))
+        else:
+            self._write_inputs(u)
         return read()
 
     def change(self, set_values: Callable[[Instance], None]) -> None:

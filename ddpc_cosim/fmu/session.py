@@ -285,8 +285,10 @@ class FMUSession:
     def outputs_at(self, u: FloatArray) -> FloatArray:
         """Return the outputs now with other inputs u, shape (m,)."""
         run = self._started("outputs_at")
-        with self._told():
+        try:
             return run.at_inputs(u, run.outputs)
+        except CallError as error:
+            raise self._failure(error) from error
 
     def feedthrough(self, u: FloatArray) -> FloatArray | None:
         """Return the derivatives of the outputs by the inputs, shape (p, m), at u; None: not known."""

@@ -165,6 +165,17 @@ def test_parameters_go_to_their_part_and_inputs_that_rest_are_parameters_too() -
             plant.set_parameters({"third.k": 1.0})
 
 
+def test_a_dependency_on_what_is_no_input_is_refused() -> None:
+    part = gain(1.0)
+    part.dependencies = {"y": frozenset({"v"}), "z": frozenset()}
+    with pytest.raises(ConfigError) as error:
+        CoupledPlant({"first": part}, [])
+    assert error.value.faults == (
+        'part "first": dependencies: no input "v"; there are: u',
+        'part "first": dependencies: no output "z"; there are: y',
+    )
+
+
 # Time
 
 

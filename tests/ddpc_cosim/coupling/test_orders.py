@@ -21,9 +21,14 @@ SAMPLING_TIME = 0.1
 FORCES = [math.sin(k) for k in range(10)]
 
 
-def coupled(exported: Exported, cut: str, **options: Any) -> CoupledPlant:
+def coupled(
+    exported: Exported, cut: str, version: str = "2.0", fmi_type: Any = "auto", **options: Any
+) -> CoupledPlant:
     models, connections = CUTS[cut]
-    parts = {name: FMUPlant(exported(model)) for name, model in zip(("front", "back"), models, strict=True)}
+    parts = {
+        name: FMUPlant(exported(model, version), fmi_type=fmi_type, tolerance=1e-9)
+        for name, model in zip(("front", "back"), models, strict=True)
+    }
     return CoupledPlant(parts, connections, inputs=["front.force"], outputs=OUTPUTS, **options)
 
 
@@ -52,3 +57,16 @@ def test_the_order_is_that_of_theory(
         errors.append(np.abs(run(plant) - exact(FORCES, SAMPLING_TIME)).max())
     observed = np.log2(np.array(errors[:-1]) / errors[1:])
     assert observed == pytest.approx(order, abs=0.2)
+
+
+@pytest.mark.parametrize("algorithm", ["sequential", "parallel"])
+@pytest.mark.parametrize(
+    ("version", "fmi_type"), [("2.0", "model-exchange"), ("3.0", "co-simulation"), ("3.0", "model-exchange")]
+)
+def test_how_the_halves_are_run_makes_no_difference(
+    exported: Exported, version: str, fmi_type: str, algorithm: str
+) -> None:
+    options = {"algorithm": algorithm, "extrapolation": "linear", "communication_step": SAMPLING_TIME / 4}
+    first = run(coupled(exported, "forces", **options))
+    other = run(coupled(exported, "forces", version, fmi_type, **options))
+    assert other == pytest.approx(first, abs=1e-6)
