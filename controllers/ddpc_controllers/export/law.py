@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # whose parts are imported when they are first used
 from numpy.typing import NDArray
 
 from ddpc_controllers.export.code import Code, qp_memory
@@ -78,23 +79,28 @@ def _add(code: Code, problem: CondensedProblem, limits: InputLimits, answers: in
     limit = np.full(len(upper), -np.inf)
     both = lower >= 0
     limit[both] = (problem.excess_law[lower[both], -1] + law[both, -1]) / size[both]
-    # A solution lies in the range of gain', of as few coordinates as there are independent bounds.
-    _, values, right = np.linalg.svd(gain / size[:, np.newaxis], full_matrices=False)
-    directions = right[values > np.finfo(float).eps * max(gain.shape) * values[:1]].T
-    move_law, move_gain = problem.move_law[:answers], problem.move_gain[:answers] @ directions
+    # A solution lies in the range of gain', of as few coordinates as there are independent bounds. As the
+    # factor is triangular, half of the gain is zero, which takes no room in an archive.
+    directions, factor, order = scipy.linalg.qr(
+        (gain / size[:, np.newaxis]).T, mode="economic", pivoting=True
+    )
+    diagonal = np.abs(np.diag(factor))
+    unknowns = int(np.count_nonzero(diagonal > np.finfo(float).eps * max(gain.shape) * diagonal[:1]))
+    rows = np.empty((len(gain), unknowns))
+    rows[order] = factor[:unknowns].T
+    move_law, move_gain = problem.move_law[:answers], problem.move_gain[:answers] @ directions[:, :unknowns]
     tables = {
         "law": np.vstack([law / size[:, np.newaxis], move_law, problem.conflict_law]),
-        "gain": np.vstack([gain @ directions / size[:, np.newaxis], move_gain]),
+        "gain": np.vstack([rows, move_gain]),
         "lower": limit,
         "upper": np.zeros(len(upper)),
         "tolerance": FEASIBLE / size,
         **limits.tables(),
     }
-    bounds, unknowns = len(gain), directions.shape[1]
     name = code.constant(
         "Law",
         parameters=law.shape[1],
-        bounds=bounds,
+        bounds=len(gain),
         size=unknowns,
         answers=answers,
         inputs=len(limits.tables()["low"]),
@@ -102,7 +108,7 @@ def _add(code: Code, problem: CondensedProblem, limits: InputLimits, answers: in
         **{table: code.doubles(values) for table, values in tables.items()},
         easier=easier,
     )
-    return LawInC(f"&{name}", bounds + unknowns + qp_memory(unknowns))
+    return LawInC(f"&{name}", len(gain) + unknowns + qp_memory(unknowns))
 
 
 def _sides(problem: CondensedProblem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
