@@ -1,6 +1,7 @@
 """What a coupled plant consists of, before anything of it runs: its variables, and how a worker opens it."""
 
 import hashlib
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -8,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, Self
 
 from ddpc_cosim.coupling.wiring import Connection, Wiring
-from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError, FMUStepError
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError, FMUStepError
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.variables import PlantVariables, Variable, with_start
 
@@ -187,6 +188,22 @@ class CoupledSpec:
         own = tuple(v for v in (*wiring.inputs, *wiring.outputs) if "." not in v.name)
         exchanged = self._exchanged(known, [v.name for v in wiring.outputs if "." not in v.name])
         return replace(self, parts=parts, connectors=own, exchanged=exchanged)
+
+    def check(self, sampling_time: float) -> None:
+        """Check that it, built, can be opened and stepped so [s]; nothing of it runs.
+
+        Raises
+        ------
+        ConfigError
+            Steps do not divide each other, or a part cannot do what the coupling needs.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", CosimWarning)
+            plant = self.open((), ())
+            try:
+                plant.plan(sampling_time, sampling_time)
+            finally:
+                plant.close()
 
     def starting_at(self, start: Mapping[str, float]) -> Self:
         """Return it, built, with other start values of inputs, by full name."""

@@ -329,6 +329,8 @@ def built_plants(resolved: "ResolvedProblems", progress: Progress) -> dict[str, 
         if ready is None:
             ready = one.plant.built()
             built.append((one.plant, ready))
+        if ready.coupled:
+            ready.coupled.check(one.study.loop.sampling_time)
         plants[name] = ready
     return plants
 

@@ -245,6 +245,29 @@ class TestWhatIsWrong:
         assert "plant.coupling: needs parts or ssp" in told
 
 
+@pytest.mark.parametrize(
+    ("coupling", "words"),
+    [
+        ({"communication_step": 0.03}, "communication_step = 0.03 s does not divide the sampling time"),
+        ({"error_tolerance": 1e-3}, 'as part "lag" cannot save its state'),
+    ],
+)
+def test_a_coupling_that_is_not_possible_is_told_before_any_case_runs(
+    coupling: dict[str, float], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "own_lags.py").write_text(MODULE, encoding="utf-8")
+    plant = {
+        "outputs": ["lag.y"],
+        "parts": [{"name": "lag", "plant": "own_lags:Lag"}, {"name": "other", "plant": "own_lags:Lag"}],
+        "connections": [{"from": "lag.y", "to": "other.u"}],
+        "coupling": coupling,
+    }
+    (tmp_path / "study.toml").write_text(tomli_w.dumps(study(plant)), encoding="utf-8")
+    with pytest.raises(ConfigError, match=words):
+        Study.read(tmp_path / "study.toml").run(tmp_path / "out", progress=False)
+
+
 @pytest.mark.parametrize("in_own_process", [False, True])
 @pytest.mark.parametrize(
     ("fault", "outcome", "words"),

@@ -61,6 +61,7 @@ CONTENT: dict[str, Any] = {
             "communication_step": 0.02,
             "extrapolation": "linear",
             "loop_tolerance": 1e-6,
+            "error_tolerance": 1e-4,
         },
     },
     "loop": {
