@@ -334,22 +334,36 @@ def controller_warnings(controller: Controller) -> tuple[str, ...]:
 _Own = type[BaseException] | tuple[type[BaseException], ...]
 
 
+class _Calling(threading.local):
+    """Whether this thread is in a call."""
+
+    now = False
+
+
+_calling = _Calling()
+
+
 class _Call(ABC):
     """A call that is announced; what it raises, except its ``own`` errors, becomes one of this project.
 
-    A class and not a generator: a step of the loop makes two.
+    A class and not a generator: a step of the loop makes two. Within another call, as those of a coupled
+    plant's parts are, it is not announced: the outer one says what the run is in.
     """
 
-    __slots__ = ("_name", "_own", "_time", "_who")
+    __slots__ = ("_is_within", "_name", "_own", "_time", "_who")
 
     def __init__(self, who: str, name: str, time: float, own: _Own) -> None:
         self._who, self._name, self._time, self._own = who, name, time, own
 
     def __enter__(self) -> None:
-        _announce(self._who, self._name, self._time)
+        self._is_within, _calling.now = _calling.now, True
+        if not self._is_within:
+            _announce(self._who, self._name, self._time)
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
-        _announce("", "", math.nan)
+        if not self._is_within:
+            _calling.now = False
+            _announce("", "", math.nan)
         if isinstance(error, _ANY_FAULT) and not isinstance(error, self._own):
             raise self._fault(error) from error
 

@@ -302,6 +302,24 @@ def test_a_part_that_fails_ends_the_case_with_its_name(
     assert 5 <= len(trace) <= 6  # the samples before it are there
 
 
+def test_a_class_that_crashes_as_a_part_is_named_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is guarded by itself as well, within the coupled plant."""
+    crash = MODULE.replace("Lag", "Bad").replace(
+        "        self.y = u +", "        os.abort()\n        self.y = u +"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "own_bad.py").write_text(f"import os\n{MODULE}\n{crash}", encoding="utf-8")
+    parts = [{"name": name.lower(), "plant": f"own_bad:{name}"} for name in ("Lag", "Bad")]
+    plant = {
+        "inputs": ["lag.u"],
+        "outputs": ["bad.y"],
+        "parts": parts,
+        "connections": [{"from": "lag.y", "to": "bad.u"}],
+    }
+    (case,) = run_cases(cases(tmp_path, study(plant)), tmp_path, 1, lambda _: None)
+    assert 'crashed in step of part "bad" at t = 0 s' in read_trace(tmp_path / case.id).reason
+
+
 def test_an_archive_in_a_study(tmp_path: Path) -> None:
     """Its connectors are the signals; parts get steps and parameters of the study's own."""
     parts = (
