@@ -1,6 +1,6 @@
 """What the plant contract demands, as checks of plants of which nothing else is known."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -204,6 +204,33 @@ def restores_a_saved_state(subject: PlantUnderTest) -> None:
         _require_close(plant, first, second, subject.tolerance, "after its state was restored")
 
 
+def tells_what_depends_on_inputs_at_once(subject: PlantUnderTest) -> None:
+    """Require outputs without a step that are those of the last one, and follow the declared inputs only."""
+    with subject.plant() as plant:
+        if not plant.can_give_outputs:
+            raise NotApplicableError("the plant's outputs follow its steps only")
+        inputs, others = subject.inputs(plant), subject.inputs(plant, seed=1)
+        stepped, now = [subject.reset(plant)], [plant.outputs_at(np.array([v.start for v in plant.inputs]))]
+        for u, other in zip(inputs, others, strict=True):
+            stepped.append(plant.step(u, subject.sampling_time))
+            for i, known in enumerate(plant.inputs):
+                beside = u.copy()
+                beside[i] = other[i]
+                follows = [known.name in plant.dependencies.get(v.name, ()) for v in plant.outputs]
+                _require_unchanged(plant, known.name, stepped[-1], plant.outputs_at(beside), follows)
+            now.append(plant.outputs_at(u))
+        when = "when it is asked for without a step"
+        _require_close(plant, np.array(stepped), np.array(now), subject.tolerance, when)
+
+
+def _require_unchanged(
+    plant: Plant, known: str, y: FloatArray, beside: FloatArray, follows: Sequence[bool]
+) -> None:
+    for output, before, after, may_change in zip(plant.outputs, y, beside, follows, strict=True):
+        if not may_change and not np.isclose(after, before, rtol=1e-9, atol=0.0, equal_nan=True):
+            raise CheckFailedError(f"{output.name} follows {known} at once, which is not declared")
+
+
 def refuses_unknown_parameters(subject: PlantUnderTest) -> None:
     """Require a ConfigError for an unknown parameter, before and during a run."""
     with subject.plant() as plant:
@@ -239,6 +266,7 @@ PLANT_CHECKS: Mapping[str, Callable[[PlantUnderTest], None]] = {
         does_not_depend_on_the_step_size,
         two_instances_are_independent,
         restores_a_saved_state,
+        tells_what_depends_on_inputs_at_once,
         refuses_unknown_parameters,
         can_be_closed_twice,
     )

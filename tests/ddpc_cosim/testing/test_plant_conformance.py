@@ -184,6 +184,18 @@ class ClosedOnce(Tank):
         self.closed = True
 
 
+class Secretive(Tank):
+    def outputs_at(self, u: np.ndarray) -> np.ndarray:
+        return self.x + u
+
+
+class Late(Tank):
+    dependencies = {"x": frozenset({"u"})}  # noqa: RUF012 - what a user writes
+
+    def outputs_at(self, u: np.ndarray) -> np.ndarray:
+        return self.x + 1.0
+
+
 class Broken(Tank):
     def __init__(self) -> None:
         raise OSError("licence server not found")
@@ -205,6 +217,8 @@ class Broken(Tank):
         (Euler, "does not depend on the step size", "x differs with half the step size"),
         (Shared, "two instances are independent", "x differs beside another instance"),
         (BadMemory, "restores a saved state", "x differs after its state was restored"),
+        (Secretive, "tells what depends on inputs at once", "x follows u at once, which is not declared"),
+        (Late, "tells what depends on inputs at once", "x differs when it is asked for without a step"),
         (Permissive, "refuses unknown parameters", "reset accepts the parameter"),
         (ClosedOnce, "can be closed twice", "raised RuntimeError: closed already"),
         (Broken, "returns finite numbers", "raised OSError: licence server not found"),
@@ -221,7 +235,8 @@ def test_each_breach_is_caught_and_named(plant: type[Plant], check: str, reason:
 def test_what_is_not_claimed_is_not_asked_for() -> None:
     results = {result.name: result for result in check_plant(Tank)}
     saved = results.pop("restores a saved state")
-    assert saved.status is CheckStatus.NOT_APPLICABLE
+    now = results.pop("tells what depends on inputs at once")
+    assert saved.status is now.status is CheckStatus.NOT_APPLICABLE
     assert {result.status for result in results.values()} == {CheckStatus.PASSED}
     remembers = {result.name: result.status for result in check_plant(GoodMemory)}
     assert remembers["restores a saved state"] is CheckStatus.PASSED
