@@ -1,5 +1,6 @@
 """A condensed problem in C: ``runtime/law.c`` with the tables of a law and of the easier ones after it."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from ddpc_controllers.optimisation.qp import FEASIBLE, AdaptiveQP, Law, Parametr
 from ddpc_cosim import ConfigError
 
 _OPPOSITE = 1e-13
+_SAME = 1e-12
 
 
 class LawInC(NamedTuple):
@@ -62,14 +64,38 @@ def add_law(code: Code, law: Law, answers: int) -> LawInC:
     while isinstance(easier, ParametricQP):
         laws.append(easier)
         easier = easier.easier()
+    affine = _affine_laws(code, [one.problem for one in laws], answers)
     added = LawInC("NULL", 0)
-    for one in reversed(laws):
-        pointer, memory = _add(code, one.problem, one.limits, answers, added.pointer)
+    for one, name in zip(reversed(laws), reversed(affine), strict=True):
+        conflicts = len(law.problem.conflict_law) if one is law else 0
+        pointer, memory = _add(code, one.problem, one.limits, answers, name, conflicts, added.pointer)
         added = LawInC(pointer, added.memory + memory)
     return added
 
 
-def _add(code: Code, problem: CondensedProblem, limits: InputLimits, answers: int, easier: str) -> LawInC:
+def _affine_laws(code: Code, problems: Sequence[CondensedProblem], answers: int) -> list[str]:
+    """Add the unconstrained optima; where bounds give way at a cost, that is as it was before."""
+    names, before = list[str](), np.empty((0, 0))
+    for problem in problems:
+        rows = np.vstack([problem.excess_law[_sides(problem)[0]], problem.move_law[:answers]])
+        rounding = _SAME * np.abs(rows).max(axis=1, keepdims=True)
+        if names and before.shape == rows.shape and (np.abs(rows - before) <= rounding).all():
+            names.append(names[-1])
+            continue
+        before = rows
+        names.append(code.doubles(rows if names else np.vstack([rows, problem.conflict_law])))
+    return names
+
+
+def _add(
+    code: Code,
+    problem: CondensedProblem,
+    limits: InputLimits,
+    answers: int,
+    affine: str,
+    conflicts: int,
+    easier: str,
+) -> LawInC:
     """Add one law."""
     upper, lower = _sides(problem)
     law, gain = problem.excess_law[upper], problem.excess_gain[upper]
@@ -88,10 +114,9 @@ def _add(code: Code, problem: CondensedProblem, limits: InputLimits, answers: in
     unknowns = int(np.count_nonzero(diagonal > np.finfo(float).eps * max(gain.shape) * diagonal[:1]))
     rows = np.empty((len(gain), unknowns))
     rows[order] = factor[:unknowns].T
-    move_law, move_gain = problem.move_law[:answers], problem.move_gain[:answers] @ directions[:, :unknowns]
     tables = {
-        "law": np.vstack([law / size[:, np.newaxis], move_law, problem.conflict_law]),
-        "gain": np.vstack([rows, move_gain]),
+        "scale": 1.0 / size,
+        "gain": np.vstack([rows, problem.move_gain[:answers] @ directions[:, :unknowns]]),
         "lower": limit,
         "upper": np.zeros(len(upper)),
         "tolerance": FEASIBLE / size,
@@ -104,7 +129,8 @@ def _add(code: Code, problem: CondensedProblem, limits: InputLimits, answers: in
         size=unknowns,
         answers=answers,
         inputs=len(limits.tables()["low"]),
-        conflicts=len(problem.conflict_law),
+        conflicts=conflicts,
+        law=affine,
         **{table: code.doubles(values) for table, values in tables.items()},
         easier=easier,
     )

@@ -63,6 +63,7 @@ bool solve_law(const Law *law, const double p[], double memory[], double answer[
     for (; law; law = law->easier) {
         double *value = memory;
         multiply(law->law, p, law->bounds, law->parameters, value);
+        for (size_t i = 0; i < law->bounds; ++i) value[i] *= law->scale[i];
         multiply(law->law + law->bounds * law->parameters, p, law->answers, law->parameters, answer);
         if (!all_finite(value, law->bounds) || !all_finite(answer, law->answers)) break;
         bool met = keeps_bounds(law, value);

@@ -17,8 +17,9 @@ typedef struct Law {
     size_t answers, inputs;      /* numbers in an answer, and how many of them are inputs: the first */
     size_t conflicts;            /* rows that must vanish, or no recorded past is like that in p */
     const double *law;           /* bounds + answers + conflicts rows of `parameters` */
+    const double *scale;         /* what a row of bounds is multiplied by, to be measured as those of `gain` are */
     const double *gain;          /* bounds rows of `size` as qp.h has them, then answers rows */
-    const double *lower, *upper; /* of the rows of bounds, in the same measure; the upper ones are 0 */
+    const double *lower, *upper; /* of the rows of bounds, in that measure; the upper ones are 0 */
     const double *tolerance;     /* by how much they may be exceeded */
     const double *low, *high;    /* limits of the inputs */
     const double *near_low, *near_high; /* beyond them an input is at its limit */
