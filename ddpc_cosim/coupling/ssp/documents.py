@@ -15,7 +15,7 @@ from urllib.parse import unquote, urlsplit
 from xml.etree.ElementTree import Element
 
 from ddpc_cosim.errors import ConfigError, FMUImportError
-from ddpc_cosim.fmu.archive import XMLTree, read_xml, unpack
+from ddpc_cosim.fmu.archive import UnpackLimits, XMLTree, read_xml, unpack
 from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.fmu.description.reader import read_description
 from ddpc_cosim.fmu.description.variables import is_true
@@ -226,13 +226,12 @@ class Reader:
         self.warnings: list[str] = []
         self._scratch = scratch
         self._fmus: dict[Path, tuple[Path, FMUDescription]] = {}
-        self._elements = 0
+        self._elements, self._room = 0, UnpackLimits().max_unpacked_size
 
     def archive(self, path: Path, label: str, ssd: str = SSD, at: Path_ = ()) -> System | None:
         """Return the outermost system of an archive."""
-        folder = Path(mkdtemp(dir=self._scratch))
         try:
-            unpack(path, folder, needed=SSD, kind="SSP archive")
+            folder = self._unpacked(path, needed=SSD, kind="SSP archive")
         except FMUImportError as error:
             self.faults.append(str(error))
             return None
@@ -372,10 +371,16 @@ class Reader:
     def _fmu(self, file: Path) -> tuple[Path, FMUDescription]:
         """Return the folder and the description of an FMU, which several components may be."""
         if file not in self._fmus:
-            folder = Path(mkdtemp(dir=self._scratch))
-            unpack(file, folder)
+            folder = self._unpacked(file)
             self._fmus[file] = folder, read_description(folder, file.name)
         return self._fmus[file]
+
+    def _unpacked(self, path: Path, **what: str) -> Path:
+        """Return a folder with the files of an archive; all archives share the room that there is."""
+        folder = Path(mkdtemp(dir=self._scratch))
+        unpack(path, folder, UnpackLimits(max_unpacked_size=self._room), **what)
+        self._room -= sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+        return folder
 
     def _connectors(self, xml: Element, document: Document, where: str) -> dict[str, Connector]:
         found = dict[str, Connector]()

@@ -7,6 +7,7 @@ import pytest
 
 from ddpc_cosim import ConfigError
 from ddpc_cosim.coupling.ssp import SSPSystem, read_ssp
+from ddpc_cosim.fmu.archive import UnpackLimits
 
 from .ssp_files import (
     GAIN,
@@ -306,3 +307,20 @@ def test_an_archive_without_description_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.ssp").write_text("no archive")
     with pytest.raises(ConfigError, match="not an SSP archive"):
         read_ssp(tmp_path / "text.ssp")
+
+
+def test_archives_within_each_other_share_the_room_that_there_is(
+    read: Read, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    filler = {"extra/zeros": bytes(300_000)}
+    nested = write_ssp(tmp_path / "nested.ssp", ssd(system("n")), filler).read_bytes()
+    parts = (
+        component(name, f"resources/{name}.ssp", more='type="application/x-ssp-package"') for name in "ab"
+    )
+    monkeypatch.setattr(
+        "ddpc_cosim.coupling.ssp.documents.UnpackLimits",
+        lambda max_unpacked_size=400_000: UnpackLimits(max_unpacked_size),
+    )
+    with pytest.raises(ConfigError, match="unpacks to more than") as caught:
+        read(ssd(system("o", *parts)), a__ssp=nested, b__ssp=nested)
+    assert len(caught.value.faults) == 1
