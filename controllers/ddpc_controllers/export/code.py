@@ -90,6 +90,7 @@ class Code:
         self.parts: list[str] = []
         self.start: list[float] = []
         self._kernels: list[str] = []
+        self._tables: dict[tuple[str, str], str] = {}
         self._count = 0
 
     def doubles(self, values: ArrayLike) -> str:
@@ -231,14 +232,18 @@ class Code:
         )
 
     def table(self, kind: str, values: Sequence[str]) -> str:
-        """Return the name of a constant table of values of one type, as C has them; NULL for none."""
+        """Return the name of a constant table of values of one type, as C has them; NULL for none.
+
+        Tables of the same values are one.
+        """
         if not values:
             return "NULL"
-        name = self._name("table")
         rows = [", ".join(values[i : i + _WIDTH]) for i in range(0, len(values), _WIDTH)]
         text = ",\n    ".join(rows)
-        self.parts.append(f"static const {kind} {name}[{len(values)}] = {{\n    {text}}};")
-        return name
+        if (kind, text) not in self._tables:
+            name = self._tables[kind, text] = self._name("table")
+            self.parts.append(f"static const {kind} {name}[{len(values)}] = {{\n    {text}}};")
+        return self._tables[kind, text]
 
     def _name(self, kind: str) -> str:
         self._count += 1

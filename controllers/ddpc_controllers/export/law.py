@@ -119,7 +119,6 @@ def _add(
         "gain": np.vstack([rows, problem.move_gain[:answers] @ directions[:, :unknowns]]),
         "lower": limit,
         "upper": np.zeros(len(upper)),
-        "tolerance": FEASIBLE / size,
         **limits.tables(),
     }
     name = code.constant(
@@ -131,10 +130,11 @@ def _add(
         inputs=len(limits.tables()["low"]),
         conflicts=conflicts,
         law=affine,
+        tolerance=FEASIBLE,
         **{table: code.doubles(values) for table, values in tables.items()},
         easier=easier,
     )
-    return LawInC(f"&{name}", len(gain) + unknowns + qp_memory(unknowns))
+    return LawInC(f"&{name}", 2 * len(gain) + unknowns + qp_memory(unknowns))
 
 
 def _sides(problem: CondensedProblem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -47,8 +47,9 @@ static void hold_limits(const Law *law, double answer[])
 /* Correct the unconstrained optimum; false if there is no optimum that keeps the bounds. */
 static bool correct(const Law *law, const double value[], double memory[], double answer[], Told *told)
 {
-    const QP qp = {law->bounds, law->size, law->gain, value, law->lower, law->upper, law->tolerance};
-    double *t = memory, *method = t + law->size;
+    double *tolerance = memory, *t = tolerance + law->bounds, *method = t + law->size;
+    const QP qp = {law->bounds, law->size, law->gain, value, law->lower, law->upper, tolerance};
+    for (size_t i = 0; i < law->bounds; ++i) tolerance[i] = law->tolerance * law->scale[i];
     const QPResult result = qp_solve(&qp, method, t, &told->iterations);
     if (result == QP_EXCEEDED) told->status |= STATUS_ITERATIONS;
     if (result != QP_SOLVED) return false;

@@ -20,14 +20,14 @@ typedef struct Law {
     const double *scale;         /* what a row of bounds is multiplied by, to be measured as those of `gain` are */
     const double *gain;          /* bounds rows of `size` as qp.h has them, then answers rows */
     const double *lower, *upper; /* of the rows of bounds, in that measure; the upper ones are 0 */
-    const double *tolerance;     /* by how much they may be exceeded */
+    double tolerance;            /* by how much bounds may be exceeded, before they are multiplied */
     const double *low, *high;    /* limits of the inputs */
     const double *near_low, *near_high; /* beyond them an input is at its limit */
     const struct Law *easier;    /* NULL if there is none */
 } Law;
 
 /* Numbers that a law with n rows of bounds and k in t needs, zero at first; those of easier ones follow its own. */
-#define LAW_MEMORY(n, k) ((n) + (k) + QP_MEMORY(k))
+#define LAW_MEMORY(n, k) (2 * (n) + (k) + QP_MEMORY(k))
 
 /* Compute an answer; false if there is none, as a value is not finite: the last inputs are to be held. */
 bool solve_law(const Law *law, const double p[], double memory[], double answer[], Told *told);
