@@ -11,7 +11,7 @@ from ddpc_reports.tables.table import Cell, Row, Table, text_headings
 _VERSION = " version"
 _SAID = {"run again", "command", "system", "cpu", "date", "ddpc-cosim commit"}
 _SAID |= {"study", "study file", "study file sha256", "study file commit", "study sha256"}
-_OF_PLANT = ("fmu", "fmi version", "plant content")
+_OF_PLANT = ("fmu", "fmi version", "plant content", "parts", "coupling")
 _WORDS = {
     "fmi version": "FMI {}",
     "fmu model": "model {}",
@@ -34,7 +34,7 @@ def reproduce_tables(results: StudyResults, prefix: str) -> list[Table]:
         own = {
             name: fact
             for name, fact in told.items()
-            if (name not in results.provenance if several else name in _OF_PLANT or name.startswith("fmu "))
+            if (name not in results.provenance if several else _is_of_plant(name))
         }
         common = {name: fact for name, fact in told.items() if name not in own}
         plants.setdefault(tuple(own.items()), []).append(part.study.title or part.study.name)
@@ -45,6 +45,12 @@ def reproduce_tables(results: StudyResults, prefix: str) -> list[Table]:
     date = {"date": common["date"]} if "date" in common else {}
     run = facts_table(f"{prefix}run", "What was run", (facts | date).items(), "run.csv")
     return [run, *([_plants_table(plants, prefix)] if several else [])]
+
+
+def _is_of_plant(name: str) -> bool:
+    """Whether a fact is one of the plant, or of a part of it: ``part.fmu``."""
+    of_part = name.rpartition(".")[2]
+    return of_part in _OF_PLANT or of_part.startswith("fmu ")
 
 
 def _facts(results: StudyResults, told: Mapping[str, str]) -> Iterator[tuple[str, str]]:

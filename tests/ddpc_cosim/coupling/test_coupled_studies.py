@@ -105,8 +105,9 @@ def test_the_results_folder_has_the_study_as_it_was_resolved(halves: dict[str, A
     assert [case.id for case in cases_of(again, again.plant.built())] == [case.id for case in first]
     assert "front + back" in (tmp_path / "out" / "metrics.csv").read_text(encoding="utf-8")
     page = results.report().read_text(encoding="utf-8")
-    for words in ("part back", "back.fmu", "follows back.x", "communication step"):
+    for words in ("part back", "back.fmu", "follows back.x", "communication step", "back.fmu sha256"):
         assert words in page
+    assert "back.fmi 2.0" not in page  # it is no package
     assert load_results(tmp_path / "out").study.plant.label == "front + back"
 
 
