@@ -163,8 +163,9 @@ class Cascade(Wrapper):
         others, halfway = started(steps / 2.0)
         if others != constants or not np.allclose(halfway, start + slopes @ steps / 2.0, 1e-12, 1e-12):
             raise ConfigError(
-                f"Cascade: {type(self.outer).__name__} cannot be exported as the outer controller: its start "
-                "does not depend linearly on where its inputs begin"
+                f"Cascade: {type(self.outer).__name__} cannot be exported as the outer controller: where its "
+                "inputs begin, known at the first sample only, changes its law, or its memory not linearly; "
+                "PID and MFAPC can be"
             )
         return slopes
 

@@ -125,8 +125,8 @@ class Observer:
         """Go on by one sample with inputs u, shape (m,)."""
         self.state[:] = self.a @ self.state + self.b @ u
 
-    def constant(self, code: Code, resting: FloatArray) -> str:
-        """Add the filter to code in C, given the inputs at rest; return its name."""
+    def constant(self, code: Code) -> str:
+        """Add the filter to code in C; return its name."""
         code.kernel("observer")
         p, n = self.c.shape
         tables = {
@@ -134,7 +134,6 @@ class Observer:
             "b": self.b,
             "c": self.c,
             "gain": np.vstack([self._gain, np.zeros((1, p))]),
-            "rest": self.resting_law(resting),
         }
         named = {name: code.doubles(table) for name, table in tables.items()}
         return code.constant("Observer", m=self.b.shape[1], p=p, n=n, **named)
@@ -306,10 +305,10 @@ class ModelBased(ScaledSignals):
     def _c_step(self, code: Code, loop: Loop) -> str:
         """Add the filter and what decides to the code."""
         state = self._observer.state
-        observer = self._observer.constant(code, self._u)
+        observer, rest = self._observer.constant(code), self._observer.resting_law(self._u)
         scratch = np.zeros(len(state) + len(loop.outputs))
         return code.step(
-            f"{code.held('ObserverMemory', [self._resting], self._u, state, scratch)}"
+            f"{code.held('ObserverMemory', [self._resting], self._u, state, rest, scratch)}"
             f"if (!observe(&{observer}, &held, sample->y, u, told)) return;\n"
             f"{self._c_decide(code, loop, observer)}\n"
             f"predict(&{observer}, &held, u);"

@@ -6,12 +6,28 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ddpc_controllers import IPID, MFAC, MFAPC, PID, SPSA, Cascade, Decentralised, Group, Idle, Scaled
+from ddpc_controllers import (
+    IPID,
+    LQR,
+    MFAC,
+    MFAPC,
+    MPC,
+    PID,
+    SPSA,
+    Cascade,
+    Decentralised,
+    Group,
+    Idle,
+    OffsetFree,
+    Scaled,
+    StateSpace,
+)
 from ddpc_cosim import Bounds, ConfigError, Controller, FloatArray, Loop, Sample, Variable
 
 from .compiled import Beside
 from .loops import COUPLED, PENDULUM, Bench
 
+LAG = StateSpace(a=[[0.8]], b=[[0.2]], c=[[1.0]])
 ALL = {
     "pid": PID(proportional=0.5, integral=0.3, derivative=0.05, filter_time=0.05, setpoint_share=0.3),
     "pid-clamping": PID(proportional=3.0, integral=[2.0], anti_windup="clamping"),
@@ -64,6 +80,12 @@ CASCADES = {
     ),
     "of-a-measurement": Cascade(
         inner=PID(proportional=2.0), outer=PID(proportional=2.0), inner_outputs=["x1"], outer_period=2
+    ),
+    "mpc-outer": Cascade(
+        inner=PID(proportional=2.0, integral=1.0), outer=MPC(model=LAG, horizon=6, rate_bounds=0.1)
+    ),
+    "offset-free-outer": Cascade(
+        inner=PID(proportional=2.0), outer=OffsetFree(controller=LQR(model=LAG)), outer_period=2
     ),
     "idle-outer": Cascade(inner=PID(proportional=2.0), outer=Idle()),
     "in-a-cascade": Cascade(

@@ -17,7 +17,7 @@ bool observe(const Observer *observer, const ObserverMemory *held, const double 
         }
         memcpy(held->scratch, y, p * sizeof(double));
         held->scratch[p] = 1.0;
-        multiply(observer->rest, held->scratch, n, p + 1, held->state);
+        multiply(held->rest, held->scratch, n, p + 1, held->state);
         *held->resting = 0.0;
     }
     if (missing) told->status |= STATUS_EXPECTED;

@@ -10,13 +10,13 @@ typedef struct {
     size_t m, p, n;           /* inputs, outputs, and states with the 1 that ends them */
     const double *a, *b, *c;  /* the model, n x n, n x m and p x n */
     const double *gain;       /* n x p, its last row zero */
-    const double *rest;       /* n x (p + 1): the state at rest, given the outputs and 1 */
 } Observer;
 
 typedef struct {
     double *resting; /* 1 until there is a finite measurement, else 0 */
     double *u;       /* m inputs applied last */
     double *state;   /* n states */
+    const double *rest; /* n x (p + 1): the state at rest, given the outputs and 1 */
     double *scratch; /* n + p numbers */
 } ObserverMemory;
 
