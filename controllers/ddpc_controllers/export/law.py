@@ -15,6 +15,7 @@ from ddpc_cosim import ConfigError
 
 _OPPOSITE = 1e-13
 _SAME = 1e-12
+_ROUNDING = 1e-15
 
 
 class LawInC(NamedTuple):
@@ -105,8 +106,8 @@ def _add(
     limit = np.full(len(upper), -np.inf)
     both = lower >= 0
     limit[both] = (problem.excess_law[lower[both], -1] + law[both, -1]) / size[both]
-    # A solution lies in the range of gain', of as few coordinates as there are independent bounds. As the
-    # factor is triangular, half of the gain is zero, which takes no room in an archive.
+    # A solution lies in the range of gain', of as few coordinates as there are independent bounds. The factor
+    # is triangular, and what is rounding becomes zero: half of the gain, which takes no room in an archive.
     directions, factor, order = scipy.linalg.qr(
         (gain / size[:, np.newaxis]).T, mode="economic", pivoting=True
     )
@@ -114,9 +115,11 @@ def _add(
     unknowns = int(np.count_nonzero(diagonal > np.finfo(float).eps * max(gain.shape) * diagonal[:1]))
     rows = np.empty((len(gain), unknowns))
     rows[order] = factor[:unknowns].T
+    rows = np.vstack([rows, problem.move_gain[:answers] @ directions[:, :unknowns]])
+    rows[np.abs(rows) <= _ROUNDING * np.linalg.norm(rows, axis=1, keepdims=True)] = 0.0
     tables = {
         "scale": 1.0 / size,
-        "gain": np.vstack([rows, problem.move_gain[:answers] @ directions[:, :unknowns]]),
+        "gain": rows,
         "lower": limit,
         "upper": np.zeros(len(upper)),
         **limits.tables(),
