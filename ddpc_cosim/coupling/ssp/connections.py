@@ -86,6 +86,8 @@ class Connections:
         self._systems = {one.path: one for one in system.systems()}
         self.into: dict[Node, Edge] = {}
         self.out_of: dict[Node, list[Edge]] = {}
+        for component in self.components.values():
+            self._check_units(component)
         for one in self._systems.values():
             for xml in one.connections:
                 for edge in self._edges(xml, one):
@@ -100,6 +102,22 @@ class Connections:
         if isinstance(element, Component) and (variable := self._variable(element, node.name)) is not None:
             own = element.document.unit(variable.variable.unit)
         return written.unit if written is not None and written.unit.name else own
+
+    def _check_units(self, component: Component) -> None:
+        """Note the connectors that are in another unit than their variables in the FMU: which one holds."""
+        for name, connector in component.connectors.items():
+            variable = self._variable(component, name)
+            own = component.document.unit(variable.variable.unit if variable else "")
+            if own.si is None or connector.unit.si is None:
+                continue
+            try:
+                fits = connector.unit.conversion_to(own) == (1.0, 0.0)
+            except ValueError:
+                fits = False
+            if not fits:
+                where = f"{component.document.label}: connector {component.name}.{name}"
+                units = f'is in "{connector.unit.name}", and its variable in the FMU in "{own.name}"'
+                self._reader.faults.append(f"{where} {units}; make them the same")
 
     def links(self) -> Iterator[Link]:
         """Yield what every connected input of a component, and every outer output, comes from."""

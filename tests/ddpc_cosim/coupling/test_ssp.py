@@ -231,6 +231,11 @@ BAD = {
         {},
         '"m" and "N" are units of different quantities',
     ),
+    "a unit that is not the FMU's": (
+        ssd(system("o", component("q", "resources/mass.fmu", "output x mm"))),
+        {},
+        r'connector q\.x is in "mm", and its variable in the FMU in "m"',
+    ),
     "a dictionary": (
         ssd(system("o", A, '<ssd:SignalDictionaryReference name="bus" dictionary="d"/>')),
         {},
