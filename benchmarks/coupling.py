@@ -9,7 +9,7 @@ from benchmarks.fmu import STEPS, measure, ratio
 from ddpc_cosim import Connection, CoupledPlant, FMUPlant
 from fmu_plants import Equations, PlantModel, Variable, export_fmu
 
-_H = 0.01
+_H = 0.1
 # One of two masses on springs, with another spring between them.
 _X, _V = Variable("x", "m", start=1.0), Variable("v", "m/s")
 _HALF = PlantModel(

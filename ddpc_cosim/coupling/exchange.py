@@ -76,11 +76,12 @@ class Exchange:
         self._wiring, self._graph, self._loop_tolerance = wiring, graph, loop_tolerance
         self.memory = np.zeros((4, len(wiring.values)))
         self.values, self._slopes, self._stamps, self._before = self.memory
-        self._driven = self.values[: len(wiring.inputs)]
+        self._inputs = len(wiring.inputs)
+        self._driven = self.values[: self._inputs]
         self._calls = [(p, p.plant.step, p.sources, p.span, p.size, p.is_scaled) for p in parts]
         self._arriving: dict[Part, FloatArray] = {}
         self._agenda: Sequence[Interval] = ()
-        self._is_plain = self._is_simple = True
+        self._is_plain, self._is_simple, self._is_watched = True, True, False
         driven, outputs = range(graph.outputs.start), graph.outputs
         self._all = self._updates(range(len(wiring.values)))
         self._all_after_steps = self._updates(outputs)
@@ -97,6 +98,7 @@ class Exchange:
 
     def arrange(self, intervals: int) -> None:
         """Lay down what happens in so many intervals, after which all parts are at one instant."""
+        self._is_watched = calls_are_watched()
         is_multirate = any(part.every > 1 for part in self._parts)
         after_steps = self._all_after_steps if is_multirate else self._needed(self._all_after_steps)
         self._is_plain = not self._linear and all(part.every * part.substeps == 1 for part in self._parts)
@@ -113,16 +115,19 @@ class Exchange:
             agenda.append(Interval(due, ended, updates))
         self._agenda = agenda
 
-    def refresh(self, time: float) -> None:
-        """Bring all outputs up to date at a time [s] at which all parts are."""
+    def refresh(self, time: float, changed: Iterable[Part] = ()) -> None:
+        """Bring outputs up to date at a time [s] at which all parts are; all of parts that changed."""
+        for part in changed:
+            if part.plant.can_give_outputs:
+                self._evaluate(part, time)
         for update in self._all:
             update.do(time)
 
     def set_inputs(self, u: FloatArray, time: float) -> None:
         """Take over the system's inputs, shape (m,), at a time [s], and what others have of them at once."""
         driven = self._driven
-        if len(u) != driven.size:
-            raise ConfigError(f"u has {len(u)} numbers; needed: {driven.size}")
+        if len(u) != self._inputs:
+            raise ConfigError(f"u has {len(u)} numbers; needed: {self._inputs}")
         if not self._after_inputs:
             driven[:] = u
         elif (driven != u).any():
@@ -170,7 +175,7 @@ class Exchange:
         if not self._sequential:
             old = old.copy()
         y: FloatArray | None = None
-        is_watched = calls_are_watched()
+        is_watched = self._is_watched
         try:
             for part, step, sources, span, size, is_scaled in self._calls:
                 y = None

@@ -226,7 +226,7 @@ class CoupledPlant(Plant):
             self._exchange.values[place] = value
         for name, chosen in by_part.items():
             self._parts[name].call("set_parameters", self.time, chosen)
-        self._exchange.refresh(self.time)
+        self._exchange.refresh(self.time, map(self._parts.__getitem__, by_part))
 
     def outputs_at(self, u: FloatArray) -> FloatArray:
         """Return the outputs now, shape (p,), at other inputs u, shape (m,)."""

@@ -165,6 +165,21 @@ def test_parameters_go_to_their_part_and_inputs_that_rest_are_parameters_too() -
             plant.set_parameters({"third.k": 1.0})
 
 
+def test_others_see_at_once_what_a_parameter_changes() -> None:
+    class Tuned(LinearPlant):
+        def outputs_at(self, u: FloatArray) -> FloatArray:
+            return np.array([float(self.parameters.get("k", 1.0))])
+
+        def step(self, u: FloatArray, h: float) -> FloatArray:
+            return self.outputs_at(u)
+
+    parts = {"first": Tuned(inputs=[]), "second": lag()}
+    with CoupledPlant(parts, CHAIN, algorithm="parallel") as plant:
+        plant.reset()
+        plant.set_parameters({"first.k": 2.0})
+        assert plant.step(np.empty(0), 0.1)[1] == pytest.approx(2.0 * (1.0 - math.exp(-0.1)))
+
+
 def test_a_dependency_on_what_is_no_input_is_refused() -> None:
     part = gain(1.0)
     part.dependencies = {"y": frozenset({"v"}), "z": frozenset()}
