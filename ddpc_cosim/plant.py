@@ -31,6 +31,8 @@ class Plant(ABC):
 
     A plant that says so has :meth:`outputs_at` too: others take its outputs as ``step`` left them.
     """
+    is_sampled: bool = False
+    """Whether it answers to its inputs as they are when a step begins, and holds its outputs over it."""
 
     def plan(self, sampling_time: float, stop_time: float) -> None:  # noqa: B027 - most plants take any run
         """Announce sampling and stop time of the next runs, before ``reset``.

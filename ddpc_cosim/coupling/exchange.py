@@ -212,11 +212,12 @@ class Exchange:
     def _substeps(self, part: Part, h: float, now: float) -> FloatArray:
         """Let a part do its step from a time [s] on; return its outputs at the end."""
         length = part.every * h / part.substeps
+        ahead = 0.0 if part.plant.is_sampled else length / 2.0
         for i in range(part.substeps):
             begin = now + i * length
-            y = part.step(self._taken(part, begin + length / 2.0), length, begin)
+            y = part.step(self._taken(part, begin + ahead), length, begin)
         end = now + part.every * h
-        if self._linear and self._sequential and part in self._estimated:
+        if self._linear and self._sequential and part in self._estimated and not part.plant.is_sampled:
             y = part.outputs_at(self._taken(part, end), end)
         return y
 
@@ -230,7 +231,8 @@ class Exchange:
         """Note when and how fast the outputs of parts changed in a step that ends at a time [s]."""
         for part in parts:
             span = part.span
-            self._slopes[span] = (self.values[span] - self._before[span]) / (part.every * h)
+            held = part.plant.is_sampled
+            self._slopes[span] = 0.0 if held else (self.values[span] - self._before[span]) / (part.every * h)
             self._stamps[span] = end
 
     def _updates(self, changed: Iterable[int]) -> list[Update]:

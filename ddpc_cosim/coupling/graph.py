@@ -36,8 +36,9 @@ class Graph:
     Attributes
     ----------
     order : tuple of str
-        The parts as they are stepped one after the other: each after those that it follows, and within a
-        circle of parts those first on whose outputs others depend without delay.
+        The parts as they are stepped one after the other: those that are sampled, and then each after those
+        that it follows, and within a circle of parts those first on whose outputs others depend without
+        delay.
     loops : tuple of tuple of str
         The algebraic loops: inputs and outputs that follow from each other without delay.
     """
@@ -152,12 +153,14 @@ class Graph:
             for value in values:
                 if value >= self._first_output:
                     awaits[self.part_of(value)].add(self.part_of(place))
-        return tuple(
+        order = [
             name
             for circle in components(parts, follows)
             for group in components(circle, awaits)
             for name in group
-        )
+        ]
+        # Those that are sampled first: the others have gone ahead when they are stepped.
+        return tuple(sorted(order, key=lambda name: not parts[name].is_sampled))
 
 
 def components(nodes: Iterable[Node], successors: Mapping[Node, Iterable[Node]]) -> list[list[Node]]:

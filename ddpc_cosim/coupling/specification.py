@@ -64,6 +64,7 @@ class Signals(NamedTuple):
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     dependencies: Mapping[str, frozenset[str]] = MappingProxyType({})
+    is_sampled: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,6 +59,10 @@ class Signals(Protocol):
     def dependencies(self) -> Mapping[str, frozenset[str]]:
         """For each output the inputs that it depends on without delay."""
 
+    @property
+    def is_sampled(self) -> bool:
+        """Whether it answers to its inputs as they are when a step begins."""
+
 
 class Intake(NamedTuple):
     """How a vector of numbers follows from all values: factor * values[sources] + offset."""

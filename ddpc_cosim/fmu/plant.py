@@ -14,7 +14,7 @@ import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError
 from ddpc_cosim.fmu.archive import UnpackLimits
-from ddpc_cosim.fmu.description import FMUDescription, direct_dependencies
+from ddpc_cosim.fmu.description import FMUDescription, direct_dependencies, is_sampled
 from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU, for_model_exchange, unpack_fmu
@@ -140,6 +140,7 @@ class FMUPlant(Plant):
             )
             self.inputs, self.outputs = self._shown_in(display_units or {})
             self.dependencies = direct_dependencies(self.description, self._fmu.inputs, self._fmu.outputs)
+            self.is_sampled = is_sampled(self._fmu.inputs)
             self.warnings = self._fmu.warnings
             for warning in self.warnings:  # where warnings are errors, they end it here
                 warnings.warn(f"{self.path.name}: {warning}", CosimWarning, stacklevel=2)

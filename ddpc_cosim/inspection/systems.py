@@ -11,7 +11,7 @@ from ddpc_cosim.coupling.specification import Signals
 from ddpc_cosim.coupling.ssp import SSPSystem, read_ssp
 from ddpc_cosim.coupling.wiring import Wiring
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.fmu.description import FMUDescription, direct_dependencies
+from ddpc_cosim.fmu.description import FMUDescription, direct_dependencies, is_sampled
 from ddpc_cosim.fmu.description.defects import Defect, Findings, Kind, Severity
 from ddpc_cosim.inspection import FORMAT, Inspection, defects_as_data, inspect_fmu, variables_as_data
 from ddpc_cosim.inspection.checks import NO_INPUTS, NO_OUTPUTS
@@ -128,6 +128,7 @@ def _signals(part: str, description: FMUDescription, used: set[str]) -> Signals:
         tuple(signal.variable for signal in inputs),
         tuple(signal.variable for signal in outputs),
         direct_dependencies(description, inputs, outputs),
+        is_sampled(inputs),
     )
 
 

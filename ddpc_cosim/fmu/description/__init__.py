@@ -358,6 +358,11 @@ def direct_dependencies(
 _READABLE = ("output", "local", "parameter", "calculatedParameter", "input")
 
 
+def is_sampled(inputs: Sequence[Signal]) -> bool:
+    """Return whether all inputs are discrete: those of a sampled block, such as an exported controller."""
+    return bool(inputs) and all(signal.source.variability == "discrete" for signal in inputs)
+
+
 def default_signals(description: FMUDescription, causality: str) -> list[Signal]:
     """Return the inputs or outputs that take part if none are named: the real numbers, or all if none are.
 
