@@ -1,7 +1,9 @@
 """Several plants that are one."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, cast, get_args
 
@@ -11,11 +13,13 @@ from ddpc_cosim.coupling.error_control import ErrorControl
 from ddpc_cosim.coupling.exchange import Exchange
 from ddpc_cosim.coupling.graph import Graph
 from ddpc_cosim.coupling.parts import Part
+from ddpc_cosim.coupling.ssp import read_ssp
 from ddpc_cosim.coupling.wiring import Connection, Wiring
 from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.safe_calls import plant_provenance
-from ddpc_cosim.variables import FloatArray, Variable
+from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
 
 Algorithm = Literal["sequential", "parallel"]
@@ -172,6 +176,51 @@ class CoupledPlant(Plant):
             )
         self._base_time, self._samples, self._h, self._tick = 0.0, 0, 0.0, 0.0
         self._ending: CosimError | None = ConfigError("step before reset")
+
+    @classmethod
+    def from_ssp(cls, path: str | Path, *, isolated: bool = False, **options: Any) -> Self:
+        """Return the system of an SSP archive as one plant.
+
+        Parameters
+        ----------
+        path : str or Path
+            The archive, of SSP 1.0 or 2.0.
+        isolated : bool
+            Whether each FMU lives in a process of its own.
+        options : Any
+            Further arguments of :class:`CoupledPlant`; ``inputs`` and ``outputs`` are by default the
+            connectors of the system, of one without any those of its parts.
+
+        Raises
+        ------
+        ConfigError
+            What is wrong with the archive; all faults at once.
+        FMUImportError
+            An FMU cannot be loaded.
+        """
+        system = read_ssp(Path(path))
+        for key, own in (("inputs", system.inputs), ("outputs", system.outputs)):
+            options.setdefault(key, names(own) or None)
+        values = {f"{one.name}.{key}": value for one in system.parts for key, value in one.parameters.items()}
+        with ExitStack() as opened:
+            parts = dict[str, Plant]()
+            for one in system.parts:
+                parts[one.name] = opened.enter_context(
+                    FMUPlant(
+                        one.fmu,
+                        inputs=one.inputs,
+                        outputs=one.outputs,
+                        fmi_type=one.fmi_type,
+                        start=one.start,
+                        isolated=isolated,
+                    )
+                )
+            connections = [one.connection for one in system.connections]
+            connectors = (*system.inputs, *system.outputs)
+            values |= options.pop("parameters", None) or {}
+            plant = cls(parts, connections, connectors=connectors, parameters=values, **options)
+            opened.pop_all()
+        return plant
 
     @property
     def time(self) -> float:

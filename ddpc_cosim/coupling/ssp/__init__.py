@@ -38,6 +38,8 @@ class SSPPart:
         Values of its variables.
     start : mapping of str to float
         Start values of its inputs.
+    inputs, outputs : tuple of str
+        The numbers that can be driven, and that are outputs or connected to something.
     """
 
     name: str
@@ -46,6 +48,8 @@ class SSPPart:
     fmi_type: FMIType
     parameters: Mapping[str, ParameterValue]
     start: Mapping[str, float]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +138,7 @@ class _Reading:
     def system(self) -> SSPSystem:
         """Return what has been read."""
         links = list(self._connections.links())
+        self._sources = [link.source for link in links]
         faults = self._reader.faults
         if not self._names and not faults:
             faults.append(f"{self._root.document.label}: there is no component to run")
@@ -175,7 +180,10 @@ class _Reading:
         place = f"ssp/{hashlib.sha256(content).hexdigest()[:16]}/{component.fmu.name}"
         package = component.document.package.resolve()
         given = self._parameters.components.get(component.path, {})
-        inputs = {signal.variable.name for signal in component.description.signals("input")}
+        description = component.description
+        declared = [signal.variable.name for signal in description.signals("output")]
+        connected = [node.name for node in self._sources if node.element == component.path]
+        inputs = {signal.variable.name for signal in description.signals("input")}
         start = {name: _start(component, name, value) for name, value in given.items() if name in inputs}
         return SSPPart(
             self._names[component.path],
@@ -184,6 +192,8 @@ class _Reading:
             component.fmi_type,
             {name: value for name, value in given.items() if name not in start},
             start,
+            tuple(signal.variable.name for signal in description.signals("input")),
+            tuple(dict.fromkeys((*declared, *connected))),
         )
 
     def _signal(self, node: Node) -> str:

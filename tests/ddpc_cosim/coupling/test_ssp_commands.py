@@ -8,7 +8,7 @@ from subprocess import CompletedProcess
 import numpy as np
 import pytest
 
-from ddpc_cosim import ConfigError
+from ddpc_cosim import ConfigError, CoupledPlant
 from ddpc_cosim.cli.inspect import inspect_command
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.suggestion import suggest_study, write_study
@@ -96,6 +96,21 @@ def test_init_proposes_a_study_that_was_tried(car: Path, tmp_path: Path) -> None
     # On the road the car stands as high as that; both are in mm.
     np.testing.assert_allclose(proposal.gains, [[1.0]], atol=0.02)
     assert proposal.comments["head"][0].startswith("Tried once; best: ")
+
+
+def test_an_archive_is_a_plant_in_python_too(car: Path) -> None:
+    """With its connectors, or with signals of its parts; its values hold unless others are given."""
+    with CoupledPlant.from_ssp(car, parameters={"wheel.tyre": 50.0}) as plant:
+        assert [v.header for v in (*plant.inputs, *plant.outputs)] == ["road [mm]", "height [mm]"]
+        np.testing.assert_allclose(plant.reset(), [5.0])
+        # At rest on the road, whatever the tyre; the wheel's own damping would be 9.
+        rows = [plant.step(np.array([10.0]), 0.01) for _ in range(1500)]
+        np.testing.assert_allclose(rows[-1], [15.0], atol=0.01)
+    with pytest.raises(ConfigError, match="communication_step = 0"):
+        CoupledPlant.from_ssp(car, communication_step=0.0)
+    with CoupledPlant.from_ssp(car, outputs=["body.speed"], isolated=True) as plant:
+        assert [v.name for v in plant.outputs] == ["body.speed"]
+        np.testing.assert_allclose(plant.reset(), [0.0])
 
 
 def test_init_of_a_system_without_inputs(tmp_path: Path) -> None:
