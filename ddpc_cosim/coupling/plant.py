@@ -5,7 +5,7 @@ from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self, cast, get_args
+from typing import Any, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 
@@ -25,6 +25,16 @@ from fmu_plants.spelling import did_you_mean
 Algorithm = Literal["sequential", "parallel"]
 Extrapolation = Literal["hold", "linear"]
 _WHOLE = 1e-6
+
+
+class _SavedState(NamedTuple):
+    """The states of all parts, what they exchange, and when."""
+
+    parts: Sequence[object]
+    memory: FloatArray
+    time: tuple[float, int, float]
+    halvings: int
+    ending: CosimError | None
 
 
 class CoupledPlant(Plant):
@@ -241,6 +251,8 @@ class CoupledPlant(Plant):
         """
         by_part, resting = self._by_part({**self._parameters, **(parameters or {})})
         self._base_time, self._samples = t0, 0
+        if self._control is not None:
+            self._control.halvings = 0
         exchange = self._exchange
         exchange.reset(t0)
         for place, value in resting.items():
@@ -290,17 +302,28 @@ class CoupledPlant(Plant):
 
     def save_state(self) -> object:
         """Return a copy of the states of all parts and of what they exchange."""
-        states = [part.call("save_state", self.time) for part in self._parts.values()]
-        return states, self._exchange.memory.copy(), self._base_time, self._samples, self._h, self._ending
+        halvings = 0 if self._control is None else self._control.halvings
+        return _SavedState(
+            [part.call("save_state", self.time) for part in self._parts.values()],
+            self._exchange.memory.copy(),
+            (self._base_time, self._samples, self._h),
+            halvings,
+            self._ending,
+        )
 
     def restore_state(self, state: object) -> None:
         """Go back to a saved state."""
-        states, memory, self._base_time, self._samples, h, self._ending = cast("tuple[Any, ...]", state)
-        for part, saved in zip(self._parts.values(), states, strict=True):
+        if not isinstance(state, _SavedState) or len(state.parts) != len(self._parts):
+            raise ConfigError("the state to restore is not one of this coupled plant")
+        for part, saved in zip(self._parts.values(), state.parts, strict=True):
             part.call("restore_state", self.time, saved)
-        self._exchange.memory[:] = memory
+        self._exchange.memory[:] = state.memory
+        self._base_time, self._samples, h = state.time
         if h != self._h:
             self._arrange(h)
+        if self._control is not None:
+            self._control.halvings = state.halvings
+        self._ending = state.ending
 
     def close(self) -> None:
         """Close all parts, also if some cannot."""

@@ -11,6 +11,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.linalg import expm
 
 from ddpc_cosim import ConfigError, Connection, CoupledPlant, FMUPlant, FMUStepError, Plant, StepStatus
+from ddpc_cosim.testing import PlantConformance
 from ddpc_cosim.variables import FloatArray, Variable
 
 from .conftest import Exported
@@ -308,6 +309,20 @@ def test_coupled_plants_can_be_parts() -> None:
         plant.reset()
         y = plant.step(np.ones(1), 0.3)
         assert y == pytest.approx([6.0, 6.0 * (1 - math.exp(-0.3))])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"algorithm": "parallel"}, {"extrapolation": "linear"}, {"error_tolerance": 1e-2}],
+    ids=["parallel", "linear", "controlled"],
+)
+class TestContract(PlantConformance):
+    tolerance = 0.1  # steps of another size exchange at other instants
+
+    @pytest.fixture
+    def make_plant(self, options: dict[str, Any]) -> Any:
+        step = {} if "error_tolerance" in options else {"communication_step": 0.1 / 16}
+        return lambda: oscillator(python_halves(), **step, **options)
 
 
 # Laws
