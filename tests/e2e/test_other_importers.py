@@ -3,7 +3,9 @@
 import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,7 +15,19 @@ from fmpy.container_fmu.config import Component, Configuration, Connection
 from fmpy.model_description import CoSimulation, DefaultExperiment, ModelDescription, ModelVariable
 from fmpy.ssp.simulation import simulate_ssp
 
-from ddpc_cosim import Conditions, Constant, Outcome, Reference, Steps, Trace, export_controller
+from ddpc_cosim import (
+    Conditions,
+    Connection as Ours,
+    Constant,
+    CoupledPlant,
+    FMUPlant,
+    Outcome,
+    Reference,
+    Steps,
+    Trace,
+    export_controller,
+)
+from ddpc_cosim.coupling.plant import Algorithm, Extrapolation
 from ddpc_cosim.study.cases import Case, cases_of, run_case, started
 from ddpc_cosim.study.reading import read_study
 from fmu_plants import export_fmu
@@ -113,6 +127,33 @@ def test_ssp_simulation_of_fmpy(study: str, name: str, tmp_path: Path) -> None:
     assert len(result) == STEPS  # the row at t has what the step from t to t + h led to
     np.testing.assert_allclose(result["plant.angle"], expected.y[1:, 0], atol=TOLERANCE)
     np.testing.assert_allclose(result["controller.torque"], expected.u[:-1, 0], atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("name", ["deepc", "mfapc"])
+def test_parts_of_a_coupled_plant(name: str, tmp_path: Path) -> None:
+    """Here, too, however values are exchanged: a sampled part takes what is there at its instants."""
+    case = case_of("paper", name, Constant(0.3), Conditions())
+    expected = run_here(case)
+    plant = export_fmu(MODEL, tmp_path / "plant.fmu")
+    controller, measured, asked = controller_fmu(case, tmp_path / "controller.fmu", "2.0")
+    connected = [Ours(f"plant.{one}", f"controller.{one}") for one in measured]
+    connected.append(Ours("controller.torque", "plant.torque"))
+    for algorithm, extrapolation, step in product(get_args(Algorithm), get_args(Extrapolation), (TS, TS / 2)):
+        with CoupledPlant(
+            {"plant": FMUPlant(plant), "controller": FMUPlant(controller)},
+            connected,
+            inputs=[f"controller.{one}" for one in asked],
+            outputs=["plant.angle", "controller.torque"],
+            algorithm=algorithm,
+            extrapolation=extrapolation,
+            communication_step=step,
+        ) as both:
+            both.plan(TS, STEPS * TS)
+            both.reset()
+            reference = np.full(len(asked), 0.3)
+            found = [both.outputs_at(reference)] + [both.step(reference, TS) for _ in range(STEPS)]
+        np.testing.assert_allclose(np.array(found)[:, 0], expected.y[:, 0], atol=TOLERANCE)
+        np.testing.assert_allclose(np.array(found)[:-1, 1], expected.u[:-1, 0], atol=TOLERANCE)
 
 
 @pytest.mark.parametrize(("study", "name"), CONTROLLERS[::3])
