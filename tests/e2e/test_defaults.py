@@ -30,6 +30,7 @@ REASONS: dict[str, str] = {
     "cascade": "its inner i-PID has to be told how strongly the inputs act: alpha, kp",
     "decentralised": "which signals belong together is the user's to say",
     "deepc-published": "it is what the authors' program does, whose ridge pulls every output to zero",
+    "fmu": "it is whatever the file that it is told holds",
     "idle": "it does nothing, and is to",
     "ipid": "it has to be told how strongly the inputs act: alpha, kp",
     "nmpc": "it has to be told the plant, where it is not a study that tells it",
