@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fmus.blocks import block_files
 
 from ddpc_controllers import LQR, DeePC, FMUController, Idle
 from ddpc_cosim import (
@@ -42,32 +43,11 @@ ANGLE, VELOCITY, TORQUE = (
     Variable("torque", "N.m"),
 )
 
-HEADER = """#ifndef CONTROLLER_H
-#define CONTROLLER_H
-#define CONTROLLER_MEMORY 1
-typedef struct {
-    double memory[CONTROLLER_MEMORY];
-    unsigned status, iterations, active_bounds;
-} ControllerState;
-void controller_start(ControllerState *state);
-unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[]);
-#endif
-"""
-SOURCE = """#include "controller.h"
-#include <math.h>
-void controller_start(ControllerState *state)
-{
-    state->memory[0] = 0.0;
-    state->status = state->iterations = state->active_bounds = 0;
-}
-unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[])
-{
-    state->memory[0] += 1.0;
-    state->iterations = 7;
-    state->status = y[0] > 100.0 ? 5u : 0u;
-    u[0] = y[0] > 1000.0 ? INFINITY : r[0] - 0.5 * y[0] + 10.0 * y[1] + 100.0 * state->memory[0];
-    return state->status;
-}
+STEP = """
+state->memory[0] += 1.0;
+state->iterations = 7;
+state->status = y[0] > 100.0 ? 5u : 0u;
+u[0] = y[0] > 1000.0 ? INFINITY : r[0] - 0.5 * y[0] + 10.0 * y[1] + 100.0 * state->memory[0];
 """
 
 
@@ -80,7 +60,7 @@ def foreign(folder: Path, sampling_time: float = 0.1) -> Path:
         (ScalarVariable("phi", "deg"), ScalarVariable("gain")),
         (ScalarVariable("phi_ref", "deg"),),
         (ScalarVariable("M", "kN.m"),),
-        {"controller.h": HEADER, "controller.c": SOURCE},
+        block_files(STEP),
     )
     return export_block(block, folder / "foreign.fmu")
 

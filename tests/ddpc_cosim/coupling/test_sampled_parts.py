@@ -4,35 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmus.blocks import block_files
 
 from ddpc_cosim import Connection, CoupledPlant, FMUPlant
 from fmu_plants import Variable
 from fmu_plants.export import FMI_VERSIONS, export_block
 from fmu_plants.export.sampled_block import SampledBlock
 
-HEADER = """#ifndef CONTROLLER_H
-#define CONTROLLER_H
-#define CONTROLLER_MEMORY 1
-typedef struct {
-    double memory[CONTROLLER_MEMORY];
-    unsigned status, iterations, active_bounds;
-} ControllerState;
-void controller_start(ControllerState *state);
-unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[]);
-#endif
-"""
-SOURCE = """#include "controller.h"
-void controller_start(ControllerState *state)
-{
-    state->memory[0] = 0.0;
-    state->status = state->iterations = state->active_bounds = 0;
-}
-unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[])
-{
-    state->memory[0] += 0.3 * (r[0] - y[0]);
-    u[0] = state->memory[0] + r[0] - y[0] - 0.2 * y[1];
-    return 0;
-}
+STEP = """
+state->memory[0] += 0.3 * (r[0] - y[0]);
+u[0] = state->memory[0] + r[0] - y[0] - 0.2 * y[1];
 """
 SIGNALS = ("angle", "angular_velocity", "setpoint.angle")
 BLOCK = SampledBlock(
@@ -42,7 +23,7 @@ BLOCK = SampledBlock(
     tuple(map(Variable, SIGNALS[:2])),
     (Variable(SIGNALS[2]),),
     (Variable("torque"),),
-    {"controller.h": HEADER, "controller.c": SOURCE},
+    block_files(STEP),
 )
 
 

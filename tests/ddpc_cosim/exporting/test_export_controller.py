@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from fmpy.validation import validate_fmu
+from fmus.blocks import block_files
 
 from ddpc_cosim import (
     ConfigError,
@@ -28,31 +29,11 @@ from ddpc_cosim.cli.main import main
 from ddpc_cosim.study.cases import cases_of, started
 from ddpc_cosim.study.reading import read_study
 
-_HEADER = """#ifndef CONTROLLER_H
-#define CONTROLLER_H
-#define CONTROLLER_MEMORY 1
-typedef struct {
-    double memory[CONTROLLER_MEMORY];
-    unsigned status, iterations, active_bounds;
-} ControllerState;
-void controller_start(ControllerState *state);
-unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[]);
-#endif
-"""
-_SOURCE = """#include "controller.h"
-void controller_start(ControllerState *state)
-{{
-    state->memory[0] = 0.0;
-    state->status = state->iterations = state->active_bounds = 0;
-}}
-unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[])
-{{
-    const double wanted = {gain!r} * (r[0] - y[0]) - y[1] + 0.5 * (r[2] - r[1]) + {bias!r};
-    state->memory[0] += 1.0;
-    state->status = wanted > 3.5 || wanted < -3.5 ? 2u : 0u;
-    u[0] = wanted > 3.5 ? 3.5 : wanted < -3.5 ? -3.5 : wanted;
-    return state->status;
-}}
+_STEP = """
+const double wanted = {gain!r} * (r[0] - y[0]) - y[1] + 0.5 * (r[2] - r[1]) + {bias!r};
+state->memory[0] += 1.0;
+state->status = wanted > 3.5 || wanted < -3.5 ? 2u : 0u;
+u[0] = wanted > 3.5 ? 3.5 : wanted < -3.5 ? -3.5 : wanted;
 """
 
 
@@ -77,8 +58,8 @@ class Proportional(Controller):
     def c_code(self, loop: Loop) -> ControllerCode:
         if self.fails:
             raise ZeroDivisionError("of anyone's")
-        source = _SOURCE.format(gain=self.gain, bias=self._bias)
-        return ControllerCode({"controller.h": _HEADER, "controller.c": source}, {2: "clipped"})
+        step = _STEP.format(gain=self.gain, bias=self._bias)
+        return ControllerCode(block_files(step), {2: "clipped"})
 
 
 @dataclass(kw_only=True)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from fmpy.fmi2 import fmi2Error, fmi2ModelExchange, fmi2OK
 from fmpy.validation import validate_fmu
+from fmus.blocks import block_files
 
 from fmu_plants import ExportError, Variable
 from fmu_plants.export import FMI_VERSIONS, export_block, fmi_functions, fmi_headers
@@ -19,39 +20,16 @@ from fmu_plants.export.platforms import PLATFORMS
 from fmu_plants.export.sampled_block import SampledBlock
 from tests.fmu_plants.conftest import Instance, Instance3, Library
 
-HEADER = """#ifndef CONTROLLER_H
-#define CONTROLLER_H
-#define CONTROLLER_MEMORY 2
-typedef struct {
-    double memory[CONTROLLER_MEMORY];
-    unsigned status, iterations, active_bounds;
-} ControllerState;
-void controller_start(ControllerState *state);
-unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[]);
-#endif
-"""
 # A PI controller. For a missing measurement: the last answer, with a status; for r = 1e9, an infinite one.
-SOURCE = """#include "controller.h"
-#include <math.h>
-
-void controller_start(ControllerState *state)
-{
-    state->memory[0] = state->memory[1] = 0.0;
-    state->status = state->iterations = state->active_bounds = 0;
+STEP = """
+state->status = isnan(y[0]) ? 4 : 0;
+if (!state->status) {
+    state->memory[0] += 0.1 * (r[0] - y[0]);
+    state->memory[1] = 2.0 * (r[0] - y[0]) + state->memory[0];
 }
-
-unsigned controller_step(ControllerState *state, const double y[], const double r[], double u[])
-{
-    state->status = isnan(y[0]) ? 4 : 0;
-    if (!state->status) {
-        state->memory[0] += 0.1 * (r[0] - y[0]);
-        state->memory[1] = 2.0 * (r[0] - y[0]) + state->memory[0];
-    }
-    state->iterations += 1;
-    u[0] = r[0] < 1e9 ? state->memory[1] : INFINITY;
-    u[1] = r[1] + y[1];
-    return state->status;
-}
+state->iterations += 1;
+u[0] = r[0] < 1e9 ? state->memory[1] : INFINITY;
+u[1] = r[1] + y[1];
 """
 BLOCK = SampledBlock(
     "pi",
@@ -60,7 +38,7 @@ BLOCK = SampledBlock(
     (Variable("angle", "rad", -1.0, 1.0), Variable("status", "furlong")),
     (Variable("setpoint.angle", "rad"), Variable("reference.angle[1]", "rad", start=0.5)),
     (Variable("torque", "N.m", -10.0, 10.0), Variable("angle")),
-    {"controller.h": HEADER, "controller.c": SOURCE},
+    block_files(STEP, memory=2),
     {"controller.json": "{}"},
 )
 
