@@ -17,7 +17,7 @@ from rich.text import Text
 
 from ddpc_cosim.cli.output import fitting
 from ddpc_cosim.coupling.ssp import SSPConnection
-from ddpc_cosim.fmu.description import Clock, FMUDescription, FMUVariable, Interface
+from ddpc_cosim.fmu.description import Clock, FMUDescription, FMUVariable, Interface, is_sampled
 from ddpc_cosim.fmu.description.defects import Defect, Severity
 from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu, systems
 from ddpc_cosim.inspection.systems import SystemInspection, inspect_ssp
@@ -144,7 +144,11 @@ def _next_step(inspection: Inspected) -> str:
     path = quote(printable(str(inspection.path)))
     if not inspection.inputs or not inspection.outputs:
         return f"open loop: ddpc-cosim simulate {path}"
-    return f"suggested study: ddpc-cosim init {path} && ddpc-cosim run study.toml"
+    study = f"ddpc-cosim init {path} && ddpc-cosim run study.toml"
+    description = inspection.description if isinstance(inspection, Inspection) else None
+    if description is not None and is_sampled([*description.signals("input")]):
+        return f'a controller in a study: type = "fmu", settings.file = "{path}"; a plant: {study}'
+    return f"suggested study: {study}"
 
 
 def _facts(inspection: Inspected) -> Iterator[tuple[str, str]]:

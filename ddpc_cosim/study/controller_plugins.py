@@ -4,6 +4,7 @@ A worker makes its controller with this, and imports nothing of what reads study
 """
 
 from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
 from typing import Any
 
 from ddpc_cosim.controller import Controller
@@ -51,6 +52,9 @@ def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
             arguments[key] = from_plain(plugin, key, value)
         except SettingsError as error:
             found += error.found
+    missing = [name for name in _required(plugin) if name not in settings]
+    if missing:
+        raise SettingsError(found + [((name,), "required setting is missing") for name in missing])
     try:
         controller = plugin(**arguments)
     except SettingsError as error:
@@ -65,3 +69,11 @@ def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
     if found:
         raise SettingsError(found)
     return controller
+
+
+def _required(plugin: type[Controller]) -> list[str]:
+    """Return the names of settings that have no default."""
+    if not is_dataclass(plugin):
+        return []
+    own = [field for field in fields(plugin) if field.init and field.default is MISSING]
+    return [field.name for field in own if field.default_factory is MISSING]

@@ -479,6 +479,10 @@ class ControllerSection(Section):
     variant_of: str = Field("", description="the controller whose sweep this one is part of")
     varied: list[str] = Field([], description="settings in which it differs from that controller")
 
+    @classmethod
+    def _hint(cls, key: str) -> str:
+        return f"{super()._hint(key)}; if it is a setting of the controller, write settings.{key}"
+
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong with the sweep."""
         for table in self.sweep:

@@ -243,6 +243,8 @@ def test_a_controller_that_a_script_has_started(folder: Path) -> None:
     path = export_controller(controller, loop, folder / "own.fmu", facts={"note": "of a script"})
     assert validate_fmu(str(path)) == []
     assert told(path)["note"] == "of a script"
+    shown = CliRunner().invoke(main, ["inspect", str(path)]).output.splitlines()
+    assert shown[-1].startswith('a controller in a study: type = "fmu", settings.file = ')
     with pytest.raises(ConfigError, match=r"cannot be exported; available: 2\.0, 3\.0"):
         export_controller(controller, loop, folder / "own.fmu", "1.0")
     broken, loop = started(cases_of(resolved, resolved.plant.built(), [3], "broken")[0])

@@ -240,6 +240,15 @@ ONE_FAULT: list[tuple[dict[str, Any], str]] = [
         {"controllers__mfapc__typ": "mfapc", "controllers__mfapc__type": None},
         "controllers.mfapc.typ: unknown key",
     ),
+    (
+        {"controllers__mfapc__horizon": 5},
+        "controllers.mfapc.horizon: unknown key; there are: bounds, label, note, search, settings, sweep, "
+        "tuned, type, variant_of, varied; if it is a setting of the controller, write settings.horizon",
+    ),
+    (
+        {"controllers__mfapc": {"type": "scaled"}},
+        "controllers.mfapc.settings.controller: required setting is missing",
+    ),
     ({"controllers__mfapc__type": "math:pi"}, 'controllers.mfapc.type: controller "math:pi" is not a class'),
     ({"controllers__mfapc__settings": 3}, "controllers.mfapc.settings: must be a table, got 3"),
     (
