@@ -197,7 +197,7 @@ class CoupledPlant(Plant):
             The archive, of SSP 1.0 or 2.0.
         isolated : bool
             Whether each FMU lives in a process of its own.
-        options : Any
+        **options : Any
             Further arguments of :class:`CoupledPlant`; ``inputs`` and ``outputs`` are by default the
             connectors of the system, of one without any those of its parts.
 
