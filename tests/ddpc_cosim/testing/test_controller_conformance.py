@@ -275,7 +275,7 @@ def test_the_command_fails_with_a_breach(tmp_path: Path, monkeypatch: pytest.Mon
 def test_settings_on_the_command_line_are_those_of_a_study() -> None:
     missing = check("scaled")
     assert missing.exit_code == 2
-    assert "'controller'" in missing.stderr
+    assert "scaled: controller: required setting is missing; give" in missing.stderr
     assert "--setting" in missing.stderr
     assert check("scaled", "--setting", 'controller = { type = "pid" }').exit_code == 0
     assert "not TOML" in check("pid", "--setting", "tuning = step-test").stderr
