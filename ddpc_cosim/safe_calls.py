@@ -77,7 +77,7 @@ def announce_calls(announce: Announce) -> None:
 
 
 def calls_are_watched() -> bool:
-    """Whether calls of this process are announced to anybody."""
+    """Whether calls of this process are announced."""
     return _announce is not _announce_to_no_one
 
 

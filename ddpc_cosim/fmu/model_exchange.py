@@ -84,7 +84,7 @@ class ModelExchangeRun(Run):
     def at_inputs(self, u: FloatArray, read: Callable[[], T]) -> T:
         """Return what is read with other inputs u, shape (m,), then be as before.
 
-        It is no event, which could change discrete states, unless inputs can change in nothing else.
+        It is not an event, which could change discrete states, unless inputs can change in nothing else.
         """
         if self._has_discrete_inputs:
             self.hold(u)

@@ -321,7 +321,7 @@ def started(case: Case) -> tuple[Controller, Loop]:
     """
     controller = _controller(case.section, case.plant)
     if controller is None:
-        raise ConfigError(f'"{case.controller}" is no controller: the plant runs in open loop')
+        raise ConfigError(f'"{case.controller}" is not a controller: the plant runs in open loop')
     only_started = _OnlyStarted(controller)
     plant = _open(case)
     try:

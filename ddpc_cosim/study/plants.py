@@ -68,7 +68,7 @@ class PlantSpec:
     trace_calls : str
         File that every FMI call is written to; empty: none.
     coupled : CoupledSpec or None
-        What a coupled plant consists of, which has no name and is no FMU.
+        What a coupled plant consists of, which has no name and is not an FMU.
     isolation : mapping of str to object
         How the FMU, a part, lives in a process of its own within that of the case: further arguments of
         :class:`FMUPlant`.

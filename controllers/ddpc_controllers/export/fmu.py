@@ -84,14 +84,14 @@ class FMUController(Controller):
                 {signal.variable.name: signal.variable for signal in description.signals(kind)}
                 for kind in ("input", "output")
             )
-            # Each needs a signal but those that are no real numbers, such as switches.
+            # Each needs a signal but those that are not real numbers, such as switches.
             needed = {variable.name for variable in plant.inputs} | set(self.signals)
         self._inputs = {name: variable for name, variable in inputs.items() if name in needed}
         self._resource = _resource_of(self.file)
         known = [*inputs, *self._outputs]
         faults = [f'the FMU has no "{n}"; it has: {", ".join(known)}' for n in self.signals if n not in known]
         constant = [n for n in self._outputs if not isinstance(self.signals.get(n, n), str)]
-        faults += [f'"{name}" is an output, which is no constant' for name in constant]
+        faults += [f'"{name}" is an output, which is not a constant' for name in constant]
         if faults:
             raise ConfigError([f"signals: {fault}" for fault in faults])
 

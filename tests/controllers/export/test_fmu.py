@@ -228,7 +228,7 @@ def test_what_does_not_fit_the_loop_is_refused(
             {"signals": {"psi": "angle", "M": 2.0}},
             'signals: the FMU has no "psi"; it has: phi, gain, phi_ref, M',
         ),
-        ({"signals": {"M": 2.0}}, 'signals: "M" is an output, which is no constant'),
+        ({"signals": {"M": 2.0}}, 'signals: "M" is an output, which is not a constant'),
         ({"several_steps": 2}, "several_steps"),
     ],
 )
