@@ -92,7 +92,7 @@ def _trial(cases: list[CaseResult], spans: Mapping[str, float], settings: dict[s
     errors: dict[str, list[float]] = {}
     for case in cases:
         errors.setdefault(case.scenario, []).append(relative_error(case, spans))
-    lost = sum(not case.holds for case in cases)
+    lost = sum(case.failed for case in cases)
     return Trial(lost, float(np.mean([np.median(values) for values in errors.values()])), settings)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,8 @@ _CONSTANT_ROWS = 3
 """Fewest rows of a stretch of constant reference; shorter ones belong to a moving reference."""
 _SMALLEST_FIRST_STEP = 0.01
 _SMALLEST_LONE_STEP = 0.001
-_LARGEST_SETTLED_ERROR = 0.5
+_SECOND_DIFFERENCE = 1.4826 / math.sqrt(6.0)
+"""From the median magnitude of second differences to the standard deviation of white noise."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +94,6 @@ class Response(Signal):
         """The stretches that begin with a step."""
         return [stretch for stretch in self.stretches if not math.isnan(stretch.before)]
 
-    @cached_property
-    def span(self) -> float:
-        """How far the reference moves; of a constant one, how far the output has to."""
-        return float(np.ptp(self.reference)) or abs(self._first_step)
-
     @property
     def _moves(self) -> NDArray[np.bool_]:
         """Whether the reference changes from row to row, by more than a rounding error."""
@@ -118,14 +115,107 @@ class Response(Signal):
         return float(self.values[0]) if abs(self._first_step) >= smallest else math.nan
 
     @property
-    def holds(self) -> bool:
-        """Whether the output comes to rest near its reference, and stays near its limits."""
-        if not len(self.values):
-            return False
-        far = float(self.beyond.max()) / abs(self.variable.shown_in.factor)
-        return far <= self.span and all(
-            step.settled_error <= _LARGEST_SETTLED_ERROR * abs(step.size) for step in self.steps
+    def tracking(self) -> "Tracking":
+        """What the run is judged by, as far as this output says."""
+        r, y = self.reference, self.values
+        if not len(y):
+            return Tracking(self.variable.name, math.nan, math.inf, self.variable.nominal, 0.0, 0.0, math.nan)
+        ends = [stretch.end_window for stretch in self.stretches]
+        if not ends:
+            ends = [EndWindow.of(r - y, slice(len(y) - max(round(_SETTLED_FRACTION * len(y)), 1), len(y)))]
+        return Tracking(
+            output=self.variable.name,
+            travel=float(np.ptp(np.append(r, y[0]))),
+            room=self.limits[1] - self.limits[0],
+            nominal=self.variable.nominal,
+            deviation=float(np.abs(y - y[0]).max()),
+            scatter=_SECOND_DIFFERENCE * float(np.median(np.abs(np.diff(y, 2)))) if len(y) > 2 else 0.0,
+            mean_abs_error=float(np.abs(r - y).mean()),
+            ends=tuple(ends),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class EndWindow:
+    """The last fifth of a stretch of constant reference, or of a run whose reference has none.
+
+    Parameters
+    ----------
+    rows : int
+        Its samples.
+    error, magnitude : float
+        Magnitude of the mean error, and mean of the error's magnitude, in the output's unit.
+    step : float
+        By how much the reference stepped to this stretch, in the output's unit; 0 where it did not.
+    constant : bool
+        Whether the reference is constant in it.
+    """
+
+    rows: int
+    error: float
+    magnitude: float
+    step: float = 0.0
+    constant: bool = False
+
+    @classmethod
+    def of(cls, error: FloatArray, rows: slice, step: float = 0.0, *, constant: bool = False) -> Self:
+        """Return the window of an error, shape (K,), at its rows."""
+        own = error[rows]
+        return cls(len(own), abs(float(own.mean())), float(np.abs(own).mean()), step, constant)
+
+
+@dataclass(frozen=True, slots=True)
+class Tracking:
+    """What one controlled output says of a run, in its own unit: what the run is judged by.
+
+    Parameters
+    ----------
+    output : str
+        Its name.
+    travel : float
+        How far the reference moves, and the output has to from where it begins.
+    room : float
+        Width of its limits; infinite without.
+    nominal : float
+        Its nominal value.
+    deviation : float
+        How far it goes from where it begins.
+    scatter : float
+        Standard deviation of the part that cannot be told from the two samples before, were it white: from
+        the median magnitude of second differences, which steps and slow changes do not move.
+    mean_abs_error : float
+        Over all samples.
+    ends : tuple of EndWindow
+        The ends of the stretches of constant reference; that of the run where there is none.
+    """
+
+    output: str
+    travel: float
+    room: float
+    nominal: float
+    deviation: float
+    scatter: float
+    mean_abs_error: float
+    ends: tuple[EndWindow, ...] = ()
+
+    @classmethod
+    def read(cls, table: dict[str, Any]) -> Self:
+        """Return what a file of a case says; KeyError, TypeError or ValueError if it says none of it."""
+        numbers = {key: float(table[key]) for key in _NUMBERS}
+        ends = tuple(
+            EndWindow(
+                int(end["rows"]),
+                float(end["error"]),
+                float(end["magnitude"]),
+                float(end["step"]),
+                bool(end["constant"]),
+            )
+            for end in table["ends"]
+        )
+        return cls(output=str(table["output"]), ends=ends, **numbers)
+
+
+_NUMBERS = ("travel", "room", "nominal", "deviation", "scatter", "mean_abs_error")
 
 
 @dataclass(frozen=True)
@@ -146,11 +236,17 @@ class Stretch:
         return float(self.response.reference[self.first]) - self.before
 
     @property
+    def end_window(self) -> EndWindow:
+        """The last fifth of the window; a step is what the reference does, not how the run begins."""
+        rows = round(_SETTLED_FRACTION * (self.end - self.first))
+        step = abs(self.size) if self.first > 0 and not math.isnan(self.before) else 0.0
+        error = self.response.reference - self.response.values
+        return EndWindow.of(error, slice(self.end - rows, self.end), step, constant=True)
+
+    @property
     def settled_error(self) -> float:
         """Magnitude of the mean error over the last fifth of the window, in the output's unit."""
-        rows = round(_SETTLED_FRACTION * (self.end - self.first))
-        settled = slice(self.end - rows, self.end)
-        return abs(float((self.response.reference[settled] - self.response.values[settled]).mean()))
+        return self.end_window.error
 
     @property
     def overshoot(self) -> float:

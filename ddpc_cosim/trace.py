@@ -11,7 +11,7 @@ import numpy as np
 from ddpc_cosim.controller import OK, Bounds
 from ddpc_cosim.csv_files import write_table
 from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
-from ddpc_cosim.responses import Actuation, Response, StepTimes
+from ddpc_cosim.responses import Actuation, Response, StepTimes, Tracking
 from ddpc_cosim.texts import html_table, printable
 from ddpc_cosim.variables import FloatArray, Variable, names
 
@@ -181,15 +181,15 @@ class Trace:
         )
         return table | compute_installed_metrics(self)
 
-    def holds(self, settings: MetricSettings | None = None) -> bool:
-        """Return whether the run completed and stayed near its reference; parameters as in :meth:`metrics`.
+    def tracking(self, settings: MetricSettings | None = None) -> tuple[Tracking, ...]:
+        """Return what the run is judged by, an entry per controlled output; parameters as in :meth:`metrics`.
 
-        It did not where the settled error of a stretch of constant reference exceeds half of the step that
-        leads to it, or where an output leaves its bounds by more than its reference's span.
+        Whether it failed depends on what doing nothing comes to, too: in a study,
+        :attr:`ddpc_cosim.CaseResult.failed`.
         """
         settings = settings or MetricSettings(self.preview)
         with np.errstate(over="ignore", invalid="ignore"):  # a run can have values of any size
-            return self.completed and all(response.holds for response in self._responses(settings))
+            return tuple(response.tracking for response in self._responses(settings))
 
     def _responses(self, settings: MetricSettings) -> list[Response]:
         rows, h = slice(0, self.held), self.sampling_time

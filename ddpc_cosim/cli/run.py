@@ -18,7 +18,7 @@ from ddpc_cosim.cli.summary import overall_table, summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import expand_seeds
-from ddpc_cosim.study.following import following_lines
+from ddpc_cosim.study.judgement import remarks
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import (
     HTML,
@@ -83,8 +83,9 @@ def show_results(results: StudyResults, *, report: bool = True, browse: bool = F
     console = screen()
     ran = [problem for problem in results.problems() if problem.cases]
     for problem in results.problems():
-        for line in following_lines(problem.study, problem.cases):
-            console.print(printable(f"{line}."), markup=False, highlight=False, style="bold")
+        for remark in remarks(problem.study, problem.cases):
+            style = "bold red" if remark.is_failure else "bold"
+            console.print(printable(f"{remark.text}."), markup=False, highlight=False, style=style)
         if problem.cases:
             console.print(summary_table(problem, console), crop=False)
         if several := len(results.variants(problem.study.name)):

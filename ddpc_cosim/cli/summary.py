@@ -43,7 +43,7 @@ class _Row:
     @property
     def lost(self) -> int:
         """How many of its runs do not stay near their reference."""
-        return sum(not case.holds for case in self.cases)
+        return sum(case.failed for case in self.cases)
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def overall_table(problems: Sequence[StudyResults], console: Console) -> Rendera
         return None
     frame = pd.DataFrame(runs, columns=["problem", "variant", "controller", "scenario", "seed", _RANKED_BY])
     try:
-        ranks = ranks_frame(frame.assign(holds=frame[_RANKED_BY].notna()), _RANKED_BY)
+        ranks = ranks_frame(frame.assign(failed=frame[_RANKED_BY].isna()), _RANKED_BY)
     except ConfigError:  # no run is shared by all
         return None
     if len(ranks.ranks) < 2:
@@ -183,7 +183,7 @@ def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]
 def _metric_column(key: str) -> _Column:
     def cell(cases: Sequence[CaseResult]) -> Text:
         value = summed(cases, key)
-        lost = not all(case.holds for case in cases)
+        lost = any(case.failed for case in cases)
         return Text(_micro(value) if key == _STEP else _number(value), style="red" if lost else "")
 
     return _Column(metric_name(key), "" if key == _STEP else _detail(key), _words(key), key, cell)
@@ -202,7 +202,7 @@ def _scenario_columns(results: StudyResults, keys: Sequence[str]) -> list[_Colum
 def _scenario_column(results: StudyResults, name: str, key: str, detail: str) -> _Column:
     def cell(cases: Sequence[CaseResult]) -> Text:
         own = [case for case in cases if case.scenario == name]
-        lost = sum(not case.holds for case in own)
+        lost = sum(case.failed for case in own)
         if own and lost == len(own):
             return Text("lost", style="red")
         return Text(_number(summed(own, key), 3) + ("*" if lost else ""), style="red" if lost else "")
@@ -292,9 +292,7 @@ def _indented(variant: Sequence[CaseResult], own: Sequence[CaseResult]) -> str:
 def _place(cases: Sequence[CaseResult], key: str) -> tuple[int, float]:
     """Order by lost runs, then by the value of a metric, the best first."""
     value = summed(cases, key) if key else math.nan
-    return sum(not case.holds for case in cases), math.inf if math.isnan(value) else metric_of(key).rank(
-        value
-    )
+    return sum(case.failed for case in cases), math.inf if math.isnan(value) else metric_of(key).rank(value)
 
 
 def _range(cases: Sequence[CaseResult], key: str) -> Text:

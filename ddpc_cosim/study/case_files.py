@@ -20,6 +20,7 @@ from ddpc_cosim.controller import Bounds
 from ddpc_cosim.csv_files import PARQUET, read_parquet, write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.responses import Tracking
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
@@ -31,6 +32,8 @@ _SIGNALS_FILES = {"csv": "signals.csv", "parquet": f"signals{PARQUET}"}
 # A JSON file ends with the checksum of all that stands before it.
 _SEAL = b',\n "sha256": "%s"\n}\n'
 
+DOING_NOTHING = "doing-nothing"
+"""The controller of the runs that the tool makes itself, with inputs at rest: no result is one of them."""
 _LONGEST_RUN = 1 << 26
 # These may end otherwise next time: only a result that would come out the same is kept.
 _TRANSIENT = (Outcome.CRASHED, Outcome.TIMED_OUT)
@@ -65,8 +68,8 @@ class CaseResult:
         How the run ended.
     reason : str
         Why it ended early; empty if completed.
-    holds : bool
-        Whether it completed and stayed near its reference, as :meth:`ddpc_cosim.Trace.holds` says.
+    tracking : tuple of Tracking
+        What it is judged by, an entry per controlled output.
     metrics, diagnostics : dict of str to float
         Values of the run, and of the controller's data or model.
     settings : dict
@@ -84,6 +87,15 @@ class CaseResult:
         The problem's name; of a flat study its own.
     recorded_samples : int
         How many samples of the recording the controller learned from.
+    failed : bool
+        Whether it did not complete, ends further than half of its task away, or is worse than doing nothing.
+    failure : str
+        Why a run that completed failed.
+    settles : bool or None
+        Whether it leaves no more than 5 % of any step; None where its reference is never constant.
+    left : float
+        What it leaves of a step at worst [%], beyond what the scenario makes unavoidable; infinite of a run
+        that did not complete, and NaN where its reference is never constant.
     wall_time : float
         How long its worker took for it [s]; NaN if it was lost.
     """
@@ -95,7 +107,7 @@ class CaseResult:
     seed: int
     outcome: Outcome
     reason: str
-    holds: bool
+    tracking: tuple[Tracking, ...]
     metrics: dict[str, float]
     diagnostics: dict[str, float]
     settings: dict[str, Any]
@@ -105,6 +117,10 @@ class CaseResult:
     transient: bool = False
     problem: str = ""
     recorded_samples: int = 0
+    failed: bool = False
+    failure: str = ""
+    settles: bool | None = None
+    left: float = math.nan
     wall_time: float = field(default=math.nan, compare=False)
 
     def trace(self) -> Trace:
@@ -123,6 +139,8 @@ class CaseResult:
 
 def load_case(folder: Path, id: str = "") -> CaseResult:
     """Read one case, whose files have to be what was written to the last byte.
+
+    What is concluded of it depends on another run too: :func:`ddpc_cosim.study.judgement.judged`.
 
     Parameters
     ----------
@@ -143,13 +161,15 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             raise ValueError(f"{RUN_FILE} is of case {run['id']}")
         keys = ("id", "controller", "label", "scenario", "seed", "reason", "sandbox", "recorded_samples")
         head = {key: run[key] for key in keys} | {"problem": run.get("problem", "")}
-        values = {key: run[key] for key in ("holds", "metrics", "diagnostics", "settings")}
+        values = {key: run[key] for key in ("metrics", "diagnostics", "settings")}
         told, outcome = (*run["warnings"], *run["metric_warnings"]), Outcome(run["outcome"])
         transient = run["transient"] or outcome in _TRANSIENT
         return CaseResult(
             **head,
             **values,
+            tracking=tuple(map(Tracking.read, run["tracking"])),
             outcome=outcome,
+            failed=outcome is not Outcome.COMPLETED,
             warnings=told,
             folder=folder,
             transient=transient,
@@ -327,7 +347,7 @@ def _judged(trace: Trace, settings: MetricSettings) -> dict[str, Any]:
         warnings.simplefilter("always")
         metrics = trace.metrics(settings)
     return {
-        "holds": trace.holds(settings),
+        "tracking": [asdict(one) for one in trace.tracking(settings)],
         "metrics": metrics,
         "metric_warnings": [
             recorded(one.message) for one in caught if issubclass(one.category, CosimWarning)

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatch
@@ -31,6 +31,7 @@ from ddpc_cosim.plugins import code_version, own_folder, types_in, values_of
 from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference
+from ddpc_cosim.study.case_files import DOING_NOTHING
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.trace import Outcome, Trace
@@ -53,6 +54,8 @@ _NAMES, _SURROUNDINGS = (
     ("step_timeout", "case_timeout", "memory_limit", "sandbox", "storage"),
 )
 _NOT_DECISIVE = (*_NAMES, *_SURROUNDINGS, "late", "metrics", "seed")
+_RESTING = "idle"
+"""The controller, by entry point, that leaves the inputs at rest."""
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
 
 
@@ -220,6 +223,28 @@ def cases_of_problems(
         }
         raise ConfigError(f"--only {only}: no case matches; {did_you_mean(only, known)}")
     return chosen
+
+
+def doing_nothing(cases: Iterable[Case]) -> list[Case]:
+    """Return the runs with inputs at rest that cases are judged by: one per problem, scenario and seed."""
+    groups: dict[tuple[str, str], dict[int, Case]] = {}
+    for case in cases:
+        if case.section["type"]:
+            groups.setdefault((case.problem, case.scenario), {}).setdefault(case.seed, case)
+    return [one for driven in groups.values() for one in _at_rest(driven)]
+
+
+def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
+    """Yield the runs of one scenario with inputs at rest, by seed."""
+    first = next(iter(driven.values()))
+    section = {"type": _RESTING, "settings": {}}
+    case = replace(first, controller=DOING_NOTHING, label=DOING_NOTHING, section=section, late="")
+    if not case.continue_recording:
+        case = replace(case, excitation=None, recording=None, stabiliser=None)
+    digest = case.recording.digest if case.recording else None
+    shared = _hash_of(case, _code_and_files(case) | {"recording": digest})
+    for seed in driven:
+        yield _with_seed(case, seed, case.name_with(seed), shared)
 
 
 def _words(study: "Study", problem: str, controller: str, scenario: str) -> tuple[str, ...]:
@@ -543,9 +568,13 @@ def _cases_of_problem(
             content = content or _code_and_files(case) | recording
             shared = _hash_of(case, content)
             for seed, called in chosen:
-                whole = shared.copy()
-                whole.update(str(seed).encode())
-                yield replace(case, seed=seed, id=f"{called}_{whole.hexdigest()[:10]}")
+                yield _with_seed(case, seed, called, shared)
+
+
+def _with_seed(case: Case, seed: int, called: str, shared: "hashlib._Hash") -> Case:
+    whole = shared.copy()
+    whole.update(str(seed).encode())
+    return replace(case, seed=seed, id=f"{called}_{whole.hexdigest()[:10]}")
 
 
 def _type_and_settings(section: "ControllerSection | StabiliserSection") -> dict[str, Any]:

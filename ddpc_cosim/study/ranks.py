@@ -259,7 +259,7 @@ def _shared_runs(frame: "pd.DataFrame", metric: str) -> tuple["pd.DataFrame", tu
     problems = frame["problem"].nunique()
     ran_in = frame.groupby("controller", sort=False)["problem"].nunique()
     kept = [str(name) for name, count in ran_in.items() if count == problems]
-    counted = frame["holds"] & np.isfinite(frame[metric])
+    counted = ~frame["failed"] & np.isfinite(frame[metric])
     rows = frame.assign(value=frame[metric].where(counted), ran=True).loc[frame["controller"].isin(kept)]
     index = ["problem", "scenario", "variant", "seed"]
     values, ran = (rows.pivot(index=index, columns="controller", values=key) for key in ("value", "ran"))

@@ -9,12 +9,13 @@ import uuid
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.plugins import installed, load_plugin
 from ddpc_cosim.study.case_files import (
     DAMAGED,
+    DOING_NOTHING,
     CaseResult,
     checksum,
     damaged_files,
@@ -23,6 +24,7 @@ from ddpc_cosim.study.case_files import (
     sealed_json,
 )
 from ddpc_cosim.study.file_format.sweeps import variant_words
+from ddpc_cosim.study.judgement import Run, judged, run_of
 from ddpc_cosim.texts import alike, csv_text, encodable, html_table, printable
 from ddpc_cosim.trace import Trace
 from fmu_plants.files import write_atomically
@@ -64,6 +66,8 @@ class StudyResults:
     provenance : dict of str to str
         Versions, machine, plant, command, date; where there are several problems, what is of one begins with
         its name.
+    resting : tuple of CaseResult
+        The runs with inputs at rest, one per problem, scenario and seed, by which cases are judged.
     damaged : dict of str to str
         Cases whose files are not what the run wrote, by id, and what is wrong: they are not among the cases.
     peers : tuple of str
@@ -75,6 +79,7 @@ class StudyResults:
     whole: "WholeStudy"
     cases: tuple[CaseResult, ...]
     provenance: dict[str, str]
+    resting: tuple[CaseResult, ...] = ()
     damaged: dict[str, str] = field(default_factory=dict)
     peers: tuple[str, ...] = ()
 
@@ -122,8 +127,11 @@ class StudyResults:
 
     def _views(self, names: Sequence[str]) -> tuple["StudyResults", ...]:
         cases: dict[str, list[CaseResult]] = {name: [] for name in self.whole.problems}
+        resting: dict[str, list[CaseResult]] = {name: [] for name in self.whole.problems}
         for case in self.cases:
             cases[case.problem].append(case)
+        for case in self.resting:
+            resting[case.problem].append(case)
         damaged: dict[str, dict[str, str]] = {name: {} for name in self.whole.problems}
         longest_first = sorted(self.whole.problems, key=len, reverse=True)
         for id, why in self.damaged.items():
@@ -140,6 +148,7 @@ class StudyResults:
                 self.whole.of(self.whole.problems[name]),
                 tuple(cases[name]),
                 facts.get(name, {}) | facts.get("", {}),
+                tuple(resting[name]),
                 damaged[name],
                 self.peers,
             )
@@ -148,18 +157,18 @@ class StudyResults:
         )
 
     def __repr__(self) -> str:
-        held, failed = sum(case.holds for case in self.cases), len(self.damaged)
+        failed, damage = sum(case.failed for case in self.cases), len(self.damaged)
         controllers = ", ".join(dict.fromkeys(case.label for case in self.cases))
-        damaged = f", {failed} damaged" if failed else ""
-        words = f"{len(self.cases)} cases, {held} near their reference{damaged}; {controllers}"
+        damaged = f", {damage} damaged" if damage else ""
+        words = f"{len(self.cases)} cases, {failed} failed{damaged}; {controllers}"
         return printable(f"StudyResults({self.folder}: {words})", 500)
 
     def _repr_html_(self) -> str:
         groups: dict[tuple[str, str, str], list[CaseResult]] = {}
         for case in self.cases:
             groups.setdefault((case.problem, case.label, case.scenario), []).append(case)
-        rows = [(*key, len(cases), sum(case.holds for case in cases)) for key, cases in groups.items()]
-        header = ("problem", "controller", "scenario", "cases", "near the reference")
+        rows = [(*key, len(cases), sum(case.failed for case in cases)) for key, cases in groups.items()]
+        header = ("problem", "controller", "scenario", "cases", "failed")
         return html_table(repr(self), header, rows)
 
     def frame(self) -> "pd.DataFrame":
@@ -179,8 +188,9 @@ class StudyResults:
                 "variant": variant_words(self.whole.problems[case.problem].varied),
                 "seed": case.seed,
                 "outcome": str(case.outcome),
-                "reason": case.reason,
-                "holds": case.holds,
+                "reason": case.reason or case.failure,
+                "failed": case.failed,
+                "settles": case.settles,
                 **case.metrics,
             }
             for case in self.cases
@@ -377,14 +387,23 @@ def load_results(folder: str | Path) -> StudyResults:
         study = _study(content)
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
-    cases, damaged = load_cases(folder, study, case_ids)
-    return StudyResults(folder, study, cases, provenance, damaged)
+    return load_cases(folder, study, case_ids).of(folder, study, provenance)
 
 
-def load_cases(
-    folder: Path, study: "WholeStudy", case_ids: Iterable[str]
-) -> tuple[tuple[CaseResult, ...], dict[str, str]]:
-    """Return the cases of a study that are sound, and by id what is wrong with the others.
+class Loaded(NamedTuple):
+    """Cases that have been read: see :class:`StudyResults`."""
+
+    cases: tuple[CaseResult, ...]
+    resting: tuple[CaseResult, ...]
+    damaged: dict[str, str]
+
+    def of(self, folder: Path, study: "WholeStudy", provenance: dict[str, str]) -> StudyResults:
+        """Return them as the results of a study."""
+        return StudyResults(folder, study, self.cases, provenance, self.resting, self.damaged)
+
+
+def load_cases(folder: Path, study: "WholeStudy", case_ids: Iterable[str]) -> Loaded:
+    """Return the cases of a study that are sound, judged, and by id what is wrong with the others.
 
     They are labelled as the study labels them now: a label does not decide a result.
     """
@@ -393,16 +412,28 @@ def load_cases(
         for problem, flat in study.problems.items()
         for name, section in flat.controllers.items()
     }
-    cases, damaged = [], {}
+    cases, resting, damaged = dict[str, list[CaseResult]](), dict[Run, CaseResult](), {}
     for case_id in case_ids:
         try:
             case = load_case(folder / CASES_FOLDER / case_id)
             problem = case.problem or study.head.name  # the files of a flat study's cases do not name it
             label = labels.get((problem, case.controller), case.label)
-            cases.append(replace(case, problem=problem, label=label))
+            case = replace(case, problem=problem, label=label)
+            if case.controller == DOING_NOTHING:
+                resting[run_of(case)] = case
+            else:
+                cases.setdefault(problem, []).append(case)
         except ConfigError as error:
             damaged[case_id] = str(error)
-    return tuple(cases), damaged
+    return Loaded(
+        tuple(
+            case
+            for problem, own in cases.items()
+            for case in judged(study.problems[problem].scenarios, own, resting)
+        ),
+        tuple(resting.values()),
+        damaged,
+    )
 
 
 def claim_folder(folder: Path, study: "WholeStudy") -> None:
@@ -489,7 +520,11 @@ def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> 
     """
     folder, content = results.folder, results.whole.toml()
     provenance = {**results.provenance, _STUDY_CHECKSUM: checksum(content)}
-    ids = [*(case.id for case in results.cases), *results.damaged] if whole is None else [*whole]
+    ids = (
+        [*(case.id for case in (*results.cases, *results.resting)), *results.damaged]
+        if whole is None
+        else [*whole]
+    )
     facts = {**provenance, "cases": ids}
     results = replace(results, whole=_study(content), provenance=provenance)
     try:
@@ -523,7 +558,7 @@ def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     head = ["study", "problem", *(["variant"] if has_variants else []), "plant", "controller", "scenario"]
-    writer.writerow([*head, "seed", "outcome", "holds", *map(printable, keys)])
+    writer.writerow([*head, "seed", "outcome", "failed", "settles", *map(printable, keys)])
     for case in cases:
         values = [case.metrics.get(key, math.nan) for key in keys]
         cells = ["" if math.isnan(value) else repr(value) for value in values]
@@ -537,6 +572,10 @@ def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
             case.controller,
             case.scenario,
         ]
-        holds = "true" if case.holds else "false"
-        writer.writerow([*map(csv_text, what), case.seed, case.outcome, holds, *cells])
+        settles = "" if case.settles is None else _truth(case.settles)
+        writer.writerow([*map(csv_text, what), case.seed, case.outcome, _truth(case.failed), settles, *cells])
     return file.getvalue()
+
+
+def _truth(value: bool) -> str:
+    return "true" if value else "false"

@@ -52,6 +52,7 @@ from ddpc_cosim.study.cases import (
     Case,
     Surroundings,
     cases_of_problems,
+    doing_nothing,
     files_read,
     no_samples,
     partial_trace,
@@ -225,12 +226,15 @@ def run_study(
     if selection.sandboxed and selection.executor == "local":
         require_sandbox()  # before anything is built
     plants, every = selected_cases(resolved, selection, progress)
-    cases, study = selection.part_of(every), resolved.whole.with_seeds(selection.seeds)
+    study = resolved.whole.with_seeds(selection.seeds)
+    every = [*every, *doing_nothing(every)]
+    cases = selection.part_of(every)
     claim_folder(folder, study)
     began = monotonic()
     ran = run_missing(cases, folder, selection, progress, begin=True)
     took = f"{monotonic() - began:.3g} s for {ran} cases, {len(cases) - ran} kept from an earlier run"
-    results, damaged = load_cases(folder, study, [case.id for case in cases])
+    loaded = load_cases(folder, study, [case.id for case in cases])
+    results = loaded.cases
     provenance, of_problem = dict[str, str](), dict[str, list[CaseResult]]()
     for result in results:
         of_problem.setdefault(result.problem, []).append(result)
@@ -243,7 +247,7 @@ def run_study(
     provenance |= facts_of_run(results, resolved.file, selection.options(), workers, took)
     provenance |= dict(facts or {})
     whole = [case.id for case in every] if selection.is_part else None
-    return write_results(StudyResults(folder, study, results, provenance, damaged), whole)
+    return write_results(loaded.of(folder, study, provenance), whole)
 
 
 def _done(cases: Sequence[Case], folder: Path, selection: Selection, progress: Progress) -> Iterator[Case]:

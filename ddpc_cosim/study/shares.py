@@ -79,9 +79,9 @@ def share_runs(
             m_zero = (
                 zero.metrics.get(metric, math.nan) if zero and zero.outcome is Outcome.COMPLETED else math.nan
             )
-            m_full = full.metrics.get(metric, math.nan) if full and full.holds else math.nan
+            m_full = full.metrics.get(metric, math.nan) if full and not full.failed else math.nan
             one = RunShare(case, metric, m_zero, m_full, math.nan)
-            if case.holds and one.has_way:
+            if not case.failed and one.has_way:
                 one = one._replace(share=(m_zero - case.metrics.get(metric, math.nan)) / (m_zero - m_full))
             yield one
 
@@ -156,7 +156,7 @@ def share_frame(whole: "WholeStudy", cases: Sequence[CaseResult], metric: str) -
                     "scenario": one.case.scenario,
                     "variant": variant_words(study.varied),
                     "seed": one.case.seed,
-                    "holds": one.case.holds,
+                    "failed": one.case.failed,
                     "metric": one.metric,
                     "value": one.case.metrics.get(one.metric, math.nan),
                     "zero": one.zero,

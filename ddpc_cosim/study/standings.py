@@ -11,7 +11,7 @@ from typing import NamedTuple
 from ddpc_cosim.metrics import headline, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.following import none_follows
+from ddpc_cosim.study.judgement import all_failed
 from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all, describe
 from ddpc_cosim.trace import Outcome
 
@@ -164,7 +164,7 @@ def counted(cases: Iterable[CaseResult], key: str) -> list[CaseResult]:
     reference; where none does, what is ranked by is that of the completed cases, as all else is.
     """
     own = [*cases]
-    holding = [case for case in own if case.holds]
+    holding = [case for case in own if not case.failed]
     if metric_of(key).if_held or (holding and split_key(key)[0] in _ERRORS):
         return holding
     return [case for case in own if case.outcome is Outcome.COMPLETED]
@@ -206,13 +206,13 @@ def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
     by_scenario: dict[str, list[CaseResult]] = {}
     for case in cases:
         by_scenario.setdefault(case.scenario, []).append(case)
-    left_out = tuple(name for name, own in by_scenario.items() if none_follows(own))
+    left_out = tuple(name for name, own in by_scenario.items() if all_failed(own))
     counting = [case for name, own in by_scenario.items() if name not in left_out for case in own]
     keys = headline(dict.fromkeys(key for case in counting for key in case.metrics))
     runs: dict[str, dict[str, dict[tuple[Hashable, int], float]]] = {key: {} for key in keys}
     for case in counting:
         if case.controller not in aside:
             for key in keys:
-                value = case.metrics.get(key, math.nan) if case.holds else math.nan
+                value = case.metrics.get(key, math.nan) if not case.failed else math.nan
                 runs[key].setdefault(case.controller, {})[case.scenario, case.seed] = value
     return Standings(keys, {key: dict(own) for key, own in runs.items()}, left_out)

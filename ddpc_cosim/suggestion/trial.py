@@ -16,7 +16,7 @@ from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.responses import Actuation, Response, Stretch
 from ddpc_cosim.study.case_files import CaseResult, judge_again
 from ddpc_cosim.study.cases import cases_of
-from ddpc_cosim.study.following import FOLLOWS, WHY, following_lines, left_by, none_follows
+from ddpc_cosim.study.judgement import SETTLED, WHY, all_failed, none_settles, remarks
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedStudy
@@ -66,7 +66,7 @@ class _Attempt:
     @property
     def left(self) -> dict[str, float]:
         """What is left of a step at worst [%], by label; without controllers of which that is not known."""
-        shares = {case.label: left_by(case) for case in self.cases}
+        shares = {case.label: case.left for case in self.cases}
         return {label: share for label, share in shares.items() if not math.isnan(share)}
 
     @property
@@ -82,7 +82,7 @@ class _Attempt:
 
     def best_trace(self) -> Trace:
         """Return the run that leaves least."""
-        return min(self.cases, key=left_by).trace()
+        return min(self.cases, key=lambda case: math.inf if math.isnan(case.left) else case.left).trace()
 
 
 def tried_out(
@@ -122,7 +122,7 @@ def tried_out(
             faults = faults or attempt.dropped
             if attempt.proposal.controllers:
                 attempts.append(attempt)
-            if attempt.untried or (attempt.cases and (not attempt.left or attempt.best < FOLLOWS)):
+            if attempt.untried or (attempt.cases and (not attempt.left or attempt.best <= SETTLED)):
                 break
             if not attempt.cases:
                 wanted = next(gentler, None)
@@ -161,7 +161,7 @@ def _attempt(
             done.append(tried.id)
     except _TimeUpError:
         attempt.untried |= dict.fromkeys((case.label for case in cases[len(done) + 1 :]), _NOT_BEGUN)
-    results, _ = load_cases(folder, WholeStudy.of(resolved.study), done)
+    results = load_cases(folder, WholeStudy.of(resolved.study), done).cases
     for case in results:
         if case.outcome is not Outcome.COMPLETED:
             attempt.drop(case.controller, f"{case.outcome}: {case.reason}")
@@ -181,12 +181,11 @@ def _attempt(
         if resolved is not None:
             for case in attempt.cases:
                 judge_again(case.folder, resolved.metrics)
-            attempt.cases, _ = load_cases(
-                folder, WholeStudy.of(resolved.study), [case.id for case in attempt.cases]
-            )
+            ids = [case.id for case in attempt.cases]
+            attempt.cases = load_cases(folder, WholeStudy.of(resolved.study), ids).cases
     if resolved is not None and attempt.cases:
         attempt.preview = resolved.metrics.preview
-        attempt.line = next(iter(following_lines(resolved.study, attempt.cases)), "")
+        attempt.line = next((one.text for one in remarks(resolved.study, attempt.cases)), "")
         attempt.surprises = [*_surprises(attempt.best_trace(), proposal, attempt.preview)]
         attempt.limits = [*_limits_shown(attempt.best_trace(), resolved.plant.variables().parameters)]
     return attempt
@@ -259,7 +258,7 @@ def _within_reach(attempts: Sequence[_Attempt]) -> Proposal:
         reached = [float(response.values[rows].mean()) for rows in ends[name]]
         if name in proposal.asked.ranges or not reached:
             continue
-        if all(100 * step.settled_error < FOLLOWS * abs(step.size) for step in response.steps):
+        if all(100 * step.settled_error < SETTLED * abs(step.size) for step in response.steps):
             continue
         free = _KEPT_FREE * (max(reached) - min(reached))
         low, high = max(min(old), min(reached) + free), min(max(old), max(reached) - free)
@@ -374,7 +373,9 @@ def _told(attempts: Sequence[_Attempt]) -> Proposal:
     limits = dict.fromkeys(limit for one in attempts for limit in one.limits)
     likely = [*limits, *proposal.hints] if best.line else []
     if best.line and not likely:
-        likely = best.surprises or ([_NOT_FOUND] if best.line == none_follows(best.cases) else [])
+        likely = best.surprises or (
+            [_NOT_FOUND] if best.line in (all_failed(best.cases), none_settles(best.cases)) else []
+        )
     line = best.line
     if likely:  # what speaks against the data of a run is the lesser reason
         for case in best.cases:

@@ -20,9 +20,10 @@ import tomli_w
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.study.case_files import CaseResult, load_case, read_run
-from ddpc_cosim.study.cases import Case, cases_of_problems
+from ddpc_cosim.study.cases import Case, cases_of_problems, doing_nothing
 from ddpc_cosim.study.file_format.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
 from ddpc_cosim.study.file_format.study_files import StudyFile
+from ddpc_cosim.study.judgement import judged, run_of
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import resolve_file
@@ -185,15 +186,18 @@ def tune_study(
     plants = built_plants(resolved, progress)
     claim_folder(folder / HELD_OUT_FOLDER, resolved.whole)
     planned = {name: (one, plants[name]) for name, one in resolved.problems.items()}
-    in_full = Counter(
-        (c.problem, c.controller) for c in cases_of_problems(planned, request.seeds, selection.only)
-    )
+    all_cases = cases_of_problems(planned, request.seeds, selection.only)
+    in_full = Counter((case.problem, case.controller) for case in all_cases)
     searches = [search for search in searches if (search.problem, search.name) in in_full]
-    progress.start(request.trials * sum(in_full[search.problem, search.name] for search in searches), 0)
+    at_rest = [] if request.by_prediction else doing_nothing(all_cases)
+    tried = request.trials * sum(in_full[search.problem, search.name] for search in searches)
+    progress.start(tried + len(at_rest), 0)
     tuning = [
         _tuning(search, *planned[search.problem], request, selection.only, progress) for search in searches
     ]
     due = {one: next(one) for one in tuning}
+    run_missing(at_rest, folder, selection, progress)
+    resting = {run_of(case): case for case in (load_case(folder / CASES_FOLDER / one.id) for one in at_rest)}
     times = list[float]()
     while due:
         run_missing([case for cases in due.values() for case in cases], folder, selection, progress)
@@ -201,7 +205,8 @@ def tune_study(
             folders = [folder / CASES_FOLDER / case.id for case in cases]
             times += [read_run(place)["wall_time"] for place in folders]
             try:
-                due[one] = one.send([load_case(place) for place in folders])
+                scenarios = resolved.problems[cases[0].problem].study.scenarios
+                due[one] = one.send(list(judged(scenarios, map(load_case, folders), resting)))
             except StopIteration:
                 del due[one]
     trials = {(search.problem, search.name): search.trials for search in searches}

@@ -141,7 +141,7 @@ class Objective:
         """Whether a run does not do what every trial has to do first of all."""
         if self.metric == PREDICTION:
             return not math.isfinite(self.of_run(case, {}))
-        return not case.holds
+        return case.failed
 
 
 def _is_share(text: str) -> bool:

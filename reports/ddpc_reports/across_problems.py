@@ -80,14 +80,14 @@ def overall(problems: Sequence[StudyResults]) -> Overall | None:
         everywhere = conditions(results)
         for one in (one for condition in everywhere for one in condition.controllers):
             found.setdefault(one.key, one)
-        seen = [condition for condition in everywhere if not condition.none_follows]
-        unseen = [f"{results.study.name}: {one.label}" for one in everywhere if one.none_follows]
+        seen = [condition for condition in everywhere if not condition.all_failed]
+        unseen = [f"{results.study.name}: {one.label}" for one in everywhere if one.all_failed]
         left_out += unseen if seen else [results.study.title or results.study.name]
         for condition in seen:
             rows += _rows_of(condition, number)
             for one in condition.controllers:
                 near, runs = held.get(one.key, (0, 0))
-                held[one.key] = near + len(one.holding), runs + len(one.cases)
+                held[one.key] = near + len(one.succeeded), runs + len(one.cases)
     if len({row["problem"] for row in rows}) < 2:
         return None
     frame = pd.DataFrame(rows)
@@ -110,7 +110,7 @@ def _rows_of(condition: Condition, number: int) -> list[dict[str, Any]]:
             "scenario": condition.scenario,
             "variant": key,
             "seed": case.seed,
-            "holds": case.holds,
+            "holds": not case.failed,
             _METRIC: case.metrics.get(key, math.nan),
         }
         for key in condition.headline

@@ -11,7 +11,7 @@ from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
 from ddpc_cosim.metrics import Metric, all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import ReferencePoints
-from ddpc_cosim.study.following import none_follows
+from ddpc_cosim.study.judgement import all_failed
 from ddpc_cosim.study.shares import describe_shares, end_of, marked, shares_of
 from ddpc_cosim.study.standings import Standings, counted, standings, summed
 from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all
@@ -71,19 +71,19 @@ class ControllerResults:
         return tuple(case for case in self.cases if case.outcome is Outcome.COMPLETED)
 
     @cached_property
-    def holding(self) -> tuple[CaseResult, ...]:
-        """The cases that completed and stayed near their reference: only of these one can be the best."""
-        return tuple(case for case in self.cases if case.holds)
+    def succeeded(self) -> tuple[CaseResult, ...]:
+        """The cases that did not fail: only of these one can be the best."""
+        return tuple(case for case in self.cases if not case.failed)
 
     @property
-    def holds_first(self) -> bool:
-        """Whether the case of the first seed is there and stayed near its reference."""
-        return self.first_case is not None and self.first_case.holds
+    def succeeded_first(self) -> bool:
+        """Whether the case of the first seed is there and did not fail."""
+        return self.first_case is not None and not self.first_case.failed
 
     @property
-    def holds_all(self) -> bool:
-        """Whether every case stayed near its reference."""
-        return len(self.holding) == len(self.cases)
+    def failed_any(self) -> bool:
+        """Whether any case failed."""
+        return len(self.succeeded) < len(self.cases)
 
     @property
     def completed_all(self) -> bool:
@@ -119,7 +119,7 @@ class ControllerResults:
     def runs(self, key: str) -> Runs:
         """Return a metric of every run, NaN of those that do not stay near their reference."""
         return {
-            (case.scenario, case.seed): case.metrics.get(key, math.nan) if case.holds else math.nan
+            (case.scenario, case.seed): case.metrics.get(key, math.nan) if not case.failed else math.nan
             for case in self.cases
         }
 
@@ -195,13 +195,13 @@ class Condition:
         return tuple(key for key in self._keys if split_key(key)[0] == name)
 
     @cached_property
-    def none_follows(self) -> str:
-        """Say that no controller follows its reference; empty where one does, or none can be judged."""
-        return none_follows(case for one in (*self.controllers, *self.variants) for case in one.cases)
+    def all_failed(self) -> str:
+        """Say that every run of every controller failed; empty where one did not."""
+        return all_failed(case for one in (*self.controllers, *self.variants) for case in one.cases)
 
     def may_win(self, one: ControllerResults) -> bool:
-        """Whether a controller may be the best: it competes, always holds its reference, and one follows."""
-        return not one.is_point and one.holds_all and not self.none_follows
+        """Whether a controller may be the best: it competes, and none of its runs failed."""
+        return not one.is_point and not one.failed_any
 
     def ranking(self, key: str) -> list[tuple[float, ControllerResults]]:
         """Return the controllers that may be the best, with medians of a metric, best first."""
@@ -257,7 +257,7 @@ class Condition:
     @property
     def not_ranked(self) -> list[ControllerResults]:
         """The controllers that compete and lost a case: they come after all others, in the study's order."""
-        return [one for one in self.contenders if not one.holds_all]
+        return [one for one in self.contenders if one.failed_any]
 
 
 def conditions(results: StudyResults) -> tuple[Condition, ...]:
@@ -341,7 +341,7 @@ def response_metrics() -> dict[str, Metric[Any]]:
 
 def outcome_words(case: CaseResult) -> str:
     """Say how a case ended; of one that completed, whether it stayed near its reference."""
-    lost = case.outcome is Outcome.COMPLETED and not case.holds
+    lost = case.outcome is Outcome.COMPLETED and case.failed
     return f"{case.outcome}, reference missed" if lost else str(case.outcome)
 
 

@@ -44,6 +44,7 @@ def _part(part: StudyPart) -> dict[str, Any]:
         "title": part.title,
         "answer": part.answer,
         "warnings": part.warnings,
+        "remarks": part.remarks,
         "facts": part.facts,
         "summary": part.summary,
         "source": part.source,

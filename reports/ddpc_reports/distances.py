@@ -129,7 +129,7 @@ def _costs(
             found["step"].setdefault(case.controller, []).append(step)
     travels = [key for key in keys if split_key(key)[0] == _TRAVEL]
     for one in share_runs(results.cases, points, travels):
-        if one.full > 0 and one.case.holds:
+        if one.full > 0 and not one.case.failed:
             ratio = one.case.metrics[one.metric] / one.full
             found["travel"].setdefault(one.case.controller, []).append(ratio)
     return {kind: _medians([{n: v} for n, own in of.items() for v in own]) for kind, of in found.items()}

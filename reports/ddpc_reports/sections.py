@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, ReportSection, StudyResults
-from ddpc_cosim.study.following import following_lines
+from ddpc_cosim.study.judgement import remarks
 from ddpc_cosim.study.standings import Standings, standings
 from ddpc_cosim.texts import clipped, without_folders
 from ddpc_reports.across_problems import (
@@ -109,6 +109,8 @@ class StudyPart:
         All the rest, in its order.
     summary, source : str
         What the study says of itself.
+    remarks : list of str
+        What the ranking does not say.
     """
 
     id: str
@@ -121,6 +123,7 @@ class StudyPart:
     sections: list[Section]
     summary: str = ""
     source: str = ""
+    remarks: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -491,17 +494,19 @@ def _study_part(
     prefix = f"s{number}-"
     part = _Part(results, seen, prefix, data, room, variants, alone)
     said = in_its_place("Answer", lambda: answer(results, seen, part.standings))
+    told = remarks(results.study, results.cases)
     return StudyPart(
         prefix,
         number,
         results.study.title or results.study.name,
-        following_lines(results.study, results.cases),
+        [one.text for one in told if one.is_failure],
         _facts(results),
         said if isinstance(said, Markup) else Markup.escape(said),
         [*_damaged_blocks(results), *part.first()],
         part.sections(),
         results.study.summary.strip(),
         results.study.source,
+        [one.text for one in told if not one.is_failure],
     )
 
 
@@ -582,15 +587,12 @@ def _counts(results: StudyResults) -> dict[str, str]:
     """Return the seeds, and how many cases there are and came to something."""
     total = len(results.cases)
     done = sum(case.outcome is Outcome.COMPLETED for case in results.cases)
-    held = sum(case.holds for case in results.cases)
+    failed = sum(case.failed for case in results.cases)
     facts = {
         "Seeds": compact_seeds(list(dict.fromkeys(case.seed for case in results.cases))),
         "Cases completed": f"{done} of {total}",
-        "Near the reference": f"{held} of {total}",
     }
-    if held == total:
-        del facts["Near the reference"]
-    return facts
+    return facts | ({"Failed": f"{failed} of {total}"} if failed else {})
 
 
 def _controllers_words(results: StudyResults) -> str:

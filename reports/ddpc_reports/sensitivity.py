@@ -108,17 +108,17 @@ def sweep_statements(condition: Condition) -> list[Statement]:
 def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
     """Say what the best and the worst settings of all sweeps of one controller give."""
     members = [(sweep, one) for sweep in group for one in sweep.variants]
-    lost = [sweep.place(one) for sweep, one in members if not one.holds_all]
+    lost = [sweep.place(one) for sweep, one in members if one.failed_any]
     order = sorted(
         (
             (value, sweep, one)
             for sweep, one in members
-            if one.holds_all and not math.isnan(value := _median([one], key))
+            if not one.failed_any and not math.isnan(value := _median([one], key))
         ),
         key=lambda entry: metric_of(key).rank(entry[0]),
     )
     text = Markup("{} settings of <b>{}</b>").format(len(members), group[0].label)
-    if condition.none_follows:
+    if condition.all_failed:
         return text + ": with none of them is the reference followed."
     if not order:
         return text + ": none of them stays near the reference in every case."
@@ -175,7 +175,7 @@ def worth_table(condition: Condition, prefix: str) -> Table | None:
 
 def _worth_row(condition: Condition, group: Sequence[Sweep], key: str) -> Row | None:
     members = [(sweep, one) for sweep in group for one in sweep.variants]
-    held = [(sweep, one) for sweep, one in members if one.holds_all and one.by_seed(key)]
+    held = [(sweep, one) for sweep, one in members if not one.failed_any and one.by_seed(key)]
     if not held:
         return None
     held.sort(key=lambda entry: metric_of(key).rank(_median([entry[1]], key)))
@@ -309,12 +309,12 @@ def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
 def _lost_words(members: Sequence[ControllerResults]) -> str:
     """Say how many cases of a cell do not stay near their reference; nothing if all do."""
     cases = sum(len(one.cases) for one in members)
-    lost = cases - sum(len(one.holding) for one in members)
+    lost = cases - sum(len(one.succeeded) for one in members)
     return f"; {lost} of {cases} cases do not stay near their reference" if lost else ""
 
 
 def _median(members: Sequence[ControllerResults], key: str) -> float:
-    return summed_up(case.metrics.get(key, math.nan) for one in members for case in one.holding).median
+    return summed_up(case.metrics.get(key, math.nan) for one in members for case in one.succeeded).median
 
 
 def variants_table(condition: Condition, variants: Sequence[StudyResults], prefix: str) -> Table | None:
@@ -351,7 +351,7 @@ def _variant_cells(members: Sequence[ControllerResults | None], key: str) -> lis
     cells = number_cells([one.summed(key) if one else math.nan for one in members])
     return [
         cell
-        if one is None or one.holds_all
-        else replace(cell, text=f"{cell.text} ({len(one.holding)} of {len(one.cases)})")
+        if one is None or not one.failed_any
+        else replace(cell, text=f"{cell.text} ({len(one.succeeded)} of {len(one.cases)})")
         for cell, one in zip(cells, members, strict=True)
     ]

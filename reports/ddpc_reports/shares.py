@@ -126,9 +126,9 @@ def _in_words(condition: Condition, key: str, zero: ControllerResults, full: Con
             f"{zero.label} did not complete"
             if not zero.completed
             else f"{full.label} does not stay near its reference"
-            if not full.holding
+            if not full.succeeded
             else f"there is no seed on which {zero.label} completed and {full.label} stays near its reference"
-            if not {case.seed for case in zero.completed} & {case.seed for case in full.holding}
+            if not {case.seed for case in zero.completed} & {case.seed for case in full.succeeded}
             else f"in {metric_name(key)}, {full.label} is not better than {zero.label} by more than "
             f"{100 * NEGLIGIBLE:.0f}\u00a0% on any seed"
         )

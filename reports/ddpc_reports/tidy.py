@@ -49,7 +49,7 @@ def _rows(results: StudyResults, part: StudyResults) -> Iterator[tuple[Value, ..
     words = variant_words(study.varied)
     for condition in conditions(part):
         for one in (*condition.controllers, *condition.variants):
-            lost = len(one.cases) - len(one.holding)
+            lost = len(one.cases) - len(one.succeeded)
             of_whom = (results.whole.head.name, study.variant_of or study.name, words, study.plant.label)
             of_run = (condition.scenario, one.key, one.label, ranks.get(one.key, ""), lost, len(one.cases))
             for key in dict.fromkeys(key for case in one.cases for key in case.metrics):
@@ -58,7 +58,7 @@ def _rows(results: StudyResults, part: StudyResults) -> Iterator[tuple[Value, ..
 
 def _of_metric(key: str, cases: Sequence[CaseResult]) -> tuple[Value, ...]:
     """Return the cells of a metric: its value as the page sums it up, and what the runs that hold come to."""
-    runs = [(case.seed, case.metrics.get(key, math.nan) if case.holds else math.nan) for case in cases]
+    runs = [(case.seed, case.metrics.get(key, math.nan) if not case.failed else math.nan) for case in cases]
     known = [value for _, value in runs if not math.isnan(value)]
     found = describe({("", seed): value for seed, value in runs})
     ends = (min(known), max(known)) if known else (math.nan, math.nan)

@@ -56,8 +56,8 @@ def findings(condition: Condition, part: Part) -> list[Statement]:
     if part == "time":
         return [Statement("Step time", _times(condition))]
     bounds = [Statement("Bounds", _violations(condition))] if part == "limits" else []
-    if condition.none_follows:
-        nothing = Markup("<b>{}</b>, so nothing is ranked.").format(condition.none_follows)
+    if condition.all_failed:
+        nothing = Markup("<b>{}</b>, so nothing is ranked.").format(condition.all_failed)
         return [Statement("Reference", nothing)] if part == "distribution" else bounds
     if part == "distribution":
         return tracking(condition)
@@ -89,7 +89,7 @@ def _all_completed(condition: Condition) -> Markup:
 
 def _not_held(condition: Condition) -> Markup:
     """Name the controllers whose runs completed without staying near their reference; nothing without any."""
-    counts = [(len(one.completed) - len(one.holding), one) for one in condition.contenders]
+    counts = [(len(one.completed) - len(one.succeeded), one) for one in condition.contenders]
     who = [Markup("<b>{}</b> {} of {}").format(one.label, n, len(one.cases)) for n, one in counts if n]
     if not who:
         return Markup("")
@@ -302,7 +302,7 @@ def least_travel(condition: Condition) -> list[Statement]:
 
 
 def _first_seed(condition: Condition, key: str) -> Markup:
-    eligible = [one for one in condition.contenders if one.holds_first]
+    eligible = [one for one in condition.contenders if one.succeeded_first]
     order = ranked(key, eligible, [one.at_first(key) for one in eligible])
     others = [one for one in condition.contenders if one not in eligible]
     seed = condition.seeds[0]

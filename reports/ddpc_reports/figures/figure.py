@@ -105,7 +105,7 @@ def in_its_place(what: str, make: Callable[[], T]) -> T | str:
 def entry(one: ControllerResults, *, of_first: bool = True) -> Entry:
     """Return the line of a legend of a controller; ``of_first``: with how its first seed ended."""
     case = one.first_case
-    note = "" if one.holds_first or not of_first else outcome_words(case) if case else "not run"
+    note = "" if one.succeeded_first or not of_first else outcome_words(case) if case else "not run"
     pattern = " ".join(f"{length:g}" for length in dash(one.index))
     return Entry(column_name(one), one.label, one.index % COLOURS, pattern, note)
 
@@ -137,7 +137,7 @@ def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | 
 
 def _spread_rows(condition: Condition, one: ControllerResults, key: str) -> list[dict[str, Any]]:
     """Return a row for each dot of a controller, and one more for the first seed where it has no dot."""
-    values = {case.seed: case.metrics.get(key, math.nan) for case in one.holding}
+    values = {case.seed: case.metrics.get(key, math.nan) for case in one.succeeded}
     ranked_seeds = sorted((seed for seed in values if math.isfinite(values[seed])), key=values.__getitem__)
     dots, first, label = set(_spread_out(ranked_seeds)), condition.seeds[0], clipped(one.label)
     return [

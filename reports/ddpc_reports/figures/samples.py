@@ -96,7 +96,7 @@ def _over_seeds(condition: Condition, rows: int) -> tuple[dict[str, list[Trace]]
     runs, lost, firsts = dict[str, list[Trace]](), dict[str, int](), condition.first_traces
     for one in condition.controllers:
         asked = [case for case in one.cases if case.seed in seeds]
-        name, holding = column_name(one), [case for case in asked if case.holds]
+        name, holding = column_name(one), [case for case in asked if not case.failed]
         lost[name] = len(asked) - len(holding)
         # Runs whose errors are the same to the last bit are the same, and need not be read.
         if any(len({case.metrics.get(key) for case in holding}) > 1 for key in condition.headline):

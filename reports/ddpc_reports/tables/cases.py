@@ -37,7 +37,7 @@ _LONGEST_REASON = 80
 def step_time_table(condition: Condition, prefix: str) -> Table:
     """Return the times of a step per controller, deadline misses, and steps with a substitute."""
     everyone = condition.controllers
-    eligible = [one.holds_all and not one.is_point for one in everyone]
+    eligible = [not one.failed_any and not one.is_point for one in everyone]
     columns: list[Column] = []
     for key in STEP_TIMES:
         seconds = [one.summed(key) for one in everyone]
@@ -85,7 +85,7 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
         shown = [
             *([Cell(case.scenario, case.scenario)] if several else []),
             Cell(str(case.seed), case.seed),
-            Cell(outcome, outcome, failed=not case.holds, detail=_reason(case)),
+            Cell(outcome, outcome, failed=case.failed, detail=_reason(case)),
             *(cells[i] for cells in columns),
         ]
         rows.append(Row(names[case.controller], tuple(shown), case.controller, numbers[case.controller]))
@@ -128,7 +128,7 @@ def _shown_cases(results: StudyResults) -> Sequence[CaseResult]:
     """Return all cases; of too many the first that are lost, and those of the first seeds."""
     if len(results.cases) <= _MOST_CASES:
         return results.cases
-    lost = [case for case in results.cases if not case.holds][: _MOST_CASES // 2]
+    lost = [case for case in results.cases if case.failed][: _MOST_CASES // 2]
     place = {seed: i for i, seed in enumerate(dict.fromkeys(case.seed for case in results.cases))}
     by_seed = sorted(results.cases, key=lambda case: place[case.seed])
     shown = {*[*dict.fromkeys(case.id for case in [*lost, *by_seed])][:_MOST_CASES]}
@@ -146,5 +146,5 @@ def _case_keys(conditions: Sequence[Condition]) -> list[str]:
 
 
 def _value(case: CaseResult, key: str) -> float:
-    shown = case.holds or not metric_of(key).if_held
+    shown = not case.failed or not metric_of(key).if_held
     return case.metrics.get(key, math.nan) if shown else math.nan

@@ -252,7 +252,7 @@ def _place_cell(
 ) -> Cell:
     if one is None:
         return Cell("")
-    lost = len(one.cases) - len(one.holding)
+    lost = len(one.cases) - len(one.succeeded)
     if lost == len(one.cases):
         told = dict.fromkeys(outcome_words(case) for case in one.cases)
         return Cell("lost", math.nan, failed=True, tone="share-0", href=href, title="; ".join(told))

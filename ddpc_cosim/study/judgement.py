@@ -1,0 +1,272 @@
+"""What is concluded of a run, in two notions: whether it failed, and whether it settles.
+
+Both ask how far an output ends from its reference: over the last fifth of each stretch of constant
+reference, or of the run where there is none. That is taken in parts of the size of the output's task, which
+is the larger of how far its reference moves and how far the output goes while nothing is done; of a task
+without either, the width of the output's limits, else its nominal value.
+
+What a scenario makes unavoidable is taken off. With ``s``, the standard deviation of what cannot be known one
+sample ahead (measurement noise, and what disturbances scatter the output of a plant that is left alone), and
+``q``, the step of quantised measurements, that is ``0.8 s + q / 2`` of a mean magnitude (the mean magnitude
+of Gaussian noise), and three standard errors, ``3 s / sqrt(rows) + q / 2``, of a mean.
+
+Doing nothing is a run that the tool makes itself, once per scenario and seed, outside every ranking.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from statistics import median
+from typing import TYPE_CHECKING, NamedTuple
+
+from ddpc_cosim.metrics import split_key
+from ddpc_cosim.responses import EndWindow, Tracking
+from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.texts import alike, printable
+from ddpc_cosim.trace import Outcome
+
+if TYPE_CHECKING:
+    from ddpc_cosim.study.file_format.sections import ScenarioSection, Study
+
+SETTLED = 5.0
+"""A run settles where it leaves no more of a step than this, in %."""
+WHY = "Likely why no controller settles: "
+"""How a limitation of a study begins that is such a reason."""
+_FAILED = 0.5
+"""Of its task: a run that ends further away failed."""
+_NEGLIGIBLE = 0.01
+"""Of its task: what is worse than doing nothing by less is not worse."""
+_MEAN_MAGNITUDE = math.sqrt(2.0 / math.pi)
+"""Of Gaussian noise of standard deviation 1."""
+_STANDARD_ERRORS = 3.0
+_LONGEST_LABEL = 100
+_STUCK = 0.5  # share of the time from which on inputs at their limits are a likely reason
+
+Run = tuple[str, str, int]
+"""Problem, scenario and seed."""
+
+
+class Unavoidable(NamedTuple):
+    """What a scenario makes unavoidable in one output, in its unit.
+
+    Parameters
+    ----------
+    scatter : float
+        Standard deviation of what cannot be known one sample ahead.
+    offset : float
+        What quantised measurements hide.
+    """
+
+    scatter: float = 0.0
+    offset: float = 0.0
+
+    @property
+    def magnitude(self) -> float:
+        """Of a mean magnitude."""
+        return _MEAN_MAGNITUDE * self.scatter + self.offset
+
+    def mean(self, rows: int) -> float:
+        """Of a mean over so many samples."""
+        return _STANDARD_ERRORS * self.scatter / math.sqrt(rows) + self.offset
+
+
+def run_of(case: CaseResult) -> Run:
+    """Return which run a case is, whoever controls it."""
+    return case.problem, case.scenario, case.seed
+
+
+def judged(
+    scenarios: Mapping[str, "ScenarioSection"], cases: Iterable[CaseResult], resting: Mapping[Run, CaseResult]
+) -> tuple[CaseResult, ...]:
+    """Return cases of one problem with what is concluded of them.
+
+    Parameters
+    ----------
+    scenarios : mapping of str to ScenarioSection
+        The scenarios, by name: noise and quantisation, in the outputs' units.
+    cases : iterable of CaseResult
+        The cases.
+    resting : mapping of Run to CaseResult
+        The runs of doing nothing; where one is missing, it decides nothing.
+    """
+    return tuple(_judged(case, resting.get(run_of(case)), scenarios.get(case.scenario)) for case in cases)
+
+
+def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSection | None") -> CaseResult:
+    if case.outcome is not Outcome.COMPLETED:
+        return replace(case, failed=True, failure="", settles=False, left=math.inf)
+    nothing = {one.output: one for one in resting.tracking} if resting else {}
+    unavoidable = {one.output: _unavoidable(one, nothing.get(one.output), scenario) for one in case.tracking}
+    completed = resting is not None and resting.outcome is Outcome.COMPLETED
+    sizes = {
+        one.output: task_size(one, nothing.get(one.output) if completed else None) for one in case.tracking
+    }
+    parts = [_left(one, sizes[one.output], unavoidable[one.output]) for one in case.tracking]
+    left = [part for part in parts if not math.isnan(part)]
+    most = max(left, default=math.nan)
+    failure = _distance(case.tracking, sizes, unavoidable)
+    if not failure and completed:
+        failure = _against_nothing(case.tracking, nothing, sizes, unavoidable)
+    settles = None if math.isnan(most) else most <= SETTLED
+    return replace(case, failed=bool(failure), failure=failure, settles=settles, left=most)
+
+
+def task_size(one: Tracking, nothing: Tracking | None) -> float:
+    """Return the size of an output's task, in its unit, by what it does itself while nothing is done."""
+    moved = max(one.travel, nothing.deviation if nothing else 0.0)
+    if moved > 0.0 and math.isfinite(moved):
+        return moved
+    return one.room if 0.0 < one.room < math.inf else one.nominal
+
+
+def _unavoidable(one: Tracking, nothing: Tracking | None, scenario: "ScenarioSection | None") -> Unavoidable:
+    noise = scenario.noise.get(one.output, 0.0) if scenario else 0.0
+    quantum = scenario.quantum.get(one.output, 0.0) if scenario else 0.0
+    scatter = nothing.scatter if nothing and math.isfinite(nothing.scatter) else 0.0
+    return Unavoidable(math.hypot(noise, scatter), 0.5 * quantum)
+
+
+def _left(one: Tracking, size: float, unavoidable: Unavoidable) -> float:
+    """Return what is left at worst of a step, or of the task where the reference makes none [%]."""
+    parts = [
+        100.0 * max(end.error - unavoidable.mean(end.rows), 0.0) / (end.step or size)
+        for end in one.ends
+        if end.constant
+    ]
+    return max(parts, default=math.nan)
+
+
+def _distance(
+    tracking: Iterable[Tracking], sizes: Mapping[str, float], unavoidable: Mapping[str, Unavoidable]
+) -> str:
+    """Say which output ends further than half of its task away; nothing if none does."""
+    for one in tracking:
+        far = max((_far(end, unavoidable[one.output]) for end in one.ends), default=math.inf)
+        share = far / sizes[one.output]
+        if not share <= _FAILED:
+            return f"{one.output} ends {_percent(share)} of its task away from its reference"
+    return ""
+
+
+def _far(end: EndWindow, unavoidable: Unavoidable) -> float:
+    return end.magnitude - unavoidable.magnitude
+
+
+def _against_nothing(
+    tracking: Sequence[Tracking],
+    nothing: Mapping[str, Tracking],
+    sizes: Mapping[str, float],
+    unavoidable: Mapping[str, Unavoidable],
+) -> str:
+    """Say that a run is worse than doing nothing, over all its outputs together; nothing if it is not."""
+    own = sum(one.mean_abs_error / sizes[one.output] for one in tracking) / len(tracking)
+    rest = sum(nothing[one.output].mean_abs_error / sizes[one.output] for one in tracking) / len(tracking)
+    more = sum(unavoidable[one.output].magnitude / sizes[one.output] for one in tracking) / len(tracking)
+    if own - rest <= more + _NEGLIGIBLE:
+        return ""
+    mean = "mean error" if len(tracking) == 1 else "mean error over the outputs"
+    return f"worse than doing nothing: {mean} {_percent(own)} of the task, doing nothing {_percent(rest)}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} %" if share < 100.0 else "more than 100 times"
+
+
+def all_failed(cases: Iterable[CaseResult]) -> str:
+    """Return a sentence where every run of every controller failed; nothing where one did not.
+
+    Parameters
+    ----------
+    cases : iterable of CaseResult
+        Of one scenario.
+    """
+    everything = [*cases]
+    if not everything or not all(case.failed for case in everything):
+        return ""
+    ended = [case for case in everything if case.outcome is Outcome.COMPLETED]
+    if not ended:
+        return "Every controller fails: no run completes"
+    best = min(ended, key=_left_first)
+    return f"Every controller fails; in the best run, {best.failure}"
+
+
+def _left_first(case: CaseResult) -> tuple[float, str]:
+    """Return what cases are sorted by, the one that leaves least first."""
+    return math.inf if math.isnan(case.left) else case.left, case.id
+
+
+def none_settles(cases: Iterable[CaseResult]) -> str:
+    """Return a sentence where no controller settles in most of its runs; nothing where one does.
+
+    Parameters
+    ----------
+    cases : iterable of CaseResult
+        Of one scenario; what a controller leaves is the median over its cases.
+    """
+    shares: dict[str, list[float]] = {}
+    for case in cases:
+        shares.setdefault(case.controller, []).append(math.inf if case.failed else case.left)
+    if not shares or any(math.isnan(share) for own in shares.values() for share in own):
+        return ""
+    best = min(map(median, shares.values()))
+    if best <= SETTLED:
+        return ""
+    if math.isinf(best):
+        return "No controller settles in most of its runs: at least half of the runs of each fail"
+    what = f"the best leaves {best:.{0 if best >= 10.0 else 1}f} % of a step"
+    return f"No controller settles within {SETTLED:g} %: {what}"
+
+
+class Remark(NamedTuple):
+    """What is to be known of a scenario before its ranking.
+
+    Parameters
+    ----------
+    text : str
+        In a sentence without its full stop.
+    is_failure : bool
+        Whether nothing is ranked for it; otherwise it is a note.
+    """
+
+    text: str
+    is_failure: bool
+
+
+def remarks(study: "Study", cases: Iterable[CaseResult]) -> list[Remark]:
+    """Return a remark for each scenario of a study in which every run fails, or no controller settles."""
+    by_scenario: dict[str, list[CaseResult]] = {}
+    for case in cases:
+        by_scenario.setdefault(case.scenario, []).append(case)
+    labels = {name: printable(one.label or name, _LONGEST_LABEL) for name, one in study.scenarios.items()}
+    where = "{}: " if len(by_scenario) > 1 else ""
+    return [
+        Remark(f"{where.format(labels.get(name, name))}{text}{_likely_reason(own, study)}", bool(failed))
+        for name, own in by_scenario.items()
+        if (text := (failed := all_failed(own)) or none_settles(own))
+    ]
+
+
+def _likely_reason(cases: Sequence[CaseResult], study: "Study") -> str:
+    """Return which inputs of the best run are mostly at their limits, and why the study says it may be.
+
+    Where there is neither, it is what spoke against the data or model of every controller.
+    """
+    best = min(cases, key=_left_first)
+    times = {
+        split_key(key)[1]: time / study.loop.duration
+        for key, time in best.metrics.items()
+        if key.startswith("time_at_bounds.")
+    }
+    stuck = [f"{name} {100 * time:.0f} % of the time" for name, time in times.items() if time > _STUCK]
+    told = [text.removeprefix(WHY) for text in study.report.limitations if text.startswith(WHY)]
+    reasons = [*([f"at its limits: {', '.join(stuck)}"] if stuck else []), *told]
+    return "".join(f"; {reason}" for reason in reasons or _shared_warnings(cases)[:1])
+
+
+def _shared_warnings(cases: Sequence[CaseResult]) -> list[str]:
+    """Return the warnings that all controllers have, in the words of the first: of one it says too little."""
+    by_controller: dict[str, set[str]] = {}
+    for case in cases:
+        by_controller.setdefault(case.controller, set()).update(map(alike, case.warnings))
+    shared = set.intersection(*by_controller.values())
+    return [text for text in cases[0].warnings if alike(text) in shared]
