@@ -12,7 +12,8 @@ from ddpc_cosim.csv_files import forget_cells
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import limits_error
-from ddpc_cosim.metrics import MetricSettings, installed_versions
+from ddpc_cosim.metrics import MetricSettings, all_metrics, installed_versions
+from ddpc_cosim.responses import Actuation, Response
 from ddpc_cosim.safe_calls import CallsInTime, recording_length
 from ddpc_cosim.settings import PLANT, files_of
 from ddpc_cosim.signals import Reference
@@ -200,6 +201,7 @@ class _Resolution:
         self.recording = self._read_recording()
         self._check_recording()
         self._check_cost()
+        self._check_claims()
         self.references = self._references()
         self.bounds = self._bounds()
         self.scenario_bounds = {name: self._scenario_bounds(name) or {} for name in study.scenarios}
@@ -269,9 +271,24 @@ class _Resolution:
         for i, method in enumerate(report.reproduction.methods if report.reproduction else ()):
             for key in ("printed", "published_code"):
                 self._require_controllers(("report", "reproduction", "methods", i), method, key)
+        for i, claim in enumerate(report.claims):
+            for key in ("lowest", "highest", "order", "alike"):
+                self._require_controllers(("report", "claims", i), claim, key)
         if report.reference_points:
             for key in ("zero", "full"):
                 self._require_controllers(("report", "reference_points"), report.reference_points, key)
+
+    @independent
+    def _check_claims(self) -> None:
+        """Check that claims are of metrics that there are, with their signals."""
+        signals = {Response: self.outputs.names, Actuation: self.inputs.names}
+        known = [
+            ".".join(filter(None, (name, signal)))
+            for name, metric in all_metrics().items()
+            for signal in signals.get(metric.of, ("",))
+        ]
+        for i, claim in enumerate(self.study.report.claims):
+            self.errors.require_known(("report", "claims", i, "metric"), "metric", [claim.metric], known)
 
     @independent
     def _require_controllers(self, place: Place, section: Section, key: str) -> None:

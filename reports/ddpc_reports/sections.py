@@ -41,6 +41,7 @@ from ddpc_reports.sensitivity import (
 )
 from ddpc_reports.shares import share_statements
 from ddpc_reports.tables.cases import cases_table, step_time_table
+from ddpc_reports.tables.claims import claims_table
 from ddpc_reports.tables.controllers import (
     limits_table,
     reproduction_statements,
@@ -361,6 +362,7 @@ class _Part:
         """Return what stands below the answer: the table, what settings of sweeps and tuning are worth."""
         return [
             *_in_their_place("Ranking", self.table),
+            *_in_their_place("Claims", lambda: _tables(claims_table(self.results, self.prefix))),
             *_in_their_place("Sweeps", self._swept),
             *_in_their_place("Tuning", self._tuned),
         ]

@@ -534,11 +534,36 @@ class ReferencePoints(Section):
             yield "full", f'"{self.full}" is also at 0 %; needed: two different controllers'
 
 
+class ClaimSection(Section):
+    """What the study's source claims of a metric; the report says in how many runs it is so."""
+
+    text: Annotated[Text, Field(min_length=1)] = Field(description="the claim, in a sentence")
+    metric: str = Field(description="a metric and its signal, such as rms_change.torque")
+    lowest: str = Field("", description="the controller that is claimed to have the lowest value of all")
+    highest: str = Field("", description="the controller that is claimed to have the highest value of all")
+    order: list[str] = Field([], description="controllers, from the lowest value that is claimed on")
+    alike: str = Field("", description="a controller whose sweep is claimed to change nothing")
+    within: NotNegative = Field(
+        10.0, description="how far apart values that are alike may be, in % of the lowest"
+    )
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is wrong where not exactly one thing is claimed."""
+        kinds = ("lowest", "highest", "order", "alike")
+        given = [kind for kind in kinds if getattr(self, kind)]
+        if len(given) != 1:
+            what = f"{' and '.join(given)} are given" if given else "nothing is claimed"
+            yield "", f"{what}; needed: one of {', '.join(kinds)}"
+        if len(self.order) == 1:
+            yield "order", "one controller is in no order; needed: two or more"
+
+
 class ReportSection(Section):
     """What the report shows besides what every report shows."""
 
     panels: list[Panel] = Field([], description="panels of the figures; empty: one with all controllers")
     limitations: list[str] = Field([], description="what a reader must know to judge the results fairly")
+    claims: list[ClaimSection] = Field([], description="what the source claims, checked run by run")
     reproduction: Reproduction | None = None
     reference_points: ReferencePoints | None = Field(
         None, description="controllers at 0 % and at 100 % of a scale; they are shown, and not ranked"
