@@ -24,8 +24,13 @@ _CONSTANT_ROWS = 3
 """Fewest rows of a stretch of constant reference; shorter ones belong to a moving reference."""
 _SMALLEST_FIRST_STEP = 0.01
 _SMALLEST_LONE_STEP = 0.001
-_SECOND_DIFFERENCE = 1.4826 / math.sqrt(6.0)
-"""From the median magnitude of second differences to the standard deviation of white noise."""
+_AT_REST = 1e-4
+"""Of its largest magnitude: an output that moves by less is at rest, as operating points are rounded."""
+_FEWEST_FORETOLD = 10
+"""Fewest samples from which it can be told what follows from the two samples before."""
+_TRIMMED = 0.05
+_OF_TRIMMED = 1.148
+"""From the standard deviation of Gaussian noise without its largest 5 % to that with it."""
 
 
 @dataclass(frozen=True)
@@ -120,19 +125,37 @@ class Response(Signal):
         r, y = self.reference, self.values
         if not len(y):
             return Tracking(self.variable.name, math.nan, math.inf, self.variable.nominal, 0.0, 0.0, math.nan)
-        ends = [stretch.end_window for stretch in self.stretches]
+        ends = [
+            stretch.end_window(settling=not self.steps or not math.isnan(stretch.before))
+            for stretch in self.stretches
+        ]
         if not ends:
             ends = [EndWindow.of(r - y, slice(len(y) - max(round(_SETTLED_FRACTION * len(y)), 1), len(y)))]
+        at_rest = _AT_REST * float(np.abs(np.append(r, y)).max())
+        travel, deviation = float(np.ptp(np.append(r, y[0]))), float(np.abs(y - y[0]).max())
         return Tracking(
             output=self.variable.name,
-            travel=float(np.ptp(np.append(r, y[0]))),
+            travel=travel if np.ptp(r) > 0.0 or travel > at_rest else 0.0,
             room=self.limits[1] - self.limits[0],
-            nominal=self.variable.nominal,
-            deviation=float(np.abs(y - y[0]).max()),
-            scatter=_SECOND_DIFFERENCE * float(np.median(np.abs(np.diff(y, 2)))) if len(y) > 2 else 0.0,
+            nominal=max(self.variable.nominal, float(np.abs(r).max())),
+            deviation=deviation if deviation > at_rest else 0.0,
+            scatter=_scatter(y),
             mean_abs_error=float(np.abs(r - y).mean()),
             ends=tuple(ends),
         )
+
+
+def _scatter(y: FloatArray) -> float:
+    """Return the standard deviation of what two samples do not tell of the next, of a signal, shape (K,)."""
+    size = float(np.ptp(y))
+    if len(y) < _FEWEST_FORETOLD or not 0.0 < size < math.inf:
+        return 0.0
+    x = (y - y[0]) / size
+    before = np.column_stack([x[1:-1], x[:-2], np.ones(len(x) - 2)])
+    missed = np.sort(np.abs(x[2:] - before @ np.linalg.lstsq(before, x[2:])[0]))
+    # Steps of a reference or of a disturbance are among the largest: they do not scatter.
+    kept = missed[: len(missed) - math.ceil(_TRIMMED * len(missed))]
+    return size * _OF_TRIMMED * math.sqrt(float(kept @ kept) / (len(kept) - before.shape[1]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,21 +170,22 @@ class EndWindow:
         Magnitude of the mean error, and mean of the error's magnitude, in the output's unit.
     step : float
         By how much the reference stepped to this stretch, in the output's unit; 0 where it did not.
-    constant : bool
-        Whether the reference is constant in it.
+    settling : bool
+        Whether what is left there decides if the run settles: the reference steps to it, or is constant and
+        steps nowhere.
     """
 
     rows: int
     error: float
     magnitude: float
     step: float = 0.0
-    constant: bool = False
+    settling: bool = False
 
     @classmethod
-    def of(cls, error: FloatArray, rows: slice, step: float = 0.0, *, constant: bool = False) -> Self:
+    def of(cls, error: FloatArray, rows: slice, step: float = 0.0, *, settling: bool = False) -> Self:
         """Return the window of an error, shape (K,), at its rows."""
         own = error[rows]
-        return cls(len(own), abs(float(own.mean())), float(np.abs(own).mean()), step, constant)
+        return cls(len(own), abs(float(own.mean())), float(np.abs(own).mean()), step, settling)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,12 +201,13 @@ class Tracking:
     room : float
         Width of its limits; infinite without.
     nominal : float
-        Its nominal value.
+        Its nominal value, or the largest magnitude of its reference where that is larger.
     deviation : float
-        How far it goes from where it begins.
+        How far it goes from where it begins; 0 where that is less than 0.01 % of its largest magnitude.
     scatter : float
-        Standard deviation of the part that cannot be told from the two samples before, were it white: from
-        the median magnitude of second differences, which steps and slow changes do not move.
+        Standard deviation of what cannot be told from the two samples before: of the residuals of a linear
+        prediction from them, without the largest 5 %, which are steps. It is that of the noise that acts on
+        the output, whoever controls it: feedback cannot change what cannot be told ahead.
     mean_abs_error : float
         Over all samples.
     ends : tuple of EndWindow
@@ -208,7 +233,7 @@ class Tracking:
                 float(end["error"]),
                 float(end["magnitude"]),
                 float(end["step"]),
-                bool(end["constant"]),
+                bool(end["settling"]),
             )
             for end in table["ends"]
         )
@@ -235,18 +260,17 @@ class Stretch:
         """By how much the reference stepped, in the output's unit."""
         return float(self.response.reference[self.first]) - self.before
 
-    @property
-    def end_window(self) -> EndWindow:
-        """The last fifth of the window; a step is what the reference does, not how the run begins."""
+    def end_window(self, *, settling: bool = False) -> EndWindow:
+        """Return the last fifth of the window; a step is what the reference does, not how the run begins."""
         rows = round(_SETTLED_FRACTION * (self.end - self.first))
         step = abs(self.size) if self.first > 0 and not math.isnan(self.before) else 0.0
         error = self.response.reference - self.response.values
-        return EndWindow.of(error, slice(self.end - rows, self.end), step, constant=True)
+        return EndWindow.of(error, slice(self.end - rows, self.end), step, settling=settling)
 
     @property
     def settled_error(self) -> float:
         """Magnitude of the mean error over the last fifth of the window, in the output's unit."""
-        return self.end_window.error
+        return self.end_window().error
 
     @property
     def overshoot(self) -> float:

@@ -3,12 +3,15 @@
 Both ask how far an output ends from its reference: over the last fifth of each stretch of constant
 reference, or of the run where there is none. That is taken in parts of the size of the output's task, which
 is the larger of how far its reference moves and how far the output goes while nothing is done; of a task
-without either, the width of the output's limits, else its nominal value.
+without either, the width of the output's limits, else its nominal value, or the magnitude of its reference
+where that is larger.
 
 What a scenario makes unavoidable is taken off. With ``s``, the standard deviation of what cannot be known one
-sample ahead (measurement noise, and what disturbances scatter the output of a plant that is left alone), and
-``q``, the step of quantised measurements, that is ``0.8 s + q / 2`` of a mean magnitude (the mean magnitude
-of Gaussian noise), and three standard errors, ``3 s / sqrt(rows) + q / 2``, of a mean.
+sample ahead (measurement noise, and what disturbances scatter the output: the smaller of that of the run and
+that of doing nothing), ``q``, the step of quantised measurements, and ``n``, the samples of the window, that
+is ``0.8 s + 4 * 0.6 s / sqrt(n) + q / 2`` of a mean magnitude (0.8 s is the mean magnitude of Gaussian noise,
+0.6 s its standard deviation) and ``4 s / sqrt(n) + q / 2`` of a mean: four standard errors, since a run has
+many windows and a study many runs.
 
 Doing nothing is a run that the tool makes itself, once per scenario and seed, outside every ranking.
 """
@@ -16,7 +19,7 @@ Doing nothing is a run that the tool makes itself, once per scenario and seed, o
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from statistics import median
+from statistics import fmean, median
 from typing import TYPE_CHECKING, NamedTuple
 
 from ddpc_cosim.metrics import split_key
@@ -38,7 +41,11 @@ _NEGLIGIBLE = 0.01
 """Of its task: what is worse than doing nothing by less is not worse."""
 _MEAN_MAGNITUDE = math.sqrt(2.0 / math.pi)
 """Of Gaussian noise of standard deviation 1."""
-_STANDARD_ERRORS = 3.0
+_SPREAD_OF_MAGNITUDE = math.sqrt(1.0 - 2.0 / math.pi)
+"""Standard deviation of the magnitude of such noise."""
+_STANDARD_ERRORS = 4.0
+_SMALLEST_STEP = 0.01
+"""Of how far a reference travels: a smaller step is not what a run is judged by."""
 _LONGEST_LABEL = 100
 _STUCK = 0.5  # share of the time from which on inputs at their limits are a likely reason
 
@@ -60,10 +67,10 @@ class Unavoidable(NamedTuple):
     scatter: float = 0.0
     offset: float = 0.0
 
-    @property
-    def magnitude(self) -> float:
-        """Of a mean magnitude."""
-        return _MEAN_MAGNITUDE * self.scatter + self.offset
+    def magnitude(self, rows: float = math.inf) -> float:
+        """Of a mean magnitude over so many samples."""
+        errors = _STANDARD_ERRORS * _SPREAD_OF_MAGNITUDE / math.sqrt(rows)
+        return (_MEAN_MAGNITUDE + errors) * self.scatter + self.offset
 
     def mean(self, rows: int) -> float:
         """Of a mean over so many samples."""
@@ -113,25 +120,32 @@ def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSec
 
 def task_size(one: Tracking, nothing: Tracking | None) -> float:
     """Return the size of an output's task, in its unit, by what it does itself while nothing is done."""
-    moved = max(one.travel, nothing.deviation if nothing else 0.0)
-    if moved > 0.0 and math.isfinite(moved):
+    moved = _moved(one, nothing)
+    if 0.0 < moved < math.inf:
         return moved
     return one.room if 0.0 < one.room < math.inf else one.nominal
+
+
+def _moved(one: Tracking, nothing: Tracking | None) -> float:
+    return max(one.travel, nothing.deviation if nothing else 0.0)
 
 
 def _unavoidable(one: Tracking, nothing: Tracking | None, scenario: "ScenarioSection | None") -> Unavoidable:
     noise = scenario.noise.get(one.output, 0.0) if scenario else 0.0
     quantum = scenario.quantum.get(one.output, 0.0) if scenario else 0.0
-    scatter = nothing.scatter if nothing and math.isfinite(nothing.scatter) else 0.0
+    # The smaller: what is wild in one of the two runs, as an unstable plant that is left alone, is not noise.
+    scatter = min(one.scatter, nothing.scatter) if nothing else 0.0
     return Unavoidable(math.hypot(noise, scatter), 0.5 * quantum)
 
 
 def _left(one: Tracking, size: float, unavoidable: Unavoidable) -> float:
     """Return what is left at worst of a step, or of the task where the reference makes none [%]."""
     parts = [
-        100.0 * max(end.error - unavoidable.mean(end.rows), 0.0) / (end.step or size)
+        100.0
+        * max(end.error - unavoidable.mean(end.rows), 0.0)
+        / (end.step if end.step > _SMALLEST_STEP * one.travel else size)
         for end in one.ends
-        if end.constant
+        if end.settling
     ]
     return max(parts, default=math.nan)
 
@@ -149,7 +163,7 @@ def _distance(
 
 
 def _far(end: EndWindow, unavoidable: Unavoidable) -> float:
-    return end.magnitude - unavoidable.magnitude
+    return end.magnitude - unavoidable.magnitude(end.rows)
 
 
 def _against_nothing(
@@ -158,14 +172,18 @@ def _against_nothing(
     sizes: Mapping[str, float],
     unavoidable: Mapping[str, Unavoidable],
 ) -> str:
-    """Say that a run is worse than doing nothing, over all its outputs together; nothing if it is not."""
-    own = sum(one.mean_abs_error / sizes[one.output] for one in tracking) / len(tracking)
-    rest = sum(nothing[one.output].mean_abs_error / sizes[one.output] for one in tracking) / len(tracking)
-    more = sum(unavoidable[one.output].magnitude / sizes[one.output] for one in tracking) / len(tracking)
-    if own - rest <= more + _NEGLIGIBLE:
-        return ""
-    mean = "mean error" if len(tracking) == 1 else "mean error over the outputs"
-    return f"worse than doing nothing: {mean} {_percent(own)} of the task, doing nothing {_percent(rest)}"
+    """Say in which output a run is worse than doing nothing, or over all together; nothing if in none."""
+    # One that rests while nothing is done has no task of its own: whatever acts on the others moves it.
+    alone = [[one] for one in tracking if _moved(one, nothing[one.output]) > 0.0]
+    for outputs in (*alone, tracking):
+        own = fmean(one.mean_abs_error / sizes[one.output] for one in outputs)
+        rest = fmean(nothing[one.output].mean_abs_error / sizes[one.output] for one in outputs)
+        more = fmean(unavoidable[one.output].magnitude() / sizes[one.output] for one in outputs)
+        if not own - rest <= more + _NEGLIGIBLE:
+            where = f"{outputs[0].output} is " if len(outputs) == 1 else ""
+            means = f"mean error {_percent(own)} of the task, doing nothing {_percent(rest)}"
+            return f"{where}worse than doing nothing: {means}"
+    return ""
 
 
 def _percent(share: float) -> str:
