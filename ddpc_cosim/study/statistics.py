@@ -85,6 +85,8 @@ class Difference(NamedTuple):
         Pairs in which both runs stay near their reference, and the seeds that they are of.
     only_own, only_other : int
         Pairs of runs of which one alone stays near its reference: won or lost, and in no figure below.
+    mean : float
+        Mean of the differences over the seeds, which the test is of.
     median, low, high : float
         Median of the differences over the seeds, and its 95 % bootstrap interval; NaN where there is none.
     won : float
@@ -104,6 +106,7 @@ class Difference(NamedTuple):
     seeds: int
     only_own: int
     only_other: int
+    mean: float
     median: float
     low: float
     high: float
@@ -115,8 +118,9 @@ class Difference(NamedTuple):
 
     @property
     def told_apart(self) -> bool:
-        """Whether the two differ by more than chance explains."""
-        return (self.constant and self.median != 0) or self.corrected <= LEVEL
+        """Whether the two differ by more than chance explains; mean, median and most seeds have to agree."""
+        agreed = self.mean * self.median > 0 and self.won != 0.5
+        return (self.constant and self.median != 0) or (self.corrected <= LEVEL and agreed)
 
     @property
     def told_worse(self) -> bool:
@@ -223,6 +227,7 @@ def compare(own: Runs, other: Runs, better: Better = "low") -> Difference:
         len(differences),
         have.count((True, False)),
         have.count((False, True)),
+        float(differences.mean()) if differences.size else math.nan,
         float(np.median(differences)) if differences.size else math.nan,
         *median_interval(differences),
         float(ahead.mean()) if better and differences.size else math.nan,
@@ -282,7 +287,7 @@ def interactions(runs: Mapping[str, Runs]) -> list[Interaction]:
 
 
 def max_t(differences: Sequence[Mapping[int, float]], members: Sequence[Sequence[Hashable]]) -> list[float]:
-    """Return p-values of a family of differences by seed, corrected for each other; NaN of too few seeds.
+    """Return p-values of differences by seed, corrected for each other; NaN of fewer than six seeds.
 
     The signs of all differences of a seed are flipped together, for up to 14 seeds in all ways, of more in
     9 999 ways that are drawn, always the same. A p is the share of the flips in which the largest statistic
@@ -302,14 +307,15 @@ def max_t(differences: Sequence[Mapping[int, float]], members: Sequence[Sequence
     members : sequence of sequence of hashable
         Of each difference, which controllers it is of: equally many of each.
     """
-    seeds = sorted({seed for own in differences for seed in own})
-    if len(seeds) < FEWEST:
-        return [math.nan] * len(differences)
-    values = np.array([[own.get(seed, math.nan) for seed in seeds] for own in differences])
-    numbers: dict[Hashable, int] = {}
-    places = np.array([[numbers.setdefault(one, len(numbers)) for one in of_one] for of_one in members])
-    few = np.isfinite(values).sum(axis=1) < FEWEST
-    p: list[float] = np.where(few, math.nan, step_down(values, places)).tolist()
+    enough = [place for place, own in enumerate(differences) if len(own) >= FEWEST]
+    p = [math.nan] * len(differences)
+    if enough:
+        seeds = sorted({seed for place in enough for seed in differences[place]})
+        numbers: dict[Hashable, int] = {}
+        rows = [[differences[place].get(seed, math.nan) for seed in seeds] for place in enough]
+        of = [[numbers.setdefault(one, len(numbers)) for one in members[place]] for place in enough]
+        for place, own in zip(enough, step_down(np.array(rows), np.array(of)).tolist(), strict=True):
+            p[place] = own
     return p
 
 
@@ -448,8 +454,8 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
     -------
     table : pandas.DataFrame
         ``problem``, ``controller``, ``held``, the fields of :class:`Sample`, and those of :class:`Difference`
-        (missing in the baseline's own row) as ``paired_seeds``, ``difference``, ``difference_low``,
-        ``difference_high``, the others by their names, and ``told_apart``.
+        (missing in the baseline's own row) as ``paired_seeds``, ``difference_mean``, ``difference``,
+        ``difference_low``, ``difference_high``, the others by their names, and ``told_apart``.
 
     Raises
     ------
@@ -472,7 +478,7 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
         for name, own in runs.items():
             row = {"problem": problem, "controller": name, "held": int(held[name]), **describe(own)._asdict()}
             if one := differences.get(name):
-                names = {"seeds": "paired_seeds", "median": "difference"}
+                names = {"seeds": "paired_seeds", "median": "difference", "mean": "difference_mean"}
                 names |= {"low": "difference_low", "high": "difference_high"}
                 row |= {names.get(key, key): value for key, value in one._asdict().items()}
                 row["told_apart"] = one.told_apart
