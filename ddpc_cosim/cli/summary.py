@@ -128,10 +128,15 @@ def _problem_column(name: str, found: Standings) -> _Column:
 
     def cell(cases: Sequence[CaseResult]) -> Text:
         own = standing.get(cases[0].controller)
-        return Text(str(own.rank) if own else _MISSING, style="red" if own and own.lost else "")
+        return Text(_rank(own), style="red" if own and own.lost else "")
 
     label = clipped(name, _LONGEST_SCENARIO)
     return _Column(label, "", label, "", cell)
+
+
+def _rank(standing: Standing | None) -> str:
+    """Return the ranks that the data allow; empty where there is no rank."""
+    return standing.text.replace("\N{EN DASH}", "-") if standing else _MISSING
 
 
 def _has_values(column: _Column, rows: Sequence[_Row]) -> bool:
@@ -158,10 +163,10 @@ def _table(rows: Sequence[_Row], longest: int, columns: Sequence[_Column], narro
         if not row.cases:
             table.add_row(*([""] if ranked else []), row.name)
             continue
-        first = row.standing is not None and row.standing.rank == 1 and not row.lost
+        first = row.standing is not None and row.standing.rank == 1 and row.standing.shown and not row.lost
         name = Text(clipped(row.name, longest), style="bold" if first else "")
         lost = Text(f"{row.lost}/{len(row.cases)}", style="red" if row.lost else "")
-        rank = [str(row.standing.rank) if row.standing else _MISSING] if ranked else []
+        rank = [_rank(row.standing)] if ranked else []
         table.add_row(*rank, name, *([lost] if any_lost else []), *(own.pop(0) for own in cells))
     return table
 
@@ -246,6 +251,9 @@ def _lines(
     if found.seeds > 1 and any(one.too_few_seeds for one in found.compared.values()):
         few = "seeds are too few to test so many controllers against each other: it takes"
         lines.append(f"{found.seeds_compared} {few} {found.seeds_needed}")
+    elif found.disagreements:
+        ahead = "; ".join(f"{' and '.join(own)} in {name}" for name, own in found.leaders_by_scenario.items())
+        lines.append(f"scenarios disagree, so there is no overall rank; ahead: {ahead}")
     elif found.tested and len(found.order) > 1 and all(one.rank == 1 for one in found.order):
         lines.append(f"{found.seeds} seeds tell no two controllers apart")
     if any(0 < row.lost < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:

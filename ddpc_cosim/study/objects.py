@@ -126,6 +126,9 @@ class Problem:
         Start where the experiment ended instead of from rest.
     cost : mapping of str to mapping of str to float
         Weights of the quadratic cost that controllers are ranked by: ``outputs``, ``inputs``, ``changes``.
+    relevant : mapping of str to float, or to mapping of str to float
+        The smallest difference of what is ranked by that matters: ``absolute``, of several outputs one for
+        each, and ``percent`` of the best figure or of the task. Default: 1 %.
     start, nominal, display_units : mapping of str to float, float, str
         Start values of inputs, sizes that controllers scale by, and units to show, in place of the plant's.
     fmi_type : str
@@ -164,6 +167,7 @@ class Problem:
     start_time: float = 0.0
     continue_recording: bool = False
     cost: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    relevant: Mapping[str, float | Mapping[str, float]] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
     display_units: Mapping[str, str] = field(default_factory=dict)
@@ -219,7 +223,12 @@ class Problem:
             "bounds": {name: _limits(limits) for name, limits in self.bounds.items()},
             "recording": self._recording_table(recording),
             "scenarios": {name: scenario.table() for name, scenario in scenarios.items()},
-            "metrics": {"cost": {key: dict(value) for key, value in self.cost.items()}} if self.cost else {},
+            "metrics": _given(
+                {
+                    key: {one: dict(v) if isinstance(v, Mapping) else v for one, v in given.items()}
+                    for key, given in (("cost", self.cost), ("relevant", self.relevant))
+                }
+            ),
         }
         return {key: table for key, table in tables.items() if table}
 

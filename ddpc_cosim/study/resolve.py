@@ -201,6 +201,7 @@ class _Resolution:
         self.recording = self._read_recording()
         self._check_recording()
         self._check_cost()
+        self._check_relevant()
         self._check_claims()
         self.references = self._references()
         self.bounds = self._bounds()
@@ -448,6 +449,19 @@ class _Resolution:
             )
             for key in ("inputs", "changes"):
                 self.errors.require_known((*place, key), "input", getattr(cost, key), self.inputs.names)
+
+    @independent
+    def _check_relevant(self) -> None:
+        relevant, place = self.study.metrics.relevant, ("metrics", "relevant", "absolute")
+        absolute = relevant.absolute if relevant else None
+        if isinstance(absolute, Mapping):
+            if self.study.metrics.cost:
+                self.errors.add(place, "must be a number, as controllers are ranked by metrics.cost")
+            else:
+                self.errors.require_known(place, "controlled output", absolute, self.outputs.names)
+        elif absolute is not None and not self.study.metrics.cost and len(self.outputs.names) > 1:
+            needed = f"needed: one for each, e.g. {{ {self.outputs.names[0]} = {absolute:g} }}"
+            self.errors.add(place, f"one number for {len(self.outputs.names)} controlled outputs; {needed}")
 
     @independent
     def _references(self) -> dict[str, Reference] | None:

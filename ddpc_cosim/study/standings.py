@@ -1,22 +1,33 @@
 """The standings of one problem: who is ahead, whom its seeds tell apart, and who loses runs."""
 
 import math
-from collections.abc import Hashable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from statistics import fmean, median
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from ddpc_cosim.metrics import headline, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.judgement import all_failed
-from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all, describe
+from ddpc_cosim.study.statistics import (
+    Comparisons,
+    Interaction,
+    Runs,
+    Sample,
+    compare_all,
+    describe,
+    interactions,
+)
 from ddpc_cosim.trace import Outcome
 
 _ERRORS = ("cost", "mean_abs_error", "rmse")
 """What is ranked by, and its companion: errors of a run that is lost say nothing of those that are not."""
+_PERCENT = 1.0
+_DIGITS = 3
+"""Significant digits that tables print of a median: who is equal in them is equal in rank."""
 
 
 class Standing(NamedTuple):
@@ -27,15 +38,61 @@ class Standing(NamedTuple):
     controller : str
         Its name in the study.
     rank : int
-        One more than the number of controllers that are better.
+        One more than the number of controllers that are better: the best rank that the data allow.
     lost, runs : int
         Runs that do not stay near their reference, and all runs.
+    worst : int
+        The worst rank that they allow: the number of all less that of those that are worse.
+    shown : bool
+        Whether there is such a rank: not of a single controller, nor where scenarios disagree.
     """
 
     controller: str
     rank: int
     lost: int
     runs: int
+    worst: int
+    shown: bool
+
+    @property
+    def text(self) -> str:
+        """The ranks that the data allow: ``2``, or two with a dash; empty where there is none."""
+        if not self.shown:
+            return ""
+        return f"{self.rank}" if self.worst == self.rank else f"{self.rank}\N{EN DASH}{self.worst}"
+
+
+@dataclass(frozen=True)
+class Relevant:
+    """The smallest difference of what is ranked by that matters: the larger of both, where both are given.
+
+    Parameters
+    ----------
+    absolute : float or mapping of str to float, optional
+        The difference, in the unit in which the figure is shown; by controlled output if there are several.
+    percent : float, optional
+        In percent of the best controller's figure or of the size of the task, the larger of these; default:
+        1, and of what has an absolute one 0.
+    """
+
+    absolute: float | Mapping[str, float] | None = None
+    percent: float | None = None
+
+    def difference(self, key: str, best: float, task: float = math.nan) -> float:
+        """Return the smallest relevant difference of a metric.
+
+        Parameters
+        ----------
+        key : str
+            The metric.
+        best, task : float
+            The best controller's figure, and the size of the task; NaN: not known.
+        """
+        given = self.absolute
+        absolute = given.get(split_key(key)[1]) if isinstance(given, Mapping) else given
+        percent = (_PERCENT if absolute is None else 0.0) if self.percent is None else self.percent
+        size = max((abs(one) for one in (best, task) if math.isfinite(one)), default=0.0)
+        return max(absolute or 0.0, percent / 100 * size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +101,10 @@ class Standings:
 
     A controller that loses a run comes after all that lose none, and after those that lose fewer. Of two that
     lose none, one is better if the seeds tell it to be so in some of the keys and the other in none; where
-    the seeds are too few for any test, the medians decide, over the runs that both have.
+    the seeds are too few for any test, the medians decide, over the runs that both have. Of a difference that
+    does not matter neither is better, nor of medians that are equal in the digits that are printed.
+
+    Where scenarios disagree on who is ahead, there is no overall rank: see :attr:`disagreements`.
 
     Parameters
     ----------
@@ -54,11 +114,17 @@ class Standings:
         By key and controller, the runs in the scenarios that count, NaN of those that are lost.
     left_out : tuple of str
         Scenarios in which no controller follows its reference: they do not count.
+    relevant : Relevant
+        The smallest difference that matters.
+    tasks : mapping of str to float
+        By key, the size of the task in the unit of the key, where it is known.
     """
 
     keys: tuple[str, ...]
     runs: dict[str, dict[str, Runs]]
     left_out: tuple[str, ...]
+    relevant: Relevant = Relevant()
+    tasks: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def lost(self) -> dict[str, int]:
@@ -103,28 +169,124 @@ class Standings:
         return max((one.seeds_needed for one in self.compared.values()), default=0)
 
     @cached_property
+    def relevant_differences(self) -> dict[str, float]:
+        """By key, the smallest difference that matters, in its unit."""
+        best = {
+            key: min((self.samples[key][name].median for name in self._holding), key=metric_of(key).rank)
+            for key in (self.keys if self._holding else ())
+        }
+        return {
+            key: self.relevant.difference(key, best.get(key, math.nan), self.tasks.get(key, math.nan))
+            for key in self.keys
+        }
+
+    @cached_property
     def order(self) -> tuple[Standing, ...]:
         """The controllers, the best first; those of one rank in the order of their medians."""
-        holding = [name for name, lost in self.lost.items() if not lost]
-        behind = dict.fromkeys(holding, 0)
-        for a, b in combinations(holding, 2):
-            if worse := self._worse(a, b):
-                behind[worse] += 1
-        fewest = min(behind.values(), default=0)  # above 0 where they beat each other in a circle
-        behind |= {name: 0 for name in holding if behind[name] == fewest}
+        holding, total = self._holding, len(self.lost)
         losing = sorted(lost for lost in self.lost.values() if lost)
-        ranks = {
-            name: 1 + (len(holding) + losing.index(lost) if lost else behind[name])
-            for name, lost in self.lost.items()
-        }
         count = {name: len(own) for name, own in next(iter(self.runs.values()), {}).items()}
-        found = [Standing(name, rank, self.lost[name], count[name]) for name, rank in ranks.items()]
+        behind, shown = self._behind, total > 1 and not self.disagreements
+        ahead = dict.fromkeys(holding, 0)
+        for one in holding:
+            for other in holding:
+                ahead[one] += self._worse(one, other) == other if one != other else 0
+        found = []
+        for name, lost in self.lost.items():
+            if lost:
+                rank = 1 + len(holding) + losing.index(lost)
+                worst = len(holding) + len(losing) - losing[::-1].index(lost)
+            else:
+                rank, worst = 1 + behind[name], total - len(losing) - ahead[name]
+            found.append(Standing(name, rank, lost, count[name], worst, shown))
         return tuple(sorted(found, key=lambda one: (one.rank, self._place(one.controller))))
 
     @property
     def leaders(self) -> tuple[str, ...]:
-        """The controllers of the first rank; none if each of them loses runs."""
-        return tuple(one.controller for one in self.order if one.rank == 1 and not one.lost)
+        """The controllers of the first rank; none if each of them loses runs, or scenarios disagree."""
+        return () if self.disagreements else self._first
+
+    @cached_property
+    def by_scenario(self) -> dict[str, "Standings"]:
+        """The standings of each scenario that counts; none where there is but one."""
+        own = next(iter(self.runs.values()), {})
+        names = dict.fromkeys(cast("str", scenario) for runs in own.values() for scenario, _ in runs)
+        return {name: self._within(name) for name in names} if len(names) > 1 else {}
+
+    @property
+    def leaders_by_scenario(self) -> dict[str, tuple[str, ...]]:
+        """By scenario, its leaders."""
+        return {name: found.leaders for name, found in self.by_scenario.items()}
+
+    @cached_property
+    def disagreements(self) -> tuple[Interaction, ...]:
+        """Why there is no overall rank: differences of leaders that depend on the scenario; none if there is.
+
+        They are of two controllers that lose no run, each of which leads over all scenarios or in one. Their
+        difference changes between two scenarios by more than chance explains and by enough to matter, and one
+        of them is told to be better in the one scenario, and not so in the other. That a lead is larger in
+        one scenario than in another takes it from nobody.
+        """
+        if not self.tested or not self.by_scenario:
+            return ()
+        leading = {*self._first, *(name for names in self.leaders_by_scenario.values() for name in names)}
+        leading &= {*self._holding}
+        return tuple(
+            one
+            for key in self.keys
+            if any(
+                self._changes(key, pair, *of)
+                for pair in combinations(leading, 2)
+                for of in combinations(self.by_scenario, 2)
+            )
+            for one in interactions({name: self.runs[key][name] for name in self._holding})
+            if one.told
+            and leading >= {*one.pair}
+            and abs(one.median) >= self.relevant_differences[key]
+            and self._changes(key, one.pair, *cast("tuple[str, str]", one.conditions))
+        )
+
+    def too_small(self, a: str, b: str) -> bool:
+        """Whether no difference of two controllers matters, be they told apart or not."""
+        return all(self._too_small(key, a, b) for key in self.keys)
+
+    @cached_property
+    def _holding(self) -> list[str]:
+        """Return the controllers that lose no run."""
+        return [name for name, lost in self.lost.items() if not lost]
+
+    @cached_property
+    def _behind(self) -> dict[str, int]:
+        """Return of each controller that loses no run how many are better."""
+        behind = dict.fromkeys(self._holding, 0)
+        for a, b in combinations(self._holding, 2):
+            if worse := self._worse(a, b):
+                behind[worse] += 1
+        fewest = min(behind.values(), default=0)  # above 0 where they beat each other in a circle
+        return behind | {name: 0 for name, count in behind.items() if count == fewest}
+
+    @property
+    def _first(self) -> tuple[str, ...]:
+        """Return who is of the first rank, if scenarios do not disagree."""
+        first = [name for name, count in self._behind.items() if not count]
+        return tuple(sorted(first, key=self._place))
+
+    def _within(self, scenario: str) -> "Standings":
+        runs: dict[str, dict[str, Runs]] = {
+            key: {
+                name: own
+                for name, all_runs in of_key.items()
+                if (own := {run: value for run, value in all_runs.items() if run[0] == scenario})
+            }
+            for key, of_key in self.runs.items()
+        }
+        return replace(self, runs=runs, left_out=())
+
+    def _changes(self, key: str, pair: tuple[str, str], one: str, other: str) -> bool:
+        """Return whether one of two controllers is told to be better in one scenario, and not in another."""
+        here = [self.by_scenario[name] for name in (one, other)]
+        ran = all({*pair} <= found.lost.keys() for found in here)
+        return ran and len({found._worse_in(key, *pair) for found in here}) > 1
 
     def _worse(self, a: str, b: str) -> str:
         """Return the worse of two controllers that lose no run; nothing where neither is."""
@@ -132,20 +294,38 @@ class Standings:
         return worse.pop() if len(worse) == 1 else ""
 
     def _worse_in(self, key: str, a: str, b: str) -> str:
+        if self._too_small(key, a, b):
+            return ""
         if self.tested:
             differences = self.compared[key].differences
             pair = (a, b) if (a, b) in differences else (b, a)
             found = differences.get(pair)
             return pair[not found.told_worse] if found and found.told_apart else ""
-        runs = self.runs[key]
-        medians = [self.samples[key][name].median for name in (a, b)]
-        if runs[a].keys() != runs[b].keys():  # who ran in the easier scenarios alone is not better for it
-            both = runs[a].keys() & runs[b].keys()
-            medians = [describe({run: runs[name][run] for run in both}).median for name in (a, b)]
-        values = [*map(metric_of(key).rank, medians)]
+        values = [*map(metric_of(key).rank, self._medians(key, a, b))]
         if any(map(math.isnan, values)) or math.isclose(*values, rel_tol=1e-9):
             return ""
         return a if values[0] > values[1] else b
+
+    def _too_small(self, key: str, a: str, b: str) -> bool:
+        """Return whether a difference is below what matters, or below what is printed of the medians."""
+        medians = self._medians(key, a, b)
+        if len({f"{value:.{_DIGITS}g}" for value in medians}) == 1:
+            return True
+        differences = self.compared[key].differences
+        found = differences.get((a, b)) or differences.get((b, a))
+        difference = found.median if self.tested and found else medians[0] - medians[1]
+        return abs(difference) < self.relevant_differences[key]
+
+    def _medians(self, key: str, a: str, b: str) -> list[float]:
+        """Return the medians of two controllers over the runs that both have.
+
+        Who ran in the easier scenarios alone is not better for it.
+        """
+        runs = self.runs[key]
+        if runs[a].keys() == runs[b].keys():
+            return [self.samples[key][name].median for name in (a, b)]
+        both = runs[a].keys() & runs[b].keys()
+        return [describe({run: runs[name][run] for run in both}).median for name in (a, b)]
 
     def _place(self, name: str) -> float:
         """Return the mean place of a controller's medians among those of all, key by key."""
@@ -195,10 +375,21 @@ def summed(cases: Sequence[CaseResult], key: str) -> float:
     return how(known) if known else math.nan
 
 
-def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
+def standings(
+    study: Study, cases: Iterable[CaseResult], tasks: Mapping[str, float] | None = None
+) -> Standings:
     """Return the standings of a study's controllers over cases of one problem.
 
     Reference points and the variants of sweeps do not compete.
+
+    Parameters
+    ----------
+    study : Study
+        The study, of one problem.
+    cases : iterable of CaseResult
+        Its cases, or some of them.
+    tasks : mapping of str to float, optional
+        By metric that is ranked by, the size of the task in its unit: what a difference is measured by.
     """
     points = study.report.reference_points
     aside = {name for name, section in study.controllers.items() if section.variant_of}
@@ -215,4 +406,6 @@ def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
             for key in keys:
                 value = case.metrics.get(key, math.nan) if not case.failed else math.nan
                 runs[key].setdefault(case.controller, {})[case.scenario, case.seed] = value
-    return Standings(keys, {key: dict(own) for key, own in runs.items()}, left_out)
+    given = study.metrics.relevant
+    relevant = Relevant(given.absolute, given.percent) if given else Relevant()
+    return Standings(keys, {key: dict(own) for key, own in runs.items()}, left_out, relevant, tasks or {})

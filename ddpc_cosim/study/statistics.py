@@ -3,6 +3,10 @@
 The seed is what is drawn at random, so each seed gives one value: where it has several runs (scenarios,
 variants), their median. Scenarios do not multiply the seeds. A run that does not stay near its reference has
 no value: it is counted, and never averaged away.
+
+Who is told apart is one test of all pairs: the step-down max-T of Westfall and Young (1993) over flips of
+signs. It assumes that a difference is as likely as its negative where two controllers are equal: all
+differences of one seed may then change their signs together, which keeps how they hang together.
 """
 
 import math
@@ -28,7 +32,8 @@ if TYPE_CHECKING:
 LEVEL = 0.05
 """Level of tests, and 1 - level that of intervals: 95 %."""
 FEWEST = 6
-"""Of fewer values there is no interval: even the range of five covers the median with 93.75 % only."""
+"""Of fewer values there is no interval: even the range of five covers the median with 93.75 % only.
+Nor is there a test: with all signs alike, p is 2 / 2**5."""
 
 Runs = Mapping[tuple[Hashable, int], float]
 """A metric by condition (what may differ but the controller) and seed; NaN of a run that is lost."""
@@ -36,7 +41,13 @@ Better = Literal["low", "high", ""]
 """Which values of a metric are better, as its registry says."""
 
 _Places = np.ndarray[tuple[int], np.dtype[np.intp]]
-_EXACT = 50  # pairs up to which all signs are counted; 2**50 is exact in floating point
+_Places2 = np.ndarray[tuple[int, int], np.dtype[np.intp]]
+_EXACT = 14  # seeds up to which all signs are counted: 2**13, as a sign and its opposite come to the same
+_DRAWS = 9999  # signs that are drawn where there are more
+_FEWEST_DRAWS = 999  # of families so large that ...
+_MOST_VALUES = 10**8  # ... so many statistics would be too many
+_AT_ONCE = 10**6  # statistics that are held at a time
+_LARGEST_SCALE = 0.7  # a pair's scale, in parts of the root mean square of its own differences
 _SAME = 1e-9  # relative difference from which on two values are two
 
 
@@ -74,34 +85,42 @@ class Difference(NamedTuple):
         Pairs in which both runs stay near their reference, and the seeds that they are of.
     only_own, only_other : int
         Pairs of runs of which one alone stays near its reference: won or lost, and in no figure below.
+    mean : float
+        Mean of the differences over the seeds, which the test is of.
     median, low, high : float
         Median of the differences over the seeds, and its 95 % bootstrap interval; NaN where there is none.
     won : float
         Share of the seeds with the better value, a tie counting half; NaN where no value is better.
     p : float
-        Of the Wilcoxon signed-rank test, two-sided; NaN without pairs, and of a difference that is constant.
+        Of flips of the seeds' signs, two-sided: of this comparison alone. NaN where it is not tested, and of
+        fewer than six seeds, whose p could not fall below 5 %.
     constant : bool
         Whether the seed changes neither of the two: the difference is known, there is nothing to test.
+    tested : bool
+        Whether it belongs to a family of tests: it is not constant, and every run of both has a value.
     corrected : float
-        ``p`` after Holm's correction for the other comparisons of its family.
+        ``p`` corrected for the other comparisons of its family by :func:`max_t`.
     """
 
     pairs: int
     seeds: int
     only_own: int
     only_other: int
+    mean: float
     median: float
     low: float
     high: float
     won: float
     p: float
     constant: bool
+    tested: bool
     corrected: float = math.nan
 
     @property
     def told_apart(self) -> bool:
-        """Whether the two differ by more than chance explains."""
-        return (self.constant and self.median != 0) or self.corrected <= LEVEL
+        """Whether the two differ by more than chance explains; mean, median and most seeds have to agree."""
+        agreed = self.mean * self.median > 0 and self.won != 0.5
+        return (self.constant and self.median != 0) or (self.corrected <= LEVEL and agreed)
 
     @property
     def told_worse(self) -> bool:
@@ -137,13 +156,13 @@ class Comparisons:
 
     @property
     def tests(self) -> int:
-        """How many comparisons were tested: Holm's correction is for so many."""
-        return sum(not math.isnan(one.p) for one in self.differences.values())
+        """How many comparisons are in the family of tests."""
+        return sum(one.tested for one in self.differences.values())
 
     @property
     def seeds_needed(self) -> int:
-        """Seeds from which on a controller that is ahead on each is told apart, whatever the others do."""
-        return 1 + math.ceil(math.log2(max(self.tests, 1) / LEVEL))
+        """Seeds from which on a controller that is ahead on each can be told apart, of however many."""
+        return FEWEST
 
     @property
     def seeds(self) -> int:
@@ -152,7 +171,7 @@ class Comparisons:
 
     @property
     def too_few_seeds(self) -> bool:
-        """Whether no test can tell any two apart, even if one of them is ahead on every seed."""
+        """Whether no p could fall below 5 %, even if a controller is ahead on every seed."""
         return self.tests > 0 and self.seeds < self.seeds_needed
 
 
@@ -164,79 +183,195 @@ def describe(runs: Runs) -> Sample:
     return Sample(len(runs), known, values.size, middle, lower, upper, *median_interval(values))
 
 
+class Interaction(NamedTuple):
+    """How the difference of two controllers differs between two conditions.
+
+    Parameters
+    ----------
+    pair : (str, str)
+        The controllers: the first less the second.
+    conditions : (hashable, hashable)
+        That difference under the first less that under the second.
+    median : float
+        Median of it over the seeds.
+    corrected : float
+        Its p among those of all pairs and conditions, by :func:`max_t`; NaN where it is not tested.
+    constant : bool
+        Whether the seed changes none of the four runs.
+    """
+
+    pair: tuple[str, str]
+    conditions: tuple[Hashable, Hashable]
+    median: float
+    corrected: float
+    constant: bool
+
+    @property
+    def told(self) -> bool:
+        """Whether the difference depends on the condition by more than chance explains."""
+        return (self.constant and self.median != 0) or self.corrected <= LEVEL
+
+
 def compare(own: Runs, other: Runs, better: Better = "low") -> Difference:
     """Compare two controllers, run by run of the same condition and seed."""
     both = {key: (value, other[key]) for key, value in own.items() if key in other}
     have = [(math.isfinite(a), math.isfinite(b)) for a, b in both.values()]
     pairs = {key: ab for key, ab in both.items() if all(map(math.isfinite, ab))}
-    differences = np.array([*_by_seed({key: _difference(*ab) for key, ab in pairs.items()}).values()])
+    by_seed = _differences(own, other)
+    differences = np.array([*by_seed.values()])
     constant = all(_constant({key: ab[i] for key, ab in pairs.items()}) for i in (0, 1))
+    tested = 0 < len(pairs) == len(both) and not constant
     ahead = (np.sign(differences) * (1 if better == "high" else -1) + 1) / 2
     return Difference(
         len(pairs),
         len(differences),
         have.count((True, False)),
         have.count((False, True)),
+        float(differences.mean()) if differences.size else math.nan,
         float(np.median(differences)) if differences.size else math.nan,
         *median_interval(differences),
         float(ahead.mean()) if better and differences.size else math.nan,
-        math.nan if constant else signed_rank(differences),
+        max_t([by_seed], [("own", "other")])[0] if tested else math.nan,
         constant,
+        tested,
     )
 
 
+def compare_pairs(
+    runs: Mapping[str, Runs], pairs: Iterable[tuple[str, str]], better: Better = "low"
+) -> dict[tuple[str, str], Difference]:
+    """Compare the controllers of each pair, the pairs being one family of tests."""
+    table = {(a, b): compare(runs[a], runs[b], better) for a, b in pairs}
+    family = [pair for pair, one in table.items() if one.tested]
+    corrected = max_t([_differences(runs[a], runs[b]) for a, b in family], family)
+    return table | {
+        pair: table[pair]._replace(corrected=p) for pair, p in zip(family, corrected, strict=True)
+    }
+
+
 def compare_all(runs: Mapping[str, Runs], better: Better = "low") -> Comparisons:
-    """Compare controllers, each with each, Holm's correction being for all pairs of them."""
+    """Compare controllers, each with each, all pairs being one family of tests."""
     medians = {name: describe(own).median for name, own in runs.items()}
     sign = -1 if better == "high" else 1
     order = sorted((name for name in runs if medians[name] == medians[name]), key=lambda n: sign * medians[n])
-    table = {(a, b): compare(runs[a], runs[b], better) for a, b in combinations(order, 2)}
-    return Comparisons(tuple(order), dict(zip(table, corrected(table.values()), strict=True)))
+    return Comparisons(tuple(order), compare_pairs(runs, combinations(order, 2), better))
 
 
-def corrected(family: Iterable[Difference]) -> list[Difference]:
-    """Correct the p of a family of comparisons as Holm does."""
-    members = [*family]
-    return [
-        one._replace(corrected=p) for one, p in zip(members, holm([one.p for one in members]), strict=True)
-    ]
+def interactions(runs: Mapping[str, Runs]) -> list[Interaction]:
+    """Compare the differences of each two controllers between each two conditions, as one family of tests.
 
-
-def holm(p: Sequence[float]) -> list[float]:
-    """Return p-values corrected for their number as Holm (1979) does; a NaN is not a test, and stays."""
-    order = sorted((i for i, value in enumerate(p) if not math.isnan(value)), key=lambda i: p[i])
-    out, largest = [math.nan] * len(p), 0.0
-    for rank, i in enumerate(order):
-        out[i] = largest = max(largest, min(1.0, (len(order) - rank) * p[i]))
-    return out
-
-
-def signed_rank(differences: FloatArray) -> float:
-    """Return the two-sided p of Wilcoxon's signed-rank test; NaN without differences.
-
-    Zeros take part in the ranks and in nothing else (Pratt 1959), ties share their rank. Up to 50 differences
-    all assignments of signs are counted, with ties and zeros too; of more, the normal approximation is taken.
+    Only seeds count with which both ran under both conditions; without such seeds there is no interaction.
     """
-    if not differences.any():
-        return 1.0 if differences.size else math.nan
-    # Nine digits: 0.3 and 0.1 + 0.2 are a tie.
-    differences = np.array([float(f"{one:.9g}") for one in differences.tolist()])
-    if differences.size > _EXACT:
-        return float(scipy.stats.wilcoxon(differences.tolist(), zero_method="pratt").pvalue)
-    _, place, counts = np.unique(abs(differences), return_inverse=True, return_counts=True)
-    twice = (2 * np.cumsum(counts) - counts + 1)[place]  # twice the shared ranks: whole numbers
-    ways = _ways(tuple(sorted(twice[differences != 0].tolist())))
-    positive = int(twice[differences > 0].sum())
-    return min(1.0, 2 * float(min(ways[: positive + 1].sum(), ways[positive:].sum()) / ways.sum()))
+    own = {name: _by_condition(of_one) for name, of_one in runs.items()}
+    found, family, members = [], [], []
+    for a, b in combinations(own, 2):
+        shared = [condition for condition in own[a] if condition in own[b]]
+        for one, other in combinations(shared, 2):
+            cells = [(a, one), (b, one), (a, other), (b, other)]
+            four = [own[name][condition] for name, condition in cells]
+            seeds = sorted(set[int].intersection(*map(set, four)))
+            values = {
+                seed: _difference(four[0][seed], four[1][seed]) - _difference(four[2][seed], four[3][seed])
+                for seed in seeds
+            }
+            constant = all(_constant({("", seed): cell[seed] for seed in seeds}) for cell in four)
+            complete = all(map(math.isfinite, values.values()))
+            if seeds and complete:
+                middle = median(values.values())
+                found.append(Interaction((a, b), (one, other), middle, math.nan, constant))
+            if seeds and complete and not constant:
+                family.append(values)
+                members.append(cells)
+    corrected = iter(max_t(family, members))
+    return [one if one.constant else one._replace(corrected=next(corrected)) for one in found]
 
 
-@lru_cache
-def _ways(ranks: tuple[int, ...]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Return in how many ways signs give each sum of positive ranks, from 0 on."""
-    ways = np.ones(1, dtype=np.int64)
-    for rank in ranks:
-        ways = np.pad(ways, (0, rank)) + np.pad(ways, (rank, 0))
-    return ways
+def max_t(differences: Sequence[Mapping[int, float]], members: Sequence[Sequence[Hashable]]) -> list[float]:
+    """Return p-values of differences by seed, corrected for each other; NaN of fewer than six seeds.
+
+    The signs of all differences of a seed are flipped together, for up to 14 seeds in all ways, of more in
+    9 999 ways that are drawn, always the same. A p is the share of the flips in which the largest statistic
+    of those differences that are no more significant than its own is at least as large as it (Westfall and
+    Young 1993, algorithm 2.8). The chance that any true null hypothesis is rejected is at most the level if
+    the differences for which it holds are, together, as likely as their negatives.
+
+    The statistic is the mean over a scale: the root of the sum of the squared scales of the controllers, of
+    each the median, over its differences, of the standard deviation of their sizes; but at most 0.7 of the
+    difference's root mean square. A plain mean tells more where all controllers vary alike, and nothing as
+    soon as one of them varies much more than the others; a studentised one tells little of few seeds.
+
+    Parameters
+    ----------
+    differences : sequence of mapping of int to float
+        By seed, each with a value.
+    members : sequence of sequence of hashable
+        Of each difference, which controllers it is of: equally many of each.
+    """
+    enough = [place for place, own in enumerate(differences) if len(own) >= FEWEST]
+    p = [math.nan] * len(differences)
+    if enough:
+        seeds = sorted({seed for place in enough for seed in differences[place]})
+        numbers: dict[Hashable, int] = {}
+        rows = [[differences[place].get(seed, math.nan) for seed in seeds] for place in enough]
+        of = [[numbers.setdefault(one, len(numbers)) for one in members[place]] for place in enough]
+        for place, own in zip(enough, step_down(np.array(rows), np.array(of)).tolist(), strict=True):
+            p[place] = own
+    return p
+
+
+def step_down(values: FloatArray, members: _Places2) -> FloatArray:
+    """Return the p-values of :func:`max_t` of an array.
+
+    Parameters
+    ----------
+    values : array, shape (tests, seeds)
+        The differences; NaN where a seed has none.
+    members : array of int, shape (tests, n)
+        Numbers of the controllers that each difference is of.
+    """
+    known = np.isfinite(values)
+    values = np.where(known, values, 0.0)
+    weights = 1 / (known.sum(axis=1) * _scales(values, known.sum(axis=1), members))
+    order = np.argsort(-abs(values.sum(axis=1) * weights), kind="stable")
+    values = (values * weights[:, None])[order]
+    # Sums of the same numbers differ by rounding: equal ones are to count as equal.
+    least = abs(values.sum(axis=1)) - _SAME * abs(values).sum(axis=1)
+    count = np.zeros(len(values), dtype=np.int64)
+    signs = _signs(values.shape[1], min(_DRAWS, max(_FEWEST_DRAWS, _MOST_VALUES // len(values))))
+    for part in np.array_split(signs, math.ceil(signs.size / values.shape[1] * len(values) / _AT_ONCE)):
+        sizes = abs(values @ part.T.astype(float))[::-1]
+        # The largest of those from each place on: of the differences that are no more significant.
+        np.maximum.accumulate(sizes, axis=0, out=sizes)
+        count += (sizes[::-1] >= least[:, None]).sum(axis=1)
+    p = np.empty(len(values))
+    p[order] = np.maximum.accumulate(count / len(signs))
+    return p
+
+
+def _scales(values: FloatArray, counts: _Places, members: _Places2) -> FloatArray:
+    """Return scales of differences that no flip of signs changes."""
+    square = (values**2).sum(axis=1) / counts
+    spread = np.sqrt(np.maximum(square - (abs(values).sum(axis=1) / counts) ** 2, 0.0))
+    # The lower median of the differences of each member.
+    flat = members.ravel()
+    order = np.lexsort((np.repeat(spread, members.shape[1]), flat))
+    of_each = np.bincount(flat)
+    middle = order[np.cumsum(of_each) - of_each + (of_each - 1) // 2]
+    own = spread[middle // members.shape[1]]
+    size = np.sqrt(square)
+    scales = np.sqrt((own[members] ** 2).sum(axis=1)).clip(_SAME * size, _LARGEST_SCALE * size)
+    return np.where(size > 0, scales, 1.0)
+
+
+@lru_cache(maxsize=8)
+def _signs(n: int, draws: int) -> np.ndarray[tuple[int, int], np.dtype[np.int8]]:
+    """Return ways to give n values signs, the given ones first; of those that mirror each other one."""
+    if n <= _EXACT:
+        bits = np.arange(2 ** (n - 1))[:, None] >> np.arange(n - 1) & 1
+    else:
+        bits = np.random.default_rng(0).integers(0, 2, (draws + 1, n - 1))
+        bits[0] = 0
+    return np.pad(1 - 2 * bits, ((0, 0), (1, 0)), constant_values=1).astype(np.int8)
 
 
 def median_interval(values: FloatArray) -> tuple[float, float]:
@@ -312,15 +447,15 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
     metric : str
         The metric's column; its registry says which values are better.
     baseline : str
-        The controller that the others are compared with. Holm's correction is for the comparisons of one
-        problem, so that no problem changes what is said of another.
+        The controller that the others are compared with. The comparisons of one problem are a family of
+        tests, so that no problem changes what is said of another.
 
     Returns
     -------
     table : pandas.DataFrame
         ``problem``, ``controller``, ``held``, the fields of :class:`Sample`, and those of :class:`Difference`
-        (missing in the baseline's own row) as ``paired_seeds``, ``difference``, ``difference_low``,
-        ``difference_high``, the others by their names, and ``told_apart``.
+        (missing in the baseline's own row) as ``paired_seeds``, ``difference_mean``, ``difference``,
+        ``difference_low``, ``difference_high``, the others by their names, and ``told_apart``.
 
     Raises
     ------
@@ -337,14 +472,13 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
         if baseline not in runs:
             help_text = did_you_mean(baseline, runs)
             raise ConfigError(f'baseline = "{baseline}": not in problem "{problem}"; {help_text}')
-        rest = {name: own for name, own in runs.items() if name != baseline}
-        others = {name: compare(own, runs[baseline], better) for name, own in rest.items()}
-        differences = dict(zip(others, corrected(others.values()), strict=True))
+        pairs = [(name, baseline) for name in runs if name != baseline]
+        differences = {name: one for (name, _), one in compare_pairs(runs, pairs, better).items()}
         held = part.groupby("controller", sort=False)["holds"].sum()
         for name, own in runs.items():
             row = {"problem": problem, "controller": name, "held": int(held[name]), **describe(own)._asdict()}
             if one := differences.get(name):
-                names = {"seeds": "paired_seeds", "median": "difference"}
+                names = {"seeds": "paired_seeds", "median": "difference", "mean": "difference_mean"}
                 names |= {"low": "difference_low", "high": "difference_high"}
                 row |= {names.get(key, key): value for key, value in one._asdict().items()}
                 row["told_apart"] = one.told_apart
@@ -386,6 +520,19 @@ def _by_seed(runs: Runs) -> dict[int, float]:
         if math.isfinite(value):
             values.setdefault(seed, []).append(value)
     return {seed: median(own) for seed, own in values.items()}
+
+
+def _by_condition(runs: Runs) -> dict[Hashable, dict[int, float]]:
+    """Return the runs of each condition by seed."""
+    values: dict[Hashable, dict[int, float]] = {}
+    for (condition, seed), value in runs.items():
+        values.setdefault(condition, {})[seed] = value
+    return values
+
+
+def _differences(own: Runs, other: Runs) -> dict[int, float]:
+    """Return of each seed the median difference of the runs that both have."""
+    return _by_seed({key: _difference(a, other[key]) for key, a in own.items() if key in other})
 
 
 def _difference(a: float, b: float) -> float:

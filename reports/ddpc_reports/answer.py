@@ -42,7 +42,7 @@ def answer(results: StudyResults, seen: Sequence[Condition], found: Standings) -
     counting = [one for one in seen if one.scenario not in found.left_out]
     labels = [Markup("<i>{}</i>").format(one.label) for one in seen if one.scenario in found.left_out]
     parts = [
-        _ahead(found, who, counting) if found.leaders else _none_holds(found, who),
+        _first(found, who, counting),
         _uneven(found),
         _elsewhere(found, who, counting) if found.leaders else "",
         _offer(found, who, counting),
@@ -58,6 +58,30 @@ def _over(found: Standings, counting: Sequence[Condition]) -> str:
     if found.seeds > 1:
         return "over " + " and ".join(filter(None, (scenarios, f"{found.seeds} seeds")))
     return f"over {scenarios}, on one seed" if scenarios else "on the one seed that was run"
+
+
+def _first(found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]) -> Markup:
+    """Say who is ahead; where scenarios disagree, who leads where."""
+    if found.disagreements:
+        return _by_scenario(found, who, counting)
+    return _ahead(found, who, counting) if found.leaders else _none_holds(found, who)
+
+
+def _by_scenario(
+    found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]
+) -> Markup:
+    """Say who leads in which scenario, as no rank over all of them would be fair."""
+    where: dict[tuple[str, ...], list[Markup]] = {}
+    names_of = {one.scenario: Markup("<i>{}</i>").format(one.label) for one in counting}
+    for scenario, leaders in found.leaders_by_scenario.items():
+        where.setdefault(leaders, []).append(names_of[scenario])
+    parts = []
+    for leaders, scenarios in where.items():
+        bold = [Markup("<b>{}</b>").format(who[name].label) for name in leaders]
+        lead = "leads" if len(bold) == 1 else "lead and are not told apart"
+        parts.append(Markup("{} {} in {}").format(some_of(bold), lead, some_of(scenarios)))
+    text = "The scenarios disagree, so there is no overall rank: {}."
+    return Markup(text).format(Markup("; ").join(parts))
 
 
 def _ahead(found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]) -> Markup:
@@ -287,7 +311,7 @@ def _settles_closest(
 def _lost(found: Standings, who: dict[str, ControllerResults]) -> Markup:
     """Say who loses runs, and who of them is ahead in those that it does not lose."""
     losing = [one for one in found.order if one.lost]
-    if not losing or not found.leaders:
+    if not losing or not (found.leaders or found.disagreements):
         return Markup("")
     parts = [_lost_words(found, who, one) for one in losing]
     shown = [*parts[:_LOSING], *([f"{len(parts) - _LOSING} more"] if parts[_LOSING:] else [])]
@@ -296,7 +320,7 @@ def _lost(found: Standings, who: dict[str, ControllerResults]) -> Markup:
 
 def _lost_words(found: Standings, who: dict[str, ControllerResults], one: Standing) -> Markup:
     text = Markup("<b>{}</b> ({} of {}").format(who[one.controller].label, one.lost, one.runs)
-    if len(found.keys) == 1:
+    if len(found.keys) == 1 and found.leaders:
         key, first = found.keys[0], found.leaders[0]
         gain = compare(found.runs[key][first], found.runs[key][one.controller], metric_of(key).better)
         if metric_of(key).better == "low" and gain.low > 0:

@@ -118,7 +118,8 @@ def _ranking(part: StudyResults) -> dict[str, Any]:
             {
                 "controller": one.controller,
                 "label": names[one.controller],
-                "rank": one.rank,
+                "rank": one.rank if one.shown else None,
+                "worst_rank": one.worst if one.shown else None,
                 "lost": one.lost,
                 "runs": one.runs,
                 "medians": [found.samples[key][one.controller].median for key in found.keys],

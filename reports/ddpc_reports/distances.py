@@ -242,7 +242,7 @@ def distance_maps(far: Distances, prefix: str) -> list[Table]:
     }
     bold = (
         "Bold: the largest median of a problem, and those that the seeds do not show to be behind it "
-        "(Wilcoxon's signed-rank test, after Holm's correction for all pairs); none, where that is most."
+        "(one step-down sign-flip max-T test of all pairs); none, where that is most."
         " A star: some runs do not stay near their reference."
     )
     over = (

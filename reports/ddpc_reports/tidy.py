@@ -45,7 +45,7 @@ def tidy_rows(results: Sequence[StudyResults]) -> Iterator[tuple[Value, ...]]:
 def _rows(results: StudyResults, part: StudyResults) -> Iterator[tuple[Value, ...]]:
     """Yield the rows of one problem, or of a variant of one by the study's sweep."""
     study = part.study
-    ranks = {one.controller: one.rank for one in standings(study, part.cases).order}
+    ranks = {one.controller: one.rank for one in standings(study, part.cases).order if one.shown}
     words = variant_words(study.varied)
     for condition in conditions(part):
         for one in (*condition.controllers, *condition.variants):

@@ -396,10 +396,27 @@ class CostSection(Section):
             yield "", "needs a weight above 0 in outputs, inputs or changes"
 
 
+class RelevantSection(Section):
+    """The smallest difference that matters, of what is ranked by; of both keys the larger counts."""
+
+    absolute: NotNegative | dict[str, NotNegative] | None = Field(
+        None, description="in the unit that tables show it in; of several controlled outputs one for each"
+    )
+    percent: Annotated[float, Field(ge=0, le=100)] | None = Field(
+        None, description="of the best figure or of the task, the larger; none: 1, and 0 beside `absolute`"
+    )
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield that nothing is said."""
+        if self.absolute is None and self.percent is None and not self._errors:
+            yield "", "needs absolute or percent"
+
+
 class MetricsSection(Section):
-    """What runs are judged by besides the metrics that every study has."""
+    """What runs are judged by besides the metrics that every study has, and what difference matters."""
 
     cost: CostSection | None = None
+    relevant: RelevantSection | None = None
 
 
 class TunedSection(Section):

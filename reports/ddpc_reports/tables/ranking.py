@@ -32,9 +32,10 @@ _RATIOS = (1.1, 1.25, 1.5, 2.0)
 _MORE = ("settled_error", "overshoot", "total_variation", "solve_time_median")
 """What stands beside what is ranked by."""
 _RANK_NOTE = (
-    "Rank: one more than the number of controllers that are better. One is better if Wilcoxon's signed-rank "
-    "test of pairs of the same scenario and seed says so at 5\u00a0%, after Holm's correction for all pairs; "
-    "of several outputs in one of them, and worse in none."
+    "Rank: the ranks that the data allow, from one more than the number of controllers that are better to "
+    "the number of all less those that are worse. One is better if the pairs of the same scenario and seed "
+    "tell so at 5\u00a0% (one step-down sign-flip max-T test of all pairs) and the difference matters; of "
+    "several outputs in one of them, and worse in none."
 )
 _MEDIANS_NOTE = "Rank: by the medians, as the seeds are too few for a test."
 _LOST_NOTE = (
@@ -103,9 +104,10 @@ def in_order(controllers: Sequence[ControllerResults], found: Standings) -> list
 
 
 def _rank_column(found: Standings, order: Sequence[ControllerResults]) -> Column:
-    ranks = {one.controller: one.rank for one in found.order}
+    ranks = {one.controller: one for one in found.order}
     cells = [
-        Cell(str(ranks[one.key]), ranks[one.key]) if one.key in ranks else Cell(MISSING) for one in order
+        Cell(rank.text, rank.rank if rank.shown else "") if (rank := ranks.get(one.key)) else Cell(MISSING)
+        for one in order
     ]
     return Heading("rank"), cells
 

@@ -256,6 +256,11 @@ def _loop_table(results: StudyResults, units: Mapping[str, str], prefix: str) ->
     ]
     cost = study.metrics.cost
     facts += [(f"cost: weights of {kind}", text) for kind, text in _others(cost, ())] if cost else []
+    relevant = study.metrics.relevant
+    facts += [
+        (f"smallest relevant difference: {kind}", text)
+        for kind, text in (_others(relevant, ()) if relevant else ())
+    ]
     facts.append(("seeds", compact_seeds(study.seeds)))
     own = any(section.bounds for section in study.controllers.values())
     but = ", but for limits of their own" if own else ""

@@ -252,6 +252,7 @@ def test_conditions_events_and_cost_are_in_the_file(tmp_path: Path) -> None:
         events=[ParameterChange(0.5, {"friction": 0.2})],
         noise={"angle": 0.01},
         cost={"outputs": {"angle": 2.0}},
+        relevant={"absolute": 0.5, "percent": 2.0},
         preview=3,
         start_time=2.0,
         parameters={"mass": 1.1},
@@ -269,6 +270,7 @@ def test_conditions_events_and_cost_are_in_the_file(tmp_path: Path) -> None:
     assert file["bounds"] == {"torque": {"max": 2.0}}
     assert file["loop"] == {"sampling_time": 0.1, "duration": 1.0, "start_time": 2.0, "preview": 3}
     assert file["metrics"]["cost"]["outputs"] == {"angle": 2.0}
+    assert file["metrics"]["relevant"] == {"absolute": 0.5, "percent": 2.0}
     assert file["controllers"]["MFAPC"] == {"type": "mfapc", "settings": {}}
 
 

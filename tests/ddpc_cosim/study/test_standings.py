@@ -1,5 +1,6 @@
 """Standings: who is ahead is what the seeds tell, and who loses runs comes last."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ from hypothesis import given, strategies as st
 from reports.synthetic import make_results_in, make_study, make_trace
 
 from ddpc_cosim import Outcome, StudyResults, Trace
-from ddpc_cosim.study.standings import Standings, standings, summed
+from ddpc_cosim.study.standings import Relevant, Standings, standings, summed
 
 SEEDS = [*range(12)]
 
@@ -76,6 +77,124 @@ def test_nobody_is_told_to_be_better_than_a_leader(values: list[list[float]]) ->
             assert worse not in found.leaders
             assert ranks(found)[worse] > 1
             assert ranks(found)[better] >= 1
+
+
+def texts(found: Standings) -> dict[str, str]:
+    return {one.controller: one.text.replace("\N{EN DASH}", "-") for one in found.order}
+
+
+def test_ranks_are_the_range_that_the_data_allow() -> None:
+    """What varies much is told from those at either end and not from its neighbour; failed runs come last."""
+    nan = float("nan")
+    wide = [1.0, 2.2] * 6
+    found = of(
+        {
+            "a": noisy(1.0, 1),
+            "b": noisy(1.0, 2),
+            "wide": [value + 0.45 for value in wide],
+            "c": noisy(2.0, 3),
+            "last": noisy(9.0, 4),
+            "fails": [nan, *[0.1] * 11],
+            "fails too": [nan, *[0.1] * 11],
+        }
+    )
+    assert texts(found) == {
+        "a": "1-2", "b": "1-2", "wide": "3-4", "c": "3-4", "last": "5", "fails": "6-7", "fails too": "6-7",
+    }  # fmt: skip
+
+
+def test_a_single_controller_has_no_rank() -> None:
+    assert texts(of({"a": noisy(1.0, 1)})) == {"a": ""}
+
+
+def test_a_difference_that_does_not_matter_shares_a_rank() -> None:
+    """All are told apart: a and b by 0.5 % of the best, c by 5 %."""
+    base = noisy(1.0, 1)
+    own = {"a": base, "b": [value + 0.005 for value in base], "c": [value + 0.05 for value in base]}
+    found = of(own)
+    (compared,) = found.compared.values()
+    assert all(one.told_apart for one in compared.differences.values())
+    assert ranks(found) == {"a": 1, "b": 1, "c": 3}
+    assert found.too_small("a", "b")
+    assert not found.too_small("b", "c")
+    assert ranks(of_relevant(own, Relevant(absolute=0.0))) == {"a": 1, "b": 2, "c": 3}
+    assert ranks(of_relevant(own, Relevant(absolute=0.06))) == {"a": 1, "b": 1, "c": 1}
+    assert ranks(of_relevant(own, Relevant(percent=6.0))) == {"a": 1, "b": 1, "c": 1}
+    assert ranks(of_relevant(own, Relevant(absolute={"angle": 0.06}))) == {"a": 1, "b": 1, "c": 1}
+    assert ranks(of_relevant(own, Relevant(), 10.0)) == {"a": 1, "b": 1, "c": 1}, "1 % of the task"
+
+
+def of_relevant(errors: dict[str, list[float]], relevant: Relevant, task: float = float("nan")) -> Standings:
+    found = of(errors)
+    return replace(found, relevant=relevant, tasks=dict.fromkeys(found.keys, task))
+
+
+def test_where_the_medians_decide_a_difference_has_to_matter_too() -> None:
+    found = of({"a": [1.0, 1.0], "b": [1.004, 1.004], "c": [1.2, 1.2]})
+    assert not found.tested or found.seeds == 2
+    assert ranks(found) == {"a": 1, "b": 1, "c": 3}
+
+
+def test_equal_in_the_printed_digits_is_equal_in_rank() -> None:
+    base = [1.0 + 1e-4 * n for n in range(12)]
+    own = {"best": base, "a": [500 + v for v in base], "b": [500.1 + v for v in base]}
+    assert ranks(of_relevant(own, Relevant(absolute=0.0))) == {"best": 1, "a": 2, "b": 2}
+
+
+def test_the_smallest_relevant_difference_is_the_larger_of_what_is_given() -> None:
+    key = "mean_abs_error.level [m]"
+    assert Relevant().difference(key, 2.0) == 0.02
+    assert Relevant().difference(key, 2.0, 30.0) == pytest.approx(0.3)
+    assert Relevant(absolute=0.1).difference(key, 2.0, 30.0) == 0.1
+    assert Relevant(absolute=0.1, percent=10).difference(key, 2.0, 0.5) == pytest.approx(0.2)
+    assert Relevant(absolute={"level": 0.5}).difference(key, 2.0) == 0.5
+    assert Relevant(absolute={"other": 0.5}).difference(key, 2.0) == 0.02
+    assert Relevant().difference(key, float("nan")) == 0.0
+
+
+def in_scenarios(**levels: dict[str, float]) -> Standings:
+    """Return standings of controllers at a level in each scenario, with noise of 0.01."""
+    runs = {
+        name: {
+            (scenario, seed): value
+            for place, (scenario, level) in enumerate(own.items())
+            for seed, value in enumerate(noisy(level, 10 * place + ord(name[0])))
+        }
+        for name, own in levels.items()
+    }
+    return Standings(("mean_abs_error.angle [deg]",), {"mean_abs_error.angle [deg]": runs}, ())
+
+
+def test_where_scenarios_disagree_there_is_no_overall_rank() -> None:
+    found = in_scenarios(a={"x": 1.0, "y": 2.0}, b={"x": 2.0, "y": 1.0}, c={"x": 4.0, "y": 4.0})
+    assert [(one.pair, one.conditions) for one in found.disagreements] == [(("a", "b"), ("x", "y"))]
+    assert found.leaders == ()
+    assert found.leaders_by_scenario == {"x": ("a",), "y": ("b",)}
+    assert set(texts(found).values()) == {""}
+
+
+def test_who_leads_in_one_scenario_and_not_in_the_other_does_not_lead_overall() -> None:
+    found = in_scenarios(a={"x": 1.0, "y": 1.0}, b={"x": 2.0, "y": 1.0})
+    assert found.leaders_by_scenario == {"x": ("a",), "y": ("a", "b")}
+    assert found.disagreements
+
+
+def test_a_lead_that_only_changes_its_size_is_a_lead() -> None:
+    found = in_scenarios(a={"x": 1.0, "y": 1.0}, b={"x": 1.5, "y": 3.0}, c={"x": 3.0, "y": 1.5})
+    assert found.disagreements == (), "b and c disagree, and lead nowhere"
+    assert found.leaders == ("a",)
+
+
+def test_scenarios_that_differ_by_chance_do_not_disagree() -> None:
+    found = in_scenarios(a={"x": 1.0, "y": 2.0}, b={"x": 1.0, "y": 2.0})
+    assert found.disagreements == ()
+    assert set(found.leaders) == {"a", "b"}
+
+
+def test_a_controller_that_ran_in_one_scenario_alone_disagrees_with_none() -> None:
+    found = in_scenarios(a={"x": 1.0, "y": 1.0}, b={"x": 2.0}, c={"x": 2.0, "y": 3.0})
+    assert found.disagreements == ()
+    assert found.leaders == ("a",)
 
 
 @pytest.fixture

@@ -197,6 +197,56 @@ def test_a_case_is_named_after_what_decides_its_result(tmp_path: Path) -> None:
     assert other_plant.id != original.id
 
 
+RELEVANT = "\n[metrics]\nrelevant = {}"
+TWO = """
+plant = { name = "quadruple-tank", inputs = ["pump_1", "pump_2"], outputs = ["level_1", "level_2"] }
+loop = { sampling_time = 5.0, duration = 100.0 }
+reference.level_1 = { kind = "constant", value = 13.0 }
+reference.level_2 = { kind = "constant", value = 13.0 }
+controllers.mfac = { type = "mfac" }
+"""
+
+
+@pytest.mark.parametrize(
+    "relevant",
+    [
+        "{ absolute = 0.1 }",
+        "{ percent = 2 }",
+        "{ absolute = 0, percent = 0 }",
+        "{ absolute = { angle = 0.1 } }",
+    ],
+)
+def test_what_difference_is_relevant_changes_no_case(relevant: str, tmp_path: Path) -> None:
+    (original,) = cases(SMALL, tmp_path)
+    (case,) = cases(SMALL + RELEVANT.format(relevant), tmp_path)
+    assert case.id == original.id
+
+
+@pytest.mark.parametrize(
+    ("text", "relevant", "fault"),
+    [
+        (SMALL, "{}", "metrics.relevant: needs absolute or percent"),
+        (SMALL, "{ percent = 101 }", "metrics.relevant.percent"),
+        (SMALL, "{ absolute = -1 }", "metrics.relevant.absolute"),
+        (SMALL, "{ absolute = { angel = 1 } }", 'no controlled output "angel"; did you mean "angle"'),
+        (
+            TWO,
+            "{ absolute = 0.5 }",
+            "one number for 2 controlled outputs; needed: one for each, e.g. { level_1 = 0.5 }",
+        ),
+        (
+            TWO,
+            "{ absolute = { level_1 = 0.5 } }\ncost = { outputs = { level_1 = 1 } }",
+            "must be a number, as controllers are ranked by metrics.cost",
+        ),
+    ],
+)
+def test_what_cannot_be_relevant_is_refused(text: str, relevant: str, fault: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        cases(text + RELEVANT.format(relevant), tmp_path)
+    assert any(fault in one for one in caught.value.faults), caught.value.faults
+
+
 def test_a_change_of_the_code_gives_another_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (before,) = cases(SMALL, tmp_path)
     monkeypatch.setattr("ddpc_cosim.study.cases.code_version", lambda controller: f"another {controller}")

@@ -203,7 +203,10 @@ CONTENT: dict[str, Any] = {
         },
         "plain": {},
     },
-    "metrics": {"cost": {"outputs": {"angle": 2.0}, "inputs": {"torque": 0.1}, "changes": {"torque": 0.2}}},
+    "metrics": {
+        "cost": {"outputs": {"angle": 2.0}, "inputs": {"torque": 0.1}, "changes": {"torque": 0.2}},
+        "relevant": {"absolute": 0.125, "percent": 3.5},
+    },
     "report": {
         "panels": [{"title": "Both", "controllers": ["quick", "slow"]}],
         "limitations": ["One plant only."],
