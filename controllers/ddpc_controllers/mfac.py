@@ -87,7 +87,7 @@ class ModelFreeAdaptive(ScaledSignals):
         0.37, above=0.0, doc="weight of the input changes, lambda in (19)", search=Log(1e-3, 1e2)
     )
     eta: float = setting(
-        1.0, above=0.0, high=2.0, doc="step factor of the estimation (16)", search=Linear(0.1, 2.0)
+        1.0, above=0.0, high=2.0, doc="step factor of the estimation (16)", search=Linear(0.01, 2.0)
     )
     mu: float = setting(1.0, above=0.0, doc="damping of the estimation (16)", search=Log(1e-3, 1e2))
     epsilon: float = setting(1e-5, above=0.0, doc="smallest change and gradient that are trusted (17)")
@@ -255,7 +255,7 @@ class MFAC(ModelFreeAdaptive):
         0.1, above=0.0, doc="weight of the input changes, lambda in (19)", search=Log(1e-3, 1e2)
     )
     step_factor: float = setting(
-        1.0, above=0.0, high=1.0, doc="step factor rho of the control law", search=Linear(0.05, 1.0)
+        1.0, above=0.0, high=1.0, doc="step factor rho of the control law", search=Log(5e-3, 1.0)
     )
 
     def _start(self, loop: Loop) -> None:

@@ -423,6 +423,13 @@ class TunedSection(Section):
     )
     by: str = Field(description="what was compared, e.g. median rmse over the scenarios")
     source: Text = Field("", description="where the trials can be repeated from")
+    sampler_seed: Annotated[int, Field(ge=0)] = Field(
+        0, description="seed of the search, which decides what is tried"
+    )
+    at_ends: list[str] = Field(
+        [],
+        description="settings found at an end of where was looked: a wider search may find others",
+    )
 
 
 _Ends = Annotated[list[Finite], Field(min_length=2, max_length=2)]
@@ -481,6 +488,9 @@ class ControllerSection(Section):
     search: dict[str, Annotated[SearchSection, BeforeValidator(_none_for_false)]] = Field(
         {},
         description="for `ddpc-cosim tune`: where to look for settings, in place of what the type declares",
+    )
+    first_trials: list[dict[str, Any]] = Field(
+        [], description="for `ddpc-cosim tune`: settings that are tried next after those given"
     )
     tuned: Annotated[TunedSection | None, BeforeValidator(_none_if_false)] = Field(
         None, description="how settings were found; none, or `false`: as the study says"
