@@ -347,7 +347,11 @@ class _Tuning:
             found = other.search.trials[best(other.search.trials)].settings
             section = other._section
             controller = make_controller(section.type, with_settings(section.settings, found))
-            if settings := settings_of_other(controller, kind, *sizes, samples or 0):
+            settings = settings_of_other(controller, kind, *sizes, samples or 0)
+            if faults := [*settings_faults(self._section, settings)]:
+                who = f"{type(controller).__name__}.settings_as({kind.__name__})"
+                raise ConfigError([f"{who}: {fault}" for fault in faults])
+            if settings:
                 self.search.propose(settings, f"as found for {other.search.name}")
 
     @property
