@@ -1,9 +1,8 @@
-"""Run a benchmark by name; exit 1 if it misses one of its bounds. ``tuning STUDY`` prints settings."""
+"""Run a benchmark by name; exit 1 if it misses one of its bounds."""
 
 import argparse
 import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 from benchmarks import (
     cases,
@@ -17,7 +16,6 @@ from benchmarks import (
     page,
     peers,
     step,
-    tuning,
 )
 
 BENCHMARKS: Mapping[str, Callable[[], bool]] = {
@@ -40,16 +38,7 @@ def main() -> int:
     commands = parser.add_subparsers(dest="name", required=True, metavar="NAME")
     for name in BENCHMARKS:
         commands.add_parser(name, help="print a table")
-    command = commands.add_parser("tuning", help="search the settings of a comparative study's controllers")
-    command.add_argument("study", choices=tuning.STUDIES)
-    command.add_argument("--out", type=Path, help="folder of the trials; default: runs/STUDY-tuning")
-    command.add_argument("--jobs", type=int, default=1, help="number of workers")
-    command.add_argument("--shown", type=int, default=1, help="how many settings of each controller to print")
-    given = parser.parse_args()
-    if given.name == "tuning":
-        tuning.main(given.study, given.out or Path("runs") / f"{given.study}-tuning", given.jobs, given.shown)
-        return 0
-    return 0 if BENCHMARKS[given.name]() else 1
+    return 0 if BENCHMARKS[parser.parse_args().name]() else 1
 
 
 if __name__ == "__main__":

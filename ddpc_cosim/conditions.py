@@ -40,8 +40,8 @@ class Conditions:
     """What acts on a plant besides its controller, and what its actuators and sensors do.
 
     All is given by name of an input or output, in its unit. Actuators and sensors are the same in the
-    experiment that records data, and so are the signals of inputs that no controller drives; disturbances
-    and losses belong to the closed loop alone.
+    experiment that records data, and so are the signals of inputs that no controller drives, but for those
+    that have one of their own there; disturbances and losses belong to the closed loop alone.
 
     Parameters
     ----------
@@ -50,6 +50,8 @@ class Conditions:
         what is read from a file, are zero before their first instant.
     inputs : mapping of str to Reference
         Signals of the inputs that no controller drives.
+    recorded_inputs : mapping of str to Reference
+        Signals of some of these inputs in the experiment, over its time, which begins at 0.
     rate_limit : mapping of str to float
         Largest rate of change of an input, per second, from its value at rest on.
     delay : mapping of str to float
@@ -70,6 +72,7 @@ class Conditions:
 
     disturbances: Mapping[str, Disturbance] = field(default_factory=dict)
     inputs: Mapping[str, Reference] = field(default_factory=dict)
+    recorded_inputs: Mapping[str, Reference] = field(default_factory=dict)
     rate_limit: Mapping[str, float] = field(default_factory=dict)
     delay: Mapping[str, float] = field(default_factory=dict)
     quantum: Mapping[str, float] = field(default_factory=dict)
@@ -99,10 +102,15 @@ class Conditions:
         ]
         faults += [
             f"{key} of {name}: needed: a signal of time, of a class derived from Reference, got {signal!r}"
-            for key in ("disturbances", "inputs")
+            for key in ("disturbances", "inputs", "recorded_inputs")
             for name, signals in given[key].items()
             for signal in (_parts(signals) if key == "disturbances" else (signals,))
             if not isinstance(signal, Reference)
+        ]
+        faults += [
+            f"recorded_inputs of {name}: it has no signal in inputs, by which no controller drives it"
+            for name in self.recorded_inputs
+            if name not in self.inputs
         ]
         if faults:
             raise ConfigError(faults)
@@ -199,8 +207,10 @@ class Actuators:
         if not continues:
             self._position = self._rest
             self._delay.fill(self._rest)
-        stream = _EXPERIMENT_SIGNALS if in_experiment else _SIGNALS
-        self._own = _sums("inputs", conditions.inputs, self._others, time, (seed, stream))
+        stream, signals = _SIGNALS, conditions.inputs
+        if in_experiment:
+            stream, signals = _EXPERIMENT_SIGNALS, {**signals, **conditions.recorded_inputs}
+        self._own = _sums("inputs", signals, self._others, time, (seed, stream))
         self._added = None if in_experiment else _disturbances(conditions, self._driven, time, seed)
 
     def apply(self, k: int, u: FloatArray) -> FloatArray:

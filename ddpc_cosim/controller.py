@@ -391,6 +391,23 @@ class Controller(ABC):
         """Return the fewest samples of a recording that ``start`` can work with, for so many signals."""
         return 0
 
+    def settings_as(
+        self, other: type["Controller"], inputs: int, outputs: int, samples: int
+    ) -> Mapping[str, Any] | None:
+        """Return with which settings another class decides as this controller does; None if with none.
+
+        For a method that another one contains: ``ddpc-cosim tune`` tries the settings found for the one with
+        the other too, so that the larger one does not come out worse for having more to search.
+
+        Parameters
+        ----------
+        other : type
+            The other class, or one derived from it.
+        inputs, outputs, samples : int
+            Numbers of the loop's inputs and outputs, and of the recording's samples (0: there is none).
+        """
+        return None
+
     def diagnostics(self) -> Mapping[str, float]:
         """Return values about the data or model of this run (rank, order, ...); valid after ``start``."""
         return {}

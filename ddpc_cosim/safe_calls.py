@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ddpc_cosim.controller import OK, Action, Bounds, Controller, ControllerCode, Loop, Sample
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, FMUStepError, StepStatus
 from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.settings import to_plain
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.variables import FloatArray
 
@@ -224,6 +225,15 @@ def recording_length(controller: Controller, inputs: int, outputs: int, measurem
     """Return the fewest samples of a recording that a controller can start with, for so many signals."""
     with _ControllerCall(controller, "recording_length"):
         return int(controller.recording_length(inputs, outputs, measurements))
+
+
+def settings_of_other(
+    controller: Controller, other: type[Controller], inputs: int, outputs: int, samples: int
+) -> dict[str, Any]:
+    """Return with which settings another class decides as a controller does; empty if with none."""
+    with _ControllerCall(controller, "settings_as"):
+        settings = controller.settings_as(other, inputs, outputs, samples) or {}
+        return {str(name): to_plain(value) for name, value in settings.items()}
 
 
 def start_controller(controller: Controller, loop: Loop) -> None:

@@ -128,13 +128,13 @@ class IPID(Exportable):
     alpha: Weight = setting(
         1.0,
         doc="how the inputs act on the outputs' derivative of that order: a number, a list, or p x m",
-        search=Factor(0.1, 10.0),
+        search=Factor(0.03, 30.0),
     )
-    kp: float = setting(1.0, low=0.0, doc="proportional gain [1/s^nu]", search=Factor(0.1, 10.0))
-    ki: float = setting(0.0, low=0.0, doc="integral gain [1/s^(nu+1)]", search=Factor(0.1, 10.0))
-    kd: float = setting(0.0, low=0.0, doc="derivative gain [1/s^(nu-1)]", search=Factor(0.1, 10.0))
+    kp: float = setting(1.0, low=0.0, doc="proportional gain [1/s^nu]", search=Factor(0.03, 30.0))
+    ki: float = setting(0.0, low=0.0, doc="integral gain [1/s^(nu+1)]", search=Factor(0.03, 30.0))
+    kd: float = setting(0.0, low=0.0, doc="derivative gain [1/s^(nu-1)]", search=Factor(0.03, 30.0))
     window: int = setting(
-        4, low=1, doc="sampling intervals over which F is estimated, at least nu", search=Integer(2, 12)
+        4, low=1, doc="sampling intervals over which F is estimated, at least nu", search=Integer(2, 25)
     )
 
     def __post_init__(self) -> None:

@@ -18,10 +18,10 @@ Applications, CRC Press, 2013, chapter 4; Z. Hou and S. Jin, IEEE Transactions o
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import isfinite, sqrt
 from operator import sub
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy  # whose parts are imported when they are first used
@@ -46,6 +46,7 @@ from ddpc_cosim import (
     Action,
     Choice,
     ConfigError,
+    Controller,
     Factor,
     FloatArray,
     Integer,
@@ -86,7 +87,7 @@ class ModelFreeAdaptive(ScaledSignals):
         0.37, above=0.0, doc="weight of the input changes, lambda in (19)", search=Log(1e-3, 1e2)
     )
     eta: float = setting(
-        1.0, above=0.0, high=2.0, doc="step factor of the estimation (16)", search=Linear(0.1, 2.0)
+        1.0, above=0.0, high=2.0, doc="step factor of the estimation (16)", search=Linear(0.01, 2.0)
     )
     mu: float = setting(1.0, above=0.0, doc="damping of the estimation (16)", search=Log(1e-3, 1e2))
     epsilon: float = setting(1e-5, above=0.0, doc="smallest change and gradient that are trusted (17)")
@@ -254,7 +255,7 @@ class MFAC(ModelFreeAdaptive):
         0.1, above=0.0, doc="weight of the input changes, lambda in (19)", search=Log(1e-3, 1e2)
     )
     step_factor: float = setting(
-        1.0, above=0.0, high=1.0, doc="step factor rho of the control law", search=Linear(0.05, 1.0)
+        1.0, above=0.0, high=1.0, doc="step factor rho of the control law", search=Log(5e-3, 1.0)
     )
 
     def _start(self, loop: Loop) -> None:
@@ -271,6 +272,15 @@ class MFAC(ModelFreeAdaptive):
         self, a: FloatArray, error: FloatArray, hessian: FloatArray, slope: FloatArray
     ) -> FloatArray:
         return self.step_factor * super()._unlimited(a, error, hessian, slope)
+
+    def settings_as(
+        self, other: type[Controller], inputs: int, outputs: int, samples: int
+    ) -> Mapping[str, Any] | None:
+        """Return the settings with which MFAPC does the same: only whole steps are what it takes."""
+        if not issubclass(other, MFAPC) or self.step_factor < 1.0:
+            return None
+        shared = {field.name: getattr(self, field.name) for field in fields(ModelFreeAdaptive)}
+        return shared | {"horizon": 1, "control_horizon": 0, "limits": "clip"}
 
     def _own_constants(self) -> dict[str, float]:
         return {"step_factor": self.step_factor}

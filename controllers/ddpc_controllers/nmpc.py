@@ -28,7 +28,7 @@ from ddpc_controllers.models.plant_equations import (
     find_model,
 )
 from ddpc_controllers.optimisation.limits import HELD_WITHOUT_REFERENCE, LAST_HELD, PREDICTED
-from ddpc_cosim import OK, Action, ConfigError, FloatArray, Loop, Sample, Weight, setting
+from ddpc_cosim import OK, Action, ConfigError, FloatArray, Integer, Log, Loop, Sample, Weight, setting
 
 _EXCEEDED = 1e4
 """Weight of what predicted outputs exceed their bounds by, in parts of their nominal values."""
@@ -60,16 +60,23 @@ class NMPC(Exportable):
     parameters: Mapping[str, float] = setting(
         default_factory=dict, doc="parameters, and inputs that are not driven, that differ from the model's"
     )
-    horizon: int = setting(20, low=1, doc="prediction horizon N, samples")
+    horizon: int = setting(20, low=1, doc="prediction horizon N, samples", search=Integer(5, 25))
     output_weight: Weight = setting(1.0, low=0.0, doc="Q: outputs off the reference, in nominal values")
-    change_weight: Weight = setting(1e-3, above=0.0, doc="R: changes of the inputs, in nominal values")
+    change_weight: Weight = setting(
+        1e-3, above=0.0, doc="R: changes of the inputs, in nominal values", search=Log(1e-7, 1e-1)
+    )
     process_noise: float = setting(
         0.3, above=0.0, doc="filter: standard deviation of what adds to the inputs, in nominal values"
     )
     disturbance_noise: float = setting(
-        0.3, above=0.0, doc="filter: standard deviation of the disturbance's change per sample"
+        0.3,
+        above=0.0,
+        doc="filter: standard deviation of the disturbance's change per sample",
+        search=Log(1e-3, 1e1),
     )
-    measurement_noise: float = setting(0.1, above=0.0, doc="filter: standard deviation of the measurements")
+    measurement_noise: float = setting(
+        0.1, above=0.0, doc="filter: standard deviation of the measurements", search=Log(1e-4, 1e1)
+    )
     iterations: int = setting(100, low=1, doc="most iterations of IPOPT in a sample")
 
     def __post_init__(self) -> None:

@@ -14,17 +14,23 @@ of windows, so that a weight means the same for a recording of any length.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
-from ddpc_controllers.deepc import BehavioralTracking
+from ddpc_controllers.deepc import BehavioralTracking, DeePC
 from ddpc_controllers.optimisation.problem import Problem
 from ddpc_cosim import (
+    Controller,
     Log,
     Loop,
     setting,
 )
+
+_INFINITE = 1e8
+"""Stands for an infinite weight, in parts of the largest weight of the tracking errors."""
 
 
 @dataclass(kw_only=True)
@@ -50,9 +56,33 @@ class SPC(BehavioralTracking):
         problem.regularise(dict(zip("uy", self._weights(), strict=True)))
         return problem
 
-    def _weights(self) -> tuple[float, float]:
-        """Return the weights of |gamma_2|^2 and |gamma_3|^2."""
+    def settings_as(
+        self, other: type[Controller], inputs: int, outputs: int, samples: int
+    ) -> Mapping[str, Any] | None:
+        """Return the settings with which gamma-DDPC and DeePC do the same."""
+        shared = {field.name: getattr(self, field.name) for field in fields(BehavioralTracking)}
+        windows = samples - self._layout.depth + 1
+        heavy = _INFINITE * float(np.max(np.abs(self.output_weight)))
+        beta_2, beta_3 = self._betas()
+        if issubclass(other, GammaDDPC):
+            return shared | {"beta_2": beta_2, "beta_3": min(beta_3, heavy / max(windows, 1))}
+        # DeePC has no price on gamma_2, nor a preference among setpoints alike in cost.
+        alike = self.artificial_setpoint and inputs > outputs
+        if issubclass(other, DeePC) and not beta_2 and not alike:
+            own = {"regulariser": "projection", "slack": False, "affine_sum": "none"}
+            return shared | own | {"lambda_g": min(windows * beta_3, heavy)}
+        return None
+
+    def _betas(self) -> tuple[float, float]:
+        """Return the weights of |gamma_2|^2 and |gamma_3|^2, the stacked data divided as above."""
         return 0.0, math.inf
+
+    def _weights(self) -> tuple[float, float]:
+        """Return the weights of |gamma_2|^2 and |gamma_3|^2 for the factor of the data as they are."""
+        # It has the coordinates gamma / sqrt(windows).
+        windows = self._diagnostics.data_columns
+        beta_2, beta_3 = self._betas()
+        return windows * beta_2, windows * beta_3
 
 
 @dataclass(kw_only=True)
@@ -67,7 +97,5 @@ class GammaDDPC(SPC):
         5.0, above=0.0, doc="weight of |gamma_3|^2: outputs off their prediction", search=Log(1e-1, 1e4)
     )
 
-    def _weights(self) -> tuple[float, float]:
-        # The factor of the data as they are has the coordinates gamma / sqrt(windows).
-        windows = self._diagnostics.data_columns
-        return windows * self.beta_2, windows * self.beta_3
+    def _betas(self) -> tuple[float, float]:
+        return self.beta_2, self.beta_3

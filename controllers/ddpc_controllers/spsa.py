@@ -29,7 +29,6 @@ from ddpc_cosim import (
     ConfigError,
     Factor,
     FloatArray,
-    Linear,
     Log,
     Loop,
     Sample,
@@ -58,17 +57,17 @@ class SPSA(Exportable):
     kp: Weight = setting(
         1.0,
         doc="initial proportional gain, with the sign of the control direction; a list: of each pair",
-        search=Factor(0.1, 10.0),
+        search=Factor(0.03, 30.0),
     )
     kd: Weight = setting(
-        0.0, doc="initial derivative gain [s]; a list: of each pair", search=Factor(0.1, 10.0)
+        0.0, doc="initial derivative gain [s]; a list: of each pair", search=Factor(0.03, 30.0)
     )
     integral_time: float = setting(
         0.0,
         low=0.0,
         unit="s",
         doc="kp / ki, which is not tuned; 0: no integral action",
-        search=Factor(0.1, 10.0),
+        search=Factor(0.03, 30.0),
     )
     window: int = setting(10, low=2, doc="samples for which a perturbation is tried")
     step_size: float = setting(
@@ -80,7 +79,7 @@ class SPSA(Exportable):
         above=0.0,
         high=1.0,
         doc="c: perturbation, in parts of the initial gains",
-        search=Linear(0.01, 0.5),
+        search=Log(1e-3, 0.5),
     )
     largest_step: float = setting(0.2, above=0.0, doc="longest step of a gain, in parts of the initial one")
     resolution: float = setting(1e-3, above=0.0, doc="error that is too small to learn from, in output units")

@@ -269,6 +269,16 @@ def run(
 )
 @_ONLY
 @click.option("--seeds", metavar="100:103", help="Seeds of the trials [three that the study does not have].")
+@click.option(
+    "--sampler-seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="With another one other settings are tried.",
+)
+@click.option(
+    "--no-comparison", is_flag=True, help="Do not compare given and found settings on the study's seeds."
+)
 @_EXECUTOR
 @_SCHEDULER
 @_SANDBOX
@@ -281,6 +291,8 @@ def tune(
     objectives: tuple[str, ...],
     only: str,
     seeds: str | None,
+    sampler_seed: int,
+    no_comparison: bool,
     executor: str,
     scheduler: str,
     sandbox: bool,
@@ -291,7 +303,9 @@ def tune(
         from ddpc_cosim.cli.tune import tune_command
 
         how = {"only": only, "sandboxed": sandbox, "executor": executor, "scheduler": scheduler}
-        sys.exit(tune_command(study, out, trials, jobs, objectives, seeds, how, report=not no_report))
+        what = {"compares": not no_comparison, "report": not no_report}
+        code = tune_command(study, out, trials, jobs, objectives, seeds, how, sampler_seed, **what)
+        sys.exit(code)
 
 
 @main.command()

@@ -28,7 +28,9 @@ def tune_command(
     objectives: Sequence[str],
     seeds: str | None,
     how: Mapping[str, Any],
+    sampler_seed: int,
     *,
+    compares: bool,
     report: bool,
 ) -> int:
     """Tune a study, print what was found and the paths of study and report, and return the exit code.
@@ -45,9 +47,15 @@ def tune_command(
     said = ["ddpc-cosim", "tune", name, "--trials", str(trials)]
     said += [word for objective in objectives for word in ("--objective", objective)]
     said += ["--seeds", seeds] if seeds else []
+    said += ["--sampler-seed", str(sampler_seed)] if sampler_seed else []
     said += ["--only", how["only"]] if how["only"] != "*" else []
     request = Request(
-        tuple(map(Objective.parse, objectives)), trials, parse_seeds(seeds), command=shlex.join(said)
+        tuple(map(Objective.parse, objectives)),
+        trials,
+        parse_seeds(seeds),
+        shlex.join(said),
+        sampler_seed,
+        compares,
     )
     selection = Selection(jobs or os.cpu_count() or 1, **how)
     with shown(f"reading {name}") as progress, warnings_in_one_line():
@@ -56,7 +64,7 @@ def tune_command(
         tuned = tune_study(resolved, folder, request, selection, progress)
     _print_found(tuned, request, named=not resolved.whole.is_flat)
     print(printable(str(folder / TUNED_FILE)))
-    return show_results(tuned.results, report=report)
+    return show_results(tuned.results, report=report) if tuned.results else 0
 
 
 def _print_found(tuned: Tuned, request: Request, *, named: bool) -> None:
@@ -64,11 +72,15 @@ def _print_found(tuned: Tuned, request: Request, *, named: bool) -> None:
     for (problem, controller), trials in tuned.trials.items():
         number = best(trials)
         settings = ", ".join(f"{name} = {value!r}" for name, value in trials[number].settings.items())
-        which = "as given" if not number else f"trial {number} of 0 to {len(trials) - 1}"
-        figures = _figures(trials[0], trials[number], request)
-        held_out = _figures(*tuned.held_out[problem, controller], request)
+        origin = trials[number].origin
+        which = origin if not number else f"trial {number} of 0 to {len(trials) - 1}, {origin}"
+        figures = [_figures(trials[0], trials[number], request)]
+        if again := tuned.held_out.get((problem, controller)):
+            figures.append(f"held out: {_figures(*again, request)}")
         who = f"{problem}, {controller}" if named else controller
-        say(f"{who}: {settings} ({which}; {figures}; held out: {held_out})")
+        say(f"{who}: {settings} ({'; '.join([which, *figures])})")
+        if ends := tuned.at_ends[problem, controller]:
+            say(f"{who}: {', '.join(ends)}: at an end of where was looked; a wider search may find others")
     for problem, controller in tuned.kept:
         who = f"{problem}, {controller}" if named else controller
         say(f"{who}: nothing to search, left as it is")

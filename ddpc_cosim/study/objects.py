@@ -74,6 +74,10 @@ class Scenario:
         for name, signals in conditions.disturbances.items():
             several = [signals] if isinstance(signals, Reference) else list(signals)
             disturbances[name] = [signal_table(f"disturbance of {name}", one) for one in several]
+        recorded = {
+            name: signal_table(f"recorded input {name}", one)
+            for name, one in conditions.recorded_inputs.items()
+        }
         plain = {
             "label": self.label,
             "parameters": dict(self.parameters),
@@ -82,6 +86,7 @@ class Scenario:
             "disturbances": disturbances,
             "inputs": {name: signal_table(f"input {name}", one) for name, one in conditions.inputs.items()},
             "preview": self.preview,
+            "recording": _given({"inputs": recorded}),
         }
         plain |= {key: dict(getattr(conditions, key)) for key in ("rate_limit", "delay", "quantum", "loss")}
         return _given(plain)

@@ -307,6 +307,9 @@ class _Resolution:
             known = list(_dotted_names(controller.settings))
             place = ("controllers", controller.name, "search")
             self.errors.require_known(place, "setting", section.search, known)
+            for i, settings in enumerate(section.first_trials):
+                at = ("controllers", controller.name, "first_trials", i)
+                self.errors.require_known(at, "setting", settings, known)
 
     @independent
     def _check_tuned(self, controller: StudyController) -> None:

@@ -1,13 +1,15 @@
 """The scenarios of a study: what they change is checked, and becomes conditions and experiments."""
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterator, Mapping
 
 from ddpc_cosim.conditions import Conditions, delay_error, may_have
 from ddpc_cosim.errors import Place
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import late_error
+from ddpc_cosim.signals import Constant, Reference
 from ddpc_cosim.study.file_format.sections import DriftSection, EventSection, ScenarioSection
-from ddpc_cosim.study.file_format.signal_sections import RampReference, StepsSection
+from ddpc_cosim.study.file_format.signal_sections import InputSection, RampReference, StepsSection
 from ddpc_cosim.study.file_format.validation_errors import Section, independent
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters, check_value
 from ddpc_cosim.variables import Variable
@@ -45,6 +47,7 @@ class Scenarios:
         driven, measured = self.inputs.names, self.measurements.names
         undriven = {n: v for n, v in self.variables.inputs.items() if n not in driven}
         known = may_have(driven, self.outputs.names, measured, self.variables.inputs)
+        what_of_inputs, _ = known["inputs"]
         for key, (what, names) in known.items():
             errors.require_known((*place, key), what, getattr(scenario, key), names)
         for signal in scenario.inputs:
@@ -60,11 +63,19 @@ class Scenarios:
                 sections, same = dict(enumerate(parts)), dict.fromkeys(range(len(parts)), variables[signal])
                 disturbances[signal] = tuple(self.signals.build(at, sections, same, difference=True).values())
         inputs = self.signals.build((*place, "inputs"), scenario.inputs, undriven)
+        recorded = dict[str, Reference]()
+        for where, in_experiment in self._recorded_inputs(scenario, place):
+            errors.require_known(where, what_of_inputs, in_experiment, undriven)
+            for name_of_input in in_experiment:
+                self._check_set_once((*where, name_of_input), scenario, name_of_input)
+            recorded |= self.signals.build(where, in_experiment, undriven)
         if errors.found:
             return None
+        resting = {signal: Constant(undriven[signal].start) for signal in recorded}
         return Conditions(
             disturbances=disturbances,
-            inputs=inputs,
+            inputs=resting | inputs,
+            recorded_inputs=recorded,
             rate_limit=scenario.rate_limit,
             delay=scenario.delay,
             quantum=scenario.quantum,
@@ -119,6 +130,9 @@ class Scenarios:
         if self.inputs.is_known and name in self.inputs.names:
             remedy = "use disturbances to add to it, or leave it out of plant.inputs"
             self.errors.add(place, f"the controllers drive this input; {remedy}")
+        self._check_set_once(place, scenario, name)
+
+    def _check_set_once(self, place: Place, scenario: ScenarioSection, name: str) -> None:
         others = {
             "the plant's parameters": name in self.study.plant.parameters,
             "the scenario's parameters": name in scenario.parameters,
@@ -150,5 +164,17 @@ class Scenarios:
                 self.errors.add((*place, key), late, ("loop", "start_time"))
 
     def undriven(self, name: str) -> tuple[Variable, ...]:
-        """Return the inputs that have a signal in a scenario."""
-        return tuple(self.variables.inputs[signal] for signal in self.study.scenarios[name].inputs)
+        """Return the inputs that have a signal in a scenario, or while it is recorded."""
+        scenario = self.study.scenarios[name]
+        recorded = [sections for _, sections in self._recorded_inputs(scenario, ())]
+        named = dict.fromkeys(itertools.chain(scenario.inputs, *recorded))
+        return tuple(self.variables.inputs[signal] for signal in named)
+
+    def _recorded_inputs(
+        self, scenario: ScenarioSection, place: Place
+    ) -> Iterator[tuple[Place, Mapping[str, InputSection]]]:
+        """Yield what the study and then the scenario say of inputs in the experiment, and where."""
+        if self.study.recording is not None:
+            yield ("recording", "inputs"), self.study.recording.inputs
+        if scenario.recording is not None:
+            yield (*place, "recording", "inputs"), scenario.recording.inputs

@@ -9,18 +9,20 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
 from math import fsum, isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, Self
 
 import tomli_w
 
+from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.safe_calls import settings_of_other
 from ddpc_cosim.study.case_files import CaseResult, load_case, read_run
 from ddpc_cosim.study.cases import Case, cases_of_problems, doing_nothing
+from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.file_format.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
 from ddpc_cosim.study.file_format.study_files import StudyFile
 from ddpc_cosim.study.judgement import judged, run_of
@@ -40,6 +42,7 @@ from ddpc_cosim.tuning.search import (
     dominates,
     figures_of,
     search_spaces,
+    settings_faults,
     space_faults,
     trial_of,
     with_settings,
@@ -67,6 +70,10 @@ class Request:
         Of the trials; empty: three that the study does not have.
     command : str
         How it can be repeated.
+    sampler_seed : int
+        Another one has other settings tried.
+    compares : bool
+        Whether the settings as given and those found are compared on the seeds of the study.
 
     Raises
     ------
@@ -78,6 +85,8 @@ class Request:
     trials: int = 50
     seeds: list[int] = field(default_factory=list)
     command: str = ""
+    sampler_seed: int = 0
+    compares: bool = True
 
     def __post_init__(self) -> None:
         faults = [
@@ -104,7 +113,8 @@ class Request:
     def summary(self, controllers: Sequence[str]) -> str:
         """Say of these controllers what has been done, in a sentence."""
         who, seeds = _listed(controllers), _listed(self.seeds)
-        return f"Tuned with {self.trials} trials each on the seeds {seeds}, by {self.by}: {who}."
+        sampler = f", sampler seed {self.sampler_seed}" if self.sampler_seed else ""
+        return f"Tuned with {self.trials} trials each on the seeds {seeds}{sampler}, by {self.by}: {who}."
 
     def on_seeds_of_its_own(self, reported: Sequence[int]) -> Self:
         """Return the request with seeds that a study does not report.
@@ -143,16 +153,20 @@ class Tuned(NamedTuple):
         The trials in their order, by problem and controller.
     held_out : dict
         The settings as given and those found, on the seeds of the study, by problem and controller.
+    at_ends : dict
+        The settings found that lie at an end of where was looked, by problem and controller: see
+        :meth:`SettingsSearch.at_ends`.
     kept : list of (str, str)
         Problem and controller of those that have no search space and are left as they are.
-    results : StudyResults
-        As given against tuned, on the study's own seeds.
+    results : StudyResults or None
+        As given against tuned, on the study's own seeds; None where they are not compared.
     """
 
     trials: dict[tuple[str, str], list[Trial]]
     held_out: dict[tuple[str, str], tuple[Trial, Trial]]
+    at_ends: dict[tuple[str, str], list[str]]
     kept: list[tuple[str, str]]
-    results: StudyResults
+    results: StudyResults | None
 
 
 def tune_study(
@@ -162,6 +176,9 @@ def tune_study(
 
     Written are the cases of all trials, ``trials.csv``, ``tuned.toml``, which is the study with the settings
     found, and in ``held-out`` the results of both on the seeds of the study.
+
+    The last trials of a method are for what has been found for methods that it contains, as these say it by
+    :meth:`ddpc_cosim.Controller.settings_as`.
 
     Parameters
     ----------
@@ -184,7 +201,8 @@ def tune_study(
     request = request.on_seeds_of_its_own(resolved.head.seeds)
     searches, kept = _searches(resolved, request)
     plants = built_plants(resolved, progress)
-    claim_folder(folder / HELD_OUT_FOLDER, resolved.whole)
+    if request.compares:
+        claim_folder(folder / HELD_OUT_FOLDER, resolved.whole)
     planned = {name: (one, plants[name]) for name, one in resolved.problems.items()}
     all_cases = cases_of_problems(planned, request.seeds, selection.only)
     in_full = Counter((case.problem, case.controller) for case in all_cases)
@@ -192,28 +210,35 @@ def tune_study(
     at_rest = [] if request.by_prediction else doing_nothing(all_cases)
     tried = request.trials * sum(in_full[search.problem, search.name] for search in searches)
     progress.start(tried + len(at_rest), 0)
-    tuning = [
-        _tuning(search, *planned[search.problem], request, selection.only, progress) for search in searches
-    ]
-    due = {one: next(one) for one in tuning}
     run_missing(at_rest, folder, selection, progress)
     resting = {run_of(case): case for case in (load_case(folder / CASES_FOLDER / one.id) for one in at_rest)}
-    times = list[float]()
-    while due:
-        run_missing([case for cases in due.values() for case in cases], folder, selection, progress)
-        for one, cases in [*due.items()]:
-            folders = [folder / CASES_FOLDER / case.id for case in cases]
-            times += [read_run(place)["wall_time"] for place in folders]
-            try:
-                scenarios = resolved.problems[cases[0].problem].study.scenarios
-                due[one] = one.send(list(judged(scenarios, map(load_case, folders), resting)))
-            except StopIteration:
-                del due[one]
+
+    def judge(cases: Sequence[Case], places: Sequence[Path]) -> list[CaseResult]:
+        scenarios = resolved.problems[cases[0].problem].study.scenarios
+        return list(judged(scenarios, map(load_case, places), resting))
+
+    tunings = [
+        _Tuning(search, *planned[search.problem], request, selection.only, progress) for search in searches
+    ]
+    others = [one.others_in(tunings) for one in tunings]
+    last = [min(len(some), request.trials - 1) for some in others]
+    first = [one.go_on(request.trials - n) for one, n in zip(tunings, last, strict=True)]
+    times = _run_all(first, folder, selection, progress, judge)
+    for one, some in zip(tunings, others, strict=True):
+        one.propose_found(some)
+    rest = [one.go_on(n) for one, n in zip(tunings, last, strict=True) if n]
+    times += _run_all(rest, folder, selection, progress, judge)
     trials = {(search.problem, search.name): search.trials for search in searches}
-    tuned = _tuned_study(resolved, trials, request)
+    found = {key: tried[best(tried)].settings for key, tried in trials.items()}
+    at_ends = {(one.problem, one.name): one.at_ends(found[one.problem, one.name]) for one in searches}
+    tuned = _tuned_study(resolved, trials, at_ends, request)
     text = tomli_w.dumps(tuned.tables())
     write_atomically(folder / TUNED_FILE, encodable(text).encode())
     kept = kept if selection.only == "*" else []
+    if not request.compares:
+        table = encodable(_trials_table(trials, {}, at_ends, request)).encode()
+        write_atomically(folder / TRIALS_FILE, table)
+        return Tuned(trials, {}, at_ends, kept, None)
     both = StudyFile(TUNED_FILE, folder, _with_given(tuned, resolved, trials, kept).tables())
     progress.prepare("comparing on the seeds of the study")
     count, runs = len(trials) * request.trials, sum(one.runs for own in trials.values() for one in own)
@@ -225,10 +250,10 @@ def tune_study(
         key: _held_out(key, tried, results, reference_spans(resolved.problems[key[0]]), request.objectives)
         for key, tried in trials.items()
     }
-    table = encodable(_trials_table(trials, held_out, request)).encode()
+    table = encodable(_trials_table(trials, held_out, at_ends, request)).encode()
     for place in (folder, folder / HELD_OUT_FOLDER):  # where the report finds it
         write_atomically(place / TRIALS_FILE, table)
-    return Tuned(trials, held_out, kept, results)
+    return Tuned(trials, held_out, at_ends, kept, results)
 
 
 def _searches(
@@ -253,8 +278,18 @@ def _searches(
             faults += [
                 f"controllers.{name}.search.{fault}{within}" for fault in space_faults(section, spaces)
             ]
+            faults += [
+                f"controllers.{name}.first_trials[{i}].{fault}{within}"
+                for i, settings in enumerate(section.first_trials)
+                for fault in settings_faults(section, settings)
+            ]
             if spaces and not faults:
-                searches.append(SettingsSearch(problem, name, section.settings, spaces, request.objectives))
+                search = SettingsSearch(
+                    *(problem, name, section.settings, spaces, request.objectives),
+                    first=[] if request.by_prediction else section.first_trials,
+                    sampler_seed=request.sampler_seed,
+                )
+                searches.append(search)
             elif not spaces:
                 kept.append((problem, name))
     if not faults and not searches:
@@ -266,52 +301,104 @@ def _searches(
     return searches, kept
 
 
-def _tuning(
-    search: SettingsSearch,
-    one: ResolvedStudy,
-    plant: PlantSpec,
-    request: Request,
-    only: str,
+class _Tuning:
+    """The trials of one controller: what is to be run next follows from its own runs alone."""
+
+    def __init__(
+        self,
+        search: SettingsSearch,
+        one: ResolvedStudy,
+        plant: PlantSpec,
+        request: Request,
+        only: str,
+        progress: TuningProgress,
+    ) -> None:
+        self.search = search
+        self._one, self._plant, self._request, self._only = one, plant, request, only
+        self._spans, self._progress = reference_spans(one), progress
+
+    def go_on(self, trials: int) -> Generator[list[Case], list[CaseResult], None]:
+        """Go through so many trials: yield what is to be run next, and be sent its results.
+
+        A trial is pruned between its runs, of which those that trials have lost most often come first.
+        """
+        search, objectives = self.search, self._request.objectives
+        for _ in range(trials):
+            settings = search.next_settings()
+            cases = search.hardest_first(self._cases(settings))
+            runs = dict[Run, Figures]()
+            pruned = False
+            for case in cases:
+                runs |= figures_of((yield [case]), objectives, self._spans)
+                if pruned := len(runs) < len(cases) and search.is_hopeless(runs):
+                    break
+            self._progress.drop(len(cases) - len(runs))
+            search.tell(settings, runs, pruned=pruned)
+
+    def others_in(self, tunings: Sequence["_Tuning"]) -> list["_Tuning"]:
+        """Return who, of the same problem, may be a method that this one contains."""
+        if self._request.by_prediction:  # which two methods share only as far as they look equally far ahead
+            return []
+        return [
+            other
+            for other in tunings
+            if other is not self
+            and other.search.problem == self.search.problem
+            and controller_class(other._section.type).settings_as is not Controller.settings_as
+        ]
+
+    def propose_found(self, others: Sequence["_Tuning"]) -> None:
+        """Have what has been found for methods that this one contains tried next."""
+        study, logged = self._one.study, self._one.recording
+        samples = len(logged) if logged else study.recording.samples if study.recording else 0
+        kind, sizes = controller_class(self._section.type), (len(self._one.inputs), len(self._one.outputs))
+        for other in others:
+            found = other.search.trials[best(other.search.trials)].settings
+            section = other._section
+            controller = make_controller(section.type, with_settings(section.settings, found))
+            settings = settings_of_other(controller, kind, *sizes, samples or 0)
+            if faults := [*settings_faults(self._section, settings)]:
+                who = f"{type(controller).__name__}.settings_as({kind.__name__})"
+                raise ConfigError([f"{who}: {fault}" for fault in faults])
+            if settings:
+                self.search.propose(settings, f"as found for {other.search.name}")
+
+    @property
+    def _section(self) -> ControllerSection:
+        return self._one.study.controllers[self.search.name]
+
+    def _cases(self, settings: dict[str, Any]) -> list[Case]:
+        """Return the runs of a trial."""
+        study, section = self._one.study, self._section
+        section = section.model_copy(update={"settings": with_settings(section.settings, settings)})
+        changes: dict[str, Any] = {"controllers": {self.search.name: section}}
+        if self._request.by_prediction:  # which is known before the first sample
+            changes["loop"] = study.loop.model_copy(update={"duration": study.loop.sampling_time})
+        changed = replace(self._one, study=study.model_copy(update=changes))
+        problem = {self.search.problem: (changed, self._plant)}
+        return cases_of_problems(problem, self._request.seeds, self._only)
+
+
+def _run_all(
+    tunings: Sequence[Generator[list[Case], list[CaseResult], None]],
+    folder: Path,
+    selection: Selection,
     progress: TuningProgress,
-) -> Generator[list[Case], list[CaseResult], None]:
-    """Go through the trials of a search: yield what is to be run next, and be sent its results.
-
-    A trial is run scenario by scenario, or seed by seed if there is one scenario, and pruned between them.
-    What is run follows from the runs of the same search alone, whatever is run beside them.
-    """
-    spans = reference_spans(one)
-    has_several = len(one.study.scenarios) > 1
-    for _ in range(request.trials):
-        settings = search.next_settings()
-        cases = _cases(search, settings, one, plant, request, only)
-        runs = dict[Run, Figures]()
-        pruned = False
-        for _, part in groupby(cases, key=lambda case: case.scenario if has_several else case.seed):
-            results = yield list(part)
-            runs |= figures_of(results, request.objectives, spans)
-            if pruned := len(runs) < len(cases) and search.is_hopeless(runs):
-                break
-        progress.drop(len(cases) - len(runs))
-        search.tell(settings, runs, pruned=pruned)
-
-
-def _cases(
-    search: SettingsSearch,
-    settings: dict[str, Any],
-    one: ResolvedStudy,
-    plant: PlantSpec,
-    request: Request,
-    only: str,
-) -> list[Case]:
-    """Return the runs of a trial."""
-    study = one.study
-    section = study.controllers[search.name]
-    section = section.model_copy(update={"settings": with_settings(section.settings, settings)})
-    changes: dict[str, Any] = {"controllers": {search.name: section}}
-    if request.by_prediction:  # which is known before the first sample
-        changes["loop"] = study.loop.model_copy(update={"duration": study.loop.sampling_time})
-    changed = replace(one, study=study.model_copy(update=changes))
-    return cases_of_problems({search.problem: (changed, plant)}, request.seeds, only)
+    judge: Callable[[Sequence[Case], Sequence[Path]], list[CaseResult]],
+) -> list[float]:
+    """Run what all tunings want next until none wants more; return how long the runs took."""
+    times = list[float]()
+    due = {one: next(one) for one in tunings}
+    while due:
+        run_missing([case for cases in due.values() for case in cases], folder, selection, progress)
+        for one, cases in [*due.items()]:
+            folders = [folder / CASES_FOLDER / case.id for case in cases]
+            times += [read_run(place)["wall_time"] for place in folders]
+            try:
+                due[one] = one.send(judge(cases, folders))
+            except StopIteration:
+                del due[one]
+    return times
 
 
 def _held_out(
@@ -336,30 +423,48 @@ def _held_out(
 def _trials_table(
     trials: Mapping[tuple[str, str], Sequence[Trial]],
     held_out: Mapping[tuple[str, str], tuple[Trial, Trial]],
+    at_ends: Mapping[tuple[str, str], Sequence[str]],
     request: Request,
 ) -> str:
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     figures = ["runs lost", *map(str, request.objectives)]
-    marks = ["not dominated", "chosen", *(f"held out: {figure}" for figure in figures), "settings"]
-    writer.writerow(["problem", "controller", "trial", "runs", "pruned", *figures, *marks])
+    marks = ["not dominated", "chosen", *(f"held out: {figure}" for figure in figures)]
+    writer.writerow(
+        [
+            "problem",
+            "controller",
+            "trial",
+            "origin",
+            "runs",
+            "pruned",
+            *figures,
+            *marks,
+            "at ends",
+            "settings",
+        ]
+    )
     for (problem, controller), tried in trials.items():
         whole, chosen = [trial for trial in tried if not trial.pruned], best(tried)
-        given, found = held_out[problem, controller]
+        given, found = held_out.get((problem, controller), (None, None))
         for number, trial in enumerate(tried):
             again = found if number == chosen else given if not number else None
             values = ["" if trial.pruned else repr(value) for value in trial.values]
             on_front = not trial.pruned and not any(dominates(other, trial) for other in whole)
             facts = (trial.pruned, on_front, number == chosen)
             pruned, *words = ("true" if fact else "false" for fact in facts)
-            row = [problem, controller, number, trial.runs, pruned, trial.lost, *values, *words]
+            row = [problem, controller, number, trial.origin, trial.runs, pruned, trial.lost, *values, *words]
             row += [again.lost, *map(repr, again.values)] if again else [""] * len(figures)
-            writer.writerow([*row, json.dumps(trial.settings)])
+            ends = ", ".join(at_ends[problem, controller]) if number == chosen else ""
+            writer.writerow([*row, ends, json.dumps(trial.settings)])
     return file.getvalue()
 
 
 def _tuned_study(
-    resolved: ResolvedProblems, trials: Mapping[tuple[str, str], Sequence[Trial]], request: Request
+    resolved: ResolvedProblems,
+    trials: Mapping[tuple[str, str], Sequence[Trial]],
+    at_ends: Mapping[tuple[str, str], list[str]],
+    request: Request,
 ) -> WholeStudy:
     """Return the study with the best settings, which says how they came about."""
     problems = {}
@@ -374,6 +479,8 @@ def _tuned_study(
                     seeds=request.seeds,
                     by=request.by,
                     source=request.command,
+                    sampler_seed=request.sampler_seed,
+                    at_ends=at_ends[of, name],
                 )
                 section = controllers[name]
                 changes = {"settings": with_settings(section.settings, found), "tuned": how}

@@ -2,13 +2,17 @@
 
 import math
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Self
+
+import numpy as np
 
 from ddpc_cosim.settings import (
     Choice,
     Factor,
     Integer,
+    Linear,
     Log,
     Search,
     SettingInfo,
@@ -16,6 +20,7 @@ from ddpc_cosim.settings import (
     declared_settings,
 )
 from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.tuning.objectives import Objective, Run
@@ -23,6 +28,10 @@ from ddpc_cosim.tuning.objectives import Objective, Run
 # From so many on, the best value that a run has had says what can be hoped for: by this part better at most.
 _TRIALS_IN_FULL, _BETTER = 5, 0.1
 _DIGITS = 4
+# Of a space's length on its scale: as near to an end, something better may lie beyond.
+_AT_END = 0.03
+AS_GIVEN, FIRST, SEARCHED = "as given", "first trials", "search"
+"""Where the settings of a trial come from."""
 
 
 class Figures(NamedTuple):
@@ -61,6 +70,8 @@ class Trial(NamedTuple):
         How many runs it had.
     pruned : bool
         Whether it was ended before it had all runs, as it would not have been the best.
+    origin : str
+        Where the settings come from, in words.
     """
 
     lost: int
@@ -68,6 +79,7 @@ class Trial(NamedTuple):
     settings: dict[str, Any]
     runs: int = 0
     pruned: bool = False
+    origin: str = ""
 
     @property
     def penalised(self) -> list[float]:
@@ -79,7 +91,23 @@ class Trial(NamedTuple):
 
 
 class SettingsSearch:
-    """The search for the settings of one controller in one problem."""
+    """The search for the settings of one controller in one problem.
+
+    Parameters
+    ----------
+    problem, name : str
+        Which controller it is.
+    given : dict
+        Its settings in the study, which are tried first.
+    spaces : dict
+        Where to look, by setting.
+    objectives : sequence of Objective
+        What trials are compared by.
+    first : sequence of dict
+        Settings that are tried next, those that they leave out as given.
+    sampler_seed : int
+        Seed of what is tried then.
+    """
 
     def __init__(
         self,
@@ -88,30 +116,48 @@ class SettingsSearch:
         given: dict[str, Any],
         spaces: dict[str, Search],
         objectives: Sequence[Objective],
+        first: Sequence[dict[str, Any]] = (),
+        sampler_seed: int = 0,
     ) -> None:
         import optuna
 
         self.problem, self.name, self.given, self.spaces = problem, name, given, spaces
         self.trials: list[Trial] = []
+        self._as_given = {setting: _entry(given, setting) for setting in spaces}
+        self._proposed = [({}, AS_GIVEN), *((one, FIRST) for one in first)]
         self._objectives = objectives
         self._best_yet: dict[Run, Figures] = {}
-        seed = zlib.crc32(f"{problem}/{name}".encode())
+        self._lost = Counter[Run]()
+        which = [problem, name, *([str(sampler_seed)] if sampler_seed else [])]
+        seed = zlib.crc32("/".join(which).encode())
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self._optuna = optuna.create_study(
             sampler=optuna.samplers.TPESampler(seed=seed), directions=["minimize"] * len(objectives)
         )
         self._distributions = {setting: _distribution(space) for setting, space in spaces.items()}
         self._asked: Any = None
+        self._origin = ""
+
+    def propose(self, settings: Mapping[str, Any], origin: str) -> None:
+        """Have settings tried next, others as given."""
+        own = {name: value for name, value in settings.items() if value != self.given.get(name)}
+        self._proposed.append((own, origin))
 
     def next_settings(self) -> dict[str, Any]:
         """Return what to try: at first what the study says."""
-        if not self.trials:
-            return {setting: _entry(self.given, setting) for setting in self.spaces}
-        self._asked = self._optuna.ask(self._distributions)
+        if self._proposed:
+            self._asked = None
+            settings, self._origin = self._proposed.pop(0)
+            return self._as_given | settings
+        self._asked, self._origin = self._optuna.ask(self._distributions), SEARCHED
         return {
             setting: _value(space, self._asked.params[setting], _entry(self.given, setting))
             for setting, space in self.spaces.items()
         }
+
+    def hardest_first(self, cases: Iterable[Case]) -> list[Case]:
+        """Return the runs of a trial, those first that most trials have lost."""
+        return sorted(cases, key=lambda case: -self._lost[Run(case.scenario, case.seed)])
 
     def is_hopeless(self, runs: Mapping[Run, Figures]) -> bool:
         """Whether a trial, by the runs that it has had so far, need not go on.
@@ -133,16 +179,20 @@ class SettingsSearch:
         import optuna
 
         hoped = self._hoped(settings, runs)
-        trial = hoped._replace(lost=sum(run.lost for run in runs.values()), runs=len(runs), pruned=pruned)
-        if pruned:
+        lost = sum(run.lost for run in runs.values())
+        trial = hoped._replace(lost=lost, runs=len(runs), pruned=pruned, origin=self._origin)
+        if self._asked is None:
+            if not pruned and (params := self._params(trial.settings)):
+                told = optuna.create_trial(
+                    params=params, distributions=self._distributions, values=trial.penalised
+                )
+                self._optuna.add_trial(told)
+        elif pruned:
             self._asked.report(hoped.penalised[0], step=len(runs))
             self._optuna.tell(self._asked, state=optuna.trial.TrialState.PRUNED)
-        elif self.trials:
+        else:
             self._optuna.tell(self._asked, trial.penalised)
-        elif params := self._params(trial.settings):
-            self._optuna.add_trial(
-                optuna.create_trial(params=params, distributions=self._distributions, values=trial.penalised)
-            )
+        self._lost.update(run for run, own in runs.items() if own.lost)
         for run, own in runs.items():
             other = self._best_yet.get(run, own)
             self._best_yet[run] = Figures(
@@ -155,19 +205,29 @@ class SettingsSearch:
         every = {run: best_yet.hoped for run, best_yet in self._best_yet.items()} | {**runs}
         return trial_of(settings, every, self._objectives)
 
+    def at_ends(self, settings: Mapping[str, Any]) -> list[str]:
+        """Return which settings lie at an end of where was looked, or beyond it."""
+        found = []
+        for setting, space in self.spaces.items():
+            value = _param(space, settings[setting], _entry(self.given, setting))
+            if isinstance(space, Choice) or value is None:
+                continue
+            low, high = _on_scale(space, space.low), _on_scale(space, space.high)
+            margin = _AT_END * (high - low)
+            if not low + margin < _on_scale(space, value) < high - margin:
+                found.append(setting)
+        return found
+
     def _params(self, settings: dict[str, Any]) -> dict[str, Any]:
-        """Return the study's own settings as a point of the spaces; empty if one is outside."""
+        """Return settings as a point of the spaces; empty if it is none of theirs."""
         params: dict[str, Any] = {}
         for setting, space in self.spaces.items():
-            value: Any = 1.0 if isinstance(space, Factor) else settings[setting]
-            if isinstance(space, Choice):
-                if value not in space.values:
-                    return {}
-                value = list(space.values).index(value)
-            elif not space.low <= value <= space.high:
+            value = _param(space, settings[setting], _entry(self.given, setting))
+            if value is None or (not isinstance(space, Choice) and not space.low <= value <= space.high):
                 return {}
             params[setting] = value
-        return params
+        # What else differs from the study makes it another controller, of which the point tells nothing.
+        return params if settings.keys() <= params.keys() else {}
 
 
 def _distribution(space: Search) -> Any:
@@ -188,6 +248,26 @@ def _value(space: Search, param: Any, given: Any) -> Any:
     if isinstance(space, Factor):
         return _times(given, param)
     return min(max(_rounded(param), space.low), space.high)
+
+
+def _param(space: Search, value: Any, given: Any) -> Any:
+    """Return the parameter of a value, as :func:`_value` makes it; None if it has none."""
+    if isinstance(space, Choice):
+        return list(space.values).index(value) if value in space.values else None
+    if isinstance(space, Factor):
+        one, of = np.ravel(value), np.ravel(given)
+        if one.shape != of.shape or not of.any():
+            return None
+        factor = float(one[of != 0][0] / of[of != 0][0])
+        return factor if np.allclose(one, of * factor, rtol=10.0**-_DIGITS) else None
+    return value if isinstance(value, int | float) else None
+
+
+def _on_scale(space: Linear, value: float) -> float:
+    """Return where a number is on a space's scale."""
+    if isinstance(space, Log):
+        return math.log(value) if value > 0 else -math.inf
+    return value
 
 
 def _times(value: Any, factor: float) -> Any:
@@ -289,6 +369,14 @@ def space_faults(section: ControllerSection, spaces: Mapping[str, Search]) -> It
                 own = [fault for place, fault in error.found if place and place[0] == name.partition(".")[0]]
                 found |= dict.fromkeys(own)
         yield from (f"{name}: {fault}" for fault in found)
+
+
+def settings_faults(section: ControllerSection, settings: Mapping[str, Any]) -> Iterator[str]:
+    """Yield why settings are not possible in place of some of a controller's."""
+    try:
+        make_controller(section.type, with_settings(section.settings, settings))
+    except SettingsError as error:
+        yield from error.faults
 
 
 def dominates(one: Trial, other: Trial) -> bool:

@@ -15,8 +15,8 @@ from ddpc_reports.tables.settings import mapping_text
 from ddpc_reports.tables.table import Cell, Column, Heading, Row, Table, number_cells
 from ddpc_reports.verdict import counted
 
-_BEFORE = ("problem", "controller", "trial", "runs", "pruned")
-_BETWEEN, _AFTER = ("not dominated", "chosen"), ("settings",)
+_BEFORE = ("problem", "controller", "trial", "origin", "runs", "pruned")
+_BETWEEN, _AFTER = ("not dominated", "chosen"), ("at ends", "settings")
 """Columns of the file; between them runs lost and objectives, first of the trials and then held out."""
 
 
@@ -25,12 +25,14 @@ class _Trial:
     """A row of the file; figures are runs lost and objectives, NaN where there are none."""
 
     number: int
+    origin: str
     runs: int
     pruned: bool
     figures: tuple[float, ...]
     on_front: bool
     chosen: bool
     held_out: tuple[float, ...]
+    at_ends: str
     settings: dict[str, Any]
 
 
@@ -51,12 +53,12 @@ def _read(results: StudyResults) -> tuple[list[str], list[_Search]]:
         head, *rows = csv.reader(content)
     count = (len(head) - len(_BEFORE) - len(_BETWEEN) - len(_AFTER)) // 2
     found: dict[str, list[_Trial]] = {}
-    for problem, controller, number, runs, pruned, *values, settings in rows:
+    for problem, controller, number, origin, runs, pruned, *values, ends, settings in rows:
         if problem == results.study.name:
             (on_front, chosen), own, again = values[count:-count], values[:count], values[-count:]
             trial = _Trial(
-                *(int(number), int(runs), pruned == "true", _numbers(own)),
-                *(on_front == "true", chosen == "true", _numbers(again), json.loads(settings)),
+                *(int(number), origin, int(runs), pruned == "true", _numbers(own)),
+                *(on_front == "true", chosen == "true", _numbers(again), ends, json.loads(settings)),
             )
             found.setdefault(controller, []).append(trial)
     sections = results.study.controllers
@@ -90,6 +92,7 @@ def trials_tables(results: StudyResults, prefix: str) -> list[Table]:
     ]
     texts = [mapping_text(one.settings) if one.number else "as given" for one in found]
     worth.append((Heading("settings found", numeric=False), [Cell(text) for text in texts]))
+    worth.append((Heading("at an end of the search", numeric=False), [Cell(one.at_ends) for one in found]))
     counts = {
         "all": [len(one.trials) for one in searches],
         "pruned": [sum(trial.pruned for trial in one.trials) for one in searches],
@@ -99,6 +102,7 @@ def trials_tables(results: StudyResults, prefix: str) -> list[Table]:
         (Heading(title, group="trials"), number_cells([*map(float, values)], better=""))
         for title, values in counts.items()
     ]
+    trials.append((Heading("chosen from", numeric=False), [Cell(one.origin) for one in found]))
     for number, name in enumerate(names):
         trials += _pair(name, [[one.figures[number] for one in trials] for trials in (given, found)])
     took = results.provenance.get("tuning")
@@ -107,8 +111,11 @@ def trials_tables(results: StudyResults, prefix: str) -> list[Table]:
         *([f"{took}."] if took else []),
     )
     labels = [one.label for one in searches]
+    said = ("Settings within 3 % of an end of where was looked: a wider search may find better ones.",)
+    ends = said if any(one.at_ends for one in found) else ()
+    title = "As given against tuned, on the seeds of this report"
     return [
-        _table(f"{prefix}tuned", "As given against tuned, on the seeds of this report", labels, worth),
+        _table(f"{prefix}tuned", title, labels, worth, ends),
         _table(f"{prefix}trials", "Trials", labels, trials, notes),
     ]
 

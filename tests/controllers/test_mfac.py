@@ -374,3 +374,17 @@ def test_a_missing_measurement_does_not_cost_what_was_learned(form: str) -> None
         learned.append(controller._model.gradients[0].value)
         y = 0.5 * y + 2.0 * (answer.u if isinstance(answer, Action) else answer)
     assert learned[24] == learned[25] == learned[26] != learned[27]
+
+
+@pytest.mark.parametrize("form", ["cfdl", "pfdl", "ffdl"])
+def test_mfac_with_whole_steps_is_mfapc_one_sample_ahead(form: str) -> None:
+    controller = MFAC(form=form, lambda_u=0.3, mu=0.2, eta=0.7)
+    settings = controller.settings_as(MFAPC, 1, 1, 0)
+    assert settings is not None
+    runs = [
+        close_loop(one, pendulum_loop(None, 3.5), quick_pendulum, ANGLE, paper_reference())
+        for one in (controller, MFAPC(**settings))
+    ]
+    assert runs[1].u == pytest.approx(runs[0].u, abs=1e-9)
+    assert np.ptp(runs[0].u) > 1.0
+    assert MFAC(step_factor=0.9).settings_as(MFAPC, 1, 1, 0) is None

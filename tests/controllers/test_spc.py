@@ -7,8 +7,8 @@ import numpy as np
 import piqp
 import pytest
 
-from ddpc_controllers import SPC, GammaDDPC, hankel_matrix
-from ddpc_cosim import Action, FloatArray, Recording, Sample
+from ddpc_controllers import SPC, DeePC, GammaDDPC, hankel_matrix
+from ddpc_cosim import Action, Controller, FloatArray, Recording, Sample
 
 from .loops import (
     ANGLE,
@@ -260,3 +260,35 @@ def test_of_inputs_that_do_the_same_the_setpoint_nearest_to_rest_is_chosen(
     # y = u_1 + u_2 / 2: the least inputs with y = 0.5.
     assert run.u[-1] == pytest.approx([0.4, 0.2], abs=1e-4)
     assert run.y[-1] == pytest.approx([0.5], abs=1e-5)
+
+
+CONTAINED: list[tuple[SPC, type[Controller]]] = [
+    (SPC(horizon=9, initial_length=4, input_weight=0.01, artificial_setpoint=False), GammaDDPC),
+    (SPC(horizon=9, initial_length=4, input_weight=0.01, artificial_setpoint=False), DeePC),
+    (SPC(horizon=7, input_weight=0.1, artificial_setpoint=True), GammaDDPC),
+    (SPC(horizon=7, input_weight=0.1, artificial_setpoint=True), DeePC),
+    (GammaDDPC(horizon=8, input_weight=0.1, beta_3=0.7, artificial_setpoint=False), DeePC),
+    (GammaDDPC(horizon=8, input_weight=1.0, beta_3=30.0), DeePC),
+]
+
+
+@pytest.mark.parametrize("limit", [10.0, 1.8])
+@pytest.mark.parametrize(("controller", "other"), CONTAINED)
+def test_a_method_that_contains_another_decides_as_that_one_does(
+    paper_recording: Recording, controller: SPC, other: type[Controller], limit: float
+) -> None:
+    settings = controller.settings_as(other, 1, 1, len(paper_recording))
+    assert settings is not None
+    runs = [
+        close_loop(one, pendulum_loop(paper_recording, limit), quick_pendulum, ANGLE, paper_reference(), 130)
+        for one in (controller, other(**settings))
+    ]
+    assert runs[1].u == pytest.approx(runs[0].u, abs=1e-6)
+    assert np.ptp(runs[0].u) > 1.0
+
+
+def test_what_no_settings_bring_about_is_not_told() -> None:
+    spc, gamma = SPC(artificial_setpoint=True), GammaDDPC(beta_2=0.1)
+    assert spc.settings_as(DeePC, 2, 1, 100) is None  # among many setpoints SPC has a preference
+    assert gamma.settings_as(DeePC, 1, 1, 100) is None
+    assert gamma.settings_as(SPC, 1, 1, 100) is None

@@ -339,6 +339,19 @@ def test_actuators_sensors_and_other_inputs_are_the_same_in_the_experiment() -> 
     assert np.array_equal(recording.measured, recording.y)
 
 
+def test_an_input_may_have_another_signal_in_the_experiment() -> None:
+    """On the experiment's own clock; the loop has its own."""
+    loop, recorded = Steps((0.0, 3.0), (1.0, -1.0)), Ramp(0.0, 2.0, 0.0, 5.0)
+    conditions = Conditions(inputs={"ambient": loop}, recorded_inputs={"ambient": recorded})
+    same = Conditions(inputs={"ambient": recorded})
+    recordings = [record(Linear(), EXCITATION, sampling_time=H, conditions=one) for one in (conditions, same)]
+    assert np.array_equal(recordings[0].y, recordings[1].y)
+    trace = run(conditions, excitation=EXCITATION)
+    assert np.array_equal(trace.applied[:, 0], loop.at(TIME))
+    with pytest.raises(ConfigError, match="recorded_inputs of ambient: it has no signal in inputs"):
+        Conditions(recorded_inputs={"ambient": recorded})
+
+
 def test_the_loop_starts_from_rest_after_an_experiment_or_goes_on() -> None:
     script = commands(2)
     after = [

@@ -16,7 +16,7 @@ OF_PROBLEM = ("plant", "loop", "reference", "bounds", "recording", "scenarios", 
 # What a study says of its results, which are not those of one that extends it.
 _OF_RESULTS = ("name", "title", "summary")
 # What a controller's section says of one type.
-_OF_TYPE = ("settings", "sweep", "search", "tuned")
+_OF_TYPE = ("settings", "sweep", "search", "first_trials", "tuned")
 # Of each table, keys of which one excludes the other.
 _ALTERNATIVES = {"plant": {"name", "fmu", "ssp", "parts"}, "recording": {"samples", "file"}}
 

@@ -283,6 +283,11 @@ class RecordingSection(Section):
         None, description="number of samples T of the experiment"
     )
     excitation: dict[str, ExcitationSection] = Field({}, description="one for each input")
+    inputs: dict[str, InputSection] = Field(
+        {},
+        description="signals of inputs that no controller drives, in place of a scenario's: what acted while "
+        "data were recorded",
+    )
     controller: StabiliserSection | None = Field(
         None, description="stabilises the plant meanwhile, on the study's references; none: open loop"
     )
@@ -299,9 +304,9 @@ class RecordingSection(Section):
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is missing of an experiment, or does not go with files."""
-        experiment = {"samples": self.samples, "excitation": self.excitation, "controller": self.controller}
+        experiment = ("samples", "excitation", "inputs", "controller")
         if self.file:
-            for key in (key for key, value in experiment.items() if value):
+            for key in (key for key in experiment if getattr(self, key)):
                 yield key, "belongs to an experiment, and file to logged data; needed: one of them"
         else:
             if self.samples is None:
@@ -334,12 +339,16 @@ class RecordingChanges(Section):
         None, description="number of samples T"
     )
     excitation: dict[str, ExcitationSection] = Field({}, description="of inputs that are excited otherwise")
+    inputs: dict[str, InputSection] = Field(
+        {}, description="signals of inputs that no controller drives, in place of the recording's"
+    )
 
     def of(self, recording: RecordingSection) -> RecordingSection:
         """Return the study's section with the changes."""
         changes = {
             "samples": recording.samples if self.samples is None else self.samples,
             "excitation": recording.excitation | self.excitation,
+            "inputs": recording.inputs | self.inputs,
         }
         return recording.model_copy(update=changes)
 
@@ -375,7 +384,7 @@ class ScenarioSection(Section):
     )
     preview: Preview | None = Field(None, description="in place of the loop's")
     recording: RecordingChanges | None = Field(
-        None, description="`samples` and `excitation` in place of the recording's"
+        None, description="`samples`, `excitation` and `inputs` in place of the recording's"
     )
 
 
@@ -431,6 +440,13 @@ class TunedSection(Section):
     )
     by: str = Field(description="what was compared, e.g. median rmse over the scenarios")
     source: Text = Field("", description="where the trials can be repeated from")
+    sampler_seed: Annotated[int, Field(ge=0)] = Field(
+        0, description="seed of the search, which decides what is tried"
+    )
+    at_ends: list[str] = Field(
+        [],
+        description="settings found at an end of where was looked: a wider search may find others",
+    )
 
 
 _Ends = Annotated[list[Finite], Field(min_length=2, max_length=2)]
@@ -489,6 +505,9 @@ class ControllerSection(Section):
     search: dict[str, Annotated[SearchSection, BeforeValidator(_none_for_false)]] = Field(
         {},
         description="for `ddpc-cosim tune`: where to look for settings, in place of what the type declares",
+    )
+    first_trials: list[dict[str, Any]] = Field(
+        [], description="for `ddpc-cosim tune`: settings that are tried next after those given"
     )
     tuned: Annotated[TunedSection | None, BeforeValidator(_none_if_false)] = Field(
         None, description="how settings were found; none, or `false`: as the study says"

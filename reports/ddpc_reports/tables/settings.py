@@ -55,11 +55,11 @@ def own_units(traces: Iterable[Trace]) -> dict[str, str]:
 
 def _other_inputs(results: StudyResults) -> Iterator[Trace]:
     """Yield a run of each scenario in which inputs have signals of their own."""
-    with_inputs = {name for name, section in results.study.scenarios.items() if section.inputs}
+    recording, scenarios = results.study.recording, results.study.scenarios
     yield from (
         case.trace()
         for case in {case.scenario: case for case in results.cases}.values()
-        if case.scenario in with_inputs
+        if scenarios[case.scenario].inputs or (recording and recording.inputs)
     )
 
 
@@ -330,7 +330,11 @@ def _recording_facts(recording: RecordingSection, units: Mapping[str, str]) -> l
         (f"excitation of {name}", _signal(one, units.get(name, "")))
         for name, one in recording.excitation.items()
     ]
-    others = _others(recording, {"samples", "controller", "excitation", "file"})
+    facts += [
+        (f"{name} in the recording", _signal(one, units.get(name, "")))
+        for name, one in recording.inputs.items()
+    ]
+    others = _others(recording, {"samples", "controller", "excitation", "inputs", "file"})
     return facts + [(f"recording: {name}", text) for name, text in others]
 
 

@@ -4,10 +4,10 @@ import math
 from pathlib import Path
 
 import pytest
+from ddpc_cosim.study.following import WHY, following_lines, left_by, none_follows
 
 from ddpc_cosim import CaseResult, Outcome
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.following import WHY, following_lines, left_by, none_follows
 
 
 def case(

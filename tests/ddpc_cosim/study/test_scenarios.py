@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fmus.builder import Fault
 
-from ddpc_cosim import CaseResult, Conditions, ConfigError, FMUPlant, Outcome, Trace
+from ddpc_cosim import CaseResult, Conditions, ConfigError, Constant, FMUPlant, Outcome, Trace
 from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
@@ -381,3 +381,44 @@ class Room(Plant):
     assert trace.completed
     inside = 0.9 * trace.y[:-1, 0] + 0.1 * outside[:-1] + trace.u[:-1, 0]
     assert np.allclose(trace.y[1:, 0], inside)
+
+
+RECORDED = "excitation.pump_1 = { low = 2.5, high = 3.5 }\n"
+
+
+def test_an_input_that_no_controller_drives_has_its_own_signal_in_the_recording(tmp_path: Path) -> None:
+    """The study's, in place of each scenario's; a scenario's own comes before it; without one it rests."""
+    own = 'inputs.pump_2 = { kind = "constant", value = 2000.0, unit = "mV" }\n'
+    text = (
+        TANK.replace(RECORDED, RECORDED + own)
+        + """
+[scenarios.load]
+inputs.pump_2 = { kind = "constant", value = 3.5 }
+[scenarios.other]
+recording.inputs.pump_2 = { kind = "constant", value = 2.5 }
+"""
+    )
+    problem = read_study(study_file(tmp_path, text)).problem
+    resting, own_signal = {"pump_2": Constant(3.0)}, {"pump_2": Constant(2.0)}
+    assert problem.conditions["calm"] == Conditions(inputs=resting, recorded_inputs=own_signal)
+    assert problem.conditions["load"].inputs == {"pump_2": Constant(3.5)}
+    assert problem.conditions["other"].recorded_inputs == {"pump_2": Constant(2.5)}
+    assert [one.name for one in problem.undriven["calm"]] == ["pump_2"]
+    given = {name: case.trace().applied[:, 0] for name, case in results_of(tmp_path, text).items()}
+    assert {name: set(values) for name, values in given.items()} == {
+        "calm": {3.0}, "load": {3.5}, "other": {3.0}
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("recorded", "fault"),
+    [
+        ('inputs.pump_1 = { kind = "constant", value = 2.0 }', 'no input that no controller drives "pump_1"'),
+        ('inputs.pump_3 = { kind = "constant", value = 2.0 }', 'no input that no controller drives "pump_3"'),
+        ('inputs.pump_2 = { kind = "constant", value = 2.0, unit = "K" }', "pump_2.unit"),
+    ],
+)
+def test_signals_of_the_recording_are_checked(tmp_path: Path, recorded: str, fault: str) -> None:
+    text = TANK.replace(RECORDED, f"{RECORDED}{recorded}\n")
+    with pytest.raises(ConfigError, match=rf"(?s)recording\.inputs.*{fault}"):
+        read_study(study_file(tmp_path, text))

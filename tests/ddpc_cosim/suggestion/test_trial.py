@@ -8,6 +8,7 @@ from time import monotonic
 
 import pytest
 from click.testing import CliRunner
+from ddpc_cosim.study.following import left_by
 from fmus.builder import (
     CO_SIMULATION,
     INTEGRATOR,
@@ -18,7 +19,6 @@ from fmus.builder import (
 )
 
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.study.following import left_by
 from ddpc_cosim.study.results import load_results
 from ddpc_cosim.suggestion import suggest_study, write_study
 from ddpc_cosim.suggestion.design import Setpoints, SuggestedController

@@ -15,6 +15,7 @@ from ddpc_cosim import Choice, ConfigError, Factor, Integer, Linear, Log
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.cases import cases_of
 from ddpc_cosim.study.file_format.sections import ControllerSection
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_missing
@@ -334,6 +335,123 @@ def test_two_objectives_leave_a_front(tmp_path: Path) -> None:
     rows = trials_of(tmp_path)
     assert {row["not dominated"] for row in rows} == {"true", "false"}
     assert {row["pruned"] for row in rows} == {"false"}  # none of them could be told to be worse
+
+
+NESTED = (
+    TOYS.replace("tuning_toys", "nested_toys")
+    + """
+@dataclass(kw_only=True)
+class Wide(Controller):
+    gain: float = setting(9.0, low=0.0, high=10.0, doc="gain", search=Linear(8.0, 10.0))
+    offset: float = setting(5.0, low=-9.0, high=9.0, doc="is added", search=Linear(4.0, 9.0))
+    rough: bool = setting(True, doc="changes nothing")
+    def start(self, loop):
+        pass
+    def step(self, sample):
+        return self.gain * sample.setpoint + self.offset
+
+def settings_as(self, other, inputs, outputs, samples):
+    assert (inputs, outputs, samples) == (1, 1, 0)
+    same = {"gain": self.gain, "offset": 0.0, "rough": self.rough}
+    return same if issubclass(other, Wide) else None
+Gain.settings_as = settings_as
+"""
+)
+
+
+def test_a_method_tries_what_was_found_for_one_that_it_contains(tmp_path: Path) -> None:
+    """Among its trials, as the last; the settings that are not searched come along."""
+    (tmp_path / "nested_toys.py").write_text(NESTED, encoding="utf-8")
+    text = STUDY.replace("tuning_toys", "nested_toys").replace(
+        "controllers.rest", 'controllers.wide = { type = "nested_toys:Wide" }\ncontrollers.rest'
+    )
+    found = tuned(tmp_path, text, Request(trials=6, seeds=[4]))
+    for other in ("a", "b"):
+        last = [one for one in found.trials["study", "wide"] if one.origin == f"as found for {other}"]
+        theirs = found.trials["study", other][: 6 - 1]  # of which one is for the other of the same class
+        assert [one.settings["gain"] for one in last] == [theirs[best(theirs)].settings["gain"]]
+        assert last[0].settings["offset"] == 0.0
+        assert last[0].settings["rough"] is False
+    origins = [row["origin"] for row in trials_of(tmp_path) if row["controller"] == "wide"]
+    assert origins == ["as given", "search", "search", "search", "as found for a", "as found for b"]
+    assert {len(trials) for trials in found.trials.values()} == {6}
+    assert best(found.trials["study", "wide"]) >= 4
+    how = read_study(str(tmp_path / "out" / "tuned.toml")).problem.study.controllers["wide"].tuned
+    assert how is not None
+    assert set(how.settings) == {"gain", "offset", "rough"}
+    assert how.at_ends == ["gain", "offset"]  # far beyond where was looked
+    told = '{"gain": 1.2, "offset": 0.0, "soft": 1.0}'
+    broken = NESTED.replace("nested_toys", "broken_toys").replace("return same if", f"return {told} if")
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "broken_toys.py").write_text(broken, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"Gain\.settings_as\(Wide\): soft: unknown setting"):
+        tuned(tmp_path / "b", text.replace("nested_toys", "broken_toys"), Request(trials=3, seeds=[4]))
+
+
+def test_settings_that_the_study_asks_for_are_tried_first(tmp_path: Path) -> None:
+    text = STUDY.replace("search = {", "first_trials = [{ gain = 1.25 }, { gain = 0.5 }]\nsearch = {")
+    found = tuned(tmp_path, text, Request(trials=4, seeds=[4], compares=False))
+    tried = found.trials["study", "b"]
+    assert [one.settings["gain"] for one in tried[:3]] == [2.0, 1.25, 0.5]
+    assert [one.origin for one in tried] == ["as given", "first trials", "first trials", "search"]
+    for wrong, fault in (
+        ("{ gein = 1.0 }", 'no setting "gein"'),
+        ("{ gain = 11.0 }", "11.0 is not possible"),
+    ):
+        with pytest.raises(ConfigError, match=rf"controllers\.b\.first_trials.*{fault}"):
+            tuned(tmp_path / "wrong", text.replace("{ gain = 1.25 }", wrong))
+
+
+def test_without_a_comparison_there_are_trials_alone(tmp_path: Path) -> None:
+    found = tuned(tmp_path, request=Request(trials=3, seeds=[4], compares=False))
+    assert (found.results, found.held_out) == (None, {})
+    assert not (tmp_path / "out" / "held-out").exists()
+    assert {row["held out: runs lost"] for row in trials_of(tmp_path)} == {""}
+    assert read_study(str(tmp_path / "out" / "tuned.toml")).problem.study.controllers["a"].tuned
+
+
+def test_another_seed_of_the_sampler_has_other_settings_tried_and_is_told(tmp_path: Path) -> None:
+    def gains(seed: int, folder: str) -> list[float]:
+        request = Request(trials=4, seeds=[4], sampler_seed=seed, compares=False)
+        found = tuned(tmp_path / folder, request=request)
+        return [one.settings["gain"] for one in found.trials["study", "a"]]
+
+    assert gains(0, "a") == gains(0, "b") != gains(1, "c")
+    study = read_study(str(tmp_path / "c" / "out" / "tuned.toml")).problem.study
+    assert study.controllers["a"].tuned is not None
+    assert study.controllers["a"].tuned.sampler_seed == 1
+    assert ", sampler seed 1, by rmse" in study.summary
+
+
+def test_settings_near_an_end_of_where_was_looked_are_told() -> None:
+    """Nearer than 3 % of the space's length, of its powers of ten where it is logarithmic."""
+    spaces = {
+        "a": Linear(0.0, 10.0),
+        "b": Log(1e-4, 1e4),
+        "c": Integer(1, 10),
+        "d": Factor(0.1, 10.0),
+        "e": Choice(("x", "y")),
+    }
+    given = {"a": 5.0, "b": 1.0, "c": 5, "d": [2.0, 0.0], "e": "x"}
+    search = SettingsSearch("p", "c", given, spaces, (Objective(),))
+    assert search.at_ends(given) == []
+    near = {"a": 0.31, "b": 1.8e-4, "c": 2, "d": [17.0, 0.0], "e": "y"}
+    assert search.at_ends(near) == []
+    assert search.at_ends(near | {"a": 9.71, "b": 1.7e-4, "c": 1, "d": [17.5, 0.0]}) == ["a", "b", "c", "d"]
+    assert search.at_ends(near | {"a": 12.0, "b": 0.0, "d": [1.0, 2.0]}) == ["a", "b"]
+
+
+def test_the_runs_that_trials_have_lost_most_often_come_first(tmp_path: Path) -> None:
+    (tmp_path / "tuning_toys.py").write_text(TOYS, encoding="utf-8")
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    resolved = read_study(str(tmp_path / "study.toml")).problem
+    cases = cases_of(resolved, resolved.plant, [1, 2, 3], "a")
+    search = search_of([])
+    assert search.hardest_first(cases) == cases
+    for lost in ([3], [3, 2]):
+        runs = {Run("nominal", seed): Figures(seed in lost, (1.0,)) for seed in (1, 2, 3)}
+        search.tell(search.next_settings(), runs)
+    assert [case.seed for case in search.hardest_first(cases)] == [3, 2, 1]
 
 
 FACTOR = "{ factor = [0.1, 4.0] }"
