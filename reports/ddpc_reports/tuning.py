@@ -15,9 +15,9 @@ from ddpc_reports.tables.settings import mapping_text
 from ddpc_reports.tables.table import Cell, Column, Heading, Row, Table, number_cells
 from ddpc_reports.verdict import counted
 
-_BEFORE = ("problem", "controller", "trial", "origin", "runs", "pruned")
-_BETWEEN, _AFTER = ("not dominated", "chosen"), ("at ends", "settings")
-"""Columns of the file; between them runs lost and objectives, first of the trials and then held out."""
+_FIGURES = "pruned", "not dominated"
+"""Columns of the file between which runs lost and objectives stand; held out they come again later."""
+_HELD_OUT = "held out: "
 
 
 @dataclass(frozen=True)
@@ -51,16 +51,24 @@ def _read(results: StudyResults) -> tuple[list[str], list[_Search]]:
         return [], []
     with results.trials_file.open(encoding="utf-8", newline="") as content:
         head, *rows = csv.reader(content)
-    count = (len(head) - len(_BEFORE) - len(_BETWEEN) - len(_AFTER)) // 2
+    first, last = (head.index(name) for name in _FIGURES)
+    figures = head[first + 1 : last]
     found: dict[str, list[_Trial]] = {}
-    for problem, controller, number, origin, runs, pruned, *values, ends, settings in rows:
-        if problem == results.study.name:
-            (on_front, chosen), own, again = values[count:-count], values[:count], values[-count:]
+    for row in (dict(zip(head, values, strict=True)) for values in rows):
+        if row["problem"] == results.study.name:
             trial = _Trial(
-                *(int(number), origin, int(runs), pruned == "true", _numbers(own)),
-                *(on_front == "true", chosen == "true", _numbers(again), ends, json.loads(settings)),
+                number=int(row["trial"]),
+                origin=row.get("origin", ""),
+                runs=int(row["runs"]),
+                pruned=row["pruned"] == "true",
+                figures=_numbers([row[name] for name in figures]),
+                on_front=row["not dominated"] == "true",
+                chosen=row["chosen"] == "true",
+                held_out=_numbers([row[_HELD_OUT + name] for name in figures]),
+                at_ends=row.get("at ends", ""),
+                settings=json.loads(row["settings"]),
             )
-            found.setdefault(controller, []).append(trial)
+            found.setdefault(row["controller"], []).append(trial)
     sections = results.study.controllers
     searches = [
         _Search(
@@ -71,8 +79,8 @@ def _read(results: StudyResults) -> tuple[list[str], list[_Search]]:
         for key, trials in found.items()
         if key in sections
     ]
-    figures = (name.partition(",") for name in head[len(_BEFORE) :][:count])
-    return [f"{metric_words(what)}{comma}{how}" for what, comma, how in figures], searches
+    parts = (name.partition(",") for name in figures)
+    return [f"{metric_words(what)}{comma}{how}" for what, comma, how in parts], searches
 
 
 def _numbers(words: Sequence[str]) -> tuple[float, ...]:
@@ -92,7 +100,10 @@ def trials_tables(results: StudyResults, prefix: str) -> list[Table]:
     ]
     texts = [mapping_text(one.settings) if one.number else "as given" for one in found]
     worth.append((Heading("settings found", numeric=False), [Cell(text) for text in texts]))
-    worth.append((Heading("at an end of the search", numeric=False), [Cell(one.at_ends) for one in found]))
+    at_ends = any(one.at_ends for one in found)
+    if at_ends:
+        cells = [Cell(one.at_ends) for one in found]
+        worth.append((Heading("at an end of the search", numeric=False), cells))
     counts = {
         "all": [len(one.trials) for one in searches],
         "pruned": [sum(trial.pruned for trial in one.trials) for one in searches],
@@ -102,9 +113,10 @@ def trials_tables(results: StudyResults, prefix: str) -> list[Table]:
         (Heading(title, group="trials"), number_cells([*map(float, values)], better=""))
         for title, values in counts.items()
     ]
-    trials.append((Heading("chosen from", numeric=False), [Cell(one.origin) for one in found]))
     for number, name in enumerate(names):
         trials += _pair(name, [[one.figures[number] for one in trials] for trials in (given, found)])
+    if any(one.origin for one in found):
+        trials.append((Heading("chosen from", numeric=False), [Cell(one.origin) for one in found]))
     took = results.provenance.get("tuning")
     notes = (
         "On the seeds of the trials, by which the settings were chosen.",
@@ -112,7 +124,7 @@ def trials_tables(results: StudyResults, prefix: str) -> list[Table]:
     )
     labels = [one.label for one in searches]
     said = ("Settings within 3 % of an end of where was looked: a wider search may find better ones.",)
-    ends = said if any(one.at_ends for one in found) else ()
+    ends = said if at_ends else ()
     title = "As given against tuned, on the seeds of this report"
     return [
         _table(f"{prefix}tuned", title, labels, worth, ends),

@@ -57,6 +57,19 @@ def test_the_trials_of_each_controller_are_summed_up(tmp_path: Path) -> None:
     assert 'id="s1-tuned-table"' in render_page([results])
 
 
+def test_where_settings_come_from_and_which_are_at_an_end_of_the_search_is_told(tmp_path: Path) -> None:
+    results = tuned(tmp_path / "one", "rmse", ONE)
+    file = tmp_path / "one" / "trials.csv"
+    assert "at an end" not in "".join(trials_tables(results, "x-")[0].notes)
+    head, *rows = file.read_text(encoding="utf-8").splitlines()
+    more = [f"{head},origin,at ends", *(f'{row},search,"a, b"' for row in rows)]
+    file.write_text("\n".join(more), encoding="utf-8")
+    worth, trials = trials_tables(results, "x-")
+    assert worth.rows[0].cells[-1].text == "a, b"
+    assert "within 3 % of an end" in worth.notes[0]
+    assert trials.rows[0].cells[-1].text == "search"
+
+
 def test_two_objectives_are_drawn_as_a_front(tmp_path: Path) -> None:
     """Trials that lost more runs than the one chosen are left out, and those without a figure."""
     (figure,) = front_figures(tuned(tmp_path / "two", "rmse,total_variation", TWO), "x-")
