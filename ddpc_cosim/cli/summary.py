@@ -212,10 +212,14 @@ def _scenario_column(results: StudyResults, name: str, key: str, detail: str) ->
             return Text("lost", style="red")
         return Text(_number(summed(own, key), 3) + ("*" if lost else ""), style="red" if lost else "")
 
-    section = results.study.scenarios.get(name)
-    label = clipped((section.label if section else "") or name, _LONGEST_SCENARIO)
+    label = _scenario_label(results, name)
     words = " ".join(filter(None, (label, detail.partition(" [")[0])))
     return _Column(label, detail, words, key, cell)
+
+
+def _scenario_label(results: StudyResults, name: str) -> str:
+    section = results.study.scenarios.get(name)
+    return clipped((section.label if section else "") or name, _LONGEST_SCENARIO)
 
 
 def _words(key: str) -> str:
@@ -252,8 +256,12 @@ def _lines(
         few = "seeds are too few to test so many controllers against each other: it takes"
         lines.append(f"{found.seeds_compared} {few} {found.seeds_needed}")
     elif found.disagreements:
-        ahead = "; ".join(f"{' and '.join(own)} in {name}" for name, own in found.leaders_by_scenario.items())
-        lines.append(f"scenarios disagree, so there is no overall rank; ahead: {ahead}")
+        names = {row.standing.controller: row.name for row in rows if row.standing}
+        ahead = [
+            f"{' and '.join(names[one] for one in leaders) or 'none'} in {_scenario_label(results, scenario)}"
+            for scenario, leaders in found.leaders_by_scenario.items()
+        ]
+        lines.append(f"scenarios disagree, so there is no overall rank; ahead: {'; '.join(ahead)}")
     elif found.tested and len(found.order) > 1 and all(one.rank == 1 for one in found.order):
         lines.append(f"{found.seeds} seeds tell no two controllers apart")
     if any(0 < row.lost < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:

@@ -181,6 +181,19 @@ def test_what_the_seeds_do_not_tell_apart_has_the_same_ranks() -> None:
     assert [rank for rank, _ in ranked(printed(seeded(12, worse=0.0)))] == ["1-2", "1-2"]
 
 
+def test_where_scenarios_disagree_there_is_no_rank_and_a_line_says_who_leads_where() -> None:
+    calm = seeded(12, worse=9.0)
+    other = {"deepc": "pid", "pid": "deepc"}
+    windy = [
+        replace(case, controller=other[case.controller], label=other[case.controller], scenario="windy")
+        for case in calm.cases
+    ]
+    lines = printed(replace(calm, cases=(*calm.cases, *windy)))
+    assert [rank for rank, _ in ranked(lines)] == ["", ""]
+    said = "scenarios disagree, so there is no overall rank; ahead: deepc in nominal; pid in windy"
+    assert said in [line.strip() for line in lines]
+
+
 def test_reference_points_are_marked_and_have_no_rank() -> None:
     seen = seeded(12, worse=9.0)
     points = ReferencePoints(zero="deepc", full="pid")
