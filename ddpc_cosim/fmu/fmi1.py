@@ -15,7 +15,7 @@ from ddpc_cosim.fmu.instance import (
     Slave,
     value_types,
 )
-from ddpc_cosim.fmu.status import FMI1_CALLBACKS, WARNING, CallError, failed_call
+from ddpc_cosim.fmu.status import FMI1_CALLBACKS, SUCCESS, CallError, failed_call
 
 # fmiBoolean is a char; numbers are wanted here, and bytes there.
 _BOOLEAN = ctypes.c_int8
@@ -58,7 +58,7 @@ class Fmi1Slave(_Fmi1, Slave):
     def do_step(self, time: float, h: float) -> None:
         """Advance from ``time`` by ``h`` [s]."""
         status = self._do_step(time, h, _TRUE)
-        if status > WARNING:
+        if status not in SUCCESS:
             raise failed_call("fmiDoStep", status)
 
 

@@ -15,7 +15,7 @@ from ddpc_cosim.fmu.instance import (
     Slave,
     value_types,
 )
-from ddpc_cosim.fmu.status import DISCARD, WARNING, CallError, failed_call, fmi2_callbacks, termination
+from ddpc_cosim.fmu.status import DISCARD, SUCCESS, CallError, failed_call, fmi2_callbacks, termination
 
 _LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
 _MOST_ITERATIONS = 1000
@@ -75,7 +75,7 @@ class Fmi2Slave(_Fmi2, Slave):
     def do_step(self, time: float, h: float) -> None:
         """Advance from ``time`` by ``h`` [s]."""
         status = self._do_step(time, h, 1)
-        if status > WARNING:
+        if status not in SUCCESS:
             if status == DISCARD and self._status("Boolean", _TERMINATED, ctypes.c_int()):
                 raise termination(
                     "fmi2DoStep", self._status("Real", _LAST_SUCCESSFUL_TIME, ctypes.c_double())

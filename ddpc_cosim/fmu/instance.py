@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from ddpc_cosim.fmu.description.variable_types import TYPES
 from ddpc_cosim.fmu.library import CFunction, is_missing, load_library
-from ddpc_cosim.fmu.status import FATAL, WARNING, CallError, Log, failed_call
+from ddpc_cosim.fmu.status import FATAL, SUCCESS, CallError, Log, failed_call
 
 DoubleArray = Any
 """A ctypes array of doubles."""
@@ -148,7 +148,7 @@ class Instance(ABC):
             It returned neither ok nor warning, or the library does not have it.
         """
         status = self.function(name)(self.component, *arguments)
-        if status > WARNING:
+        if status not in SUCCESS:
             raise failed_call(name, status)
 
     def free(self) -> None:
