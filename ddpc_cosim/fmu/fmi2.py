@@ -1,6 +1,7 @@
 """FMI 2.0, Co-Simulation and Model Exchange."""
 
 import ctypes
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -32,7 +33,13 @@ class _Fmi2(Instance):
     def value_arguments(self, references: Any, count: int, memory: Any) -> tuple[Any, ...]:
         return references, len(references), memory
 
-    def initialize(self, t0: float, stop_time: float | None, tolerance: float | None) -> None:
+    def initialize(
+        self,
+        t0: float,
+        stop_time: float | None,
+        tolerance: float | None,
+        set_start_values: Callable[[], None],
+    ) -> None:
         self.call(
             "fmi2SetupExperiment",
             tolerance is not None,
@@ -41,6 +48,8 @@ class _Fmi2(Instance):
             stop_time is not None,
             stop_time or 0.0,
         )
+        # Not before: in it, FMUs of 20-sim set all values to their own start values.
+        set_start_values()
         self.call("fmi2EnterInitializationMode")
 
     def complete_initialization(self) -> None:

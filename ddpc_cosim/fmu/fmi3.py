@@ -36,7 +36,14 @@ class _Fmi3(Instance):
     def complete_configuration(self) -> None:
         self.call("fmi3ExitConfigurationMode")
 
-    def initialize(self, t0: float, stop_time: float | None, tolerance: float | None) -> None:
+    def initialize(
+        self,
+        t0: float,
+        stop_time: float | None,
+        tolerance: float | None,
+        set_start_values: Callable[[], None],
+    ) -> None:
+        set_start_values()
         self.call(
             "fmi3EnterInitializationMode",
             tolerance is not None,

@@ -175,8 +175,24 @@ class Instance(ABC):
         """Return the arguments after the component of this version's getters and setters."""
 
     @abstractmethod
-    def initialize(self, t0: float, stop_time: float | None, tolerance: float | None) -> None:
-        """Enter the initialisation; start values that the standard wants before it have been set."""
+    def initialize(
+        self,
+        t0: float,
+        stop_time: float | None,
+        tolerance: float | None,
+        set_start_values: Callable[[], None],
+    ) -> None:
+        """Enter the initialisation; start values are set right before it.
+
+        Parameters
+        ----------
+        t0, stop_time : float
+            Start and end of the run [s]; None: open.
+        tolerance : float or None
+            Relative tolerance.
+        set_start_values : callable
+            Sets them. It is called last: some FMUs go back to their own start values in what comes before.
+        """
 
     @abstractmethod
     def complete_initialization(self) -> None:
