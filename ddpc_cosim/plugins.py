@@ -7,11 +7,12 @@ import importlib.metadata
 import importlib.util
 import inspect
 import pickle
+import re
 import sys
 import sysconfig
 import textwrap
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.abc import MetaPathFinder
@@ -89,7 +90,7 @@ def plugin_names(kind: str) -> list[str]:
 
 
 def load_plugin(kind: str, name: str) -> Any:
-    """Load a plug-in of a kind by name, or anything as ``module:attribute``.
+    """Load a plug-in of a kind by name, or anything as ``module:attribute`` or ``file.py:attribute``.
 
     Raises
     ------
@@ -99,6 +100,9 @@ def load_plugin(kind: str, name: str) -> Any:
     singular = {"studies": "study"}.get(kind, kind.removesuffix("s"))
     if ":" in name:
         return load_target(name, singular)
+    if name.endswith(".py"):
+        what = "model" if kind == "plants" else "class"
+        raise PluginError(f'"{name}": name the {what} in the file, for example {name}:{what.upper()}')
     matches = [entry for entry in _entry_points(kind) if entry.name == name]
     if not matches:
         raise PluginError(f'no {singular} "{name}"; {did_you_mean(name, plugin_names(kind))}')
@@ -194,23 +198,30 @@ def own_folder() -> str:
 
 
 class _OwnModules(MetaPathFinder):
-    """Finds modules of that folder, which is not in the import path: its metadata would install plug-ins."""
+    """Finds modules of that folder, which is not in the import path: its metadata would install plug-ins.
+
+    And those beside files that were loaded by their path.
+    """
+
+    def __init__(self) -> None:
+        self.beside: dict[str, None] = {}
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return how to load a top-level module that is not installed."""
-        return PathFinder.find_spec(fullname, [own_folder()]) if path is None else None
+        return PathFinder.find_spec(fullname, [own_folder(), *self.beside]) if path is None else None
 
 
 _OWN_MODULES = _OwnModules()
 
 
 def load_target(target: str, kind: str) -> Any:
-    """Load anything as ``module:attribute``; ``kind`` is what the error calls it.
+    """Load anything as ``module:attribute`` or ``file.py:attribute``; ``kind`` is what the error calls it.
 
     A module that is not installed is looked for in the study's folder, see :func:`find_modules_in`; from then
-    on what it imports is found there too, after everything that is installed.
+    on what it imports is found there too, after everything that is installed. The path of a file is relative
+    to that folder, and what the file imports is found beside it.
 
     Raises
     ------
@@ -219,6 +230,8 @@ def load_target(target: str, kind: str) -> Any:
     """
     if target in _by_value:
         return _by_value[target]
+    if is_in_file(target):
+        return _load_from_file(target, kind)
     module_name, _, attribute = target.partition(":")
     top = module_name.partition(".")[0]
     try:
@@ -232,6 +245,72 @@ def load_target(target: str, kind: str) -> Any:
         reason = f"{type(error).__name__}: {error}{_hint(error, top)}"
         raise PluginError(f'{kind} "{target}" cannot be loaded: {reason}') from error
     return value
+
+
+def is_in_file(target: str) -> bool:
+    """Whether a name is ``file.py:attribute``, and not one of a module or of an entry point."""
+    return target.rpartition(":")[0].endswith(".py")
+
+
+def name_in_file(target: str, place: Callable[[str], object]) -> str:
+    """Return a name with its file elsewhere, at ``place(path)``; one that is not in a file as it is."""
+    file, _, attribute = target.rpartition(":")
+    return f"{place(file)}:{attribute}" if is_in_file(target) else target
+
+
+def shown_name(target: str) -> str:
+    """Return a name for people, and for what must be the same wherever its file stands: without folders."""
+    return name_in_file(target, lambda file: Path(file).name)
+
+
+def _path_of(target: str) -> Path:
+    """Return the path of the file of ``file.py:attribute``."""
+    return Path(own_folder(), target.rpartition(":")[0]).resolve()
+
+
+def _module_of_file(path: Path, content: bytes) -> str:
+    """Return the name of a file's module: the same on every machine, unless two files have one content."""
+    name = f"{re.sub(r'[^0-9A-Za-z_]', '_', path.stem)}_{hashlib.sha256(content).hexdigest()[:16]}"
+    other = getattr(sys.modules.get(name), "__file__", None) or path
+    return name if Path(other) == path else f"{name}_{hashlib.sha256(str(path).encode()).hexdigest()[:16]}"
+
+
+def _load_from_file(target: str, kind: str) -> Any:
+    """Load ``file.py:attribute``; errors as of :func:`load_target`."""
+    path, (file, _, attribute) = _path_of(target), target.rpartition(":")
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        reason = "no such file" if isinstance(error, FileNotFoundError) else error.strerror
+        raise PluginError(f'"{file}": {reason}') from error
+    name = _module_of_file(path, content)
+    try:
+        value: Any = sys.modules.get(name) or _run_file(name, path, content)
+    except (Exception, SystemExit) as error:  # a user's file can fail in any way
+        raise PluginError(f'{kind} "{target}" cannot be loaded: {type(error).__name__}: {error}') from error
+    for part in attribute.split("."):
+        if not hasattr(value, part):
+            names = ", ".join(one for one in vars(value) if not one.startswith("_"))
+            raise PluginError(f'"{file}" has no "{attribute}"; it has: {names or "nothing"}')
+        value = getattr(value, part)
+    return value
+
+
+def _run_file(name: str, path: Path, content: bytes) -> ModuleType:
+    """Make a module of a file. Python's cache of byte code would take two texts of one second for one."""
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None:
+        raise ImportError("it is not a Python file")
+    if _OWN_MODULES not in sys.meta_path:
+        sys.meta_path.append(_OWN_MODULES)
+    _OWN_MODULES.beside[str(path.parent)] = None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    try:
+        exec(compile(content, path, "exec"), vars(module))
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
 
 
 def _hint(error: BaseException, top: str) -> str:
@@ -298,10 +377,35 @@ def keep_values(values: Mapping[str, Any]) -> None:
 
 def own_files(targets: Iterable[str]) -> dict[str, Path]:
     """Return the files of the study's folder that names (``module:attribute``) consist of, by path in it."""
-    modules = {target.partition(":")[0].partition(".")[0] for target in targets if ":" in target}
+    modules = {_top_module(target) for target in targets if ":" in target}
     files = [file for name in modules & sys.modules.keys() for _, file in _source_files(sys.modules[name])]
     folder = Path(own_folder())
     return {f.relative_to(folder).as_posix(): f for f in files if f.is_relative_to(folder)}
+
+
+def _top_module(target: str) -> str:
+    """Return the top-level module that a name is of; empty for a file that is not there."""
+    if not is_in_file(target):
+        return target.partition(":")[0].partition(".")[0]
+    path = _path_of(target)
+    return _module_of_file(path, path.read_bytes()) if path.is_file() else ""
+
+
+def names_in(folder: str, targets: Iterable[str]) -> dict[str, str]:
+    """Return names of files below a folder, by name, with paths relative to it."""
+    found = {target: _path_of(target) for target in targets if is_in_file(target)}
+    return {
+        target: name_in_file(target, lambda _: path.relative_to(folder).as_posix())  # noqa: B023 - at once
+        for target, path in found.items()
+        if path.is_relative_to(folder)
+    }
+
+
+def folders_of(targets: Iterable[str]) -> list[str]:
+    """Return the folders that names read code from: that of the study, and those of files."""
+    named = [target for target in targets if ":" in target]
+    files = [str(_path_of(target).parent) for target in named if is_in_file(target)]
+    return list(dict.fromkeys(([own_folder()] if named else []) + files))
 
 
 _CODE = (".py", *EXTENSION_SUFFIXES)

@@ -113,6 +113,10 @@ class SettingInfo:
     file : bool
         Whether the value is the path of a file: in a study, it is relative to the study, ``"{plant}"`` is the
         FMU of the plant, and the file's content is part of what decides a result.
+    plant : bool
+        Whether the value is the name of a plant: in a study, an empty one stands for that of the study's own
+        plant where it has one, ``file.py:MODEL`` is relative to the study, and what the plant consists of is
+        part of what decides a result.
     search : Linear, Log, Factor, Integer, Choice or None
         Where ``ddpc-cosim tune`` looks for a better value; None: it does not.
     predicts : bool or mapping of str to Any
@@ -128,6 +132,7 @@ class SettingInfo:
     unit: str = ""
     kind: type[Any] | None = None
     file: bool = False
+    plant: bool = False
     search: Search | None = None
     predicts: bool | Mapping[str, Any] = False
 
@@ -156,6 +161,7 @@ def setting(
     unit: str = "",
     kind: type[Any] | None = None,
     file: bool = False,
+    plant: bool = False,
     search: Search | None = None,
     predicts: bool | Mapping[str, Any] = False,
     default_factory: Any = dataclasses.MISSING,
@@ -166,10 +172,10 @@ def setting(
     ----------
     default, default_factory
         As in :func:`dataclasses.field`; without either the setting is required.
-    doc, low, high, above, choices, unit, kind, file, search, predicts
+    doc, low, high, above, choices, unit, kind, file, plant, search, predicts
         See :class:`SettingInfo`.
     """
-    info = SettingInfo(doc, low, high, above, tuple(choices), unit, kind, file, search, predicts)
+    info = SettingInfo(doc, low, high, above, tuple(choices), unit, kind, file, plant, search, predicts)
     return dataclasses.field(default=default, default_factory=default_factory, metadata={"setting": info})
 
 
@@ -392,9 +398,25 @@ def map_files(plugin: type[Any], settings: Mapping[str, Any], change: Callable[[
     change : callable
         Called with each path, or ``PLANT``; returns what takes its place.
     """
+    return _mapped(plugin, settings, change, lambda info: info.file)
+
+
+def map_plants(
+    plugin: type[Any], settings: Mapping[str, Any], change: Callable[[str], str]
+) -> dict[str, Any]:
+    """Return the same with every name of a plant changed; ``change`` is called with empty ones too."""
+    return _mapped(plugin, settings, change, lambda info: info.plant)
+
+
+_Which = Callable[[SettingInfo], bool]
+
+
+def _mapped(
+    plugin: type[Any], settings: Mapping[str, Any], change: Callable[[str], str], which: _Which
+) -> dict[str, Any]:
     declared = declared_settings(plugin)
     return {
-        name: _entry(value, change, is_file=name in declared and declared[name].file)
+        name: _entry(value, change, which, is_meant=name in declared and which(declared[name]))
         if isinstance(value, str | list | dict)
         else value
         for name, value in settings.items()
@@ -413,6 +435,18 @@ def files_of(plugin: type[Any], settings: Mapping[str, Any]) -> list[str]:
     return found
 
 
+def plants_of(plugin: type[Any], settings: Mapping[str, Any]) -> list[str]:
+    """Return the plants that the plain settings of a plug-in class name; an empty one is the study's own."""
+    found: list[str] = []
+
+    def note(name: str) -> str:
+        found.append(name)
+        return name
+
+    map_plants(plugin, settings, note)
+    return found
+
+
 def hash_of_file(path: str) -> str:
     """Return a hash of a file's content; empty if it is not there."""
     if not Path(path).is_file():
@@ -427,12 +461,12 @@ def _hash(path: str, size: int, changed: int) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
-def _entry(value: Any, change: Callable[[str], str], *, is_file: bool) -> Any:
+def _entry(value: Any, change: Callable[[str], str], which: _Which, *, is_meant: bool) -> Any:
     if isinstance(value, str):
-        return change(value) if is_file else value
+        return change(value) if is_meant else value
     if isinstance(value, list):
-        return [_entry(item, change, is_file=is_file) for item in value]
+        return [_entry(item, change, which, is_meant=is_meant) for item in value]
     if isinstance(value, dict) and "type" in value:
         entries = {name: entry for name, entry in value.items() if name != "type"}
-        return {"type": value["type"], **map_files(_load_class(value["type"]), entries, change)}
+        return {"type": value["type"], **_mapped(_load_class(value["type"]), entries, change, which)}
     return value

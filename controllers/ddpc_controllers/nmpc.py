@@ -52,7 +52,10 @@ class NMPC(Exportable):
     accepts_missing: ClassVar[bool] = True
 
     model: str = setting(
-        "", doc="the plant: its name or module:MODEL; empty: the installed one that `fmu` was exported from"
+        "",
+        plant=True,
+        doc="the plant: its name, module:MODEL or file.py:MODEL; empty: that of the study, else the "
+        "installed one that `fmu` was exported from",
     )
     fmu: str = setting(
         "{plant}", file=True, doc='path of an FMU; in a study, "{plant}" is the FMU it controls'

@@ -1,16 +1,12 @@
 """``ddpc-cosim export`` and ``ddpc-cosim export-controller``."""
 
-import importlib.util
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from ddpc_cosim.cli.output import say
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.run import warnings_in_one_line
-from ddpc_cosim.errors import ConfigError, CosimError, PluginError
+from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.plugins import find_modules_in, load_plugin
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.texts import printable
@@ -45,8 +41,9 @@ def export_command(target: str, fmi_version: str, out: Path | None, platforms: s
     from fmu_plants import ExportError, ModelError, PlantModel, export_fmu
     from fmu_plants.model import ExportUsageError
 
+    find_modules_in(Path.cwd())
     with shown(f"loading {target}"):
-        model = _load(target)
+        model = load_plugin("plants", target)
     if not isinstance(model, PlantModel) and not all(hasattr(model, matrix) for matrix in _MATRICES):
         raise ConfigError(
             f'plant "{target}" is not given by equations (a PlantModel or a state-space model), '
@@ -86,43 +83,3 @@ def export_controller_command(
 
 def _say(line: str) -> None:
     say(line, err=True)
-
-
-def _load(target: str) -> Any:
-    """Load a plant by name, from a module, or from a file."""
-    file, _, attribute = target.rpartition(":")
-    if target.endswith(".py"):
-        raise ConfigError(f'"{target}": name the model in the file, for example {target}:MODEL')
-    if file.endswith(".py"):
-        return _load_from_file(Path(file), attribute)
-    find_modules_in(Path.cwd())
-    return load_plugin("plants", target)
-
-
-def _load_from_file(path: Path, attribute: str) -> Any:
-    if not path.is_file():
-        raise ConfigError(f'"{path}": no such file')
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise PluginError(f'"{path}" is not a Python file')
-    module = importlib.util.module_from_spec(spec)
-    with _importable(path.parent.resolve()):
-        try:
-            spec.loader.exec_module(module)
-        except Exception as error:  # a user's file can fail in any way
-            raise PluginError(f'"{path}" cannot be loaded: {type(error).__name__}: {error}') from error
-    if not hasattr(module, attribute):
-        names = ", ".join(name for name in vars(module) if not name.startswith("_"))
-        raise PluginError(f'"{path}" has no "{attribute}"; it has: {names or "nothing"}')
-    return getattr(module, attribute)
-
-
-@contextmanager
-def _importable(folder: Path) -> Iterator[None]:
-    """Let modules of a folder be imported, after everything that is installed."""
-    before = [*sys.path]
-    sys.path.append(str(folder))
-    try:
-        yield
-    finally:
-        sys.path[:] = before

@@ -27,7 +27,7 @@ from ddpc_cosim.fmu.description import (
 )
 from ddpc_cosim.fmu.description.variable_types import Values, integer_range
 from ddpc_cosim.fmu.instance import Instance, ValueType, reference_array
-from ddpc_cosim.fmu.status import WARNING, CallError, failed_call
+from ddpc_cosim.fmu.status import SUCCESS, CallError, failed_call
 from ddpc_cosim.plant import ParameterValue as Value
 from ddpc_cosim.variables import FloatArray
 from fmu_plants.spelling import did_you_mean
@@ -77,13 +77,13 @@ class Block:
     def write(self) -> None:
         """Pass the memory to the FMU."""
         status = self.set()
-        if status > WARNING:
+        if status not in SUCCESS:
             raise failed_call(self.names.set, status)
 
     def read(self) -> None:
         """Let the FMU fill the memory."""
         status = self.get()
-        if status > WARNING:
+        if status not in SUCCESS:
             raise failed_call(self.names.get, status)
 
     def accept(self, u: FloatArray) -> None:

@@ -1,6 +1,7 @@
 """FMI 1.0, Co-Simulation and Model Exchange."""
 
 import ctypes
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,7 @@ from ddpc_cosim.fmu.instance import (
     Slave,
     value_types,
 )
-from ddpc_cosim.fmu.status import FMI1_CALLBACKS, WARNING, CallError, failed_call
+from ddpc_cosim.fmu.status import FMI1_CALLBACKS, SUCCESS, CallError, failed_call
 
 # fmiBoolean is a char; numbers are wanted here, and bytes there.
 _BOOLEAN = ctypes.c_int8
@@ -43,8 +44,15 @@ class Fmi1Slave(_Fmi1, Slave):
         super().__init__(origin)
         self._do_step = partial(self.function("fmi1DoStep"), self.component)
 
-    def initialize(self, t0: float, stop_time: float | None, tolerance: float | None) -> None:
+    def initialize(
+        self,
+        t0: float,
+        stop_time: float | None,
+        tolerance: float | None,
+        set_start_values: Callable[[], None],
+    ) -> None:
         """Initialise; FMI 1.0 takes no tolerance."""
+        set_start_values()
         stop = (_FALSE, 0.0) if stop_time is None else (_TRUE, stop_time)
         self.call("fmi1InitializeSlave", t0, *stop)
 
@@ -58,7 +66,7 @@ class Fmi1Slave(_Fmi1, Slave):
     def do_step(self, time: float, h: float) -> None:
         """Advance from ``time`` by ``h`` [s]."""
         status = self._do_step(time, h, _TRUE)
-        if status > WARNING:
+        if status not in SUCCESS:
             raise failed_call("fmiDoStep", status)
 
 
@@ -87,9 +95,16 @@ class Fmi1Model(_Fmi1, Model):
         self._sizes = (states, event_indicators)
         self._wants_event = ctypes.c_char()
 
-    def initialize(self, t0: float, stop_time: float | None, tolerance: float | None) -> None:
+    def initialize(
+        self,
+        t0: float,
+        stop_time: float | None,
+        tolerance: float | None,
+        set_start_values: Callable[[], None],
+    ) -> None:
         """Initialise; the first events are handled by the first update."""
         self.set_time(t0)
+        set_start_values()
         tolerances = (_FALSE, 0.0) if tolerance is None else (_TRUE, tolerance)
         self._info = fmpy.fmi1.fmi1EventInfo()
         self.call("fmi1Initialize", *tolerances, ctypes.byref(self._info))

@@ -1,6 +1,7 @@
 """FMI 2.0, Co-Simulation and Model Exchange."""
 
 import ctypes
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,7 @@ from ddpc_cosim.fmu.instance import (
     Slave,
     value_types,
 )
-from ddpc_cosim.fmu.status import DISCARD, WARNING, CallError, failed_call, fmi2_callbacks, termination
+from ddpc_cosim.fmu.status import DISCARD, SUCCESS, CallError, failed_call, fmi2_callbacks, termination
 
 _LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
 _MOST_ITERATIONS = 1000
@@ -32,7 +33,13 @@ class _Fmi2(Instance):
     def value_arguments(self, references: Any, count: int, memory: Any) -> tuple[Any, ...]:
         return references, len(references), memory
 
-    def initialize(self, t0: float, stop_time: float | None, tolerance: float | None) -> None:
+    def initialize(
+        self,
+        t0: float,
+        stop_time: float | None,
+        tolerance: float | None,
+        set_start_values: Callable[[], None],
+    ) -> None:
         self.call(
             "fmi2SetupExperiment",
             tolerance is not None,
@@ -41,6 +48,8 @@ class _Fmi2(Instance):
             stop_time is not None,
             stop_time or 0.0,
         )
+        # Not before: in it, FMUs of 20-sim set all values to their own start values.
+        set_start_values()
         self.call("fmi2EnterInitializationMode")
 
     def complete_initialization(self) -> None:
@@ -75,7 +84,7 @@ class Fmi2Slave(_Fmi2, Slave):
     def do_step(self, time: float, h: float) -> None:
         """Advance from ``time`` by ``h`` [s]."""
         status = self._do_step(time, h, 1)
-        if status > WARNING:
+        if status not in SUCCESS:
             if status == DISCARD and self._status("Boolean", _TERMINATED, ctypes.c_int()):
                 raise termination(
                     "fmi2DoStep", self._status("Real", _LAST_SUCCESSFUL_TIME, ctypes.c_double())

@@ -14,7 +14,7 @@ from ddpc_cosim.fmu.instance import (
     reference_array,
     value_types,
 )
-from ddpc_cosim.fmu.status import DISCARD, WARNING, CallError, failed_call, fmi3_logger, termination
+from ddpc_cosim.fmu.status import DISCARD, SUCCESS, CallError, failed_call, fmi3_logger, termination
 
 _MOST_ITERATIONS = 1000
 
@@ -36,7 +36,14 @@ class _Fmi3(Instance):
     def complete_configuration(self) -> None:
         self.call("fmi3ExitConfigurationMode")
 
-    def initialize(self, t0: float, stop_time: float | None, tolerance: float | None) -> None:
+    def initialize(
+        self,
+        t0: float,
+        stop_time: float | None,
+        tolerance: float | None,
+        set_start_values: Callable[[], None],
+    ) -> None:
+        set_start_values()
         self.call(
             "fmi3EnterInitializationMode",
             tolerance is not None,
@@ -128,7 +135,7 @@ class Fmi3Slave(_Fmi3, Slave):
     def do_step(self, time: float, h: float) -> None:
         """Advance from ``time`` by ``h`` [s]; a step that returns early is continued."""
         status = self._do_step(self.component, time, h, True, *self._results)
-        if status > WARNING:
+        if status not in SUCCESS:
             if status == DISCARD and self._terminate.value:
                 raise termination("fmi3DoStep", self._reached.value)
             raise failed_call("fmi3DoStep", status)

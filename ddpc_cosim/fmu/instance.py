@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from ddpc_cosim.fmu.description.variable_types import TYPES
 from ddpc_cosim.fmu.library import CFunction, is_missing, load_library
-from ddpc_cosim.fmu.status import FATAL, WARNING, CallError, Log, failed_call
+from ddpc_cosim.fmu.status import FATAL, SUCCESS, CallError, Log, failed_call
 
 DoubleArray = Any
 """A ctypes array of doubles."""
@@ -148,7 +148,7 @@ class Instance(ABC):
             It returned neither ok nor warning, or the library does not have it.
         """
         status = self.function(name)(self.component, *arguments)
-        if status > WARNING:
+        if status not in SUCCESS:
             raise failed_call(name, status)
 
     def free(self) -> None:
@@ -175,8 +175,24 @@ class Instance(ABC):
         """Return the arguments after the component of this version's getters and setters."""
 
     @abstractmethod
-    def initialize(self, t0: float, stop_time: float | None, tolerance: float | None) -> None:
-        """Enter the initialisation; start values that the standard wants before it have been set."""
+    def initialize(
+        self,
+        t0: float,
+        stop_time: float | None,
+        tolerance: float | None,
+        set_start_values: Callable[[], None],
+    ) -> None:
+        """Enter the initialisation; start values are set right before it.
+
+        Parameters
+        ----------
+        t0, stop_time : float
+            Start and end of the run [s]; None: open.
+        tolerance : float or None
+            Relative tolerance.
+        set_start_values : callable
+            Sets them. It is called last: some FMUs go back to their own start values in what comes before.
+        """
 
     @abstractmethod
     def complete_initialization(self) -> None:

@@ -217,8 +217,9 @@ class FMUSession:
         instance = self._instantiate()
         with self._told():
             values.set_structural(instance)
-            values.set_before_initialization(instance)
-            instance.initialize(t0, stop_time, fmu.tolerance)
+            instance.initialize(
+                t0, stop_time, fmu.tolerance, lambda: values.set_before_initialization(instance)
+            )
             instance.complete_initialization()
             self._may_terminate = True
             self._shapes = values.shapes

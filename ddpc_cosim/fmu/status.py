@@ -18,7 +18,9 @@ import fmpy.fmi3
 from ddpc_cosim.errors import StepStatus
 
 STATUS_WORDS = ("ok", "warning", "discard", "error", "fatal", "pending")
-WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
+OK, WARNING, DISCARD, ERROR, FATAL = range(5)
+SUCCESS = frozenset((OK, WARNING))
+"""The statuses of a call that has done what it should; any other number is a failure, also a negative one."""
 
 _STATUS = {DISCARD: StepStatus.DISCARD, FATAL: StepStatus.FATAL}
 
@@ -63,7 +65,7 @@ class CallError(Exception):
 
 
 def failed_call(function: str, status: int) -> CallError:
-    """Return the error for a status that is neither ok nor warning."""
+    """Return the error for a status that is not among :data:`SUCCESS`."""
     return CallError(f"{function} returned {status_word(status)}", status)
 
 

@@ -27,13 +27,13 @@ from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.master import EARLY, OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.plugins import code_version, own_folder, types_in, values_of
+from ddpc_cosim.plugins import code_version, folders_of, own_folder, types_in, values_of
 from ddpc_cosim.processes.rows import RowStore
-from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files
+from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files, map_plants, plants_of
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference
 from ddpc_cosim.study.case_files import DOING_NOTHING
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
-from ddpc_cosim.study.plants import PlantSpec
+from ddpc_cosim.study.plants import PlantSpec, content_of_plant
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import FloatArray, Variable, names
 from fmu_plants.spelling import did_you_mean
@@ -258,6 +258,7 @@ def _code_and_files(case: Case) -> dict[str, Any]:
     return {
         "code": [code_version(kind) for kind in types_in(_sections(case))],
         "files": [[hash_of_file(path) for path in paths] for paths in _files(case)],
+        "plants": [content_of_plant(name) for name in _plants(case) if name],
     }
 
 
@@ -273,6 +274,16 @@ def _files(case: Case) -> list[list[str]]:
     return [[path for path in paths if path != PLANT] for paths in named]
 
 
+def _plants(case: Case) -> list[str]:
+    """Return the plants that the settings of a case's controllers name; an empty one is the case's own."""
+    return [
+        name
+        for one in _sections(case)
+        if one["type"]
+        for name in plants_of(controller_class(one["type"]), one["settings"])
+    ]
+
+
 def data_files(case: Case) -> list[str]:
     """Return the paths of the files that a case reads: FMUs and files that settings name."""
     return [path for paths in (case.plant.files, *_files(case)) for path in paths]
@@ -280,8 +291,7 @@ def data_files(case: Case) -> list[str]:
 
 def files_read(case: Case) -> list[Path]:
     """Return what a case reads besides what is installed: FMUs, files of settings, the study's modules."""
-    modules = [own_folder()] if any(":" in name for name in plugins_in(case)) else []
-    return [Path(path) for path in (*data_files(case), *modules)]
+    return [Path(path) for path in (*data_files(case), *folders_of(plugins_in(case)))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,8 +323,14 @@ class Surroundings:
 
 def plugins_in(case: Case) -> Iterator[str]:
     """Yield the names of the plug-ins that a case is made of."""
-    yield from case.plant.plugins
+    yield from plants_in(case)
     yield from types_in(_sections(case))
+
+
+def plants_in(case: Case) -> Iterator[str]:
+    """Yield those of plants: of the case's own, and of those that its controllers look at."""
+    yield from case.plant.plugins
+    yield from filter(None, (name or case.plant.name for name in _plants(case)))
 
 
 def _hash_of(case: Case, content: Mapping[str, Any]) -> "hashlib._Hash":
@@ -447,13 +463,13 @@ def _not_begun(case: Case, error: CosimError) -> Trace:
 
 
 def _controller(section: Mapping[str, Any], plant: PlantSpec) -> Controller | None:
-    """Return a controller that finds the plant's FMU where its settings ask for it; None for no type."""
+    """Return a controller whose settings have the plant, or its FMU, where they ask for it; None: no type."""
     kind = section["type"]
     if not kind:
         return None
-    settings = map_files(
-        controller_class(kind), section["settings"], lambda path: plant.fmu if path == PLANT else path
-    )
+    chosen = controller_class(kind)
+    settings = map_files(chosen, section["settings"], lambda path: plant.fmu if path == PLANT else path)
+    settings = map_plants(chosen, settings, lambda name: name or plant.name)
     return safe_calls.make_controller(partial(make_controller, kind, settings), kind)
 
 

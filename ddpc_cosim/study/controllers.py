@@ -19,6 +19,7 @@ from ddpc_cosim.settings import (
     SettingsError,
     is_plain,
     map_files,
+    map_plants,
 )
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.file_format.sections import (
@@ -32,6 +33,7 @@ from ddpc_cosim.study.file_format.validation_errors import (
     ValidationErrors,
     in_folder,
     independent,
+    plant_in_folder,
 )
 from fmu_plants.files import is_file
 
@@ -185,6 +187,7 @@ def _build(
         kind = controller_class(section.type)  # here: not every module can be imported in another thread
         with suppress(PluginError):  # of a class among the settings: making it tells where
             given = map_files(kind, given, absolute)
+            given = map_plants(kind, given, lambda name: plant_in_folder(folder, name))
         if section.type in late:
             return named._replace(settings=given, late=late[section.type])
         controller, settings, uses_recording, horizon = in_time(asked)

@@ -15,7 +15,7 @@ from ddpc_cosim.coupling.wiring import Connection
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.plant import FMIType, ParameterValue
-from ddpc_cosim.plugins import name_of
+from ddpc_cosim.plugins import name_in_file, name_of
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
@@ -297,7 +297,7 @@ def _plant(plant: Any, key: str) -> Table:
     if path is not None and (suffix in (".fmu", ".ssp") or isinstance(plant, PathLike)):
         return {"ssp" if suffix == ".ssp" else "fmu": str(Path(path).resolve())}
     if isinstance(plant, str):
-        return {key: plant}
+        return {key: name_in_file(plant, lambda file: Path(file).resolve())}
     return {key: name_of("plants", plant, getattr(plant, "name", type(plant).__name__))}
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from ddpc_cosim.coupling.specification import CoupledSpec, Experiment
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
-from ddpc_cosim.plugins import hash_of_code, load_plugin
+from ddpc_cosim.plugins import hash_of_code, is_in_file, load_plugin, shown_name
 from ddpc_cosim.safe_calls import (
     close_plant,
     feedthrough_of_plant,
@@ -49,7 +49,7 @@ class PlantSpec:
     Parameters
     ----------
     name : str
-        The plug-in's name or ``module:attribute``; empty for a supplied FMU.
+        The plug-in's name, ``module:attribute`` or ``file.py:attribute``; empty for a supplied FMU.
     fmu : str
         Absolute path of the FMU; empty for a Python class, and for equations until :meth:`built`.
     isolated : bool
@@ -104,10 +104,11 @@ class PlantSpec:
         """
         from ddpc_cosim.study.file_format.validation_errors import (
             in_folder,  # a worker, which opens plants, does without
+            plant_in_folder,
         )
 
         spec = cls(
-            name=section.name,
+            name=plant_in_folder(folder, section.name),
             fmu=str(in_folder(folder, section.fmu)) if section.fmu else "",
             fmi_type=section.fmi_type,
             display_units=section.display_units,
@@ -167,7 +168,11 @@ class PlantSpec:
     @property
     def label(self) -> str:
         """What it is called: a plug-in's name, an FMU's file, or those of its parts."""
-        return self.name or Path(self.fmu).name or ", ".join(self.coupled.parts if self.coupled else ())
+        return (
+            shown_name(self.name)
+            or Path(self.fmu).name
+            or ", ".join(self.coupled.parts if self.coupled else ())
+        )
 
     def starting_at(self, start: Mapping[str, float]) -> Self:
         """Return the plant, which is built, with other start values of inputs, by name."""
@@ -182,7 +187,7 @@ class PlantSpec:
     def moved(self, place: Callable[[str], str]) -> Self:
         """Return the plant with its FMUs elsewhere: at ``place(path)``."""
         if self.coupled is None:
-            return replace(self, fmu=place(self.fmu))
+            return replace(self, name=place(self.name), fmu=place(self.fmu))
         parts = {name: part.moved(place) for name, part in self.coupled.parts.items()}
         return replace(self, coupled=replace(self.coupled, parts=parts))
 
@@ -221,7 +226,10 @@ class PlantSpec:
             return replace(self, coupled=coupled, content=coupled.content + self._shown())
         if not self.is_fmu:
             plugin = self._plugin()
-            content = f"{plugin.__module__}:{plugin.__qualname__} {hash_of_code(self.name, plugin)}"
+            named = f"{plugin.__module__}:{plugin.__qualname__}"
+            if is_in_file(self.name):  # wherever that stands
+                named = shown_name(self.name)
+            content = f"{named} {hash_of_code(self.name, plugin)}"
             return replace(self, content=content + self._shown())
         if self.fmu:
             self._check_library()
@@ -324,6 +332,14 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
         parameters |= {f"{name}.{key}": value for key, value in own.parameters.items()}
     options |= {"steps": steps} if steps else {}
     return CoupledSpec(parts, tuple(connections), connectors, options, parameters, experiment)
+
+
+def content_of_plant(name: str) -> str:
+    """Return what decides the behaviour of a plant that a setting names; why, where it cannot be told."""
+    try:
+        return PlantSpec(name, "").built().content
+    except CosimError as error:
+        return str(error)
 
 
 def _build(model: Any) -> Path:

@@ -58,6 +58,11 @@ class Fault(IntEnum):
     OPEN_A_SOCKET = auto()
     NEEDS_EVENT_MODE = auto()
     NO_CO_SIMULATION = auto()
+    MINUS_ONE_IN_STEP = auto()
+    MINUS_ONE_IN_INITIALIZATION = auto()
+    MINUS_ONE_WHEN_READ = auto()
+    MINUS_ONE_WHEN_SET = auto()
+    FORGETS_IN_SET_UP = auto()
 
 
 @dataclass(frozen=True)

@@ -85,9 +85,10 @@ static void tell(Model *m, EventInfo *info, int jumped)
 }
 EXPORT int models_fmiInitialize(void *c, char tolerance_controlled, double tolerance, EventInfo *info)
 {
+    int status = set_up(c, ((Model *)c)->time, INFINITY);
     initialise(c);
     tell(c, info, 0);
-    return 0;
+    return status;
 }
 EXPORT int models_fmiEventUpdate(void *c, char intermediate, EventInfo *info)
 {
@@ -123,8 +124,7 @@ EXPORT int models_fmiGetNominalContinuousStates(void *c, double x[], size_t n)
 }
 EXPORT int models_fmiGetDerivatives(void *c, double dx[], size_t n)
 {
-    derivatives(c, dx);
-    return 0;
+    return derivatives(c, dx);
 }
 EXPORT int models_fmiGetEventIndicators(void *c, double z[], size_t n)
 {

@@ -30,6 +30,7 @@ EXPORT void fmi2FreeInstance(void *c) { destroy(c); }
 EXPORT int fmi2SetupExperiment(void *c, int tolerance_defined, double tolerance, double start, int stop_defined,
                                double stop)
 {
+    forget(c);
     ((Model *)c)->time = start;
     ((Model *)c)->stop = stop_defined ? stop : INFINITY;
     return 0;
@@ -133,8 +134,7 @@ EXPORT int fmi2GetDerivatives(void *c, double dx[], size_t n)
     /* Where the input is 99, evaluation fails. */
     if (((Model *)c)->values[U] == 99.0)
         return 3;
-    derivatives(c, dx);
-    return 0;
+    return derivatives(c, dx);
 }
 EXPORT int fmi2GetEventIndicators(void *c, double z[], size_t n)
 {

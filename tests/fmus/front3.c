@@ -70,7 +70,7 @@ EXPORT int fmi3Terminate(void *c) { return terminate(c); }
         for (size_t i = 0; i < n && m->kind != FEED; i++) {                                                        \
             double real = (double)value[i];                                                                        \
             int status = set_reals(m, &vr[i], 1, &real);                                                           \
-            if (status > WARNING)                                                                                  \
+            if (status != OK && status != WARNING)                                                                 \
                 return status;                                                                                     \
         }                                                                                                          \
         return OK;                                                                                                 \
@@ -81,8 +81,9 @@ EXPORT int fmi3Terminate(void *c) { return terminate(c); }
         const c_type *begin = value;                                                                               \
         for (size_t i = 0; i < n; i++) {                                                                           \
             double real = 0.0;                                                                                     \
-            if (m->kind != FEED && get_reals(m, &vr[i], 1, &real) != OK)                                           \
-                return ERROR;                                                                                      \
+            int status = m->kind == FEED ? OK : get_reals(m, &vr[i], 1, &real);                                    \
+            if (status != OK)                                                                                      \
+                return status;                                                                                     \
             for (size_t j = 0; m->kind == FEED && j < feed_length(m, vr[i]); j++)                                  \
                 *value++ = m->feed[vr[i]][j].member;                                                               \
             if (m->kind != FEED)                                                                                   \
@@ -203,8 +204,7 @@ EXPORT int fmi3GetNominalsOfContinuousStates(void *c, double x[], size_t n)
 }
 EXPORT int fmi3GetContinuousStateDerivatives(void *c, double dx[], size_t n)
 {
-    derivatives(c, dx);
-    return 0;
+    return derivatives(c, dx);
 }
 EXPORT int fmi3GetEventIndicators(void *c, double z[], size_t n)
 {

@@ -37,6 +37,23 @@ static void say(const Model *m, int status, const char *message)
         m->logging.say(&m->logging, status, message);
 }
 
+static void set_start_values(Model *m)
+{
+    m->values[U] = m->values[V] = m->values[NAME_LENGTH] = 0.0;
+    m->values[X] = m->kind == BALL ? 1.0 : 0.0;
+    m->values[GRAVITY] = 9.81;
+    m->values[RESTITUTION] = 0.7;
+    m->values[RATE] = 1.0;
+    m->values[COUNT] = m->kind == INTEGRATOR ? 2.0 : 0.0;
+    m->values[ON] = 1.0;
+}
+
+void forget(Model *m)
+{
+    if (m->values[FAULT] == FORGETS_IN_SET_UP)
+        set_start_values(m);
+}
+
 Model *create(const char *token, Logging logging)
 {
     static const char *const names[] = {"lag", "ball", "stair", "relay", "integrator", "feed", "counter",
@@ -54,12 +71,7 @@ Model *create(const char *token, Logging logging)
     m->logging = logging;
     m->next_event = -1.0;
     m->stop = INFINITY;
-    m->values[X] = m->kind == BALL ? 1.0 : 0.0;
-    m->values[GRAVITY] = 9.81;
-    m->values[RESTITUTION] = 0.7;
-    m->values[RATE] = 1.0;
-    m->values[COUNT] = m->kind == INTEGRATOR ? 2.0 : 0.0;
-    m->values[ON] = 1.0;
+    set_start_values(m);
     m->values[FAULT] = fault ? atoi(fault + 1) : NO_FAULT;
     m->values[FAULT_TIME] = fault ? 0.5 : 0.0;
     m->feed[FEED_SIZE][0].i64 = 2;
@@ -165,6 +177,7 @@ static int misbehave_in_step(Model *m)
     case RETURN_ERROR: say(m, ERROR, "division by zero"); return ERROR;
     case RETURN_FATAL: return FATAL;
     case RETURN_ILLEGAL: return ILLEGAL;
+    case MINUS_ONE_IN_STEP: return MINUS_ONE;
     case RETURN_DISCARD: return DISCARD;
     case DISCARD_AND_TERMINATE: m->terminate = 1; return DISCARD;
     case ASK_TO_TERMINATE: m->terminate = 1; return OK;
@@ -198,7 +211,7 @@ int set_up(Model *m, double time, double stop)
         hang();
     if (fault == CRASH_IN_INITIALIZATION)
         *nowhere = 1;
-    return fault == ERROR_IN_INITIALIZATION ? ERROR : OK;
+    return fault == ERROR_IN_INITIALIZATION ? ERROR : fault == MINUS_ONE_IN_INITIALIZATION ? MINUS_ONE : OK;
 }
 
 void initialise(Model *m)
@@ -218,6 +231,12 @@ int terminate(Model *m)
     return OK;
 }
 
+/* Whether the model has a fault, and the time for it has come. */
+static bool shows(const Model *m, Fault fault)
+{
+    return m->values[FAULT] == fault && m->time > m->values[FAULT_TIME] - 1e-9;
+}
+
 int set_reals(Model *m, const unsigned references[], size_t n, const double values[])
 {
     for (size_t i = 0; i < n; i++) {
@@ -228,7 +247,7 @@ int set_reals(Model *m, const unsigned references[], size_t n, const double valu
         if (r != RESTITUTION || values[i] != 0.123)
             m->values[r] = values[i];
     }
-    return m->values[FAULT] == WARNING_WHEN_SET ? WARNING : OK;
+    return shows(m, MINUS_ONE_WHEN_SET) ? MINUS_ONE : m->values[FAULT] == WARNING_WHEN_SET ? WARNING : OK;
 }
 
 int get_reals(const Model *m, const unsigned references[], size_t n, double values[])
@@ -241,7 +260,7 @@ int get_reals(const Model *m, const unsigned references[], size_t n, double valu
                     : references[i] == COPY ? v[X]
                                             : v[references[i]];
     }
-    return v[FAULT] == ERROR_WHEN_READ && m->time > v[FAULT_TIME] - 1e-9 ? ERROR : OK;
+    return shows(m, ERROR_WHEN_READ) ? ERROR : shows(m, MINUS_ONE_WHEN_READ) ? MINUS_ONE : OK;
 }
 
 /* References are unique among variables of one type, no more than that: 0 is a real input too. */
@@ -282,18 +301,21 @@ int step(Model *m, double time, double h)
 
 size_t states(const Model *m) { return m->kind == STAIR || m->kind == CLOCKED ? 0 : m->kind == BALL ? 2 : 1; }
 
-void derivatives(Model *m, double dx[])
+int derivatives(Model *m, double dx[])
 {
     double *v = m->values;
+    if (shows(m, MINUS_ONE_IN_STEP))
+        return MINUS_ONE;
     switch (m->kind) {
     case LAG: v[DX] = v[RATE] * (v[U] - v[X]); break;
     case BALL: v[DX] = v[V]; v[DV] = v[U] - v[GRAVITY]; break;
     case RELAY: v[DX] = v[RATE]; break;
-    default: return;
+    default: return OK;
     }
     dx[0] = v[DX];
     if (m->kind == BALL)
         dx[1] = v[DV];
+    return OK;
 }
 
 void event_indicators(const Model *m, double z[]) { z[0] = m->values[X]; }
@@ -301,7 +323,7 @@ void event_indicators(const Model *m, double z[]) { z[0] = m->values[X]; }
 int handle_event(Model *m)
 {
     double *v = m->values;
-    if (v[FAULT] == ASK_TO_TERMINATE && m->time > v[FAULT_TIME] - 1e-9)
+    if (shows(m, ASK_TO_TERMINATE))
         m->terminate = 1;
     if (m->kind == BALL && v[X] <= 0.0 && v[V] < 0.0) {
         v[X] = 1e-300;

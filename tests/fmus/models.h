@@ -20,7 +20,7 @@ enum { U = 0, X = 1, V = 2, GRAVITY = 3, RESTITUTION = 4, COUNT = 5, RATE = 6, D
 
 typedef enum { LAG, BALL, STAIR, RELAY, INTEGRATOR, FEED, COUNTER, CLOCKED } Kind;
 
-enum { OK, WARNING, DISCARD, ERROR, FATAL, ILLEGAL = 17 };
+enum { OK, WARNING, DISCARD, ERROR, FATAL, ILLEGAL = 17, MINUS_ONE = -1 };
 
 /* In the order of Fault in builder.py. */
 typedef enum {
@@ -59,6 +59,11 @@ typedef enum {
     OPEN_A_SOCKET,
     NEEDS_EVENT_MODE,
     NO_CO_SIMULATION,
+    MINUS_ONE_IN_STEP, /* of Model Exchange: when derivatives are asked for */
+    MINUS_ONE_IN_INITIALIZATION,
+    MINUS_ONE_WHEN_READ,
+    MINUS_ONE_WHEN_SET,
+    FORGETS_IN_SET_UP, /* fmi2SetupExperiment sets everything to its start value, as that of 20-sim's FMUs */
 } Fault;
 
 /* What FEED passes through: reference r + 100 becomes what reference r is. References 20 to 29 are arrays whose
@@ -88,6 +93,7 @@ typedef struct {
 /* Each returns an FMI status, if nothing else is said. */
 Model *create(const char *token, Logging logging); /* NULL: there is no such model, or it refuses */
 void destroy(Model *m);
+void forget(Model *m); /* go back to the start values, if the fault is that */
 int set_up(Model *m, double time, double stop); /* enter initialisation; a stop time may be INFINITY */
 void initialise(Model *m);                      /* leave it */
 int terminate(Model *m);
@@ -97,7 +103,7 @@ unsigned whole(unsigned reference); /* what a reference of an integer or boolean
 int step(Model *m, double time, double h);   /* Co-Simulation, not for BALL and RELAY */
 
 size_t states(const Model *m);
-void derivatives(Model *m, double dx[]);
+int derivatives(Model *m, double dx[]);
 void event_indicators(const Model *m, double z[]);
 int handle_event(Model *m);         /* whether the states have jumped */
 int completed_step(const Model *m); /* whether an event is wanted */

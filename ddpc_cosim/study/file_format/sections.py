@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, create_model
 from ddpc_cosim.coupling.wiring import Connection
 from ddpc_cosim.csv_files import TIME_TOLERANCE
 from ddpc_cosim.loop_setup import MOST_STEPS, end_time, limits_error, whole_steps
+from ddpc_cosim.plugins import shown_name
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.settings import Choice, Factor, Integer, Linear, Log, Search
 from ddpc_cosim.study.file_format.signal_sections import (
@@ -26,7 +27,7 @@ from ddpc_cosim.study.file_format.signal_sections import (
     faults_of,
 )
 from ddpc_cosim.study.file_format.sweeps import MOST_VARIANTS, count, sweep_errors, swept_values
-from ddpc_cosim.study.file_format.validation_errors import FilePath, Section
+from ddpc_cosim.study.file_format.validation_errors import FilePath, PlantName, Section
 from ddpc_cosim.texts import printable
 
 
@@ -86,7 +87,9 @@ class PartSection(Section):
     """One part of a coupled plant; of an SSP archive, what differs for it."""
 
     name: PartName = Field(description="its name; its signals are called NAME.variable")
-    plant: str = Field("", description="a plant of `ddpc-cosim list plants`, or module:PLANT")
+    plant: PlantName = Field(
+        "", description="a plant of `ddpc-cosim list plants`, module:PLANT or file.py:PLANT"
+    )
     fmu: FilePath = Field("", description="path of an FMU, relative to the study file")
     parameters: dict[str, Value] = Field({}, description="parameters that differ from its defaults")
     start: dict[str, Finite] = Field({}, description="start values of its inputs; empty: its own")
@@ -95,6 +98,11 @@ class PartSection(Section):
     )
     fmi_type: FMIKind = Field("auto", description="how the FMU is run; auto: Co-Simulation if it has it")
     isolated: bool = Field(False, description="run the FMU in a process of its own")
+
+    @property
+    def label(self) -> str:
+        """What it is: a plug-in's name, or a file's."""
+        return shown_name(self.plant) or Path(self.fmu).name
 
 
 # "from" is a word of Python, which no class can spell.
@@ -149,7 +157,9 @@ class CouplingSection(Section):
 class PlantSection(Section):
     """Which plant, and which of its variables take part; one of ``name``, ``fmu``, ``ssp`` and ``parts``."""
 
-    name: str = Field("", description="a plant of `ddpc-cosim list plants`, or module:PLANT")
+    name: PlantName = Field(
+        "", description="a plant of `ddpc-cosim list plants`, module:PLANT or file.py:PLANT"
+    )
     fmu: str = Field("", description="path of an FMU, relative to the study file")
     ssp: FilePath = Field("", description="path of an SSP archive, relative to the study file")
     parts: list[PartSection] = Field([], description="the parts of a coupled plant")
@@ -205,7 +215,11 @@ class PlantSection(Section):
     @property
     def label(self) -> str:
         """What it is called: a plug-in's name, a file's, or those of the parts."""
-        return self.name or Path(self.fmu or self.ssp).name or " + ".join(one.name for one in self.parts)
+        return (
+            shown_name(self.name)
+            or Path(self.fmu or self.ssp).name
+            or " + ".join(one.name for one in self.parts)
+        )
 
 
 class LoopSection(Section):

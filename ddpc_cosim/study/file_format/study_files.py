@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from ddpc_cosim.errors import ConfigError, CosimError, Place, PluginError, dotted
 from ddpc_cosim.plugins import load_plugin
-from ddpc_cosim.settings import PLANT, map_files
+from ddpc_cosim.settings import PLANT, map_files, map_plants
 from ddpc_cosim.study.controller_plugins import controller_class
 from ddpc_cosim.study.file_format.replacing import (
     CONTROLLERS,
@@ -27,7 +27,7 @@ from ddpc_cosim.study.file_format.replacing import (
     replaced,
 )
 from ddpc_cosim.study.file_format.sweeps import path_of
-from ddpc_cosim.study.file_format.validation_errors import in_folder
+from ddpc_cosim.study.file_format.validation_errors import in_folder, plant_in_folder
 from fmu_plants.files import is_file
 
 _DEEPEST = 100
@@ -221,6 +221,11 @@ def absolute_paths(tables: Table, folder: Path) -> Table:
             return [absolute(one) for one in path]
         return str(in_folder(folder, path)) if isinstance(path, str) and path not in ("", PLANT) else path
 
+    def of_plant(name: Any) -> Any:
+        if isinstance(name, list):
+            return [of_plant(one) for one in name]
+        return plant_in_folder(folder, name) if isinstance(name, str) else name
+
     def of_signals(value: Any) -> Any:
         if isinstance(value, list):
             return [of_signals(item) for item in value]
@@ -233,7 +238,8 @@ def absolute_paths(tables: Table, folder: Path) -> Table:
         if isinstance(settings, list):
             return [of_settings(one, kind) for one in settings]
         with suppress(TypeError, AttributeError, CosimError):  # its own check says what is wrong
-            return map_files(controller_class(kind), settings, absolute)
+            chosen = controller_class(kind)
+            return map_plants(chosen, map_files(chosen, settings, absolute), of_plant)
         return settings
 
     def of_controller(section: Any, kind: Any = None) -> Any:
@@ -248,17 +254,23 @@ def absolute_paths(tables: Table, folder: Path) -> Table:
 
     def of_parts(parts: Any) -> Any:
         several = isinstance(parts, list) and all(isinstance(one, dict) for one in parts)
-        return [{**one, "fmu": absolute(one.get("fmu", ""))} for one in parts] if several else parts
+        if not several:
+            return parts
+        named = {"fmu": absolute, "plant": of_plant}
+        return [one | {key: named[key](one[key]) for key in named.keys() & one.keys()} for one in parts]
 
     def of_sweep(key: str, values: Any) -> Any:
         path = tuple(map(str, path_of(key) or ("",)))
         if path[0] == CONTROLLERS and path[-2:-1] == ("settings",):
             with suppress(KeyError, TypeError):
                 return of_settings({path[-1]: values}, tables[CONTROLLERS][path[1]]["type"])[path[-1]]
+        if path[:2] == ("plant", "name"):
+            return of_plant(values)
         return absolute(values) if path[-1] in ("file", "fmu", "ssp") else values
 
     found: Table = {key: of_signals(one) if key in OF_PROBLEM else one for key, one in tables.items()}
     for table, key, change in (
+        ("plant", "name", of_plant),
         ("plant", "fmu", absolute),
         ("plant", "ssp", absolute),
         ("plant", "parts", of_parts),

@@ -22,6 +22,7 @@ from pydantic import (
 )
 
 from ddpc_cosim.errors import Place
+from ddpc_cosim.plugins import name_in_file
 from fmu_plants.spelling import did_you_mean, nearest
 
 _EXPECTED = {
@@ -57,6 +58,18 @@ def _absolute(path: str, info: ValidationInfo) -> str:
         raise ValueError("must be the path of a file, which has no null character")
     return str(in_folder(info.context, path)) if path and isinstance(info.context, Path) else path
 
+
+def plant_in_folder(folder: Path, name: str) -> str:
+    """Return the name of a plant that a file in a folder gives: ``file.py:MODEL`` with an absolute path."""
+    return name_in_file(name, lambda file: in_folder(folder, file))
+
+
+def _absolute_in_file(name: str, info: ValidationInfo) -> str:
+    return plant_in_folder(info.context, name) if isinstance(info.context, Path) else name
+
+
+PlantName = Annotated[str, AfterValidator(_absolute_in_file)]
+"""The name of a plant that a file gives; the path of ``file.py:MODEL`` is absolute when it has been read."""
 
 FilePath = Annotated[str, AfterValidator(_absolute)]
 """A path that a file gives relative to its own folder; absolute when it has been read."""

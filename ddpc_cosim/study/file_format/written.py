@@ -18,8 +18,8 @@ from ddpc_cosim.excitations import (
     SignalExcitation,
     UniformRandom,
 )
-from ddpc_cosim.plugins import name_of
-from ddpc_cosim.settings import PLANT, is_plain, map_files, to_plain
+from ddpc_cosim.plugins import name_in_file, name_of
+from ddpc_cosim.settings import PLANT, is_plain, map_files, map_plants, to_plain
 from ddpc_cosim.signals import Constant, Interpolated, Ramp, Reference, Sine, Steps, WhiteNoise
 
 Table = dict[str, Any]
@@ -143,6 +143,7 @@ def controller_table(controller: Controller) -> Table:
     for own in _classes_in(controller):
         name_of("controllers", own)  # which keeps what a worker cannot import
     plain = map_files(kind, changed, lambda path: path if path == PLANT else str(Path(path).resolve()))
+    plain = map_plants(kind, plain, lambda name: name_in_file(name, lambda file: Path(file).resolve()))
     return {"type": name_of("controllers", kind), "settings": plain}
 
 

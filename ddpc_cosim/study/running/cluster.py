@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING, Any
 
 from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import ConfigError, CosimError
-from ddpc_cosim.plugins import origin, own_files, plugin_names, values_of
+from ddpc_cosim.plugins import names_in, origin, own_files, own_folder, plugin_names, values_of
 from ddpc_cosim.processes.scratch import ScratchFolder, remove
 from ddpc_cosim.settings import hash_of_file
 from ddpc_cosim.study.case_files import RUN_FILE, accept_case, read_sealed, sealed_json, write_case
-from ddpc_cosim.study.cases import Case, Surroundings, data_files, no_samples, plugins_in
+from ddpc_cosim.study.cases import Case, Surroundings, data_files, no_samples, plants_in, plugins_in
 from ddpc_cosim.trace import Outcome
 from fmu_plants.files import cache_dir, cached
 
@@ -217,7 +217,8 @@ class _Run:
             if id(case.recording) not in self._recordings:
                 self._recordings[id(case.recording)] = (case.recording, self._send(case.recording))
             recording = self._recordings[id(case.recording)][1]
-        bare, values = replace(case, recording=None), Surroundings.of(case).values
+        bare = _moved(case, names_in(own_folder(), names), None)  # where its modules will be
+        values = Surroundings.of(case).values
         carried = (values, self._modules[names], files)
         task = _Task(bare, *carried, self._sandboxed, self._versions, self._plugins, self._packages)
         needed = {file: self._contents[file] for file in files.values()}
@@ -268,7 +269,7 @@ class _Run:
 
 def _installed_in(case: Case) -> Iterator[tuple[str, str]]:
     """Yield kind and name of the installed plug-ins of a case: the others, and FMUs, travel with it."""
-    plants = case.plant.plugins
+    plants = [*plants_in(case)]
     pairs = [("controllers", name) for name in [*plugins_in(case)][len(plants) :] if name]
     pairs += [("plants", name) for name in plants]
     for kind, name in pairs:

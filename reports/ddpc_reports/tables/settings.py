@@ -288,11 +288,11 @@ def _plant_facts(plant: PlantSection, units: Mapping[str, str]) -> list[tuple[st
 def _what_plant(plant: PlantSection) -> Iterator[tuple[str, str]]:
     """Yield what a plant is: a plug-in, an FMU, or parts and how they are coupled."""
     if plant.name:
-        yield "plant", plant.name
+        yield "plant", plant.label
     elif plant.ssp or plant.fmu:
         yield ("SSP", Path(plant.ssp).name) if plant.ssp else ("FMU", Path(plant.fmu).name)
     for part in plant.parts:
-        what = part.plant or Path(part.fmu).name
+        what = part.label
         others = (f"{name}: {text}" for name, text in _others(part, {"name", "plant", "fmu"}))
         yield f"part {_plain(part.name)}", "; ".join(filter(None, (what, *others)))
     for one in plant.connections:

@@ -87,8 +87,8 @@ def test_progress_goes_to_stderr(folder, capsys):
         ("plant_of_mine.py:MODLE", PluginError, 'has no "MODLE"; it has: .*MODEL'),
         ("plant_of_mine.py:NOTHING", ConfigError, "not given by equations"),
         ("plant_of_mine.py:WRONG", ConfigError, "the equations use an unknown 'outflow'; there are: level"),
-        ("plant_of_mine.py", ConfigError, "name the model in the file, for example plant_of_mine.py:MODEL"),
-        ("absent.py:MODEL", ConfigError, '"absent.py": no such file'),
+        ("plant_of_mine.py", PluginError, "name the model in the file, for example plant_of_mine.py:MODEL"),
+        ("absent.py:MODEL", PluginError, '"absent.py": no such file'),
     ],
 )
 def test_what_cannot_be_exported_is_refused(folder, target, error, message):

@@ -8,7 +8,7 @@ import fmpy.fmi2
 import fmpy.fmi3
 import numpy as np
 import pytest
-from fmus.builder import CO_SIMULATION, GAINED, LAG, V, describe, model_fmu, model_library, write_fmu
+from fmus.builder import CO_SIMULATION, GAINED, LAG, Fault, V, describe, model_fmu, model_library, write_fmu
 
 from ddpc_cosim import simulate
 from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
@@ -241,6 +241,24 @@ def test_inputs_start_where_they_are_told(tmp_path: Path, driven: bool) -> None:
     with pytest.raises(ConfigError, match=r'"v"; did you mean "u"|u = 11 is outside \[-10, 10\]') as caught:
         FMUPlant(path, start={"v": 3.0, "u": 11.0})
     assert len(caught.value.faults) == 2
+
+
+@pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
+@pytest.mark.parametrize("isolated", [False, True], ids=["in-process", "isolated"])
+def test_an_fmu_that_forgets_when_it_is_set_up_is_given_its_values_afterwards(
+    tmp_path: Path, kind: str, isolated: bool
+) -> None:
+    """As those of 20-sim do: fmi2SetupExperiment puts every variable back to its own start value."""
+    path = model_fmu(tmp_path, "2.0", "lag", Fault.FORGETS_IN_SET_UP)
+    settings = {"fmi_type": kind, "isolated": isolated, "tolerance": 1e-9}
+    with FMUPlant(path, outputs=["x", "name_length"], start={"u": 2.0}, **settings) as plant:  # type: ignore[arg-type]
+        for rate in (2.0, 3.0):  # of the second run nothing is left of the first
+            assert plant.reset({"x": 0.5, "rate": rate, "name": "tank"}).tolist() == [0.5, 4.0]
+            x, _ = plant.step(np.array([1.0]), 0.5)
+            assert x == pytest.approx(1 - 0.5 * np.exp(-0.5 * rate), abs=1e-7)
+    with FMUPlant(path, inputs=[], outputs=["x"], start={"u": 2.0}, **settings) as plant:  # type: ignore[arg-type]
+        plant.reset()
+        assert plant.step(np.empty(0), 0.5) == pytest.approx(2 - 2 * np.exp(-0.5), abs=1e-7)
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,10 @@ FMUs = dict[int, Path]
 SURVIVED_BY_ALL = {
     Fault.RETURN_ERROR: (Outcome.FMU_ERROR, r"fmi\dDoStep returned error at t = 0\.5 s"),
     Fault.RETURN_FATAL: (Outcome.FMU_FATAL, r"fmi\dDoStep returned fatal at t = 0\.5 s"),
+    Fault.MINUS_ONE_IN_STEP: (
+        Outcome.FMU_ERROR,
+        r"fmi\dDoStep returned illegal status -1 at t = 0\.5 s",
+    ),
     Fault.RETURN_DISCARD: (Outcome.FMU_DISCARDED, r"fmi\dDoStep returned discard at t = 0\.5 s"),
     Fault.DISCARD_AND_TERMINATE: (
         Outcome.TERMINATED,

@@ -90,6 +90,13 @@ def test_an_initialisation_that_does_not_return(run: Run) -> None:
     assert len(trace.time) == 0
 
 
+def test_a_status_that_the_standard_does_not_know(run: Run) -> None:
+    trace = run(Fault.MINUS_ONE_IN_STEP)
+    assert trace.outcome is Outcome.FMU_ERROR
+    assert "returned illegal status -1 at t = 0.5 s" in trace.reason
+    assert len(trace.time) == FAULT_SAMPLE + 1
+
+
 def test_a_plant_that_diverges_while_it_is_recorded(run: Run) -> None:
     trace = run(Fault.RETURN_NAN, controller="deepc", more=RECORDING)
     assert trace.outcome is Outcome.DIVERGED

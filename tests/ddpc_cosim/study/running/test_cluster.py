@@ -205,6 +205,35 @@ def test_a_cluster_gives_what_this_machine_gives_on_any_number_of_workers(
     assert not [path.name for path in (tmp_path / "there" / "cases").iterdir() if path.name.startswith(".")]
 
 
+PLANT_IN_A_FILE = """
+import numpy as np
+from ddpc_cosim import Plant, Variable
+from pole_of_a_file import POLE
+
+class Lag(Plant):
+    inputs, outputs = (Variable("u"),), (Variable("y"),)
+    def reset(self, parameters=None, t0=0.0):
+        self.y = np.zeros(1)
+        return self.y.copy()
+    def step(self, u, h):
+        self.y = self.y + h * (u - POLE * self.y)
+        return self.y.copy()
+"""
+
+
+def test_a_plant_in_a_file_travels_with_what_it_imports(
+    cluster: Cluster, write_study: WriteStudy, tmp_path: Path
+) -> None:
+    study = write_study("mfapc")
+    (tmp_path / "lag_of_a_file.py").write_text(PLANT_IN_A_FILE)
+    (tmp_path / "pole_of_a_file.py").write_text("POLE = 2.0")
+    fmu = next(line for line in study.read_text().splitlines() if line.startswith("fmu = "))
+    study.write_text(study.read_text().replace(fmu, 'name = "lag_of_a_file.py:Lag"'))
+    there, here = run(study, "there", **on(cluster)), run(study, "here", jobs=1)
+    assert [case.reason for case in there.cases if case.outcome != "completed"] == []
+    assert told(there) == told(here)
+
+
 def test_a_tuning_on_a_cluster_finds_what_it_finds_here(
     cluster: Cluster, own_study: Callable[..., Path], tmp_path: Path
 ) -> None:
