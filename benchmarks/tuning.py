@@ -2,7 +2,7 @@
 
 ``benchmarks/tuning/STUDY.toml`` holds the seeds, none of which the study reports, and a sweep for every
 controller of the study. Plant, loop, reference, bounds, recording and scenarios are the study's. Of a
-controller's sweep those settings are chosen with which the fewest runs lose their reference, and of these the
+controller's sweep those settings are chosen with which the fewest runs fail, and of these the
 ones with the least error: the RMSE in parts of the reference's span, mean over the outputs, median over the
 seeds, mean over the scenarios. Of equals the first counts.
 """
@@ -34,15 +34,15 @@ class Trial(NamedTuple):
 
     Parameters
     ----------
-    lost : int
-        Runs that do not stay near their reference.
+    failed : int
+        Runs that failed.
     error : float
         RMSE in parts of the reference's span, as above.
     settings : dict
         The settings, without those that are not the grid's to choose.
     """
 
-    lost: int
+    failed: int
     error: float
     settings: dict[str, Any]
 
@@ -92,8 +92,8 @@ def _trial(cases: list[CaseResult], spans: Mapping[str, float], settings: dict[s
     errors: dict[str, list[float]] = {}
     for case in cases:
         errors.setdefault(case.scenario, []).append(relative_error(case, spans))
-    lost = sum(case.failed for case in cases)
-    return Trial(lost, float(np.mean([np.median(values) for values in errors.values()])), settings)
+    failed = sum(case.failed for case in cases)
+    return Trial(failed, float(np.mean([np.median(values) for values in errors.values()])), settings)
 
 
 def reference_spans(results: StudyResults) -> dict[str, float]:
@@ -120,6 +120,6 @@ def main(name: str, out: Path, jobs: int, shown: int) -> None:
     for controller, tried in trials(results, read_grid(name)).items():
         for trial in tried[:shown]:
             print(
-                f"# {controller}: {trial.lost} runs lost, error {trial.error:.4g}, of {len(tried)} settings"
+                f"# {controller}: runs failed {trial.failed}, error {trial.error:.4g}, settings {len(tried)}"
             )
             print(tomli_w.dumps({"controllers": {controller: {"settings": trial.settings}}}))

@@ -217,6 +217,32 @@ def none_settles(cases: Iterable[CaseResult]) -> str:
     return f"No controller settles within {SETTLED:g} %: {what}"
 
 
+def unsettled(study: "Study", cases: Iterable[CaseResult]) -> str:
+    """Return a sentence on the runs that did not fail and do not settle, by controller; nothing without any.
+
+    Parameters
+    ----------
+    study : Study
+        The study: its reference points and the variants of sweeps, which do not compete, are left out.
+    cases : iterable of CaseResult
+        Of one problem, over all its scenarios.
+    """
+    points = study.report.reference_points
+    aside = {name for name, section in study.controllers.items() if section.variant_of}
+    aside |= {points.zero, points.full} if points else set()
+    own: dict[str, list[CaseResult]] = {}
+    for case in cases:
+        if case.controller not in aside:
+            own.setdefault(case.controller, []).append(case)
+    counts = {key: sum(not one.failed and one.settles is False for one in runs) for key, runs in own.items()}
+    parts = [
+        f"{printable(own[key][0].label, _LONGEST_LABEL)} in {count} of {len(own[key])} runs"
+        for key, count in counts.items()
+        if count
+    ]
+    return f"Does not settle within {SETTLED:g} %: {', '.join(parts)}" if parts else ""
+
+
 class Remark(NamedTuple):
     """What is to be known of a scenario before its ranking.
 

@@ -1,4 +1,4 @@
-"""The standings of one problem: who is ahead, whom its seeds tell apart, and who loses runs."""
+"""The standings of one problem: who is ahead, whom its seeds tell apart, and whose runs failed."""
 
 import math
 from collections.abc import Hashable, Iterable, Sequence
@@ -16,7 +16,7 @@ from ddpc_cosim.study.statistics import Comparisons, Runs, Sample, compare_all, 
 from ddpc_cosim.trace import Outcome
 
 _ERRORS = ("cost", "mean_abs_error", "rmse")
-"""What is ranked by, and its companion: errors of a run that is lost say nothing of those that are not."""
+"""What is ranked by, and its companion: errors of a run that failed say nothing of those that did not."""
 
 
 class Standing(NamedTuple):
@@ -28,13 +28,13 @@ class Standing(NamedTuple):
         Its name in the study.
     rank : int
         One more than the number of controllers that are better.
-    lost, runs : int
-        Runs that do not stay near their reference, and all runs.
+    failed, runs : int
+        Runs that failed, and all runs.
     """
 
     controller: str
     rank: int
-    lost: int
+    failed: int
     runs: int
 
 
@@ -42,18 +42,18 @@ class Standing(NamedTuple):
 class Standings:
     """The controllers of one problem, ranked by what its study ranks by.
 
-    A controller that loses a run comes after all that lose none, and after those that lose fewer. Of two that
-    lose none, one is better if the seeds tell it to be so in some of the keys and the other in none; where
-    the seeds are too few for any test, the medians decide, over the runs that both have.
+    A controller with a failed run comes after all without, and after those with fewer. Of two without any,
+    one is better if the seeds tell it to be so in some of the keys and the other in none; where the seeds
+    are too few for any test, the medians decide, over the runs that both have.
 
     Parameters
     ----------
     keys : tuple of str
         The metrics that are ranked by: one, or one for each controlled output.
     runs : dict of str to dict of str to Runs
-        By key and controller, the runs in the scenarios that count, NaN of those that are lost.
+        By key and controller, the runs in the scenarios that count, NaN of those that failed.
     left_out : tuple of str
-        Scenarios in which no controller follows its reference: they do not count.
+        Scenarios in which every run of every controller failed: they do not count.
     """
 
     keys: tuple[str, ...]
@@ -61,17 +61,17 @@ class Standings:
     left_out: tuple[str, ...]
 
     @cached_property
-    def lost(self) -> dict[str, int]:
-        """By controller, the runs that do not stay near their reference."""
+    def failed(self) -> dict[str, int]:
+        """By controller, the runs that failed."""
         own = next(iter(self.runs.values()), {})
         return {name: sum(map(math.isnan, runs.values())) for name, runs in own.items()}
 
     @cached_property
     def compared(self) -> dict[str, Comparisons]:
-        """By key, the controllers that lose no run, compared each with each."""
+        """By key, the controllers of which no run failed, compared each with each."""
         return {
             key: compare_all(
-                {name: own for name, own in runs.items() if not self.lost[name]}, metric_of(key).better
+                {name: own for name, own in runs.items() if not self.failed[name]}, metric_of(key).better
             )
             for key, runs in self.runs.items()
         }
@@ -105,29 +105,36 @@ class Standings:
     @cached_property
     def order(self) -> tuple[Standing, ...]:
         """The controllers, the best first; those of one rank in the order of their medians."""
-        holding = [name for name, lost in self.lost.items() if not lost]
-        behind = dict.fromkeys(holding, 0)
-        for a, b in combinations(holding, 2):
+        sound = [name for name, failed in self.failed.items() if not failed]
+        behind = dict.fromkeys(sound, 0)
+        for a, b in combinations(sound, 2):
             if worse := self._worse(a, b):
                 behind[worse] += 1
         fewest = min(behind.values(), default=0)  # above 0 where they beat each other in a circle
-        behind |= {name: 0 for name in holding if behind[name] == fewest}
-        losing = sorted(lost for lost in self.lost.values() if lost)
+        behind |= {name: 0 for name in sound if behind[name] == fewest}
+        failing = sorted(failed for failed in self.failed.values() if failed)
         ranks = {
-            name: 1 + (len(holding) + losing.index(lost) if lost else behind[name])
-            for name, lost in self.lost.items()
+            name: 1 + (len(sound) + failing.index(failed) if failed else behind[name])
+            for name, failed in self.failed.items()
         }
         count = {name: len(own) for name, own in next(iter(self.runs.values()), {}).items()}
-        found = [Standing(name, rank, self.lost[name], count[name]) for name, rank in ranks.items()]
+        found = [Standing(name, rank, self.failed[name], count[name]) for name, rank in ranks.items()]
         return tuple(sorted(found, key=lambda one: (one.rank, self._place(one.controller))))
+
+    @cached_property
+    def ranks(self) -> dict[str, int]:
+        """By controller, its rank; empty where nothing is ranked: there is one only, or every run failed."""
+        if len(self.order) < 2 or all(one.failed == one.runs for one in self.order):
+            return {}
+        return {one.controller: one.rank for one in self.order}
 
     @property
     def leaders(self) -> tuple[str, ...]:
-        """The controllers of the first rank; none if each of them loses runs."""
-        return tuple(one.controller for one in self.order if one.rank == 1 and not one.lost)
+        """The controllers of the first rank; none if runs of each of them failed."""
+        return tuple(one.controller for one in self.order if one.rank == 1 and not one.failed)
 
     def _worse(self, a: str, b: str) -> str:
-        """Return the worse of two controllers that lose no run; nothing where neither is."""
+        """Return the worse of two controllers of which no run failed; nothing where neither is."""
         worse = {self._worse_in(key, a, b) for key in self.keys} - {""}
         return worse.pop() if len(worse) == 1 else ""
 
@@ -160,13 +167,13 @@ class Standings:
 def counted(cases: Iterable[CaseResult], key: str) -> list[CaseResult]:
     """Return those of a controller's cases whose values of a metric are summed up.
 
-    Of figures of the step response, and of what is ranked by, they are the cases that stay near their
-    reference; where none does, what is ranked by is that of the completed cases, as all else is.
+    Of figures of the step response, and of what is ranked by, they are the cases that did not fail;
+    where all did, what is ranked by is that of the completed cases, as all else is.
     """
     own = [*cases]
-    holding = [case for case in own if not case.failed]
-    if metric_of(key).if_held or (holding and split_key(key)[0] in _ERRORS):
-        return holding
+    sound = [case for case in own if not case.failed]
+    if metric_of(key).if_held or (sound and split_key(key)[0] in _ERRORS):
+        return sound
     return [case for case in own if case.outcome is Outcome.COMPLETED]
 
 

@@ -1,8 +1,8 @@
 """Statistics within one problem: what its seeds show of each controller, and of two compared.
 
 The seed is what is drawn at random, so each seed gives one value: where it has several runs (scenarios,
-variants), their median. Scenarios do not multiply the seeds. A run that does not stay near its reference has
-no value: it is counted, and never averaged away.
+variants), their median. Scenarios do not multiply the seeds. A run that failed has no value: it is counted,
+and never averaged away.
 """
 
 import math
@@ -31,7 +31,7 @@ FEWEST = 6
 """Of fewer values there is no interval: even the range of five covers the median with 93.75 % only."""
 
 Runs = Mapping[tuple[Hashable, int], float]
-"""A metric by condition (what may differ but the controller) and seed; NaN of a run that is lost."""
+"""A metric by condition (what may differ but the controller) and seed; NaN of a run that failed."""
 Better = Literal["low", "high", ""]
 """Which values of a metric are better, as its registry says."""
 
@@ -46,7 +46,7 @@ class Sample(NamedTuple):
     Parameters
     ----------
     runs, known : int
-        How many runs there are, and how many of them have a value: they stay near their reference.
+        How many runs there are, and how many of them have a value: they did not fail.
     seeds : int
         Seeds with a value: all that follows is over them.
     median, lower, upper : float
@@ -71,9 +71,9 @@ class Difference(NamedTuple):
     Parameters
     ----------
     pairs, seeds : int
-        Pairs in which both runs stay near their reference, and the seeds that they are of.
+        Pairs in which neither run failed, and the seeds that they are of.
     only_own, only_other : int
-        Pairs of runs of which one alone stays near its reference: won or lost, and in no figure below.
+        Pairs of runs of which the other one alone failed: in no figure below.
     median, low, high : float
         Median of the differences over the seeds, and its 95 % bootstrap interval; NaN where there is none.
     won : float
@@ -308,7 +308,7 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
     ----------
     frame : pandas.DataFrame
         A row per run, with the columns ``problem``, ``controller``, ``scenario``, ``variant``, ``seed``,
-        ``holds`` and the metric's.
+        ``failed`` and the metric's.
     metric : str
         The metric's column; its registry says which values are better.
     baseline : str
@@ -318,9 +318,9 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
     Returns
     -------
     table : pandas.DataFrame
-        ``problem``, ``controller``, ``held``, the fields of :class:`Sample`, and those of :class:`Difference`
-        (missing in the baseline's own row) as ``paired_seeds``, ``difference``, ``difference_low``,
-        ``difference_high``, the others by their names, and ``told_apart``.
+        ``problem``, ``controller``, ``failed`` (how many runs), the fields of :class:`Sample`, and those of
+        :class:`Difference` (missing in the baseline's own row) as ``paired_seeds``, ``difference``,
+        ``difference_low``, ``difference_high``, the others by their names, and ``told_apart``.
 
     Raises
     ------
@@ -340,9 +340,10 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
         rest = {name: own for name, own in runs.items() if name != baseline}
         others = {name: compare(own, runs[baseline], better) for name, own in rest.items()}
         differences = dict(zip(others, corrected(others.values()), strict=True))
-        held = part.groupby("controller", sort=False)["holds"].sum()
+        failed = part.groupby("controller", sort=False)["failed"].sum()
         for name, own in runs.items():
-            row = {"problem": problem, "controller": name, "held": int(held[name]), **describe(own)._asdict()}
+            row = {"problem": problem, "controller": name, "failed": int(failed[name])}
+            row |= describe(own)._asdict()
             if one := differences.get(name):
                 names = {"seeds": "paired_seeds", "median": "difference"}
                 names |= {"low": "difference_low", "high": "difference_high"}
@@ -355,9 +356,11 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
 def runs_of(part: "pd.DataFrame", metric: str) -> dict[str, Runs]:
     """Return the runs of each controller of one problem, in the order of the frame."""
     table: dict[str, dict[tuple[Hashable, int], float]] = {}
-    columns = ["controller", "scenario", "variant", "seed", "holds", metric]
-    for controller, scenario, variant, seed, holds, value in part[columns].itertuples(index=False, name=None):
-        table.setdefault(controller, {})[(scenario, variant), seed] = float(value) if holds else math.nan
+    columns = ["controller", "scenario", "variant", "seed", "failed", metric]
+    for controller, scenario, variant, seed, failed, value in part[columns].itertuples(
+        index=False, name=None
+    ):
+        table.setdefault(controller, {})[(scenario, variant), seed] = math.nan if failed else float(value)
     return dict(table)
 
 
@@ -371,7 +374,7 @@ def check_frame(frame: "pd.DataFrame", metric: str) -> None:
     """
     run = ["problem", "controller", "scenario", "variant", "seed"]
     if metric not in frame:
-        found = [str(column) for column in frame if column not in (*run, "holds")]
+        found = [str(column) for column in frame if column not in (*run, "failed")]
         raise ConfigError(f'metric "{metric}": there is no such column; {did_you_mean(metric, found)}')
     twice = frame[frame.duplicated(run)]
     if len(twice):

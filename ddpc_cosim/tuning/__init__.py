@@ -99,7 +99,7 @@ class Request:
     @property
     def by(self) -> str:
         """What trials are compared by, in words."""
-        return "; ".join(map(str, self.objectives)) + ", of those with the fewest runs lost"
+        return "; ".join(map(str, self.objectives)) + ", of those with the fewest runs failed"
 
     def summary(self, controllers: Sequence[str]) -> str:
         """Say of these controllers what has been done, in a sentence."""
@@ -340,7 +340,7 @@ def _trials_table(
 ) -> str:
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    figures = ["runs lost", *map(str, request.objectives)]
+    figures = ["runs failed", *map(str, request.objectives)]
     marks = ["not dominated", "chosen", *(f"held out: {figure}" for figure in figures), "settings"]
     writer.writerow(["problem", "controller", "trial", "runs", "pruned", *figures, *marks])
     for (problem, controller), tried in trials.items():
@@ -352,8 +352,8 @@ def _trials_table(
             on_front = not trial.pruned and not any(dominates(other, trial) for other in whole)
             facts = (trial.pruned, on_front, number == chosen)
             pruned, *words = ("true" if fact else "false" for fact in facts)
-            row = [problem, controller, number, trial.runs, pruned, trial.lost, *values, *words]
-            row += [again.lost, *map(repr, again.values)] if again else [""] * len(figures)
+            row = [problem, controller, number, trial.runs, pruned, trial.failed, *values, *words]
+            row += [again.failed, *map(repr, again.values)] if again else [""] * len(figures)
             writer.writerow([*row, json.dumps(trial.settings)])
     return file.getvalue()
 

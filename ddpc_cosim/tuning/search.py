@@ -30,13 +30,13 @@ class Figures(NamedTuple):
 
     Parameters
     ----------
-    lost : bool
-        Whether it does not hold its reference; of a prediction, whether there is none.
+    failed : bool
+        Whether it failed; of a prediction, whether there is none.
     values : tuple of float
         Of each objective, the lower the better.
     """
 
-    lost: bool
+    failed: bool
     values: tuple[float, ...]
 
     @property
@@ -51,8 +51,8 @@ class Trial(NamedTuple):
 
     Parameters
     ----------
-    lost : int
-        Runs that do not hold their reference; of a prediction those without one.
+    failed : int
+        Runs that failed; of a prediction those without one.
     values : tuple of float
         Of each objective, the lower the better; of a pruned trial what it could have reached at best.
     settings : dict
@@ -63,7 +63,7 @@ class Trial(NamedTuple):
         Whether it was ended before it had all runs, as it would not have been the best.
     """
 
-    lost: int
+    failed: int
     values: tuple[float, ...]
     settings: dict[str, Any]
     runs: int = 0
@@ -71,9 +71,9 @@ class Trial(NamedTuple):
 
     @property
     def penalised(self) -> list[float]:
-        """The values such that any trial that loses fewer runs is better: below 1 where none is lost."""
+        """The values such that any trial with fewer failed runs is better: below 1 where none failed."""
         return [
-            self.lost + 0.5 * (1 + (value / (1 + abs(value)) if math.isfinite(value) else 1))
+            self.failed + 0.5 * (1 + (value / (1 + abs(value)) if math.isfinite(value) else 1))
             for value in self.values
         ]
 
@@ -116,13 +116,13 @@ class SettingsSearch:
     def is_hopeless(self, runs: Mapping[Run, Figures]) -> bool:
         """Whether a trial, by the runs that it has had so far, need not go on.
 
-        It has lost more runs than the best trial; or it would not be the best even if each run that is left
-        were better, by a part, than any trial has had it. Of several objectives there is no best trial.
+        More of its runs failed than of the best trial; or it would not be the best even if each run that is
+        left were better, by a part, than any trial has had it. Of several objectives there is no best trial.
         """
         if not self.trials or len(self._objectives) > 1:
             return False
         foremost = self.trials[best(self.trials)]
-        if sum(run.lost for run in runs.values()) > foremost.lost:
+        if sum(run.failed for run in runs.values()) > foremost.failed:
             return True
         hoped = self._hoped({}, runs)
         in_full = sum(not trial.pruned for trial in self.trials)
@@ -133,7 +133,7 @@ class SettingsSearch:
         import optuna
 
         hoped = self._hoped(settings, runs)
-        trial = hoped._replace(lost=sum(run.lost for run in runs.values()), runs=len(runs), pruned=pruned)
+        trial = hoped._replace(failed=sum(run.failed for run in runs.values()), runs=len(runs), pruned=pruned)
         if pruned:
             self._asked.report(hoped.penalised[0], step=len(runs))
             self._optuna.tell(self._asked, state=optuna.trial.TrialState.PRUNED)
@@ -146,7 +146,7 @@ class SettingsSearch:
         for run, own in runs.items():
             other = self._best_yet.get(run, own)
             self._best_yet[run] = Figures(
-                min(own.lost, other.lost), tuple(map(min, own.values, other.values))
+                min(own.failed, other.failed), tuple(map(min, own.values, other.values))
             )
         self.trials.append(trial)
 
@@ -222,7 +222,7 @@ def figures_of(
     """Return what each run of a trial is judged by."""
     return {
         Run(result.scenario, result.seed): Figures(
-            objectives[0].is_lost(result), tuple(objective.of_run(result, spans) for objective in objectives)
+            objectives[0].failed(result), tuple(objective.of_run(result, spans) for objective in objectives)
         )
         for result in results
     }
@@ -234,13 +234,13 @@ def trial_of(settings: dict[str, Any], runs: Mapping[Run, Figures], objectives: 
         objective.of({run: own.values[number] for run, own in runs.items()})
         for number, objective in enumerate(objectives)
     )
-    return Trial(sum(own.lost for own in runs.values()), values, settings, len(runs))
+    return Trial(sum(own.failed for own in runs.values()), values, settings, len(runs))
 
 
 def best(trials: Sequence[Trial]) -> int:
     """Return the number of the best trial, the first of equals."""
     whole = [number for number, trial in enumerate(trials) if not trial.pruned]
-    return min(whole, key=lambda number: (trials[number].lost, trials[number].values[0]))
+    return min(whole, key=lambda number: (trials[number].failed, trials[number].values[0]))
 
 
 def search_spaces(section: ControllerSection, *, by_prediction: bool) -> Iterator[tuple[str, Search]]:
@@ -293,5 +293,5 @@ def space_faults(section: ControllerSection, spaces: Mapping[str, Search]) -> It
 
 def dominates(one: Trial, other: Trial) -> bool:
     """Whether a trial is better than another in something and worse in nothing."""
-    pairs = list(zip((one.lost, *one.values), (other.lost, *other.values), strict=True))
+    pairs = list(zip((one.failed, *one.values), (other.failed, *other.values), strict=True))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)

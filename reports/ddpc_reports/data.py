@@ -118,8 +118,8 @@ def _ranking(part: StudyResults) -> dict[str, Any]:
             {
                 "controller": one.controller,
                 "label": names[one.controller],
-                "rank": one.rank,
-                "lost": one.lost,
+                "rank": found.ranks.get(one.controller),
+                "failed": one.failed,
                 "runs": one.runs,
                 "medians": [found.samples[key][one.controller].median for key in found.keys],
                 "intervals": [
