@@ -144,7 +144,7 @@ def _distance(
         far = max((_far(end, unavoidable[one.output]) for end in one.ends), default=math.inf)
         share = far / sizes[one.output]
         if not share <= _FAILED:
-            return f"{one.output} ends {_percent(share)} of its task away from its reference"
+            return f"{one.output} ends {_percent(share)} its task away from its reference"
     return ""
 
 
@@ -165,11 +165,11 @@ def _against_nothing(
     if own - rest <= more + _NEGLIGIBLE:
         return ""
     mean = "mean error" if len(tracking) == 1 else "mean error over the outputs"
-    return f"worse than doing nothing: {mean} {_percent(own)} of the task, doing nothing {_percent(rest)}"
+    return f"worse than doing nothing: {mean} {_percent(own)} the task, doing nothing {_percent(rest)} it"
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} %" if share < 100.0 else "more than 100 times"
+    return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} % of" if share < 100.0 else "more than 100 times"
 
 
 def all_failed(cases: Iterable[CaseResult]) -> str:

@@ -178,8 +178,13 @@ def test_a_run_fails_that_is_worse_than_doing_nothing_by_more_than_a_hundredth(
     found = concluded(tracking(0.0, error), tracking(0.9, 0.5))
     assert found.failed == failed
     assert found.failure == failed * (
-        "worse than doing nothing: mean error 26 % of the task, doing nothing 25 %"
+        "worse than doing nothing: mean error 26 % of the task, doing nothing 25 % of it"
     )
+
+
+def test_what_is_out_of_all_proportion_has_no_number() -> None:
+    far_off = concluded(tracking(1e9, 1e9))
+    assert far_off.failure == "y ends more than 100 times its task away from its reference"
 
 
 def test_a_task_is_as_large_as_what_happens_while_nothing_is_done() -> None:
