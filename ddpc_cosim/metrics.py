@@ -72,8 +72,8 @@ class Metric(Generic[Samples]):
     better : {"low", "high", ""}
         Which values are better; empty where neither are.
     if_held : bool
-        Whether it is a figure of the step response, which says something only of a run that holds its
-        reference.
+        Whether it is a figure of the step response, which says something only of a run that did not
+        fail.
     over_seeds : {"median", "largest", "total"}
         How the cases of several seeds are summed up in one value.
     shown : sequence of {"report", "terminal"}

@@ -18,7 +18,7 @@ from ddpc_cosim.cli.summary import overall_table, summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import expand_seeds
-from ddpc_cosim.study.judgement import remarks
+from ddpc_cosim.study.judgement import remarks, unsettled
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import (
     HTML,
@@ -86,6 +86,8 @@ def show_results(results: StudyResults, *, report: bool = True, browse: bool = F
         for remark in remarks(problem.study, problem.cases):
             style = "bold red" if remark.is_failure else "bold"
             console.print(printable(f"{remark.text}."), markup=False, highlight=False, style=style)
+        if note := unsettled(problem.study, problem.cases):
+            console.print(printable(f"{note}."), markup=False, highlight=False)
         if problem.cases:
             console.print(summary_table(problem, console), crop=False)
         if several := len(results.variants(problem.study.name)):
@@ -100,11 +102,19 @@ def show_results(results: StudyResults, *, report: bool = True, browse: bool = F
     _print_warnings(results)
     failed: dict[tuple[Outcome, str], list[CaseResult]] = {}
     for case in results.cases:
-        if case.outcome is not Outcome.COMPLETED:
-            failed.setdefault((case.outcome, alike(case.reason)), []).append(case)
-    lines = [f"{_first_and_more(cases)}: {cases[0].outcome}: {cases[0].reason}" for cases in failed.values()]
-    _print_some(lines, f": {folder / METRICS_FILE}")
-    return 1 if failed or _damaged(results) else 0
+        if case.failed:
+            failed.setdefault((case.outcome, alike(case.reason or case.failure)), []).append(case)
+    _print_some([_failure(cases) for cases in failed.values()], f": {folder / METRICS_FILE}")
+    ended_early = any(outcome is not Outcome.COMPLETED for outcome, _ in failed)
+    return 1 if _damaged(results) or ended_early else 0
+
+
+def _failure(cases: Sequence[CaseResult]) -> str:
+    """Say how runs that failed for one reason ended, and why, in the words of the first."""
+    first = cases[0]
+    done = first.outcome is Outcome.COMPLETED
+    how = f"{first.outcome}, failed: {first.failure}" if done else f"{first.outcome}: {first.reason}"
+    return f"{_first_and_more(cases)}: {how}"
 
 
 def _first_and_more(cases: Sequence[CaseResult]) -> str:

@@ -17,7 +17,7 @@ from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.ranks import ranks_frame
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.study.shares import marked
-from ddpc_cosim.study.standings import Standing, Standings, known_values, standings, summed
+from ddpc_cosim.study.standings import Standings, known_values, standings, summed
 from ddpc_cosim.study.statistics import LEVEL
 from ddpc_cosim.texts import printable
 
@@ -34,15 +34,19 @@ _MISSING = "-"
 
 @dataclass(frozen=True)
 class _Row:
-    """A controller, or a variant of one; without cases, a note on settings that are not listed."""
+    """A controller, or a variant of one; without cases, a note on settings that are not listed.
+
+    Without a rank, none is shown; it is empty where nothing is ranked.
+    """
 
     name: str
     cases: Sequence[CaseResult] = ()
-    standing: Standing | None = None
+    rank: str | None = None
+    leads: bool = False
 
     @property
-    def lost(self) -> int:
-        """How many of its runs do not stay near their reference."""
+    def failed(self) -> int:
+        """How many of its runs failed."""
         return sum(case.failed for case in self.cases)
 
 
@@ -128,15 +132,15 @@ def _problem_column(name: str, found: Standings) -> _Column:
 
     def cell(cases: Sequence[CaseResult]) -> Text:
         own = standing.get(cases[0].controller)
-        return Text(_rank(own), style="red" if own and own.lost else "")
+        return Text(_rank_words(own.text) if own else _MISSING, style="red" if own and own.failed else "")
 
     label = clipped(name, _LONGEST_SCENARIO)
     return _Column(label, "", label, "", cell)
 
 
-def _rank(standing: Standing | None) -> str:
-    """Return the ranks that the data allow; empty where there is no rank."""
-    return standing.text.replace("\N{EN DASH}", "-") if standing else _MISSING
+def _rank_words(text: str) -> str:
+    """Return ranks as every terminal can show them."""
+    return text.replace("\N{EN DASH}", "-")
 
 
 def _has_values(column: _Column, rows: Sequence[_Row]) -> bool:
@@ -146,13 +150,13 @@ def _has_values(column: _Column, rows: Sequence[_Row]) -> bool:
 def _table(rows: Sequence[_Row], longest: int, columns: Sequence[_Column], narrow: bool) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     add = partial(table.add_column, vertical="bottom", no_wrap=True)
-    any_lost = any(row.lost for row in rows)
-    ranked = any(row.standing for row in rows)
+    any_failed = any(row.failed for row in rows)
+    ranked = any(row.rank is not None for row in rows)
     if ranked:
         add("rank", justify="right")
     add("controller", max_width=longest, overflow="ellipsis")
-    if any_lost:
-        add("lost\nruns", justify="right")
+    if any_failed:
+        add("failed\nruns", justify="right")
     cells = [[column.cell(row.cases) for row in rows if row.cases] for column in columns]
     for column, own in zip(columns, cells, strict=True):
         room = max([_SHORTEST_HEADING, *map(len, own), *map(len, column.detail.split())])
@@ -163,11 +167,10 @@ def _table(rows: Sequence[_Row], longest: int, columns: Sequence[_Column], narro
         if not row.cases:
             table.add_row(*([""] if ranked else []), row.name)
             continue
-        first = row.standing is not None and row.standing.rank == 1 and row.standing.shown and not row.lost
-        name = Text(clipped(row.name, longest), style="bold" if first else "")
-        lost = Text(f"{row.lost}/{len(row.cases)}", style="red" if row.lost else "")
-        rank = [_rank(row.standing)] if ranked else []
-        table.add_row(*rank, name, *([lost] if any_lost else []), *(own.pop(0) for own in cells))
+        name = Text(clipped(row.name, longest), style="bold" if row.leads else "")
+        failed = Text(f"{row.failed}/{len(row.cases)}", style="red" if row.failed else "")
+        rank = [row.rank or ""] if ranked else []
+        table.add_row(*rank, name, *([failed] if any_failed else []), *(own.pop(0) for own in cells))
     return table
 
 
@@ -188,8 +191,8 @@ def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]
 def _metric_column(key: str) -> _Column:
     def cell(cases: Sequence[CaseResult]) -> Text:
         value = summed(cases, key)
-        lost = any(case.failed for case in cases)
-        return Text(_micro(value) if key == _STEP else _number(value), style="red" if lost else "")
+        failed = any(case.failed for case in cases)
+        return Text(_micro(value) if key == _STEP else _number(value), style="red" if failed else "")
 
     return _Column(metric_name(key), "" if key == _STEP else _detail(key), _words(key), key, cell)
 
@@ -207,10 +210,10 @@ def _scenario_columns(results: StudyResults, keys: Sequence[str]) -> list[_Colum
 def _scenario_column(results: StudyResults, name: str, key: str, detail: str) -> _Column:
     def cell(cases: Sequence[CaseResult]) -> Text:
         own = [case for case in cases if case.scenario == name]
-        lost = sum(case.failed for case in own)
-        if own and lost == len(own):
-            return Text("lost", style="red")
-        return Text(_number(summed(own, key), 3) + ("*" if lost else ""), style="red" if lost else "")
+        failed = sum(case.failed for case in own)
+        if own and failed == len(own):
+            return Text("failed", style="red")
+        return Text(_number(summed(own, key), 3) + ("*" if failed else ""), style="red" if failed else "")
 
     label = _scenario_label(results, name)
     words = " ".join(filter(None, (label, detail.partition(" [")[0])))
@@ -249,14 +252,14 @@ def _lines(
     )
     several = len({case.seed for case in results.cases}) > 1
     how = "what the seeds tell apart" if found.tested else "the medians" if several else "this value"
-    told = ["medians"] * several + ([f"ranked by {how}"] if found.order else [])
+    told = ["medians"] * several + ([f"ranked by {how}"] if found.is_ranked else [])
     if what:
         lines.append(": ".join(filter(None, (", ".join(what), "; ".join(told)))))
     if found.seeds > 1 and any(one.too_few_seeds for one in found.compared.values()):
         few = "seeds are too few to test so many controllers against each other: it takes"
         lines.append(f"{found.seeds_compared} {few} {found.seeds_needed}")
     elif found.disagreements:
-        names = {row.standing.controller: row.name for row in rows if row.standing}
+        names = {row.cases[0].controller: row.name for row in rows if row.cases}
         ahead = [
             f"{' and '.join(names[one] for one in leaders) or 'none'} in {_scenario_label(results, scenario)}"
             for scenario, leaders in found.leaders_by_scenario.items()
@@ -264,8 +267,8 @@ def _lines(
         lines.append(f"scenarios disagree, so there is no overall rank; ahead: {'; '.join(ahead)}")
     elif found.tested and len(found.order) > 1 and all(one.rank == 1 for one in found.order):
         lines.append(f"{found.seeds} seeds tell no two controllers apart")
-    if any(0 < row.lost < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:
-        lines.append("* of the runs that are left: others are lost")
+    if any(0 < row.failed < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:
+        lines.append("* of the other runs: some failed")
     if left_out:
         lines.append(f"not shown: {'; '.join(left_out)}: {where}")
     if any(not row.cases for row in rows):
@@ -279,20 +282,27 @@ def _rows(results: StudyResults, found: Standings) -> list[_Row]:
     for case in results.cases:
         groups.setdefault(case.controller, []).append(case)
     sections, points = results.study.controllers, results.study.report.reference_points
-    standing = {one.controller: one for one in found.order}
     key = next(iter(found.keys), "")
     base = {name: sections[name].variant_of or name for name in groups}
     labels = [cases[0].label for cases in groups.values()]
+    standing = {one.controller: one for one in found.order}
     rows = []
-    for family in dict.fromkeys([*standing, *base.values()]):
+
+    def rank(name: str) -> str | None:
+        if not (found.order or found.left_out):  # none competes
+            return None
+        return _rank_words(standing[name].text) if name in standing else _MISSING if found.is_ranked else ""
+
+    for family in dict.fromkeys([*(one.controller for one in found.order), *base.values()]):
         own = groups.get(family, [])
         if own:
             label = own[0].label
             label += f" ({family})" if labels.count(label) > 1 else ""
-            rows.append(_Row(marked(label, family, points), own, standing.get(family)))
+            rows.append(_Row(marked(label, family, points), own, rank(family), family in found.leaders))
         variants = [groups[name] for name in groups if base[name] == family != name]
         variants.sort(key=lambda cases: _place(cases, key))
-        rows += [_Row(_indented(cases, own), cases) for cases in variants[:_VARIANTS_SHOWN]]
+        shown = variants[:_VARIANTS_SHOWN]
+        rows += [_Row(_indented(cases, own), cases, rank(cases[0].controller)) for cases in shown]
         rest = len(variants) - _VARIANTS_SHOWN
         if rest > 0:
             rows.append(_Row(f"  and {rest} {'setting' if rest == 1 else 'settings'} more"))
@@ -306,7 +316,7 @@ def _indented(variant: Sequence[CaseResult], own: Sequence[CaseResult]) -> str:
 
 
 def _place(cases: Sequence[CaseResult], key: str) -> tuple[int, float]:
-    """Order by lost runs, then by the value of a metric, the best first."""
+    """Order by failed runs, then by the value of a metric, the best first."""
     value = summed(cases, key) if key else math.nan
     return sum(case.failed for case in cases), math.inf if math.isnan(value) else metric_of(key).rank(value)
 

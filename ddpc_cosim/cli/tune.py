@@ -89,4 +89,4 @@ def _print_found(tuned: Tuned, request: Request, *, named: bool) -> None:
 def _figures(given: Trial, found: Trial, request: Request) -> str:
     pairs = zip(request.objectives, given.values, found.values, strict=True)
     figures = [f"{metric_name(objective.metric)} {old:.4g} -> {new:.4g}" for objective, old, new in pairs]
-    return ", ".join([*figures, f"runs lost {given.lost} -> {found.lost} of {found.runs}"])
+    return ", ".join([*figures, f"runs failed {given.failed} -> {found.failed} of {found.runs}"])

@@ -158,7 +158,7 @@ def _distance(
         far = max((_far(end, unavoidable[one.output]) for end in one.ends), default=math.inf)
         share = far / sizes[one.output]
         if not share <= _FAILED:
-            return f"{one.output} ends {_percent(share)} of its task away from its reference"
+            return f"{one.output} ends {_percent(share)} its task away from its reference"
     return ""
 
 
@@ -181,13 +181,13 @@ def _against_nothing(
         more = fmean(unavoidable[one.output].magnitude() / sizes[one.output] for one in outputs)
         if not own - rest <= more + _NEGLIGIBLE:
             where = f"{outputs[0].output} is " if len(outputs) == 1 else ""
-            means = f"mean error {_percent(own)} of the task, doing nothing {_percent(rest)}"
+            means = f"mean error {_percent(own)} the task, doing nothing {_percent(rest)} it"
             return f"{where}worse than doing nothing: {means}"
     return ""
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} %" if share < 100.0 else "more than 100 times"
+    return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} % of" if share < 100.0 else "more than 100 times"
 
 
 def all_failed(cases: Iterable[CaseResult]) -> str:
@@ -233,6 +233,32 @@ def none_settles(cases: Iterable[CaseResult]) -> str:
         return "No controller settles in most of its runs: at least half of the runs of each fail"
     what = f"the best leaves {best:.{0 if best >= 10.0 else 1}f} % of a step"
     return f"No controller settles within {SETTLED:g} %: {what}"
+
+
+def unsettled(study: "Study", cases: Iterable[CaseResult]) -> str:
+    """Return a sentence on the runs that did not fail and do not settle, by controller; nothing without any.
+
+    Parameters
+    ----------
+    study : Study
+        The study: its reference points and the variants of sweeps, which do not compete, are left out.
+    cases : iterable of CaseResult
+        Of one problem, over all its scenarios.
+    """
+    points = study.report.reference_points
+    aside = {name for name, section in study.controllers.items() if section.variant_of}
+    aside |= {points.zero, points.full} if points else set()
+    own: dict[str, list[CaseResult]] = {}
+    for case in cases:
+        if case.controller not in aside:
+            own.setdefault(case.controller, []).append(case)
+    counts = {key: sum(not one.failed and one.settles is False for one in runs) for key, runs in own.items()}
+    parts = [
+        f"{printable(own[key][0].label, _LONGEST_LABEL)} in {count} of {len(own[key])} runs"
+        for key, count in counts.items()
+        if count
+    ]
+    return f"Does not settle within {SETTLED:g} %: {', '.join(parts)}" if parts else ""
 
 
 class Remark(NamedTuple):

@@ -20,7 +20,7 @@ from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.file_format.replacing import CONTROLLERS, PROBLEMS
-from ddpc_cosim.study.file_format.sections import expand_seeds
+from ddpc_cosim.study.file_format.sections import expand_seeds, not_reserved
 from ddpc_cosim.study.file_format.study_files import StudyFile, absolute_paths
 from ddpc_cosim.study.file_format.written import Table, controller_table, experiment_table, signal_table
 from ddpc_cosim.study.reading import read_file, resolve_file
@@ -560,7 +560,11 @@ def _controllers(controllers: Controllers, problems: Sequence[str], faults: list
             other = f'; "{keys[key]}" is too much like it' if key else ": needed: letters or digits in it"
             faults.append(f'controllers: "{label}"{other}')
             continue
-        keys[key] = label
+        try:
+            keys[not_reserved(key)] = label
+        except ValueError as error:
+            faults.append(f'controllers: "{label}": {error}')
+            continue
         by_problem = given if isinstance(given, Mapping) else dict.fromkeys(problems or [""], given)
         if not problems and isinstance(given, Mapping):
             faults.append(f'controllers: "{label}" has one for each problem, and the study has one problem')

@@ -25,7 +25,7 @@ class Profile(NamedTuple):
         Ratios to the best of a run at which a share changes, rising from 1; shape (n,).
     shares : dict of str to array
         By controller, the share of the runs that come within that ratio of the best, each problem with the
-        same weight; shape (n,). It ends at the share of the runs that stay near their reference.
+        same weight; shape (n,). It ends at the share of the runs that did not fail.
     left_out : tuple of str
         Controllers that did not run in every problem.
     """
@@ -70,7 +70,7 @@ class SettingEffect(NamedTuple):
     Parameters
     ----------
     runs, known, levels : int
-        Runs, those of them that stay near their reference, and different values of the setting.
+        Runs, those of them that did not fail, and different values of the setting.
     correlation : float
         Spearman's rank correlation of setting and metric; NaN where the setting is not a number, or nothing
         varies. Positive: the larger the setting, the larger the metric.
@@ -95,7 +95,7 @@ def performance_profile(
     Parameters
     ----------
     values : array
-        A metric, shape (runs, controllers), NaN where a run is lost: its ratio is infinite. Where the
+        A metric, shape (runs, controllers), NaN where a run failed: its ratio is infinite. Where the
         best is 0, others with 0 have the ratio 1, and all others an infinite one.
     better : {"low", "high"}
         Which values are better.
@@ -166,8 +166,8 @@ def setting_effect(settings: Sequence[object], values: FloatArray, better: Bette
     settings : sequence
         The setting's value in each run.
     values : array
-        The metric of each run, shape (runs,); NaN where a run does not stay near its reference, which ranks
-        as worse than any value. Where no value of the metric is better, such runs are left out.
+        The metric of each run, shape (runs,); NaN where a run failed, which ranks as worse than
+        any value. Where no value of the metric is better, such runs are left out.
     better : {"low", "high", ""}
         Which values are better.
     """
@@ -216,9 +216,9 @@ def profile_frame(frame: "pd.DataFrame", metric: str) -> Profile:
 def ranks_frame(frame: "pd.DataFrame", metric: str) -> AverageRanks:
     """Return the average ranks of the controllers over all problems.
 
-    In a problem, the controller with fewer runs that do not stay near their reference comes first, of equal
-    ones that with the better average rank over the problem's conditions (scenario and variant), in each of
-    which the medians over the seeds are ranked: no median is over values of different size or unit.
+    In a problem, the controller with fewer runs that failed comes first, of equal ones that with the better
+    average rank over the problem's conditions (scenario and variant), in each of which the medians over the
+    seeds are ranked: no median is over values of different size or unit.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def ranks_frame(frame: "pd.DataFrame", metric: str) -> AverageRanks:
 
 
 def _shared_runs(frame: "pd.DataFrame", metric: str) -> tuple["pd.DataFrame", tuple[str, ...]]:
-    """Return the metric, a row per run and a column per controller, NaN where it is lost.
+    """Return the metric, a row per run and a column per controller, NaN where a run failed.
 
     Beside it, who did not run in every problem.
     """

@@ -249,9 +249,8 @@ class StudyResults:
         table : pandas.DataFrame
             One row per metric and case, without those of the reference points: what it was, ``metric``,
             its ``value``, those of the points, ``zero`` and ``full``, and the ``share``. A share is NaN of a
-            run that does not stay near its reference (``holds`` is false), and where there is no way to go:
-            ``zero`` did not complete, ``full`` does not stay near its reference, or is not better by more
-            than 1 % of ``zero``.
+            run that ``failed``, and where there is no way to go: ``zero`` did not complete, ``full`` failed,
+            or is not better by more than 1 % of ``zero``.
 
         Raises
         ------

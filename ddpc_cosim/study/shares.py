@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ddpc_cosim.study.problems import WholeStudy
 
 FLOOR = -1.0
-"""What a run that is lost counts as where runs are summed up; and a share below it."""
+"""What a run that failed counts as where runs are summed up; and a share below it."""
 NEGLIGIBLE = 0.01
 """There is no way to go between two points that differ by no more than this part of the metric at 0 %."""
 
@@ -45,8 +45,7 @@ class RunShare(NamedTuple):
     zero, full : float
         The metric at the two points, in the same scenario and with the same seed; NaN where it is not known.
     share : float
-        1 for as good as at ``full``; NaN of a run that does not stay near its reference, and where there is
-        no way to go.
+        1 for as good as at ``full``; NaN of a run that failed, and where there is no way to go.
     """
 
     case: CaseResult
@@ -67,8 +66,8 @@ def share_runs(
 ) -> Iterator[RunShare]:
     """Yield what each run of one problem reaches, without those of the reference points.
 
-    The run at 0 % has to complete, and need not stay near its reference: doing nothing hardly ever does. The
-    run at 100 % has to.
+    The run at 0 % has to complete, and may have failed: doing nothing mostly ends far from its reference. The
+    run at 100 % must not have failed.
     """
     at = {(case.controller, case.scenario, case.seed): case for case in cases}
     for metric in metrics:
@@ -89,7 +88,7 @@ def share_runs(
 def shares_of(
     cases: Sequence[CaseResult], points: ReferencePoints, metrics: Iterable[str]
 ) -> dict[str, Runs]:
-    """Return the shares by controller, NaN of runs that are lost; none where there is no way to go.
+    """Return the shares by controller, NaN of runs that failed; none where there is no way to go.
 
     A condition is a scenario and a metric.
     """
@@ -113,12 +112,12 @@ def marked(label: str, controller: str, points: ReferencePoints | None) -> str:
 
 
 def floored(runs: Runs) -> Runs:
-    """Return shares of which none is below -1, which is also that of a run that is lost."""
+    """Return shares of which none is below -1, which is also that of a run that failed."""
     return {run: max(share, FLOOR) if math.isfinite(share) else FLOOR for run, share in runs.items()}
 
 
 def describe_shares(runs: Runs) -> Sample:
-    """Sum up shares; a run that is lost counts as -1, so that it does not flatter who lost it."""
+    """Sum up shares; a run that failed counts as -1, so that failing does not flatter."""
     known = sum(map(math.isfinite, runs.values()))
     return describe(floored(runs))._replace(known=known)
 

@@ -1,4 +1,4 @@
-"""The standings of one problem: who is ahead, whom its seeds tell apart, and who loses runs."""
+"""The standings of one problem: who is ahead, whom its seeds tell apart, and whose runs failed."""
 
 import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -24,7 +24,7 @@ from ddpc_cosim.study.statistics import (
 from ddpc_cosim.trace import Outcome
 
 _ERRORS = ("cost", "mean_abs_error", "rmse")
-"""What is ranked by, and its companion: errors of a run that is lost say nothing of those that are not."""
+"""What is ranked by, and its companion: errors of a run that failed say nothing of those that did not."""
 _PERCENT = 1.0
 _DIGITS = 3
 """Significant digits that tables print of a median: who is equal in them is equal in rank."""
@@ -39,8 +39,8 @@ class Standing(NamedTuple):
         Its name in the study.
     rank : int
         One more than the number of controllers that are better: the best rank that the data allow.
-    lost, runs : int
-        Runs that do not stay near their reference, and all runs.
+    failed, runs : int
+        Runs that failed, and all runs.
     worst : int
         The worst rank that they allow: the number of all less that of those that are worse.
     shown : bool
@@ -49,7 +49,7 @@ class Standing(NamedTuple):
 
     controller: str
     rank: int
-    lost: int
+    failed: int
     runs: int
     worst: int
     shown: bool
@@ -99,8 +99,8 @@ class Relevant:
 class Standings:
     """The controllers of one problem, ranked by what its study ranks by.
 
-    A controller that loses a run comes after all that lose none, and after those that lose fewer. Of two that
-    lose none, one is better if the seeds tell it to be so in some of the keys and the other in none; where
+    A controller with a failed run comes after all without one, and after those with fewer. Of two without
+    one, one is better if the seeds tell it to be so in some of the keys and the other in none; where
     the seeds are too few for any test, the medians decide, over the runs that both have. Of a difference that
     does not matter neither is better, nor of medians that are equal in the digits that are printed.
 
@@ -111,7 +111,7 @@ class Standings:
     keys : tuple of str
         The metrics that are ranked by: one, or one for each controlled output.
     runs : dict of str to dict of str to Runs
-        By key and controller, the runs in the scenarios that count, NaN of those that are lost.
+        By key and controller, the runs in the scenarios that count, NaN of those that failed.
     left_out : tuple of str
         Scenarios in which no controller follows its reference: they do not count.
     relevant : Relevant
@@ -127,17 +127,17 @@ class Standings:
     tasks: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
-    def lost(self) -> dict[str, int]:
-        """By controller, the runs that do not stay near their reference."""
+    def failed(self) -> dict[str, int]:
+        """By controller, the runs that failed."""
         own = next(iter(self.runs.values()), {})
         return {name: sum(map(math.isnan, runs.values())) for name, runs in own.items()}
 
     @cached_property
     def compared(self) -> dict[str, Comparisons]:
-        """By key, the controllers that lose no run, compared each with each."""
+        """By key, the controllers of which no run failed, compared each with each."""
         return {
             key: compare_all(
-                {name: own for name, own in runs.items() if not self.lost[name]}, metric_of(key).better
+                {name: own for name, own in runs.items() if not self.failed[name]}, metric_of(key).better
             )
             for key, runs in self.runs.items()
         }
@@ -172,8 +172,8 @@ class Standings:
     def relevant_differences(self) -> dict[str, float]:
         """By key, the smallest difference that matters, in its unit."""
         best = {
-            key: min((self.samples[key][name].median for name in self._holding), key=metric_of(key).rank)
-            for key in (self.keys if self._holding else ())
+            key: min((self.samples[key][name].median for name in self._sound), key=metric_of(key).rank)
+            for key in (self.keys if self._sound else ())
         }
         return {
             key: self.relevant.difference(key, best.get(key, math.nan), self.tasks.get(key, math.nan))
@@ -183,27 +183,33 @@ class Standings:
     @cached_property
     def order(self) -> tuple[Standing, ...]:
         """The controllers, the best first; those of one rank in the order of their medians."""
-        holding, total = self._holding, len(self.lost)
-        losing = sorted(lost for lost in self.lost.values() if lost)
+        sound, total = self._sound, len(self.failed)
+        failing = sorted(failed for failed in self.failed.values() if failed)
         count = {name: len(own) for name, own in next(iter(self.runs.values()), {}).items()}
-        behind, shown = self._behind, total > 1 and not self.disagreements
-        ahead = dict.fromkeys(holding, 0)
-        for one in holding:
-            for other in holding:
+        behind = self._behind
+        shown = total > 1 and self.failed != count and not self.disagreements
+        ahead = dict.fromkeys(sound, 0)
+        for one in sound:
+            for other in sound:
                 ahead[one] += self._worse(one, other) == other if one != other else 0
         found = []
-        for name, lost in self.lost.items():
-            if lost:
-                rank = 1 + len(holding) + losing.index(lost)
-                worst = len(holding) + len(losing) - losing[::-1].index(lost)
+        for name, failed in self.failed.items():
+            if failed:
+                rank = 1 + len(sound) + failing.index(failed)
+                worst = len(sound) + len(failing) - failing[::-1].index(failed)
             else:
-                rank, worst = 1 + behind[name], total - len(losing) - ahead[name]
-            found.append(Standing(name, rank, lost, count[name], worst, shown))
+                rank, worst = 1 + behind[name], total - len(failing) - ahead[name]
+            found.append(Standing(name, rank, failed, count[name], worst, shown))
         return tuple(sorted(found, key=lambda one: (one.rank, self._place(one.controller))))
 
     @property
+    def is_ranked(self) -> bool:
+        """Whether anybody has a rank: not where there is one only, all runs failed, or scenarios disagree."""
+        return any(one.shown for one in self.order)
+
+    @property
     def leaders(self) -> tuple[str, ...]:
-        """The controllers of the first rank; none if each of them loses runs, or scenarios disagree."""
+        """The controllers of the first rank; none if runs of each of them failed, or scenarios disagree."""
         return () if self.disagreements else self._first
 
     @cached_property
@@ -220,17 +226,17 @@ class Standings:
 
     @cached_property
     def disagreements(self) -> tuple[Interaction, ...]:
-        """Why there is no overall rank: differences of leaders that depend on the scenario; none if there is.
+        """Why there is no overall rank: differences of leaders that depend on the scenario; else none.
 
-        They are of two controllers that lose no run, each of which leads over all scenarios or in one. Their
-        difference changes between two scenarios by more than chance explains and by enough to matter, and one
+        They are of two controllers without a failed run, each of which leads over all scenarios or in one.
+        Their difference changes between two scenarios by more than chance explains and by enough to matter, and one
         of them is told to be better in the one scenario, and not so in the other. That a lead is larger in
         one scenario than in another takes it from nobody.
         """
         if not self.tested or not self.by_scenario:
             return ()
         leading = {*self._first, *(name for names in self.leaders_by_scenario.values() for name in names)}
-        leading &= {*self._holding}
+        leading &= {*self._sound}
         return tuple(
             one
             for key in self.keys
@@ -239,7 +245,7 @@ class Standings:
                 for pair in combinations(leading, 2)
                 for of in combinations(self.by_scenario, 2)
             )
-            for one in interactions({name: self.runs[key][name] for name in self._holding})
+            for one in interactions({name: self.runs[key][name] for name in self._sound})
             if one.told
             and leading >= {*one.pair}
             and abs(one.median) >= self.relevant_differences[key]
@@ -251,15 +257,15 @@ class Standings:
         return all(self._too_small(key, a, b) for key in self.keys)
 
     @cached_property
-    def _holding(self) -> list[str]:
-        """Return the controllers that lose no run."""
-        return [name for name, lost in self.lost.items() if not lost]
+    def _sound(self) -> list[str]:
+        """Return the controllers of which no run failed."""
+        return [name for name, failed in self.failed.items() if not failed]
 
     @cached_property
     def _behind(self) -> dict[str, int]:
-        """Return of each controller that loses no run how many are better."""
-        behind = dict.fromkeys(self._holding, 0)
-        for a, b in combinations(self._holding, 2):
+        """Return of each controller of which no run failed how many are better."""
+        behind = dict.fromkeys(self._sound, 0)
+        for a, b in combinations(self._sound, 2):
             if worse := self._worse(a, b):
                 behind[worse] += 1
         fewest = min(behind.values(), default=0)  # above 0 where they beat each other in a circle
@@ -285,11 +291,11 @@ class Standings:
     def _changes(self, key: str, pair: tuple[str, str], one: str, other: str) -> bool:
         """Return whether one of two controllers is told to be better in one scenario, and not in another."""
         here = [self.by_scenario[name] for name in (one, other)]
-        ran = all({*pair} <= found.lost.keys() for found in here)
+        ran = all({*pair} <= found.failed.keys() for found in here)
         return ran and len({found._worse_in(key, *pair) for found in here}) > 1
 
     def _worse(self, a: str, b: str) -> str:
-        """Return the worse of two controllers that lose no run; nothing where neither is."""
+        """Return the worse of two controllers of which no run failed; nothing where neither is."""
         worse = {self._worse_in(key, a, b) for key in self.keys} - {""}
         return worse.pop() if len(worse) == 1 else ""
 
@@ -340,13 +346,13 @@ class Standings:
 def counted(cases: Iterable[CaseResult], key: str) -> list[CaseResult]:
     """Return those of a controller's cases whose values of a metric are summed up.
 
-    Of figures of the step response, and of what is ranked by, they are the cases that stay near their
-    reference; where none does, what is ranked by is that of the completed cases, as all else is.
+    Of figures of the step response, and of what is ranked by, they are the cases that did not fail;
+    where all did, what is ranked by is that of the completed cases, as all else is.
     """
     own = [*cases]
-    holding = [case for case in own if not case.failed]
-    if metric_of(key).if_held or (holding and split_key(key)[0] in _ERRORS):
-        return holding
+    sound = [case for case in own if not case.failed]
+    if metric_of(key).if_held or (sound and split_key(key)[0] in _ERRORS):
+        return sound
     return [case for case in own if case.outcome is Outcome.COMPLETED]
 
 

@@ -1,8 +1,8 @@
 """Statistics within one problem: what its seeds show of each controller, and of two compared.
 
 The seed is what is drawn at random, so each seed gives one value: where it has several runs (scenarios,
-variants), their median. Scenarios do not multiply the seeds. A run that does not stay near its reference has
-no value: it is counted, and never averaged away.
+variants), their median. Scenarios do not multiply the seeds. A run that failed has no value: it is counted,
+and never averaged away.
 
 Who is told apart is one test of all pairs: the step-down max-T of Westfall and Young (1993) over flips of
 signs. It assumes that a difference is as likely as its negative where two controllers are equal: all
@@ -36,7 +36,7 @@ FEWEST = 6
 Nor is there a test: with all signs alike, p is 2 / 2**5."""
 
 Runs = Mapping[tuple[Hashable, int], float]
-"""A metric by condition (what may differ but the controller) and seed; NaN of a run that is lost."""
+"""A metric by condition (what may differ but the controller) and seed; NaN of a run that failed."""
 Better = Literal["low", "high", ""]
 """Which values of a metric are better, as its registry says."""
 
@@ -57,7 +57,7 @@ class Sample(NamedTuple):
     Parameters
     ----------
     runs, known : int
-        How many runs there are, and how many of them have a value: they stay near their reference.
+        How many runs there are, and how many of them have a value: they did not fail.
     seeds : int
         Seeds with a value: all that follows is over them.
     median, lower, upper : float
@@ -82,9 +82,9 @@ class Difference(NamedTuple):
     Parameters
     ----------
     pairs, seeds : int
-        Pairs in which both runs stay near their reference, and the seeds that they are of.
+        Pairs in which neither run failed, and the seeds that they are of.
     only_own, only_other : int
-        Pairs of runs of which one alone stays near its reference: won or lost, and in no figure below.
+        Pairs of runs of which the other one alone failed: in no figure below.
     mean : float
         Mean of the differences over the seeds, which the test is of.
     median, low, high : float
@@ -443,7 +443,7 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
     ----------
     frame : pandas.DataFrame
         A row per run, with the columns ``problem``, ``controller``, ``scenario``, ``variant``, ``seed``,
-        ``holds`` and the metric's.
+        ``failed`` and the metric's.
     metric : str
         The metric's column; its registry says which values are better.
     baseline : str
@@ -453,7 +453,8 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
     Returns
     -------
     table : pandas.DataFrame
-        ``problem``, ``controller``, ``held``, the fields of :class:`Sample`, and those of :class:`Difference`
+        ``problem``, ``controller``, ``failed`` (how many runs), the fields of :class:`Sample`, and those of
+        :class:`Difference`
         (missing in the baseline's own row) as ``paired_seeds``, ``difference_mean``, ``difference``,
         ``difference_low``, ``difference_high``, the others by their names, and ``told_apart``.
 
@@ -474,9 +475,10 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
             raise ConfigError(f'baseline = "{baseline}": not in problem "{problem}"; {help_text}')
         pairs = [(name, baseline) for name in runs if name != baseline]
         differences = {name: one for (name, _), one in compare_pairs(runs, pairs, better).items()}
-        held = part.groupby("controller", sort=False)["holds"].sum()
+        failed = part.groupby("controller", sort=False)["failed"].sum()
         for name, own in runs.items():
-            row = {"problem": problem, "controller": name, "held": int(held[name]), **describe(own)._asdict()}
+            row = {"problem": problem, "controller": name, "failed": int(failed[name])}
+            row |= describe(own)._asdict()
             if one := differences.get(name):
                 names = {"seeds": "paired_seeds", "median": "difference", "mean": "difference_mean"}
                 names |= {"low": "difference_low", "high": "difference_high"}
@@ -489,9 +491,11 @@ def compare_frame(frame: "pd.DataFrame", metric: str, baseline: str) -> "pd.Data
 def runs_of(part: "pd.DataFrame", metric: str) -> dict[str, Runs]:
     """Return the runs of each controller of one problem, in the order of the frame."""
     table: dict[str, dict[tuple[Hashable, int], float]] = {}
-    columns = ["controller", "scenario", "variant", "seed", "holds", metric]
-    for controller, scenario, variant, seed, holds, value in part[columns].itertuples(index=False, name=None):
-        table.setdefault(controller, {})[(scenario, variant), seed] = float(value) if holds else math.nan
+    columns = ["controller", "scenario", "variant", "seed", "failed", metric]
+    for controller, scenario, variant, seed, failed, value in part[columns].itertuples(
+        index=False, name=None
+    ):
+        table.setdefault(controller, {})[(scenario, variant), seed] = math.nan if failed else float(value)
     return dict(table)
 
 
@@ -505,7 +509,7 @@ def check_frame(frame: "pd.DataFrame", metric: str) -> None:
     """
     run = ["problem", "controller", "scenario", "variant", "seed"]
     if metric not in frame:
-        found = [str(column) for column in frame if column not in (*run, "holds")]
+        found = [str(column) for column in frame if column not in (*run, "failed")]
         raise ConfigError(f'metric "{metric}": there is no such column; {did_you_mean(metric, found)}')
     twice = frame[frame.duplicated(run)]
     if len(twice):

@@ -90,7 +90,7 @@ def tried_out(
 ) -> Proposal:
     """Start every controller of a proposal and run its loop once; return what can be run, and how well.
 
-    Where no controller follows the reference, stretches become longer, and setpoints such as were reached.
+    Where no controller settles, stretches become longer, and setpoints such as were reached.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def _gentler(proposal: Proposal, sides: tuple[float, float]) -> Proposal:
 
 
 def _within_reach(attempts: Sequence[_Attempt]) -> Proposal:
-    """Return the proposal with what may be followed: longer stretches, or setpoints such as were reached."""
+    """Return the proposal with what may be reached: longer stretches, or setpoints such as were reached."""
     last = attempts[-1]
     trace, proposal = last.best_trace(), last.proposal
     responses = _responses(trace, last.preview)

@@ -51,7 +51,7 @@ class Proposal:
     comments : mapping of str to tuple of str
         What to know, by section of the study, ``head`` for its beginning: findings, guesses and warnings.
     hints : tuple of str
-        What may keep any controller from following the reference.
+        What may keep any controller from settling.
     gains : array, shape (p, m)
         Lasting change of the outputs per unit of the inputs; NaN of an output that does not settle.
     rest : array, shape (p,)
@@ -398,7 +398,7 @@ def _integrates(about: Circumstances) -> bool:
 
 
 def hints(about: Circumstances, room: FloatArray) -> Iterator[str]:
-    """Return what the step test says of why no controller may follow.
+    """Return what the step test says of why no controller may settle.
 
     Parameters
     ----------

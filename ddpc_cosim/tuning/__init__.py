@@ -108,7 +108,7 @@ class Request:
     @property
     def by(self) -> str:
         """What trials are compared by, in words."""
-        return "; ".join(map(str, self.objectives)) + ", of those with the fewest runs lost"
+        return "; ".join(map(str, self.objectives)) + ", of those with the fewest runs failed"
 
     def summary(self, controllers: Sequence[str]) -> str:
         """Say of these controllers what has been done, in a sentence."""
@@ -320,7 +320,7 @@ class _Tuning:
     def go_on(self, trials: int) -> Generator[list[Case], list[CaseResult], None]:
         """Go through so many trials: yield what is to be run next, and be sent its results.
 
-        A trial is pruned between its runs, of which those that trials have lost most often come first.
+        A trial is pruned between its runs, of which those that trials failed most often come first.
         """
         search, objectives = self.search, self._request.objectives
         for _ in range(trials):
@@ -428,7 +428,7 @@ def _trials_table(
 ) -> str:
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    figures = ["runs lost", *map(str, request.objectives)]
+    figures = ["runs failed", *map(str, request.objectives)]
     marks = ["not dominated", "chosen", *(f"held out: {figure}" for figure in figures)]
     writer.writerow(
         [
@@ -453,8 +453,18 @@ def _trials_table(
             on_front = not trial.pruned and not any(dominates(other, trial) for other in whole)
             facts = (trial.pruned, on_front, number == chosen)
             pruned, *words = ("true" if fact else "false" for fact in facts)
-            row = [problem, controller, number, trial.origin, trial.runs, pruned, trial.lost, *values, *words]
-            row += [again.lost, *map(repr, again.values)] if again else [""] * len(figures)
+            row = [
+                problem,
+                controller,
+                number,
+                trial.origin,
+                trial.runs,
+                pruned,
+                trial.failed,
+                *values,
+                *words,
+            ]
+            row += [again.failed, *map(repr, again.values)] if again else [""] * len(figures)
             ends = ", ".join(at_ends[problem, controller]) if number == chosen else ""
             writer.writerow([*row, ends, json.dumps(trial.settings)])
     return file.getvalue()

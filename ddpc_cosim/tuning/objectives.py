@@ -137,8 +137,8 @@ class Objective:
             own = {signal: value / spans[signal] for signal, value in own.items()}
         return _or_infinite(metric.rank(fmean(own.values()))) if own else math.inf
 
-    def is_lost(self, case: CaseResult) -> bool:
-        """Whether a run does not do what every trial has to do first of all."""
+    def failed(self, case: CaseResult) -> bool:
+        """Whether a run failed; where predictions alone count, whether there is none."""
         if self.metric == PREDICTION:
             return not math.isfinite(self.of_run(case, {}))
         return case.failed

@@ -39,13 +39,13 @@ class Figures(NamedTuple):
 
     Parameters
     ----------
-    lost : bool
-        Whether it does not hold its reference; of a prediction, whether there is none.
+    failed : bool
+        Whether it failed; of a prediction, whether there is none.
     values : tuple of float
         Of each objective, the lower the better.
     """
 
-    lost: bool
+    failed: bool
     values: tuple[float, ...]
 
     @property
@@ -60,8 +60,8 @@ class Trial(NamedTuple):
 
     Parameters
     ----------
-    lost : int
-        Runs that do not hold their reference; of a prediction those without one.
+    failed : int
+        Runs that failed; of a prediction those without one.
     values : tuple of float
         Of each objective, the lower the better; of a pruned trial what it could have reached at best.
     settings : dict
@@ -74,7 +74,7 @@ class Trial(NamedTuple):
         Where the settings come from, in words.
     """
 
-    lost: int
+    failed: int
     values: tuple[float, ...]
     settings: dict[str, Any]
     runs: int = 0
@@ -83,9 +83,9 @@ class Trial(NamedTuple):
 
     @property
     def penalised(self) -> list[float]:
-        """The values such that any trial that loses fewer runs is better: below 1 where none is lost."""
+        """The values such that any trial with fewer failed runs is better: below 1 where none failed."""
         return [
-            self.lost + 0.5 * (1 + (value / (1 + abs(value)) if math.isfinite(value) else 1))
+            self.failed + 0.5 * (1 + (value / (1 + abs(value)) if math.isfinite(value) else 1))
             for value in self.values
         ]
 
@@ -156,19 +156,19 @@ class SettingsSearch:
         }
 
     def hardest_first(self, cases: Iterable[Case]) -> list[Case]:
-        """Return the runs of a trial, those first that most trials have lost."""
+        """Return the runs of a trial, those first in which most trials failed."""
         return sorted(cases, key=lambda case: -self._lost[Run(case.scenario, case.seed)])
 
     def is_hopeless(self, runs: Mapping[Run, Figures]) -> bool:
         """Whether a trial, by the runs that it has had so far, need not go on.
 
-        It has lost more runs than the best trial; or it would not be the best even if each run that is left
-        were better, by a part, than any trial has had it. Of several objectives there is no best trial.
+        More of its runs failed than of the best trial; or it would not be the best even if each run that is
+        left were better, by a part, than any trial has had it. Of several objectives there is no best trial.
         """
         if not self.trials or len(self._objectives) > 1:
             return False
         foremost = self.trials[best(self.trials)]
-        if sum(run.lost for run in runs.values()) > foremost.lost:
+        if sum(run.failed for run in runs.values()) > foremost.failed:
             return True
         hoped = self._hoped({}, runs)
         in_full = sum(not trial.pruned for trial in self.trials)
@@ -179,8 +179,8 @@ class SettingsSearch:
         import optuna
 
         hoped = self._hoped(settings, runs)
-        lost = sum(run.lost for run in runs.values())
-        trial = hoped._replace(lost=lost, runs=len(runs), pruned=pruned, origin=self._origin)
+        failed = sum(run.failed for run in runs.values())
+        trial = hoped._replace(failed=failed, runs=len(runs), pruned=pruned, origin=self._origin)
         if self._asked is None:
             if not pruned and (params := self._params(trial.settings)):
                 told = optuna.create_trial(
@@ -192,11 +192,11 @@ class SettingsSearch:
             self._optuna.tell(self._asked, state=optuna.trial.TrialState.PRUNED)
         else:
             self._optuna.tell(self._asked, trial.penalised)
-        self._lost.update(run for run, own in runs.items() if own.lost)
+        self._lost.update(run for run, own in runs.items() if own.failed)
         for run, own in runs.items():
             other = self._best_yet.get(run, own)
             self._best_yet[run] = Figures(
-                min(own.lost, other.lost), tuple(map(min, own.values, other.values))
+                min(own.failed, other.failed), tuple(map(min, own.values, other.values))
             )
         self.trials.append(trial)
 
@@ -302,7 +302,7 @@ def figures_of(
     """Return what each run of a trial is judged by."""
     return {
         Run(result.scenario, result.seed): Figures(
-            objectives[0].is_lost(result), tuple(objective.of_run(result, spans) for objective in objectives)
+            objectives[0].failed(result), tuple(objective.of_run(result, spans) for objective in objectives)
         )
         for result in results
     }
@@ -314,13 +314,13 @@ def trial_of(settings: dict[str, Any], runs: Mapping[Run, Figures], objectives: 
         objective.of({run: own.values[number] for run, own in runs.items()})
         for number, objective in enumerate(objectives)
     )
-    return Trial(sum(own.lost for own in runs.values()), values, settings, len(runs))
+    return Trial(sum(own.failed for own in runs.values()), values, settings, len(runs))
 
 
 def best(trials: Sequence[Trial]) -> int:
     """Return the number of the best trial, the first of equals."""
     whole = [number for number, trial in enumerate(trials) if not trial.pruned]
-    return min(whole, key=lambda number: (trials[number].lost, trials[number].values[0]))
+    return min(whole, key=lambda number: (trials[number].failed, trials[number].values[0]))
 
 
 def search_spaces(section: ControllerSection, *, by_prediction: bool) -> Iterator[tuple[str, Search]]:
@@ -381,5 +381,5 @@ def settings_faults(section: ControllerSection, settings: Mapping[str, Any]) -> 
 
 def dominates(one: Trial, other: Trial) -> bool:
     """Whether a trial is better than another in something and worse in nothing."""
-    pairs = list(zip((one.lost, *one.values), (other.lost, *other.values), strict=True))
+    pairs = list(zip((one.failed, *one.values), (other.failed, *other.values), strict=True))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)

@@ -41,9 +41,9 @@ table = frame.pivot_table("settled_error.angle [deg]", "problem", "controller", 
 table.loc[list(problems)].round(3)
 
 # %%
-# Not every run stays near its reference. How many do:
+# Some runs failed. How many:
 
-frame.pivot_table("holds", "problem", "controller", aggfunc="sum").loc[list(problems)]
+frame.pivot_table("failed", "problem", "controller", aggfunc="sum").loc[list(problems)]
 
 # %%
 # One of the runs that had the fewest samples to learn from:

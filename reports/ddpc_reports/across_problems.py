@@ -1,7 +1,7 @@
 """Over all problems of a study: average ranks, performance profiles, and whom they tell apart."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,9 +30,8 @@ _POINTS = 300
 _NAMED = 3
 RANKS_NOTE = (
     "Ranks by mean abs error or the problem's own cost: first comes the controller with fewer runs "
-    "that do not stay near their reference, of equal ones that with the better average rank "
-    "over scenarios and signals. Group: controllers that share a letter are not told apart by Nemenyi's "
-    "test at 5\u00a0%."
+    "that failed, of equal ones that with the better average rank over scenarios and signals. Group: "
+    "controllers that share a letter are not told apart by Nemenyi's test at 5\u00a0%."
 )
 
 
@@ -45,11 +44,11 @@ class Overall:
     problems : int
         How many problems are compared.
     left_out : list of str
-        Problems, and scenarios of others, in which no controller follows its reference: nothing is ranked.
+        Problems, and scenarios of others, in which every controller fails: nothing is ranked.
     controllers : dict of str to ControllerResults
         The controllers that ran in every problem, as they are in the first, the best rank first.
-    held : dict of str to (int, int)
-        By controller, the runs that stay near their reference, and all runs.
+    failed : dict of str to (int, int)
+        By controller, the runs that failed, and all runs.
     ranks, profile
         Average ranks and performance profile.
     labels : dict of str to str
@@ -61,7 +60,7 @@ class Overall:
     problems: int
     left_out: list[str]
     controllers: dict[str, ControllerResults]
-    held: dict[str, tuple[int, int]]
+    failed: dict[str, tuple[int, int]]
     ranks: AverageRanks
     profile: Profile
     labels: dict[str, str]
@@ -74,7 +73,7 @@ def overall(problems: Sequence[StudyResults]) -> Overall | None:
 
     rows: list[dict[str, Any]] = []
     found: dict[str, ControllerResults] = {}
-    held: dict[str, tuple[int, int]] = {}
+    failed: dict[str, tuple[int, int]] = {}
     left_out = []
     for number, results in enumerate(problems):
         everywhere = conditions(results)
@@ -86,8 +85,8 @@ def overall(problems: Sequence[StudyResults]) -> Overall | None:
         for condition in seen:
             rows += _rows_of(condition, number)
             for one in condition.controllers:
-                near, runs = held.get(one.key, (0, 0))
-                held[one.key] = near + len(one.succeeded), runs + len(one.cases)
+                so_far, runs = failed.get(one.key, (0, 0))
+                failed[one.key] = so_far + one.failed, runs + len(one.cases)
     if len({row["problem"] for row in rows}) < 2:
         return None
     frame = pd.DataFrame(rows)
@@ -98,7 +97,8 @@ def overall(problems: Sequence[StudyResults]) -> Overall | None:
     others = [one for one in found.values() if one.key not in shown]
     far = distances(problems, [*shown.values(), *sorted(others, key=lambda one: one.is_point)])
     labels = {key: one.label for key, one in found.items()}
-    return Overall(ranks.problems, left_out, shown, held, ranks, profile_frame(frame, _METRIC), labels, far)
+    profile = profile_frame(frame, _METRIC)
+    return Overall(ranks.problems, left_out, shown, failed, ranks, profile, labels, far)
 
 
 def _rows_of(condition: Condition, number: int) -> list[dict[str, Any]]:
@@ -110,7 +110,7 @@ def _rows_of(condition: Condition, number: int) -> list[dict[str, Any]]:
             "scenario": condition.scenario,
             "variant": key,
             "seed": case.seed,
-            "holds": not case.failed,
+            "failed": case.failed,
             _METRIC: case.metrics.get(key, math.nan),
         }
         for key in condition.headline
@@ -120,7 +120,7 @@ def _rows_of(condition: Condition, number: int) -> list[dict[str, Any]]:
 
 
 def overall_answer(found: Overall) -> Markup:
-    """Return who has the best average rank, from whom it is told apart, and who loses the most runs."""
+    """Return who has the best average rank, from whom it is told apart, and of whom the most runs failed."""
     ranks, order = found.ranks, [*found.controllers.values()]
     first, alike = order[0], _alike(found)
     name = (Markup("<i>{}</i>") if alike else Markup("<b>{}</b>")).format(first.label)
@@ -140,17 +140,18 @@ def overall_answer(found: Overall) -> Markup:
         text += Markup(" It comes {}{} of the way between {}.").format(
             share_words(own), interval_words(own), join_words(points)
         )
-    lost = {one.key: runs - near for one in order for near, runs in [found.held[one.key]] if near < runs}
-    losing = sorted((one for one in order if one.key in lost), key=lambda one: -lost[one.key])
-    if losing:
+    failing = sorted(
+        (one for one in order if found.failed[one.key][0]), key=lambda one: -found.failed[one.key][0]
+    )
+    if failing:
         most = [
-            Markup("<b>{}</b> ({} of {})").format(one.label, lost[one.key], found.held[one.key][1])
-            for one in losing[:_NAMED]
+            Markup("<b>{}</b> {} of {} runs").format(one.label, *found.failed[one.key])
+            for one in failing[:_NAMED]
         ]
-        text += Markup(" Most runs are lost by {}.").format(join_words(most))
+        text += Markup(" Failed{}: {}.").format(" most" if failing[_NAMED:] else "", join_words(most))
     if found.left_out:
         left_out = [Markup("<i>{}</i>").format(name) for name in found.left_out]
-        text += Markup(" Not counted, as no controller follows there: {}.").format(some_of(left_out))
+        text += Markup(" Not counted, as every controller fails there: {}.").format(some_of(left_out))
     return text
 
 
@@ -162,14 +163,16 @@ def _alike(found: Overall) -> list[ControllerResults]:
 
 
 def first_columns(found: Overall, order: Sequence[ControllerResults]) -> list[Column]:
-    """Return average ranks and runs lost, for the matrix of the first screen."""
+    """Return average ranks and failed runs, for the matrix of the first screen."""
     ranks = number_cells([found.ranks.ranks.get(one.key, math.nan) for one in order], digits=3)
-    held = [found.held.get(one.key, (0, 0)) for one in order]
-    lost = [
-        Cell(f"{runs - near} of {runs}", runs - near, failed=near < runs) if runs else Cell(MISSING)
-        for near, runs in held
+    return [(Heading("average rank"), ranks), (Heading("failed", "runs"), _failed_cells(found, order))]
+
+
+def _failed_cells(found: Overall, controllers: Iterable[ControllerResults]) -> list[Cell]:
+    return [
+        Cell(f"{failed} of {runs}", failed, failed=failed > 0) if runs else Cell(MISSING)
+        for failed, runs in (found.failed.get(one.key, (0, 0)) for one in controllers)
     ]
-    return [(Heading("average rank"), ranks), (Heading("lost", "runs"), lost)]
 
 
 def overall_statements(found: Overall) -> list[Statement]:
@@ -195,7 +198,7 @@ def overall_statements(found: Overall) -> list[Statement]:
         statements += distance_statements(found.distances, together)
     if found.left_out:
         where = join_words([Markup("<i>{}</i>").format(name) for name in found.left_out])
-        nothing = Markup("In {} no controller follows the reference: nothing is ranked there.").format(where)
+        nothing = Markup("In {} every controller fails: nothing is ranked there.").format(where)
         statements.append(Statement("Left out", nothing))
     if ranks.left_out:
         who = join_words([Markup("<i>{}</i>").format(found.labels[name]) for name in ranks.left_out])
@@ -205,7 +208,7 @@ def overall_statements(found: Overall) -> list[Statement]:
 
 
 def overall_table(found: Overall, prefix: str) -> Table:
-    """Return average ranks, shares of the runs near the best, and the runs that stay near their reference."""
+    """Return average ranks, shares of the runs near the best, and the failed runs."""
     profile, order = found.profile, [*found.controllers]
     far = found.distances
     everyone = far.controllers if far else [*found.controllers.values()]
@@ -218,7 +221,6 @@ def overall_table(found: Overall, prefix: str) -> Table:
         for factor in (1.0, _FACTOR)
     }
     groups = letters(found.ranks.groups)
-    near = [f"{near} of {runs}" for near, runs in (found.held.get(one.key, (0, 0)) for one in everyone)]
     ranks = number_cells([found.ranks.ranks[key] for key in order], digits=3)
     columns = [
         (Heading("average rank"), [*ranks, *blank]),
@@ -229,12 +231,12 @@ def overall_table(found: Overall, prefix: str) -> Table:
             Heading("within twice", "%", group="share of runs"),
             [*number_cells(reached[_FACTOR], digits=3), *blank],
         ),
-        (Heading("near the reference", "runs"), [Cell(text) for text in near]),
+        (Heading("failed", "runs"), _failed_cells(found, everyone)),
     ]
     notes: tuple[str, ...] = (
         RANKS_NOTE,
         "Shares of runs: the best of the same problem, scenario and seed, or within twice its value, each "
-        "problem with the same weight; a run that does not stay near its reference is not.",
+        "problem with the same weight; a run that failed is not.",
     )
     if far:
         notes += (

@@ -17,8 +17,8 @@ from ddpc_reports.verdict import counted, formatter, join_words, names, p_words,
 
 _NAMED = 3
 """Controllers that are named with their values where more share the first rank."""
-_LOSING = 3
-"""Controllers that are named for the runs that they lose."""
+_FAILING = 3
+"""Controllers that are named for their failed runs."""
 _LONGEST_TOLD = 100
 _MUCH_LESS = 0.5
 """From this part of a leader's on, a value of another is worth a word."""
@@ -46,8 +46,8 @@ def answer(results: StudyResults, seen: Sequence[Condition], found: Standings) -
         _uneven(found),
         _elsewhere(found, who, counting) if found.leaders else "",
         _offer(found, who, counting),
-        _lost(found, who),
-        Markup("Not counted, as no controller follows there: {}.").format(some_of(labels)) if labels else "",
+        _failing(found, who),
+        Markup("Not counted, as every controller fails there: {}.").format(some_of(labels)) if labels else "",
     ]
     return Markup(" ").join(part for part in parts if part)
 
@@ -64,7 +64,7 @@ def _first(found: Standings, who: dict[str, ControllerResults], counting: Sequen
     """Say who is ahead; where scenarios disagree, who leads where."""
     if found.disagreements:
         return _by_scenario(found, who, counting)
-    return _ahead(found, who, counting) if found.leaders else _none_holds(found, who)
+    return _ahead(found, who, counting) if found.leaders else _all_fail_some(found, who)
 
 
 def _by_scenario(
@@ -95,15 +95,15 @@ def _ahead(found: Standings, who: dict[str, ControllerResults], counting: Sequen
     if len(leaders) > 1:
         return _level(found, leaders, over) + _unsure(found)
     best = leaders[0]
-    if all(one.lost for one in found.order if one.controller != best.key):
-        return Markup("<b>{}</b> alone loses no run, {}: {}.").format(
+    if all(one.failed for one in found.order if one.controller != best.key):
+        return Markup("<b>{}</b> alone has no failed run, {}: {}.").format(
             best.label, over, _values(found, best.key)
         )
     name = Markup("<b>{}</b>" if found.tested else "<i>{}</i>").format(best.label)
     medians = "has the best median" if len(found.keys) == 1 else "has the best medians"
     verb = "is ahead" if found.tested or found.seeds < 2 else medians
     text = Markup("{} {} {}: {}").format(name, verb, over, _values(found, best.key))
-    follower = next((one for one in found.order if not one.lost and one.rank > 1), None)
+    follower = next((one for one in found.order if not one.failed and one.rank > 1), None)
     if follower:
         text += Markup("; the next, <i>{}</i>, {}").format(
             who[follower.controller].label, _behind(found, best.key, follower.controller)
@@ -254,7 +254,7 @@ def _unsure(found: Standings) -> Markup:
 def _offer(found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]) -> Markup:
     """Say what the best of those behind offer that the leaders do not."""
     leaders = [who[name] for name in found.leaders]
-    rest = [who[one.controller] for one in found.order if not one.lost and one.rank > 1]
+    rest = [who[one.controller] for one in found.order if not one.failed and one.rank > 1]
     if not leaders or not rest or len(found.keys) > 1:
         return Markup("")
     offers: dict[str, list[str]] = {}
@@ -308,33 +308,33 @@ def _settles_closest(
     return name, f"settles to {show(values[name])} in place of {show(least)}{more}"
 
 
-def _lost(found: Standings, who: dict[str, ControllerResults]) -> Markup:
-    """Say who loses runs, and who of them is ahead in those that it does not lose."""
-    losing = [one for one in found.order if one.lost]
-    if not losing or not (found.leaders or found.disagreements):
+def _failing(found: Standings, who: dict[str, ControllerResults]) -> Markup:
+    """Say of whom runs failed, and who of them is ahead in those that did not."""
+    failing = [one for one in found.order if one.failed]
+    if not failing or not (found.leaders or found.disagreements):
         return Markup("")
-    parts = [_lost_words(found, who, one) for one in losing]
-    shown = [*parts[:_LOSING], *([f"{len(parts) - _LOSING} more"] if parts[_LOSING:] else [])]
-    return Markup("Runs are lost by {}.").format(join_words(shown))
+    parts = [_failed_words(found, who, one) for one in failing]
+    shown = [*parts[:_FAILING], *([f"{len(parts) - _FAILING} more"] if parts[_FAILING:] else [])]
+    return Markup("Failed: {}.").format(join_words(shown))
 
 
-def _lost_words(found: Standings, who: dict[str, ControllerResults], one: Standing) -> Markup:
-    text = Markup("<b>{}</b> ({} of {}").format(who[one.controller].label, one.lost, one.runs)
+def _failed_words(found: Standings, who: dict[str, ControllerResults], one: Standing) -> Markup:
+    text = Markup("<b>{}</b> {} of {} runs").format(who[one.controller].label, one.failed, one.runs)
     if len(found.keys) == 1 and found.leaders:
         key, first = found.keys[0], found.leaders[0]
         gain = compare(found.runs[key][first], found.runs[key][one.controller], metric_of(key).better)
         if metric_of(key).better == "low" and gain.low > 0:
-            ahead = Markup("; in the others ahead of <i>{}</i> by {}{}")
+            ahead = Markup(" (in the others ahead of <i>{}</i> by {}{})")
             show = with_unit(significant(gain.median, 3), metric_unit(key))
             text += ahead.format(who[first].label, show, _ends(gain.low, gain.high, key))
-    return text + ")"
+    return text
 
 
-def _none_holds(found: Standings, who: dict[str, ControllerResults]) -> Markup:
+def _all_fail_some(found: Standings, who: dict[str, ControllerResults]) -> Markup:
     fewest = [one for one in found.order if one.rank == 1]
-    if all(one.lost == one.runs for one in fewest):
-        return Markup("No run of any controller stays near its reference, so nothing is ranked.")
-    lost = counted(fewest[0].lost, "run")
-    return Markup(
-        "No controller stays near its reference in every run. The fewest are lost by {}: {} of {}."
-    ).format(some_of(names([who[one.controller] for one in fewest])), lost, fewest[0].runs)
+    if all(one.failed == one.runs for one in fewest):
+        return Markup("Every run of every controller failed, so nothing is ranked.")
+    which = some_of(names([who[one.controller] for one in fewest]))
+    return Markup("No controller is without a failed run. Fewest failed: {} {} of {}.").format(
+        which, fewest[0].failed, counted(fewest[0].runs, "run")
+    )

@@ -18,11 +18,11 @@ from ddpc_reports.tables.table import Cell, Heading, Row, Table, interval_texts,
 from ddpc_reports.verdict import RANKED_BY, p_words
 
 _NOTES = (
-    "Runs: those that stay near their reference and have a value; all that follows is of them. Interval: the "
+    "Runs: those that did not fail and have a value; all that follows is of them. Interval: the "
     f"95\u00a0% bootstrap interval of the median, from {FEWEST} seeds on. Difference: to the best median, in "
     "pairs of the same seed. Seeds ahead: of these pairs, a tie counting half.",
-    "p: one step-down sign-flip max-T test of all pairs of controllers that stay near their reference in "
-    "every case; exact: the seed changes nothing; a dash: of fewer than six seeds no p could fall below "
+    "p: one step-down sign-flip max-T test of all pairs of controllers that have no failed run"
+    "; exact: the seed changes nothing; a dash: of fewer than six seeds no p could fall below "
     "5\u00a0%. Others come last whatever their figures, and are not tested. Group: controllers that are not "
     "told apart at 5\u00a0% share a letter.",
 )

@@ -81,9 +81,9 @@ class ControllerResults:
         return self.first_case is not None and not self.first_case.failed
 
     @property
-    def failed_any(self) -> bool:
-        """Whether any case failed."""
-        return len(self.succeeded) < len(self.cases)
+    def failed(self) -> int:
+        """How many cases failed."""
+        return len(self.cases) - len(self.succeeded)
 
     @property
     def completed_all(self) -> bool:
@@ -117,7 +117,7 @@ class ControllerResults:
         return sum(value for case in self.cases if not math.isnan(value := case.metrics.get(key, math.nan)))
 
     def runs(self, key: str) -> Runs:
-        """Return a metric of every run, NaN of those that do not stay near their reference."""
+        """Return a metric of every run, NaN of those that failed."""
         return {
             (case.scenario, case.seed): case.metrics.get(key, math.nan) if not case.failed else math.nan
             for case in self.cases
@@ -201,7 +201,7 @@ class Condition:
 
     def may_win(self, one: ControllerResults) -> bool:
         """Whether a controller may be the best: it competes, and none of its runs failed."""
-        return not one.is_point and not one.failed_any
+        return not one.is_point and not one.failed
 
     def ranking(self, key: str) -> list[tuple[float, ControllerResults]]:
         """Return the controllers that may be the best, with medians of a metric, best first."""
@@ -256,8 +256,8 @@ class Condition:
 
     @property
     def not_ranked(self) -> list[ControllerResults]:
-        """The controllers that compete and lost a case: they come after all others, in the study's order."""
-        return [one for one in self.contenders if one.failed_any]
+        """The controllers that compete and have a failed case: they come after all others, in its order."""
+        return [one for one in self.contenders if one.failed]
 
 
 def conditions(results: StudyResults) -> tuple[Condition, ...]:
@@ -340,9 +340,9 @@ def response_metrics() -> dict[str, Metric[Any]]:
 
 
 def outcome_words(case: CaseResult) -> str:
-    """Say how a case ended; of one that completed, whether it stayed near its reference."""
-    lost = case.outcome is Outcome.COMPLETED and case.failed
-    return f"{case.outcome}, reference missed" if lost else str(case.outcome)
+    """Say how a case ended; of one that completed, whether it failed."""
+    failed = case.outcome is Outcome.COMPLETED and case.failed
+    return f"{case.outcome}, failed" if failed else str(case.outcome)
 
 
 def metric_unit(key: str) -> str:

@@ -120,7 +120,7 @@ def _ranking(part: StudyResults) -> dict[str, Any]:
                 "label": names[one.controller],
                 "rank": one.rank if one.shown else None,
                 "worst_rank": one.worst if one.shown else None,
-                "lost": one.lost,
+                "failed": one.failed,
                 "runs": one.runs,
                 "medians": [found.samples[key][one.controller].median for key in found.keys],
                 "intervals": [

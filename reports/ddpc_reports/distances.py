@@ -18,8 +18,8 @@ from ddpc_reports.numbers import duration, significant, time_scale
 from ddpc_reports.shares import (
     SHARE,
     SHARE_NOTE,
+    failed_mostly,
     interval_words,
-    is_lost,
     point_cell,
     share_cell,
     share_interval,
@@ -106,7 +106,7 @@ def _over(problems: Iterable[Mapping[str, Sample]]) -> dict[str, Sample]:
     found = {name: [of_one[name] for of_one in tables] for name in names}
     return {
         name: describe({("", number): one.median for number, one in enumerate(own)})._replace(
-            known=sum(not is_lost(one) for one in own)
+            known=sum(not failed_mostly(one) for one in own)
         )
         for name, own in found.items()
     }
@@ -191,8 +191,8 @@ def _reach(far: Distances, key: str) -> Markup:
 
 def _ahead_words(far: Distances, problem: str, by_key: Mapping[str, ControllerResults]) -> Markup:
     first, *alike = [by_key[key] for key in far.ahead[problem] if key in by_key]
-    if is_lost(far.problems[problem][first.key]):
-        return Markup("every controller loses at least half of its runs.")
+    if failed_mostly(far.problems[problem][first.key]):
+        return Markup("at least half of the runs of every controller failed.")
     text = Markup("<i>{}</i> {}").format(first.label, share_words(far.problems[problem][first.key]))
     if alike:
         text += Markup(", which the seeds do not show to be ahead of {}").format(some_of(names(alike)))
@@ -243,11 +243,11 @@ def distance_maps(far: Distances, prefix: str) -> list[Table]:
     bold = (
         "Bold: the largest median of a problem, and those that the seeds do not show to be behind it "
         "(one step-down sign-flip max-T test of all pairs); none, where that is most."
-        " A star: some runs do not stay near their reference."
+        " A star: some runs failed."
     )
     over = (
         "Medians of the problems' medians, of those with a way to go. A star: in some problems at least "
-        "half of the runs are lost."
+        "half of the runs failed."
     )
     maps = [
         _map(f"{prefix}by-problem", "Which method where", far.controllers, far.problems, marked, bold),

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, ReportSection, StudyResults
-from ddpc_cosim.study.judgement import remarks
+from ddpc_cosim.study.judgement import remarks, unsettled
 from ddpc_cosim.study.standings import Standings, standings
 from ddpc_cosim.texts import clipped, without_folders
 from ddpc_reports.across_problems import (
@@ -250,7 +250,7 @@ def _overall_part(
         blocks = partial(_overall_blocks, found, prefix)
         sections = [Section("problems", what, _in_their_place(what, blocks))]
     else:
-        few = "Fewer than two problems have controllers in common that follow their reference."
+        few = "Fewer than two problems have controllers in common that do not all fail."
         first = [("notes", [found or few])]
     how = "How to reproduce"
     made = _in_their_place(how, lambda: _tables(*reproduce_tables(results, prefix)))
@@ -496,7 +496,7 @@ def _study_part(
     prefix = f"s{number}-"
     part = _Part(results, seen, prefix, data, room, variants, alone)
     said = in_its_place("Answer", lambda: answer(results, seen, part.standings))
-    told = remarks(results.study, results.cases)
+    told, unsettling = remarks(results.study, results.cases), unsettled(results.study, results.cases)
     return StudyPart(
         prefix,
         number,
@@ -508,7 +508,7 @@ def _study_part(
         part.sections(),
         results.study.summary.strip(),
         results.study.source,
-        [one.text for one in told if not one.is_failure],
+        [*(one.text for one in told if not one.is_failure), *filter(None, [unsettling])],
     )
 
 

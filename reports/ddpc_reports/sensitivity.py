@@ -29,7 +29,7 @@ from ddpc_reports.numbers import as_given, percent, significant, with_unit
 from ddpc_reports.tables.table import Cell, Heading, Row, Table, number_cells, text_headings
 from ddpc_reports.verdict import Statement, by_signal, formatter
 
-_LOST_SHOWN = 3
+_FAILING_SHOWN = 3
 
 
 @dataclass(frozen=True)
@@ -108,38 +108,34 @@ def sweep_statements(condition: Condition) -> list[Statement]:
 def _swept(condition: Condition, group: Sequence[Sweep], key: str) -> Markup:
     """Say what the best and the worst settings of all sweeps of one controller give."""
     members = [(sweep, one) for sweep in group for one in sweep.variants]
-    lost = [sweep.place(one) for sweep, one in members if one.failed_any]
+    failing = [sweep.place(one) for sweep, one in members if one.failed]
     order = sorted(
         (
             (value, sweep, one)
             for sweep, one in members
-            if not one.failed_any and not math.isnan(value := _median([one], key))
+            if not one.failed and not math.isnan(value := _median([one], key))
         ),
         key=lambda entry: metric_of(key).rank(entry[0]),
     )
     text = Markup("{} settings of <b>{}</b>").format(len(members), group[0].label)
     if condition.all_failed:
-        return text + ": with none of them is the reference followed."
+        return text + ": every run of each failed."
     if not order:
-        return text + ": none of them stays near the reference in every case."
+        return text + ": none of them is without a failed run."
     show = formatter(key)
     (low, best, winner), (high, worst, loser) = order[0], order[-1]
-    worst_of = "worst of those that stay near the reference" if lost else "worst"
+    worst_of = "worst of those without a failed run" if failing else "worst"
     text += Markup(": best {} with {}, {} {} with {}").format(
         show(low), best.place(winner), worst_of, show(high), worst.place(loser)
     )
     own = [one.over_seeds(key).median for one in condition.controllers if one.key == group[0].base]
     if own and not math.isnan(own[0]):
         text += Markup("; its own settings give {}").format(show(own[0]))
-    if not lost:
+    if not failing:
         return text + "."
-    some = "; ".join(lost[:_LOST_SHOWN]) + (
-        f"; and {len(lost) - _LOST_SHOWN} more" if lost[_LOST_SHOWN:] else ""
-    )
-    verb = "does" if len(lost) == 1 else "do"
-    return text + Markup(". {} {} not stay near the reference in every case: {}.").format(
-        len(lost), verb, some
-    )
+    more = f"; and {len(failing) - _FAILING_SHOWN} more" if failing[_FAILING_SHOWN:] else ""
+    some = "; ".join(failing[:_FAILING_SHOWN]) + more
+    return text + Markup(". With failed runs: {} of {}: {}.").format(len(failing), len(members), some)
 
 
 def worth_table(condition: Condition, prefix: str) -> Table | None:
@@ -162,10 +158,10 @@ def worth_table(condition: Condition, prefix: str) -> Table | None:
         Heading("worst", group="median"),
         Heading("best to own", "%"),
         *text_headings("best settings", "at the edge of the grid"),
-        Heading("lost", "settings"),
+        Heading("failed", "settings"),
     )
     notes = (
-        "Of the settings that stay near the reference in every run; lost: those that do not. Where the best "
+        "Of the settings without a failed run; failed: those with one. Where the best "
         "lies at the edge of the grid, better settings may lie beyond it. The best of a grid is chosen from "
         "the runs that it is shown of, which flatters it.",
     )
@@ -175,11 +171,11 @@ def worth_table(condition: Condition, prefix: str) -> Table | None:
 
 def _worth_row(condition: Condition, group: Sequence[Sweep], key: str) -> Row | None:
     members = [(sweep, one) for sweep in group for one in sweep.variants]
-    held = [(sweep, one) for sweep, one in members if not one.failed_any and one.by_seed(key)]
-    if not held:
+    sound = [(sweep, one) for sweep, one in members if not one.failed and one.by_seed(key)]
+    if not sound:
         return None
-    held.sort(key=lambda entry: metric_of(key).rank(_median([entry[1]], key)))
-    (best_sweep, best), (_, worst) = held[0], held[-1]
+    sound.sort(key=lambda entry: metric_of(key).rank(_median([entry[1]], key)))
+    (best_sweep, best), (_, worst) = sound[0], sound[-1]
     base = [one for one in condition.controllers if one.key == group[0].base]
     values = [_median(base, key), _median([best], key), _median([worst], key)]
     own, least, most = number_cells(values)
@@ -192,7 +188,7 @@ def _worth_row(condition: Condition, group: Sequence[Sweep], key: str) -> Row | 
         Cell(percent(change / 100), change),
         Cell(best_sweep.place(best)),
         Cell(edges, failed=edges != "no"),
-        Cell(f"{len(members) - len(held)} of {len(members)}", len(members) - len(held)),
+        Cell(f"{len(members) - len(sound)} of {len(members)}", len(members) - len(sound)),
     )
     index = (base or [best])[0].index
     title = " / ".join(filter(None, (metric_words(key), metric_unit(key))))
@@ -223,7 +219,7 @@ def effects_table(condition: Condition, prefix: str) -> Table | None:
     headings = (
         Heading("Setting", numeric=False),
         Heading("values"),
-        Heading("runs near the reference"),
+        Heading("failed", "runs"),
         Heading("rank correlation"),
         Heading("share explained", "%"),
     )
@@ -231,7 +227,7 @@ def effects_table(condition: Condition, prefix: str) -> Table | None:
         "Rank correlation (Spearman): 1 where the larger setting always gives the larger value, "
         "\N{MINUS SIGN}1 the reverse; of numbers only. Share explained: of the variance of the ranks, by the "
         "values of this setting (epsilon squared), also where the best lies between two worse ones; a dash "
-        "where no value was run twice. Runs that do not stay near their reference rank last.",
+        "where no value was run twice. Runs that failed rank last.",
     )
     caption = "Which settings matter"
     return Table(
@@ -243,9 +239,10 @@ def _effect_cells(sweep: Sweep, setting: str, key: str) -> tuple[Cell, ...]:
     runs = [(one, value) for one in sweep.variants for value in one.runs(key).values()]
     settings = [sweep.value(one.key, setting) for one, _ in runs]
     found = setting_effect(settings, np.array([value for _, value in runs]), metric_of(key).better)
+    failed = found.runs - found.known
     return (
         Cell(str(found.levels), found.levels),
-        Cell(f"{found.known} of {found.runs}", found.known, failed=found.known < found.runs),
+        Cell(f"{failed} of {found.runs}", failed, failed=failed > 0),
         Cell(significant(found.correlation, 2), found.correlation),
         Cell(significant(100 * found.share, 2), 100 * found.share),
     )
@@ -268,7 +265,7 @@ def _figure(sweep: Sweep, key: str, identifier: str) -> Figure:
     )
     rows = list(_rows(sweep, key))
     if any(row["shown"].endswith("*") for row in rows):
-        caption += " Starred: of the cases that stay near their reference; others of this setting do not."
+        caption += " Starred: of the cases that did not fail; others of this setting did."
     # A map with one setting needs no second axis.
     titles = sweep.axes if len(sweep.axes) > 1 else ("", *sweep.axes)
     return one_chart(identifier, "Sensitivity", caption, heat_chart(rows, titles), sweep.label)
@@ -291,26 +288,26 @@ def _rows(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
         short = {text: f"{clipped(text, 40)} ({number})" for number, text in enumerate(texts, start=1)}
     for place, members in sweep.cells.items():
         value = _median(members, key)
-        done = any(one.completed for one in members)
-        shown = significant(value) if math.isfinite(value) else "not held" if done else "failed"
-        lost = _lost_words(members) if math.isfinite(value) else ""
+        shown = significant(value) if math.isfinite(value) else "failed"
+        told = with_unit(shown, metric_unit(key)) if math.isfinite(value) else shown
+        failed = _failed_words(members) if math.isfinite(value) else ""
         given = zip(sweep.axes, (short[text] for text in place), strict=True)
         where = ", ".join(f"{name} = {value}" for name, value in given)
         yield {
             "y": short[place[0]] if len(place) > 1 else "",
             "x": short[place[-1]],
             "value": value if math.isfinite(value) else None,
-            "shown": f"{shown} *" if lost else shown,
+            "shown": f"{shown} *" if failed else shown,
             "own": place == own,
-            "text": f"{where}: {with_unit(shown, metric_unit(key)) if math.isfinite(value) else shown}{lost}",
+            "text": f"{where}: {told}{failed}",
         }
 
 
-def _lost_words(members: Sequence[ControllerResults]) -> str:
-    """Say how many cases of a cell do not stay near their reference; nothing if all do."""
+def _failed_words(members: Sequence[ControllerResults]) -> str:
+    """Say how many cases of a cell failed; nothing if none did."""
     cases = sum(len(one.cases) for one in members)
-    lost = cases - sum(len(one.succeeded) for one in members)
-    return f"; {lost} of {cases} cases do not stay near their reference" if lost else ""
+    failed = sum(one.failed for one in members)
+    return f"; {failed} of {cases} cases failed" if failed else ""
 
 
 def _median(members: Sequence[ControllerResults], key: str) -> float:
@@ -341,7 +338,7 @@ def variants_table(condition: Condition, variants: Sequence[StudyResults], prefi
             *(Heading(one.label, metric_unit(key)) for one in condition.controllers),
         ),
         tuple(Row(words, tuple(column[i] for column in columns)) for i, (words, _) in enumerate(rows)),
-        ("Medians over the seeds; in brackets how many runs stay near their reference, where not all do.",),
+        ("Medians over the seeds; in brackets how many runs failed, where any did.",),
         sortable=True,
         download="variants.csv",
     )
@@ -351,7 +348,7 @@ def _variant_cells(members: Sequence[ControllerResults | None], key: str) -> lis
     cells = number_cells([one.summed(key) if one else math.nan for one in members])
     return [
         cell
-        if one is None or not one.failed_any
-        else replace(cell, text=f"{cell.text} ({len(one.succeeded)} of {len(one.cases)})")
+        if one is None or not one.failed
+        else replace(cell, text=f"{cell.text} ({one.failed} of {len(one.cases)} failed)")
         for cell, one in zip(cells, members, strict=True)
     ]

@@ -17,8 +17,8 @@ SHARE = "share of the way"
 SHARE_NOTE = (
     f"Share of the way: (m at 0\u00a0% {MINUS} m) / (m at 0\u00a0% {MINUS} m at 100\u00a0%) in pairs of "
     "the same scenario and seed, and the median over the seeds. Below 0 is worse than at 0\u00a0%. "
-    f"A run that does not stay near its reference counts as {MINUS}100\u00a0%, as do shares below "
-    "that; lost: at least half of the runs."
+    f"A run that failed counts as {MINUS}100\u00a0%, as do shares below that; failed: at least half "
+    "of the runs."
 )
 _HIGHEST = 2.0
 """Above this share, how much above says nothing."""
@@ -36,14 +36,14 @@ def share_percent(share: float) -> str:
     return "> 200" if share > _HIGHEST else fixed(100 * share, 0)
 
 
-def is_lost(found: Sample) -> bool:
-    """Whether at least half of what is summed up is lost."""
+def failed_mostly(found: Sample) -> bool:
+    """Whether at least half of what is summed up failed."""
     return 2 * found.known <= found.runs
 
 
 def share_words(found: Sample) -> str:
-    """Write the median of shares, or that at least half of the runs are lost."""
-    return "lost" if is_lost(found) else f"{share_percent(found.median)}\u00a0%"
+    """Write the median of shares, or that at least half of the runs failed."""
+    return "failed" if failed_mostly(found) else f"{share_percent(found.median)}\u00a0%"
 
 
 def interval_words(found: Sample) -> str:
@@ -53,13 +53,15 @@ def interval_words(found: Sample) -> str:
 
 
 def share_cell(found: Sample | None, best: bool = False, *, star: bool = False) -> Cell:
-    """Return the median of shares as a cell, tinted by how large it is; a star says that some are lost."""
+    """Return the median of shares as a cell, tinted by how large it is; a star says that some failed."""
     if found is None or math.isnan(found.median):
         return Cell(MISSING)
     text = (
-        "lost" if is_lost(found) else share_percent(found.median) + "*" * (star and found.known < found.runs)
+        "failed"
+        if failed_mostly(found)
+        else share_percent(found.median) + "*" * (star and found.known < found.runs)
     )
-    tone = 0 if is_lost(found) else sum(found.median >= one for one in _TONES)
+    tone = 0 if failed_mostly(found) else sum(found.median >= one for one in _TONES)
     return Cell(text, found.median, best=best, tone=f"share-{tone}")
 
 
@@ -125,9 +127,9 @@ def _in_words(condition: Condition, key: str, zero: ControllerResults, full: Con
         why = (
             f"{zero.label} did not complete"
             if not zero.completed
-            else f"{full.label} does not stay near its reference"
+            else f"every run of {full.label} failed"
             if not full.succeeded
-            else f"there is no seed on which {zero.label} completed and {full.label} stays near its reference"
+            else f"there is no seed on which {zero.label} completed and {full.label} did not fail"
             if not {case.seed for case in zero.completed} & {case.seed for case in full.succeeded}
             else f"in {metric_name(key)}, {full.label} is not better than {zero.label} by more than "
             f"{100 * NEGLIGIBLE:.0f}\u00a0% on any seed"
@@ -149,5 +151,5 @@ def _in_words(condition: Condition, key: str, zero: ControllerResults, full: Con
         text += Markup(" (on {} of {} seeds there is a way to go)").format(ways, len(condition.seeds))
     behind = [by_key[name] for name in order if name not in ahead]
     if behind:
-        text += Markup("; worse than at 0\u00a0%, or lost: {}").format(join_words(names(behind)))
+        text += Markup("; worse than at 0\u00a0%, or failed: {}").format(join_words(names(behind)))
     return text + "."

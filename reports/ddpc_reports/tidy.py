@@ -14,7 +14,7 @@ from ddpc_cosim.texts import csv_text, encodable
 from ddpc_reports.comparison import conditions
 
 COLUMNS = (
-    *("study", "problem", "variant", "plant", "scenario", "controller", "label", "rank", "lost", "runs"),
+    *("study", "problem", "variant", "plant", "scenario", "controller", "label", "rank", "failed", "runs"),
     *("metric", "signal", "unit", "better", "value"),
     *("median", "low", "high", "interval_low", "interval_high"),
 )
@@ -34,7 +34,7 @@ def tidy_table(results: Sequence[StudyResults]) -> str:
 
 
 def tidy_rows(results: Sequence[StudyResults]) -> Iterator[tuple[Value, ...]]:
-    """Yield the rows; the rank of a controller that does not compete is empty, a missing number NaN."""
+    """Yield the rows; a rank that there is not is empty, a missing number NaN."""
     for one in results:
         names = one.whole.problems
         views = {part.study.name: part for part in one.problems()}
@@ -49,15 +49,21 @@ def _rows(results: StudyResults, part: StudyResults) -> Iterator[tuple[Value, ..
     words = variant_words(study.varied)
     for condition in conditions(part):
         for one in (*condition.controllers, *condition.variants):
-            lost = len(one.cases) - len(one.succeeded)
             of_whom = (results.whole.head.name, study.variant_of or study.name, words, study.plant.label)
-            of_run = (condition.scenario, one.key, one.label, ranks.get(one.key, ""), lost, len(one.cases))
+            of_run = (
+                condition.scenario,
+                one.key,
+                one.label,
+                ranks.get(one.key, ""),
+                one.failed,
+                len(one.cases),
+            )
             for key in dict.fromkeys(key for case in one.cases for key in case.metrics):
                 yield *of_whom, *of_run, *_of_metric(key, one.cases)
 
 
 def _of_metric(key: str, cases: Sequence[CaseResult]) -> tuple[Value, ...]:
-    """Return the cells of a metric: its value as the page sums it up, and what the runs that hold come to."""
+    """Return the cells of a metric: its value as the page sums it up, and over runs that did not fail."""
     runs = [(case.seed, case.metrics.get(key, math.nan) if not case.failed else math.nan) for case in cases]
     known = [value for _, value in runs if not math.isnan(value)]
     found = describe({("", seed): value for seed, value in runs})

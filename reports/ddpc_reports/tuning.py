@@ -16,13 +16,13 @@ from ddpc_reports.tables.table import Cell, Column, Heading, Row, Table, number_
 from ddpc_reports.verdict import counted
 
 _FIGURES = "pruned", "not dominated"
-"""Columns of the file between which runs lost and objectives stand; held out they come again later."""
+"""Columns of the file between which runs failed and objectives stand; held out they come again later."""
 _HELD_OUT = "held out: "
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """A row of the file; figures are runs lost and objectives, NaN where there are none."""
+    """A row of the file; figures are failed runs and objectives, NaN where there are none."""
 
     number: int
     origin: str
@@ -170,7 +170,7 @@ def front_figures(results: StudyResults, prefix: str) -> list[Figure]:
 
 
 def _points(one: _Search) -> list[dict[str, Any]]:
-    """Return the trials that lose as few runs as the one chosen and have both figures."""
+    """Return the trials with as few failed runs as the one chosen and have both figures."""
     return [
         {
             "x": trial.figures[1],
@@ -187,9 +187,7 @@ def _points(one: _Search) -> list[dict[str, Any]]:
 
 def _caption(objectives: Sequence[str], one: _Search, shown: int) -> str:
     left_out = len(one.trials) - shown
-    rest = (
-        f" Left out: {counted(left_out, 'trial')} that lost more runs or have no figures." if left_out else ""
-    )
+    rest = f" Left out: {counted(left_out, 'trial')} with more failed runs or no figures." if left_out else ""
     line = "the line joins" if len(objectives) == 2 else "full ones are"
     return (
         f"{one.label}: one dot per trial; {line} those than which no other is better in one objective "

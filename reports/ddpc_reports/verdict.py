@@ -67,16 +67,16 @@ def findings(condition: Condition, part: Part) -> list[Statement]:
 
 
 def _completeness(condition: Condition) -> Markup:
-    lost = [one for one in condition.controllers if not one.completed_all]
+    early = [one for one in condition.controllers if not one.completed_all]
     total = len(condition.cases)
-    if not lost:
-        return _all_completed(condition) + _not_held(condition)
+    if not early:
+        return _all_completed(condition) + _completed_and_failed(condition)
     done = sum(len(one.completed) for one in condition.controllers)
-    who = join_words([_lost_cases(one) for one in lost])
+    who = join_words([_ended_early(one) for one in early])
     head = f"{done} of {total} cases completed" if done else "No case completed, so nothing is ranked"
     text = Markup("{}; not completed: {}.").format(head, who)
     compared = " Values of cases that did not complete are not compared with those that did." if done else ""
-    return text + compared + _not_held(condition)
+    return text + compared + _completed_and_failed(condition)
 
 
 def _all_completed(condition: Condition) -> Markup:
@@ -87,23 +87,22 @@ def _all_completed(condition: Condition) -> Markup:
     return Markup("The case{} completed.").format(own.replace("controllers", "controller"))
 
 
-def _not_held(condition: Condition) -> Markup:
-    """Name the controllers whose runs completed without staying near their reference; nothing without any."""
+def _completed_and_failed(condition: Condition) -> Markup:
+    """Name the controllers of which runs completed and failed; nothing without any."""
     counts = [(len(one.completed) - len(one.succeeded), one) for one in condition.contenders]
     who = [Markup("<b>{}</b> {} of {}").format(one.label, n, len(one.cases)) for n, one in counts if n]
     if not who:
         return Markup("")
     return Markup(
-        " <b>The reference is missed</b> by {}: an output settles further from it than half of the "
-        "step, or leaves its limits by more than the reference moves. Such a controller is never the "
-        "best, and comes last."
+        " <b>Completed, but failed</b>: {}. An output ends further than half of its task away, or the run "
+        "is worse than doing nothing. Such a controller is never the best, and comes last."
     ).format(join_words(who))
 
 
-def _lost_cases(one: ControllerResults) -> Markup:
-    lost = [case for case in one.cases if case not in one.completed]
-    outcomes = ", ".join(dict.fromkeys(str(case.outcome) for case in lost))
-    return Markup("<b>{}</b> {} of {} ({})").format(one.label, len(lost), len(one.cases), outcomes)
+def _ended_early(one: ControllerResults) -> Markup:
+    cases = [case for case in one.cases if case not in one.completed]
+    outcomes = ", ".join(dict.fromkeys(str(case.outcome) for case in cases))
+    return Markup("<b>{}</b> {} of {} ({})").format(one.label, len(cases), len(one.cases), outcomes)
 
 
 def _violations(condition: Condition) -> Markup:
@@ -159,8 +158,8 @@ def _in_pairs(condition: Condition, key: str) -> Markup:
 
 
 def _among(condition: Condition) -> str:
-    """Say that only those are compared that stay near their reference, where others do not."""
-    return "Of those that stay near their reference, " if condition.not_ranked else ""
+    """Say that only those without a failed run are compared, where there are others."""
+    return "Of those without a failed run, " if condition.not_ranked else ""
 
 
 def _deadlines(condition: Condition) -> Markup:
@@ -232,7 +231,7 @@ def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> State
 def _in_short(condition: Condition, key: str) -> Markup:
     order = condition.ranking(key)
     if not order:
-        return Markup("no controller stays near its reference in every case.")
+        return Markup("no controller is without a failed run.")
     show = formatter(key)
     alike = _alike(order, show)
     if len(alike) > 1:
@@ -263,11 +262,10 @@ def _last(
     not_ranked: Sequence[ControllerResults],
     show: Callable[[float], str],
 ) -> Markup:
-    """Say who comes last: those that lost cases, else the last of three or more."""
+    """Say who comes last: those with failed runs, else the last of three or more."""
     if not_ranked:
         be = "is" if len(not_ranked) == 1 else "are"
-        whose = "whose reference is missed"
-        return Markup("; last {} {}, {}").format(be, join_words(names(not_ranked)), whose)
+        return Markup("; last {} {}, with failed runs").format(be, join_words(names(not_ranked)))
     if len(order) < 3:
         return Markup("")
     return Markup("; last is <i>{}</i> with {}").format(order[-1][1].label, show(order[-1][0]))
@@ -307,20 +305,20 @@ def _first_seed(condition: Condition, key: str) -> Markup:
     others = [one for one in condition.contenders if one not in eligible]
     seed = condition.seeds[0]
     if not order:
-        return Markup("No controller stays near its reference on seed {}.").format(seed)
+        return Markup("Every run on seed {} failed.").format(seed)
     show = formatter(key)
     what = metric_name(key)
     if len(order) == 1:
-        alone = "no other case stays near its reference, to" if others else "there is no other controller to"
+        alone = "every other run failed: there is nothing to" if others else "there is no other controller to"
         return Markup("On seed {}, <b>{}</b> reaches a {} of {}; {} compare with.").format(
             seed, order[0][1].label, what, show(order[0][0]), alone
         )
     one_is, several = ("costs least", "cost") if _is_cost(key) else ("tracks best", "track")
     (best, winner), (second, next_one), (worst, _) = order[0], order[1], order[-1]
-    # A run that does not stay near its reference can have the smaller figure, a cost above all.
+    # A run that failed can have the smaller figure, a cost above all.
     own = [one.first_case.metrics for one in others if one.first_case]
     beaten = any(metrics.get(key, math.nan) < best for metrics in own)
-    where = f"On seed {seed}, of those that stay near their reference," if beaten else f"On seed {seed},"
+    where = f"On seed {seed}, of the runs that did not fail," if beaten else f"On seed {seed},"
     if show(best) == show(worst) and not others:
         return Markup("On seed {} all controllers {} alike: {} {}.").format(seed, several, what, show(best))
     if show(best) == show(second):
@@ -342,16 +340,16 @@ def _first_seed(condition: Condition, key: str) -> Markup:
 def _over_seeds(condition: Condition, key: str) -> Markup:
     order = condition.ranking(key)
     if not order:
-        return Markup("No controller stays near its reference on every seed, so medians are not compared.")
+        return Markup("No controller is without a failed run, so medians are not compared.")
     winner, rest = order[0][1], [one for _, one in order[1:]]
     shown = median_and_range(winner.over_seeds(key), key)
     if not rest:
         only = "Only " if condition.not_ranked else ""
-        return Markup(
-            "{}<b>{}</b> stays near its reference on every seed: median {}; nothing to compare with."
-        ).format(only, winner.label, shown)
+        return Markup("{}<b>{}</b> has no failed run: median {}; nothing to compare with.").format(
+            only, winner.label, shown
+        )
     alike = _alike(order, formatter(key))
-    among = " of those that stay near their reference on each" if condition.not_ranked else ""
+    among = " of those without a failed run" if condition.not_ranked else ""
     if len(alike) > 1:
         return Markup("Over {} seeds, {} share the smallest median{}: {}.").format(
             len(condition.seeds), join_words(names(alike)), among, formatter(key)(order[0][0])
@@ -403,7 +401,7 @@ def _told_apart(condition: Condition, key: str) -> Markup:
     if not unsure:
         tested = [found.corrected for found in others.values() if not found.constant]
         sure = f" (corrected p {p_words(max(tested), 'at most ')})" if tested else ""
-        among = " that stays near its reference on each" if condition.not_ranked else ""
+        among = " without a failed run" if condition.not_ranked else ""
         return Markup(" The seeds tell it apart from every other controller{}{}{}.").format(
             among, sure, _in_pairs(condition, key)
         )
@@ -521,7 +519,7 @@ def across_statements(conditions: Sequence[Condition]) -> list[Statement]:
 def _winners(conditions: Sequence[Condition], key: str) -> Markup:
     """Say in which scenarios each winner has the smallest median."""
     won: dict[tuple[str, ...], list[Markup]] = {}
-    lost = any(condition.not_ranked for condition in conditions)
+    some_failed = any(condition.not_ranked for condition in conditions)
     for condition in conditions:
         order = condition.ranking(key)
         alike = _alike(order, formatter(key))
@@ -530,17 +528,14 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
                 Markup("<i>{}</i>").format(condition.label)
             )
     if not won:
-        return Markup(
-            "There is no scenario in which the reference is followed and two controllers that hold it in "
-            "every case differ."
-        )
+        return Markup("There is no scenario in which two controllers without a failed run differ.")
     parts: list[Markup] = []
     for winners, where in won.items():
         verb = "share" if len(winners) > 1 else "has"
         claim = "" if parts else f" {verb} the smallest {metric_name(key)}"
         who = join_words([Markup("<b>{}</b>").format(label) for label in winners])
         parts.append(Markup("{}{} in {}").format(who, claim, join_words(where)))
-    among = ", of those that stay near their reference in every case there" if lost else ""
+    among = ", of those without a failed run there" if some_failed else ""
     return Markup("{}{}.").format(Markup("; ").join(parts), among) + _unsure(conditions, key)
 
 
@@ -603,13 +598,12 @@ def _of_windows(conditions: Sequence[Condition]) -> list[str]:
         ]
 
     unsettled, stepless = unknown("settled_error"), unknown("overshoot")
-    near = "That a run stays near this reference says that it kept near its limits, and no more."
     return [
         f"Whether {signal} settles cannot be judged: its reference moves all the time, its steps follow each "
-        f"other within five samples of the largest preview, or the run is as short. {near}"
+        f"other within five samples of the largest preview, or the run is as short."
         for signal in unsettled
     ] + [
-        f"The reference of {signal} has no steps to size an error by. {near}"
+        f"The reference of {signal} has no steps to size an error by: what is left is in parts of its task."
         for signal in stepless
         if signal not in unsettled
     ]

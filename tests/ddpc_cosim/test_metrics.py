@@ -237,7 +237,6 @@ def test_an_output_that_begins_a_rounding_error_off_a_constant_reference_takes_n
         trace = trace_of([value] * 20, [value - 1e-9, *[value] * 9, *[value + 0.3] * 10])
         assert math.isnan(figure(trace, "overshoot"))
         assert figure(trace, "settled_error") == pytest.approx(0.3)
-        assert trace.holds()
 
 
 def test_a_step_is_sized_by_the_reference_and_not_by_where_the_output_is() -> None:
@@ -254,20 +253,22 @@ def test_the_end_of_a_ramp_is_no_step() -> None:
     trace = trace_of(reference, y)
     assert math.isnan(figure(trace, "overshoot"))
     assert figure(trace, "settled_error") == pytest.approx(float(np.mean(1.0 - np.array(y)[46:50])))
-    assert trace.holds()
+    (end,) = [end for one in trace.tracking() for end in one.ends if end.error > 0.0]
+    assert end.step == 0.0
 
 
 def test_a_rounding_error_of_the_reference_is_no_step() -> None:
     reference = np.repeat([0.3, 0.1 + 0.2, 1.0, 0.7 + 0.3 - 1e-16], 20)
     trace = trace_of([*reference, 0.0], [*np.repeat([0.3, 0.3, 1.0, 1.0], 20), 0.0])
     assert figure(trace, "overshoot") == pytest.approx(0.0, abs=1e-9)
-    assert trace.holds()
+    assert [end.step for one in trace.tracking() for end in one.ends] == [0.0, pytest.approx(0.7)]
 
 
-def test_values_of_any_size_do_not_hold_and_do_not_warn() -> None:
+def test_values_of_any_size_do_not_warn() -> None:
     y = np.repeat([0.0, 1e308], 20)
     y[30:] *= -1
-    assert not stepping(0, 1, y=y).holds()
+    (one,) = stepping(0, 1, y=y).tracking()
+    assert one.deviation == 1e308
 
 
 def test_an_output_whose_reference_stays_has_no_steps_of_the_other_one() -> None:
@@ -290,26 +291,26 @@ def test_what_drifts_before_its_controller_knows_of_the_step_does_not_anticipate
     assert replace(trace, preview=15).metrics()[key] == pytest.approx(13 * H)
 
 
-@pytest.mark.parametrize(("settled", "holds"), [(0.51, True), (0.49, False), (1.49, True), (1.51, False)])
-def test_a_run_holds_its_reference_within_half_of_each_step(settled: float, holds: bool) -> None:
-    y = np.repeat([0.0, 1.0, 2.0], 20)
-    y[20:40] = settled
-    trace = stepping(0, 1, 2, y=y)
-    assert trace.holds() == holds
-    assert not replace(trace, outcome=Outcome.TIMED_OUT).holds()
+def test_what_a_run_is_judged_by_is_taken_at_the_end_of_each_stretch() -> None:
+    """Of 20 rows the last 4; the first stretch begins where the output is, and is no step."""
+    y = np.repeat([0.0, 0.51, 2.0], 20)
+    y[30] = 4.0
+    (one,) = stepping(0, 1, 2, y=y).tracking()
+    assert (one.output, one.travel, one.deviation) == ("y", 2.0, 4.0)
+    assert [(end.rows, end.step, end.constant) for end in one.ends] == [
+        (4, 0.0, True),
+        (4, 1.0, True),
+        (4, 1.0, True),
+    ]
+    assert [end.magnitude for end in one.ends] == pytest.approx([0.0, 0.49, 0.0])
+    assert one.mean_abs_error == pytest.approx((19 * 0.49 + 3.0) / 60)
 
 
-@pytest.mark.parametrize(("peak", "holds"), [(4.99, True), (5.01, False), (-3.01, False)])
-def test_a_run_that_leaves_its_bounds_by_more_than_the_span_does_not_hold(peak: float, holds: bool) -> None:
-    y = np.repeat([0.0, 2.0], 20)
-    y[30] = peak
-    assert stepping(0, 2, y=y, y_limits=(-1.0, 3.0)).holds() == holds
-
-
-def test_a_run_whose_output_is_not_a_number_does_not_hold() -> None:
+def test_an_output_that_is_not_a_number_is_infinitely_far() -> None:
     y = np.repeat([0.0, 2.0], 20)
     y[35:] = NAN
-    assert not stepping(0, 2, y=y).holds()
+    (one,) = stepping(0, 2, y=y).tracking()
+    assert math.isnan(one.ends[-1].magnitude)
 
 
 def test_the_quadratic_cost_by_hand() -> None:

@@ -3,9 +3,10 @@
 import csv
 import json
 import math
+import tomllib
 from functools import lru_cache
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 from typing import Any, NamedTuple
 
 NAN = math.nan
@@ -23,7 +24,7 @@ class Step(NamedTuple):
     settling: float
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def read_case(folder: Path) -> tuple[dict[str, Any], dict[str, list[float]]]:
     """Return run.json, and the numeric columns of signals.csv by header."""
     run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
@@ -99,17 +100,107 @@ def figures_of(folder: Path, preview: int) -> dict[str, float]:
     return table
 
 
-def holds(folder: Path, preview: int) -> bool:
-    """Return whether a case completed and stayed near its references."""
+class Verdict(NamedTuple):
+    """What docs/metrics.md concludes of a run."""
+
+    failed: bool
+    settles: bool | None
+
+
+class Ends(NamedTuple):
+    """Means over the last fifth of a stretch: the error's magnitude, that of its mean, rows, and the step."""
+
+    magnitude: float
+    offset: float
+    rows: int
+    step: float
+    constant: bool
+
+
+def verdict(folder: Path, preview: int) -> Verdict:
+    """Return whether a run failed and whether it settles, from its samples and those of doing nothing."""
+    run, own = _judged_by(folder)
+    if run["outcome"] != "completed":
+        return Verdict(True, False)
+    resting, rest = _judged_by(resting_folder(folder))
+    rests = resting["outcome"] == "completed"
+    study = tomllib.loads((folder.parents[1] / "study.toml").read_text(encoding="utf-8"))
+    scenario = study["scenarios"][run["scenario"]]
+    far, errors, at_rest, unavoidable, left = False, [], [], [], list[float]()
+    for i, output in enumerate(run["outputs"]):
+        r, y = own[output["name"]]
+        _, nothing = rest[output["name"]]
+        goes = max(abs(one - nothing[0]) for one in nothing) if rests else 0.0
+        size = max(max(*r, y[0]) - min(*r, y[0]), goes)
+        if not size:
+            width = float(run["bounds"]["y_max"][i]) - float(run["bounds"]["y_min"][i])
+            size = width if math.isfinite(width) else output["nominal"]
+        curvature = [nothing[k + 1] - 2 * nothing[k] + nothing[k - 1] for k in range(1, len(nothing) - 1)]
+        scattered = 1.4826 * median(map(abs, curvature)) / math.sqrt(6)
+        s = math.hypot(scenario.get("noise", {}).get(output["name"], 0.0), scattered)
+        half = 0.5 * scenario.get("quantum", {}).get(output["name"], 0.0)
+        mean_magnitude = math.sqrt(2 / math.pi) * s + half
+        for end in ends_of(r, y, preview, run["sampling_time"]):
+            far |= (end.magnitude - mean_magnitude) / size > 0.5
+            if end.constant:
+                offset = max(end.offset - 3 * s / math.sqrt(end.rows) - half, 0.0)
+                left.append(100 * offset / (abs(end.step) or size))
+        errors.append(mean_error(r, y) / size)
+        at_rest.append(mean_error(r, nothing) / size if rests else math.inf)
+        unavoidable.append(mean_magnitude / size)
+    worse = fmean(errors) - fmean(at_rest) > fmean(unavoidable) + 0.01
+    return Verdict(far or worse, max(left) <= 5.0 if left else None)
+
+
+def ends_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ends]:
+    """Return the ends of the stretches of constant reference, else that of the run."""
+    steps = steps_of(r, y, preview, h)
+    if not steps:
+        return [_end(r, y, range(len(r) - max(round(len(r) / 5), 1), len(r)), 0.0, constant=False)]
+    found = []
+    for one in steps:
+        last = one.end - preview
+        # A run may begin away from its reference: that is no step of it.
+        step = 0.0 if one.first == 0 or math.isnan(one.size) else one.size
+        tail = range(last - round((last - one.first) / 5), last)
+        found.append(_end(r, y, tail, step, constant=True))
+    return found
+
+
+def _end(r: list[float], y: list[float], tail: range, step: float, *, constant: bool) -> Ends:
+    errors = [r[k] - y[k] for k in tail]
+    return Ends(fmean(map(abs, errors)), abs(fmean(errors)), len(tail), step, constant)
+
+
+def mean_error(r: list[float], y: list[float]) -> float:
+    return fmean(abs(a - b) for a, b in zip(r, y, strict=True))
+
+
+@lru_cache(maxsize=2)
+def _judged_by(folder: Path) -> tuple[dict[str, Any], dict[str, tuple[list[float], list[float]]]]:
+    """Return run.json, and reference and output by name over the samples that were held."""
     run, columns = read_case(folder)
-    kept = run["outcome"] == "completed"
-    for i, (name, (output, stretches, _)) in enumerate(outputs_of(folder, preview).items()):
-        header = f"{name} [{output['unit'] or '1'}]"
-        r, y = columns[f"reference {header}"][:-1], columns[header][:-1]
-        low, high = float(run["bounds"]["y_min"][i]), float(run["bounds"]["y_max"][i])
-        kept &= max(0.0, max(y) - high, low - min(y)) <= (max(r) - min(r) or abs(r[0] - y[0]))
-        kept &= all(one.settled <= abs(one.size) / 2 for one in stretches if not math.isnan(one.size))
-    return kept
+    headers = {output["name"]: f"{output['name']} [{output['unit'] or '1'}]" for output in run["outputs"]}
+    held = -1 if run["outcome"] == "completed" else None
+    return run, {
+        name: (columns[f"reference {header}"][:held], columns[header][:held])
+        for name, header in headers.items()
+    }
+
+
+def resting_folder(folder: Path) -> Path:
+    """Return the folder of the run with inputs at rest of the same scenario and seed."""
+    run, _ = read_case(folder)
+    return _resting(folder.parent)[run["scenario"], run["seed"]]
+
+
+@lru_cache(maxsize=4)
+def _resting(cases: Path) -> dict[tuple[str, int], Path]:
+    found = {}
+    for folder in cases.glob("*doing-nothing_*"):
+        run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        found[run["scenario"], run["seed"]] = folder
+    return found
 
 
 def worst(values: list[float]) -> float:

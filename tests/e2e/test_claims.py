@@ -16,7 +16,7 @@ from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_reports.page import render_page
 
-from .recomputed import figures_of, holds, read_case
+from .recomputed import figures_of, read_case, verdict
 from .test_studies import STUDIES, Silent
 
 # What its fixtures run is run in one process.
@@ -150,17 +150,22 @@ def test_with_little_data_the_order_shows_and_with_much_it_turns(excitation: Stu
 
 
 def test_a_faint_excitation_needs_another_ridge(excitation: StudyResults) -> None:
-    held = {
-        (name, scenario): sum(
-            by_seed(excitation, name, scenario, lambda case: holds(case.folder, HORIZON)).values()
-        )
+    share = figure("settled_share")
+    far_off = {
+        (name, scenario): sum(one > 50.0 for one in by_seed(excitation, name, scenario, share).values())
         for name in ("deepc", "wkpc", "deepc-lambda-5")
         for scenario in ("faint", "weak")
     }
-    assert held["deepc", "faint"] == held["wkpc", "faint"] == 0
-    assert held["deepc-lambda-5", "faint"] == 10
-    assert held["deepc", "weak"] == held["wkpc", "weak"] == 10
-    assert held["deepc-lambda-5", "weak"] == 9
+    assert far_off["deepc", "faint"] == far_off["wkpc", "faint"] == 10
+    assert far_off["deepc-lambda-5", "faint"] == 0
+    assert far_off["deepc", "weak"] == far_off["wkpc", "weak"] == 0
+    failed = by_seed(excitation, "deepc-lambda-5", "weak", lambda case: verdict(case.folder, HORIZON).failed)
+    assert sum(failed.values()) == 1
+
+
+def test_which_runs_failed_is_what_their_samples_say(excitation: StudyResults) -> None:
+    for case in excitation.cases:
+        assert (case.failed, case.settles) == verdict(case.folder, HORIZON), (case.id, case.failure)
 
 
 def test_the_report_states_the_terms_of_the_comparison_as_the_study_sets_them(claims: StudyResults) -> None:

@@ -11,6 +11,7 @@ from ddpc_cosim import Bounds, CaseResult, DisplayUnit, Outcome, StudyResults, T
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.case_files import load_case, write_case
 from ddpc_cosim.study.file_format.sections import Study
+from ddpc_cosim.study.judgement import judged
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.standings import standings
 from ddpc_reports.comparison import Condition
@@ -110,14 +111,15 @@ def make_results_in(
     """Make results: the trace of a controller and a seed for each controller, scenario and seed."""
     study = make_study(controllers or {"quick": {"type": "quick"}, "slow": {"type": "slow"}}, **changes)
     trace_of = trace_of or (lambda key, seed: make_trace(0.3 if key == "quick" else 1.0, noise_seed=seed))
-    cases = [
+    written = [
         _write_one(folder, study, key, scenario, seed, trace_of(key, seed), settings)
         for key in study.controllers
         for scenario in study.scenarios
         for seed in study.seeds
     ]
+    cases = judged(study.scenarios, written, {})
     return StudyResults(
-        folder, WholeStudy.of(study), tuple(cases), provenance or {"date": "2020-01-01", "fmu sha256": "abc"}
+        folder, WholeStudy.of(study), cases, provenance or {"date": "2020-01-01", "fmu sha256": "abc"}
     )
 
 

@@ -27,8 +27,8 @@ axe.run(document, { resultTypes: ["violations", "incomplete"] }).then(({ violati
 
 
 def trace_of(key: str, seed: int) -> Trace:
-    """Return runs of every kind: one lost, one with fallbacks, one that says something of its steps."""
-    if key == "lost":
+    """Return runs of every kind: one diverged, one with fallbacks, one that says something of its steps."""
+    if key == "diverged":
         return make_trace(0.6, outcome=Outcome.DIVERGED, reason="angle is NaN at 3 s")
     diagnostics = {"data_rank": 9.0, "data_columns": 20.0 + seed}
     trace = make_trace(
@@ -44,7 +44,7 @@ def trace_of(key: str, seed: int) -> Trace:
 def page(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return the address of a report that has every kind of block."""
     folder = tmp_path_factory.mktemp("accessibility")
-    controllers = {key: {"type": "a", "label": f"{key} one"} for key in ("quick", "slow", "lost")}
+    controllers = {key: {"type": "a", "label": f"{key} one"} for key in ("quick", "slow", "diverged")}
     scenarios = {"calm": {}, "noisy": {"label": "noisy, and with a longer name", "noise": {"angle": 0.01}}}
     results = make_results_in(
         folder / "results", trace_of, controllers, seeds=["0:6"], scenarios=scenarios, source="A book."

@@ -49,9 +49,9 @@ def test_the_same_order_in_every_problem(alike: list[StudyResults]) -> None:
     assert found.ranks.statistic == pytest.approx(friedmanchisquare([1] * 8, [2] * 8, [3] * 8).statistic)
     table = overall_table(found, "")
     assert [[cell.text.strip() for cell in row.cells] for row in table.rows] == [
-        ["1", "a", "100", "100", "8 of 8"],
-        ["2", "a b", "0", "100", "8 of 8"],
-        ["3", "b", "0", "0", "8 of 8"],
+        ["1", "a", "100", "100", "0 of 8"],
+        ["2", "a b", "0", "100", "0 of 8"],
+        ["3", "b", "0", "0", "0 of 8"],
     ]
     assert said(found) == {
         "Ranks": "Over 8 problems, Quick has the best average rank, 1.00; the problems do not tell it apart "
@@ -77,15 +77,15 @@ def test_the_figures_draw_what_the_table_says(alike: list[StudyResults]) -> None
     assert "bars do not overlap are told apart." in ranks.caption
 
 
-def test_lost_runs_problems_without_a_follower_and_absent_controllers_are_told(
+def test_failed_runs_problems_in_which_all_fail_and_absent_controllers_are_told(
     make_results: MakeResults,
 ) -> None:
     def fallen(key: str, seed: int) -> Trace:
-        lost = (key, seed) == ("quick", 0)
-        return make_trace(0.1, outcome=Outcome.DIVERGED, reason="NaN") if lost else make_trace(LAGS[key])
+        falls = (key, seed) == ("quick", 0)
+        return make_trace(0.1, outcome=Outcome.DIVERGED, reason="NaN") if falls else make_trace(LAGS[key])
 
     def stuck(key: str, seed: int) -> Trace:
-        return make_trace(4.0)
+        return make_trace(40.0)
 
     two = {key: THREE[key] for key in ("quick", "slow")}
     results = [
@@ -96,10 +96,10 @@ def test_lost_runs_problems_without_a_follower_and_absent_controllers_are_told(
     found = found_in(results)
     assert found.problems == 2
     assert found.ranks.ranks == {"quick": 1.5, "slow": 1.5}
-    assert found.held == {"quick": (2, 3), "middle": (2, 2), "slow": (3, 3)}
+    assert found.failed == {"quick": (1, 3), "middle": (0, 2), "slow": (0, 3)}
     assert math.isnan(found.ranks.p)
     told = said(found)
-    assert told["Left out"] == "In Out of reach no controller follows the reference: nothing is ranked there."
+    assert told["Left out"] == "In Out of reach every controller fails: nothing is ranked there."
     assert told["Not ranked"] == "Middle: not in every problem, so not ranked over all."
     assert "It takes three controllers for a test." in told["Ranks"]
     assert overall_figures(found, "")[0].caption.endswith("; of two controllers none is, as it takes three.")
@@ -109,7 +109,7 @@ def test_one_problem_is_none_to_compare_over(make_results: MakeResults) -> None:
     assert overall([make_results(lambda key, seed: make_trace(0.5))]) is None
 
 
-def test_a_scenario_without_a_follower_is_named(alike: list[StudyResults], make_results: MakeResults) -> None:
+def test_a_scenario_in_which_all_fail_is_named(alike: list[StudyResults], make_results: MakeResults) -> None:
     both = make_results(
         lambda key, seed: make_trace(LAGS[key]),
         THREE,
@@ -117,10 +117,8 @@ def test_a_scenario_without_a_follower_is_named(alike: list[StudyResults], make_
         scenarios={"a": {}, "b": {"label": "Hard"}},
     )
     cases = [
-        replace(case, metrics={key: 50.0 if "settled_share" in key else v for key, v in case.metrics.items()})
-        if case.scenario == "b"
-        else case
+        replace(case, failed=True, failure="out of reach") if case.scenario == "b" else case
         for case in both.cases
     ]
     told = said(found_in([*alike, replace(both, cases=tuple(cases))]))
-    assert told["Left out"] == "In one: Hard no controller follows the reference: nothing is ranked there."
+    assert told["Left out"] == "In one: Hard every controller fails: nothing is ranked there."

@@ -61,12 +61,12 @@ def test_one_that_is_told_apart_from_all_is_ahead_by_the_difference_of_the_pairs
 
 
 def having(results: StudyResults, of: dict[str, Callable[[str, int], float]]) -> StudyResults:
-    """Return results with errors of one's own, by scenario and seed; NaN is a lost run."""
+    """Return results with errors of one's own, by scenario and seed; NaN is a failed run."""
 
     def changed(case: CaseResult) -> CaseResult:
         value = of[case.controller](case.scenario, case.seed)
         if math.isnan(value):
-            return replace(case, holds=False)
+            return replace(case, failed=True)
         return replace(case, metrics=case.metrics | {KEY: value})
 
     return replace(results, cases=tuple(map(changed, results.cases)))
@@ -104,11 +104,11 @@ def test_an_interval_without_0_has_the_p_by_which_two_are_not_told_apart(make_re
     assert f"] (corrected p {p:.2f})." in told
 
 
-def test_who_alone_loses_no_run_is_not_told_to_be_ahead(make_results: MakeResults) -> None:
+def test_who_alone_has_no_failed_run_is_not_told_to_be_ahead(make_results: MakeResults) -> None:
     results = study(make_results, lag({"a": 0.9, "b": 0.3}), "a", "b")
     told = said(having(results, {"a": lambda s, n: 5.0, "b": lambda s, n: math.nan if n == 3 else 1.0}))
     assert told.startswith(
-        "a alone loses no run, over 12 seeds: mean abs error 5.00°. Runs are lost by b (1 "
+        "a alone has no failed run, over 12 seeds: mean abs error 5.00°. Failed: b 1 of 12 runs ("
     )
     assert "ahead of a by 4.00°" in told
 
@@ -159,7 +159,7 @@ def test_too_few_seeds_make_nobody_sure(make_results: MakeResults) -> None:
     assert said(alone).endswith("How much that depends on the seed is not known.")
 
 
-def test_who_loses_runs_is_told_and_that_it_is_ahead_in_the_others(make_results: MakeResults) -> None:
+def test_whose_runs_failed_is_told_and_that_it_is_ahead_in_the_others(make_results: MakeResults) -> None:
     def trace_of(key: str, seed: int) -> Trace:
         if key == "swift" and seed == 3:
             return make_trace(0.2, outcome=Outcome.DIVERGED, reason="angle is NaN")
@@ -170,18 +170,26 @@ def test_who_loses_runs_is_told_and_that_it_is_ahead_in_the_others(make_results:
     gain = median(a[seed] - swift[seed] for seed in SEEDS if seed != 3)
     told = said(results)
     assert told.startswith("a is ahead over 12 seeds")
-    assert f"Runs are lost by swift (1 of 12; in the others ahead of a by {gain:.3g}° [" in told
+    assert f"Failed: swift 1 of 12 runs (in the others ahead of a by {gain:.3g}° [" in told
 
 
-def test_where_every_controller_loses_runs_none_is_ahead(make_results: MakeResults) -> None:
+def test_where_every_controller_has_failed_runs_none_is_ahead(make_results: MakeResults) -> None:
     def trace_of(key: str, seed: int) -> Trace:
-        lost = seed < (1 if key == "a" else 2)
-        return make_trace(0.5, outcome=Outcome.DIVERGED if lost else Outcome.COMPLETED)
+        falls = seed < (1 if key == "a" else 2)
+        return make_trace(0.5, outcome=Outcome.DIVERGED if falls else Outcome.COMPLETED)
 
     told = said(study(make_results, trace_of, "a", "b"))
-    assert told == (
-        "No controller stays near its reference in every run. The fewest are lost by a: 1 run of 12."
-    )
+    assert told == "No controller is without a failed run. Fewest failed: a 1 of 12 runs."
+
+
+def test_where_every_run_failed_nothing_is_ranked(make_results: MakeResults) -> None:
+    results = study(make_results, lambda key, seed: make_trace(40.0), "a", "b", "rest")
+    points = {"reference_points": {"zero": "rest", "full": "b"}}
+    assert said(results) == ""
+    cases = tuple(replace(case, failed=case.controller != "rest") for case in results.cases)
+    beaten = study(make_results, lag({"a": 0.5, "b": 0.5, "rest": 0.5}), "a", "b", "rest", report=points)
+    cases = tuple(replace(case, failed=case.controller == "a") for case in beaten.cases)
+    assert said(replace(beaten, cases=cases)) == "Every run of every controller failed, so nothing is ranked."
 
 
 @pytest.mark.parametrize(
@@ -201,18 +209,16 @@ def test_who_learns_from_no_recording_is_told_with_how_far_it_is_behind(
     assert f"Behind, b ({ratio:.2g} times) learns from no recording{but}." in said(results)
 
 
-def test_scenarios_count_together_but_for_those_in_which_nobody_follows(make_results: MakeResults) -> None:
+def test_scenarios_count_together_but_for_those_in_which_all_fail(make_results: MakeResults) -> None:
     scenarios = {"calm": {}, "wild": {}, "dead": {"label": "No power"}}
     results = study(make_results, lag({"a": 0.3, "b": 0.9}), "a", "b", scenarios=scenarios)
     cases = tuple(
-        replace(case, metrics=case.metrics | {"settled_share.angle [%]": 90.0})
-        if case.scenario == "dead"
-        else case
+        replace(case, failed=True, failure="far off") if case.scenario == "dead" else case
         for case in results.cases
     )
     told = said(replace(results, cases=cases))
     assert told.startswith("a is ahead over 2 scenarios and 12 seeds")
-    assert told.endswith("Not counted, as no controller follows there: No power.")
+    assert told.endswith("Not counted, as every controller fails there: No power.")
 
 
 def test_where_scenarios_disagree_it_is_told_who_leads_where(make_results: MakeResults) -> None:

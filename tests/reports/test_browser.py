@@ -26,7 +26,7 @@ pytestmark = pytest.mark.xdist_group("browser")
 
 
 def trace_of(key: str, seed: int) -> Trace:
-    if key == "lost":
+    if key == "diverged":
         return make_trace(0.6, outcome=Outcome.DIVERGED, reason="angle is NaN at 3 s")
     trace = make_trace(0.3 if key == "quick" else 1.0, noise_seed=seed, diagnostics={"data_rank": 9.0})
     return replace(trace, info={"cost": trace.u[:, 0] ** 2} if key == "quick" else {})
@@ -36,7 +36,7 @@ def trace_of(key: str, seed: int) -> Trace:
 def page(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return the address of a report of three controllers, one of which fails."""
     folder = tmp_path_factory.mktemp("browser")
-    controllers = {"quick": {"type": "a", "label": "Quick"}, "slow": {"type": "b"}, "lost": {"type": "b"}}
+    controllers = {"quick": {"type": "a", "label": "Quick"}, "slow": {"type": "b"}, "diverged": {"type": "b"}}
     results = make_results_in(folder / "results", trace_of, controllers, seeds=[7, 0, 1])
     return write_report([results], folder / "report.html").as_uri()
 
@@ -200,7 +200,7 @@ def test_the_pointer_reads_all_controllers_at_the_nearest_sample(browser: webdri
     wait(browser, reading.is_displayed)
     first, *lines = reading.text.split("\n")
     assert first.startswith("t = ")
-    assert {"reference", "Quick", "slow", "lost"} <= set(lines)
+    assert {"reference", "Quick", "slow", "diverged"} <= set(lines)
     assert "20°" in lines
 
 
@@ -407,7 +407,7 @@ def test_a_table_sorts_by_a_click_on_its_heading(browser: webdriver.Chrome) -> N
         "return [...document.querySelectorAll('#s1-ranking-table tbody tr')]"
         ".map((row) => Number(row.cells[2].dataset.value))"
     )
-    *known, missing = values  # of the run that is lost there is no value: it stands last
+    *known, missing = values  # of the run that failed there is no value: it stands last
     assert known == sorted(known)
     assert missing is None
     assert one(browser, "#s1-ranking-table th:nth-child(3)").get_attribute("aria-sort") == "ascending"

@@ -100,12 +100,12 @@ def test_one_seed_says_nothing_of_how_sure_it_is(make_results: MakeResults) -> N
 
 
 def test_a_controller_that_lost_a_run_is_last_and_not_tested(make_results: MakeResults) -> None:
-    def losing(key: str, seed: int) -> Trace:
+    def failing(key: str, seed: int) -> Trace:
         if (key, seed) == ("quick", 3):
             return make_trace(0.1, outcome=Outcome.DIVERGED, reason="angle is NaN at 3 s")
         return trace_of(key, seed)
 
-    results = make_results(losing, THREE, seeds=SEEDS)
+    results = make_results(failing, THREE, seeds=SEEDS)
     found = rows(table_of(results))
     assert list(found) == ["alike", "slow", "quick"]
     runs, *_, p, ahead, letters = found["quick"].cells

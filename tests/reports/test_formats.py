@@ -22,12 +22,12 @@ SETTINGS = {"model": f"{FOLDER}/my model.fmu", EVIL: EVIL}
 
 
 def trace_of(key: str, seed: int) -> Trace:
-    lost = key == "slow" and seed == 3
+    crashes = key == "slow" and seed == 3
     trace = make_trace(
         {"quick": 0.3, "slow": 0.9}[key] + 0.01 * seed,
         noise_seed=seed,
-        outcome=Outcome.CRASHED if lost else Outcome.COMPLETED,
-        reason=f"{FOLDER}/own.py: {EVIL}" if lost else "",
+        outcome=Outcome.CRASHED if crashes else Outcome.COMPLETED,
+        reason=f"{FOLDER}/own.py: {EVIL}" if crashes else "",
         settings=SETTINGS,
         diagnostics={EVIL: 1.0},
     )
@@ -134,19 +134,19 @@ def test_rankings_and_statistics_follow_from_the_cases(results: StudyResults, da
     key = "mean_abs_error.angle [deg]"
     (ranking,) = data["results"][0]["rankings"]
     assert (ranking["metrics"], ranking["seeds"]) == ([key], 7)
-    assert [(one["controller"], one["rank"], one["lost"]) for one in ranking["order"]] == [
+    assert [(one["controller"], one["rank"], one["failed"]) for one in ranking["order"]] == [
         ("quick", 1, 0),
         ("slow", 2, 2),
     ]
     for one in ranking["order"]:
-        own = metrics[(metrics["controller"] == one["controller"]) & metrics["holds"]]
+        own = metrics[(metrics["controller"] == one["controller"]) & ~metrics["failed"]]
         by_seed = own.groupby("seed")[key].median()
         assert one["medians"] == [pytest.approx(by_seed.median(), rel=1e-12)]
     statistics = pd.DataFrame(data["statistics"]["rows"], columns=data["statistics"]["columns"])
     rows = statistics[(statistics["metric"] == "rmse") & (statistics["scenario"] == "windy")]
     for _, row in rows.iterrows():
         own = metrics[(metrics["controller"] == row["controller"]) & (metrics["scenario"] == "windy")]
-        assert row["median"] == pytest.approx(own.loc[own["holds"], "rmse.angle [deg]"].median(), rel=1e-12)
+        assert row["median"] == pytest.approx(own.loc[~own["failed"], "rmse.angle [deg]"].median(), rel=1e-12)
     assert not any(isinstance(value, float) and math.isinf(value) for row in rows.values for value in row)
 
 

@@ -38,7 +38,7 @@ def hostile_report(folder: Path, text: str, short: str) -> str:
             "outputs": (angle,),
             "inputs": (torque,),
         }
-        if key == "lost":
+        if key == "failing":
             return make_trace(0.5, outcome=Outcome.FMU_ERROR, reason=text, **said)
         trace = make_trace(0.5 if key == "evil" else 0.3, noise_seed=seed, **said)
         return replace(trace, info={short[:30]: trace.u[:, 0] ** 2})
@@ -46,7 +46,7 @@ def hostile_report(folder: Path, text: str, short: str) -> str:
     results = make_results_in(
         folder / "results",
         trace_of,
-        {key: {"type": "x", "label": f"{key} {text}", "note": text} for key in ("evil", "good", "lost")},
+        {key: {"type": "x", "label": f"{key} {text}", "note": text} for key in ("evil", "good", "failing")},
         {text: text},
         title=text,
         summary=text,

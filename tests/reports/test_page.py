@@ -23,6 +23,7 @@ from rich.console import Console
 from ddpc_cosim import CosimWarning, Outcome, StudyResults, Trace
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS
+from ddpc_cosim.study.judgement import remarks
 from ddpc_cosim.study.results import METRICS_FILE, write_results
 from ddpc_cosim.texts import printable
 from ddpc_reports import sections, write_report
@@ -175,12 +176,12 @@ def test_nothing_acts_unseen_in_page_data_tables_and_terminal(
             "outputs": (signal,),
             "inputs": (drive,),
         }
-        if key == "lost":
+        if key == "failing":
             return make_trace(0.5, outcome=Outcome.FMU_ERROR, reason=evil, **said)
         return make_trace(0.5 if key == "evil" else 0.3, noise_seed=seed, **said)
 
     controllers = {
-        key: {"type": "x", "label": f"{key}{evil}", "note": evil} for key in ("evil", "good", "lost")
+        key: {"type": "x", "label": f"{key}{evil}", "note": evil} for key in ("evil", "good", "failing")
     }
     results = make_results(
         trace_of,
@@ -204,8 +205,8 @@ def test_nothing_acts_unseen_in_page_data_tables_and_terminal(
     tables = [base64.b64decode(link.partition(",")[2]).decode() for link in links]
     screen = Console(file=io.StringIO(), width=500)
     screen.print(summary_table(results, screen))
-    for line in following_lines(results.study, results.cases):
-        screen.print(printable(line))
+    for remark in remarks(results.study, results.cases):
+        screen.print(printable(remark.text))
     assert isinstance(screen.file, io.StringIO)
     write_results(results)
     shown = {
@@ -353,13 +354,13 @@ def test_a_metric_has_one_name_in_page_terminal_and_file(make_results: MakeResul
 def test_page_and_terminal_rank_alike(
     make_results: MakeResults, tmp_path: Path, scenarios: dict[str, Any]
 ) -> None:
-    """In the same order, with the same ranks; who loses a run comes last."""
+    """In the same order, with the same ranks; who has a failed run comes last."""
 
     def trace_of(key: str, seed: int) -> Trace:
-        trace = make_trace({"slow": 1.0, "quick": 0.3, "also": 0.3, "lost": 0.2}[key], noise_seed=seed)
-        return trace if (key, seed) != ("lost", 3) else replace(trace, outcome=Outcome.DIVERGED)
+        trace = make_trace({"slow": 1.0, "quick": 0.3, "also": 0.3, "failing": 0.2}[key], noise_seed=seed)
+        return trace if (key, seed) != ("failing", 3) else replace(trace, outcome=Outcome.DIVERGED)
 
-    controllers = {name: {"type": "a"} for name in ("lost", "slow", "also", "quick")}
+    controllers = {name: {"type": "a"} for name in ("failing", "slow", "also", "quick")}
     results = make_results(trace_of, controllers, seeds=[*range(12)], scenarios=scenarios)
     reader = Reader(written(tmp_path, results))
     name = "ranking.csv" if len(scenarios) == 1 else "matrix.csv"
@@ -374,7 +375,7 @@ def test_page_and_terminal_rank_alike(
     assert [rank for rank, _ in in_terminal] == ["1-2", "1-2", "3", "4"]
     assert [(rank[0], name) for rank, name in in_terminal] == on_page
     assert [rank for rank, _ in on_page] == ["1", "1", "3", "4"]
-    assert on_page[-1][1] == "lost"
+    assert on_page[-1][1] == "failing"
 
 
 def test_a_thousand_cases_do_not_blow_the_page_up(make_results: MakeResults, tmp_path: Path) -> None:

@@ -16,11 +16,11 @@ SEEDS = list(range(12))
 
 
 def trace_of(key: str, seed: int) -> Trace:
-    lost = key == "slow" and seed in (3, 4)
+    crashes = key == "slow" and seed in (3, 4)
     return make_trace(
         {"quick": 0.3, "slow": 0.9}.get(key, 0.5) + 0.01 * seed,
         noise_seed=seed,
-        outcome=Outcome.CRASHED if lost else Outcome.COMPLETED,
+        outcome=Outcome.CRASHED if crashes else Outcome.COMPLETED,
         fallbacks=seed,
     )
 
@@ -47,12 +47,12 @@ def test_every_row_follows_from_the_cases(tables: tuple[pd.DataFrame, pd.DataFra
     for (controller, scenario), cases in metrics.groupby(["controller", "scenario"], sort=False):
         rows = table[(table["controller"] == controller) & (table["scenario"] == scenario)]
         assert len(rows) == sum("[" in name for name in metrics.columns)
-        held = cases[cases["holds"]]
+        sound = cases[~cases["failed"]]
         assert set(rows["runs"]) == {len(cases)}
-        assert set(rows["lost"]) == {len(cases) - len(held)}
+        assert set(rows["failed"]) == {len(cases) - len(sound)}
         for _, row in rows.iterrows():
             signal = "" if isinstance(row["signal"], float) else f".{row['signal']}"
-            known = held[f"{row['metric']}{signal} [{row['unit']}]"].dropna()
+            known = sound[f"{row['metric']}{signal} [{row['unit']}]"].dropna()
             for column, value in (("median", known.median()), ("low", known.min()), ("high", known.max())):
                 assert row[column] == pytest.approx(value, rel=1e-12, nan_ok=True)
             if not math.isnan(row["interval_low"]):
@@ -64,7 +64,7 @@ def test_every_row_follows_from_the_cases(tables: tuple[pd.DataFrame, pd.DataFra
 def test_ranks_are_those_of_the_page_and_texts_act_on_nothing(
     tables: tuple[pd.DataFrame, pd.DataFrame],
 ) -> None:
-    """Slow loses runs and comes last; the variant of a sweep does not compete."""
+    """Slow has failed runs and comes last; the variant of a sweep does not compete."""
     table, _ = tables
     ranks = table.groupby("controller", sort=False)["rank"].agg(["min", "max"])
     assert ranks.loc["quick"].tolist() == [1, 1]

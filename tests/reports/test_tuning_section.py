@@ -30,7 +30,7 @@ TWO = [
 
 def tuned(folder: Path, objectives: str, rows: list[str]) -> StudyResults:
     folder.mkdir()
-    figures = ["runs lost", *objectives.split(",")]
+    figures = ["runs failed", *objectives.split(",")]
     head = HEAD.format(",".join(figures), ",".join(f"held out: {figure}" for figure in figures))
     content = head + "".join(f"{row},{SETTINGS}\n" for row in rows)
     (folder / "trials.csv").write_text(content, encoding="utf-8")
@@ -71,7 +71,7 @@ def test_where_settings_come_from_and_which_are_at_an_end_of_the_search_is_told(
 
 
 def test_two_objectives_are_drawn_as_a_front(tmp_path: Path) -> None:
-    """Trials that lost more runs than the one chosen are left out, and those without a figure."""
+    """Trials with more failed runs than the one chosen are left out, and those without a figure."""
     (figure,) = front_figures(tuned(tmp_path / "two", "rmse,total_variation", TWO), "x-")
     spec: dict[str, Any] = figure.views[0].spec
     points = spec["data"]["values"]

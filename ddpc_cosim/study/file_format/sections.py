@@ -15,6 +15,7 @@ from ddpc_cosim.loop_setup import MOST_STEPS, end_time, limits_error, whole_step
 from ddpc_cosim.plugins import shown_name
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.settings import Choice, Factor, Integer, Linear, Log, Search
+from ddpc_cosim.study.case_files import DOING_NOTHING
 from ddpc_cosim.study.file_format.signal_sections import (
     DisturbanceSection,
     ExcitationSection,
@@ -37,9 +38,20 @@ def _without_dots(name: str) -> str:
     return name
 
 
+def not_reserved(name: str) -> str:
+    """Return the name of a controller; ValueError if it is that of the runs that the tool makes itself."""
+    if name == DOING_NOTHING:
+        raise ValueError(
+            f'"{name}" is what the runs with inputs at rest are called, by which all runs are judged; '
+            "give another name"
+        )
+    return name
+
+
 Text = Annotated[str, AfterValidator(partial(printable, keep="\n"))]
 """What people read: nothing in it acts on a terminal or a page."""
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
+ControllerName = Annotated[Name, AfterValidator(not_reserved)]
 PartName = Annotated[str, AfterValidator(_without_dots)]
 FMIKind = Literal["auto", "co-simulation", "model-exchange"]
 Preview = Annotated[int, Field(ge=0)] | Literal["horizon"]
@@ -647,7 +659,7 @@ class Study(StudyHead):
     reference: Annotated[dict[str, ReferenceSection], Field(min_length=1)]
     bounds: dict[str, BoundsSection] = Field({})
     recording: RecordingSection | None = None
-    controllers: Annotated[dict[Name, ControllerSection], Field(min_length=1)]
+    controllers: Annotated[dict[ControllerName, ControllerSection], Field(min_length=1)]
     scenarios: dict[Name, ScenarioSection] = Field({"nominal": ScenarioSection()}, min_length=1)
     metrics: MetricsSection = MetricsSection()
     report: ReportSection = ReportSection()

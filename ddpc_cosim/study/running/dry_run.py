@@ -8,7 +8,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from ddpc_cosim.study.case_files import DAMAGED, RUN_FILE, read_run
+from ddpc_cosim.study.case_files import DAMAGED, DOING_NOTHING, RUN_FILE, read_run
 from ddpc_cosim.study.results import CASES_FOLDER
 
 if TYPE_CHECKING:
@@ -35,15 +35,18 @@ def expected(resolved: "ResolvedProblems", folder: Path, selection: "Selection",
     ConfigError
         No case is selected.
     """
+    from ddpc_cosim.study.cases import doing_nothing
     from ddpc_cosim.study.runner import selected_cases
 
-    cases = selection.part_of(selected_cases(resolved, selection, progress)[1])
+    chosen = selected_cases(resolved, selection, progress)[1]
+    cases = selection.part_of([*chosen, *doing_nothing(chosen)])
     there = _names_in(folder / CASES_FOLDER)
     missing = [case for case in cases if selection.fresh or case.id not in there]
     kept = len(cases) - len(missing)
+    resting = sum(case.controller == DOING_NOTHING for case in cases)
     lines = [
-        f"{len(cases)} {'case' if len(cases) == 1 else 'cases'}: {len(missing)} to run, "
-        f"{kept} already there (a damaged one is run again)"
+        f"{_counted(len(cases) - resting, 'case')} and {_counted(resting, 'run')} of doing nothing: "
+        f"{len(missing)} to run, {kept} already there (a damaged one is run again)"
     ]
     if missing:
         base = {
@@ -54,6 +57,10 @@ def expected(resolved: "ResolvedProblems", folder: Path, selection: "Selection",
         lines += [_time(missing, base, folder / CASES_FOLDER, there, selection.jobs)]
         lines.append(_size(missing, selection.storage))
     return "\n".join(lines)
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun if number == 1 else f'{noun}s'}"
 
 
 def _names_in(folder: Path) -> set[str]:

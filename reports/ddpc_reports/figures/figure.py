@@ -111,7 +111,7 @@ def entry(one: ControllerResults, *, of_first: bool = True) -> Entry:
 
 
 def spread_figures(condition: Condition, prefix: str) -> list[Figure]:
-    """Return one strip plot over the seeds for each controlled output; none of one seed, or if none holds."""
+    """Return one strip plot over the seeds for each controlled output; none of one seed, or if all failed."""
     if len(condition.seeds) < 2:
         return []
     keys = enumerate(condition.headline)
@@ -128,7 +128,7 @@ def _spread_figure(condition: Condition, key: str, identifier: str) -> Figure | 
     if len(condition.seeds) > _MOST_DOTS:
         dots = f"{_MOST_DOTS} dots at most, even in rank from the lowest value to the highest"
     caption = (
-        f"Over {len(condition.seeds)} seeds, {what} in the cases that stay near their reference; "
+        f"Over {len(condition.seeds)} seeds, {what} in the cases that did not fail; "
         f"{dots}, upright line: median, diamond: seed {condition.seeds[0]}."
         + (" Logarithmic axis." if ranges_widely([row["value"] for row in rows]) else "")
     )

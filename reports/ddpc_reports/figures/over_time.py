@@ -185,13 +185,13 @@ def _band_words(scene: _Scene, signals: Sequence[Signal]) -> str:
     )
     first = "the first " if over.left_out else ""
     words = f" Bands: {from_to} over {first}{over.seeds} seeds, with the median as a thin line"
-    lost = [
-        f"{clipped(one.label)} {over.lost[column_name(one)]}"
+    failed = [
+        f"{clipped(one.label)} {over.failed[column_name(one)]}"
         for one in scene.condition.controllers
-        if over.lost.get(column_name(one))
+        if over.failed.get(column_name(one))
     ]
-    if lost:
-        words += f"; without the runs that do not stay near their reference ({', '.join(lost)})"
+    if failed:
+        words += f"; without the runs that failed ({', '.join(failed)})"
     return f"{words}; none where the seeds hardly differ."
 
 

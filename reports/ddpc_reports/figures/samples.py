@@ -37,15 +37,15 @@ class Over:
         How many were read.
     left_out : int
         How many were not, to keep the report quick.
-    lost : dict of str to int
-        By column, how many of those runs do not stay near their reference: these are not in the band.
+    failed : dict of str to int
+        By column, how many of those runs failed: these are not in the band.
     is_range : bool
         Whether the bands go from the least to the most; otherwise from quantile to quantile.
     """
 
     seeds: int = 0
     left_out: int = 0
-    lost: dict[str, int] = field(default_factory=dict)
+    failed: dict[str, int] = field(default_factory=dict)
     is_range: bool = False
 
 
@@ -89,20 +89,20 @@ def _first_runs(condition: Condition) -> dict[str, Trace]:
 
 
 def _over_seeds(condition: Condition, rows: int) -> tuple[dict[str, list[Trace]], Over]:
-    """Read the runs that stay near their reference, by column, of as many seeds as there is time for."""
+    """Read the runs that did not fail, by column, of as many seeds as there is time for."""
     seeds = condition.seeds[: min(_MOST_SEEDS, _MOST_ROWS // rows)]
     if len(seeds) < 2:
         return {}, Over()
-    runs, lost, firsts = dict[str, list[Trace]](), dict[str, int](), condition.first_traces
+    runs, failed, firsts = dict[str, list[Trace]](), dict[str, int](), condition.first_traces
     for one in condition.controllers:
         asked = [case for case in one.cases if case.seed in seeds]
-        name, holding = column_name(one), [case for case in asked if not case.failed]
-        lost[name] = len(asked) - len(holding)
+        name, sound = column_name(one), [case for case in asked if not case.failed]
+        failed[name] = len(asked) - len(sound)
         # Runs whose errors are the same to the last bit are the same, and need not be read.
-        if any(len({case.metrics.get(key) for case in holding}) > 1 for key in condition.headline):
-            runs[name] = [firsts[one.key] if case is one.first_case else case.trace() for case in holding]
+        if any(len({case.metrics.get(key) for case in sound}) > 1 for key in condition.headline):
+            runs[name] = [firsts[one.key] if case is one.first_case else case.trace() for case in sound]
     few = len(seeds) < _FEWEST_FOR_QUANTILES
-    return runs, Over(len(seeds), len(condition.seeds) - len(seeds), lost, few)
+    return runs, Over(len(seeds), len(condition.seeds) - len(seeds), failed, few)
 
 
 @dataclass(frozen=True)
@@ -192,8 +192,8 @@ def trusted(traces: Mapping[str, Trace]) -> tuple[str, ...]:
     completed = {key: trace for key, trace in traces.items() if trace.completed}
     asked = completed or dict(traces)
     outputs = range(len(next(iter(asked.values())).outputs))
-    lost = {key for i in outputs for key in (_lost(asked, i) if completed else _far_off(asked, i))}
-    return tuple(key for key in asked if key not in lost) or tuple(completed)
+    astray = {key for i in outputs for key in (_astray(asked, i) if completed else _far_off(asked, i))}
+    return tuple(key for key in asked if key not in astray) or tuple(completed)
 
 
 def _far_off(traces: Mapping[str, Trace], i: int) -> list[str]:
@@ -202,7 +202,7 @@ def _far_off(traces: Mapping[str, Trace], i: int) -> list[str]:
     return [key for key, trace in traces.items() if not np.ptp(trace.y[:, i]) <= _FAR * np.ptp(asked[key])]
 
 
-def _lost(traces: Mapping[str, Trace], i: int) -> list[str]:
+def _astray(traces: Mapping[str, Trace], i: int) -> list[str]:
     """Return the runs that swing many times as far as reference and others, and beyond their limits."""
     swings = {key: float(np.ptp(trace.y[:, i])) for key, trace in traces.items()}
     reference = max(float(np.ptp(trace.reference[:, i])) for trace in traces.values())

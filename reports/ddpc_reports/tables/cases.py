@@ -37,7 +37,7 @@ _LONGEST_REASON = 80
 def step_time_table(condition: Condition, prefix: str) -> Table:
     """Return the times of a step per controller, deadline misses, and steps with a substitute."""
     everyone = condition.controllers
-    eligible = [not one.failed_any and not one.is_point for one in everyone]
+    eligible = [not one.failed and not one.is_point for one in everyone]
     columns: list[Column] = []
     for key in STEP_TIMES:
         seconds = [one.summed(key) for one in everyone]
@@ -100,9 +100,7 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
     caption, which = f"Every case ({total})", ""
     if len(cases) < total:
         caption = f"{len(cases)} of {total} cases"
-        which = (
-            "Up to half of the rows: cases that do not stay near their reference; the others: first seeds. "
-        )
+        which = "Up to half of the rows: cases that failed; the others: first seeds. "
     return Table(
         f"{prefix}cases",
         caption,
@@ -111,7 +109,7 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
         (
             f"{which}All metrics of every case are in the file metrics.csv next to the results. "
             "Values of cases that did not complete cover their samples up to where they ended. "
-            "Of a run that does not stay near its reference, figures of the response would say nothing.",
+            "Of a run that failed, figures of the response would say nothing.",
         ),
         sortable=True,
         kind="cases",
@@ -120,18 +118,18 @@ def cases_table(results: StudyResults, condition_of_all: Sequence[Condition], pr
 
 
 def _reason(case: CaseResult) -> str:
-    """Return why a case ended, as far as a cell has room for it."""
-    return printable(without_folders(case.reason), _LONGEST_REASON)
+    """Return why a case ended or failed, as far as a cell has room for it."""
+    return printable(without_folders(case.reason or case.failure), _LONGEST_REASON)
 
 
 def _shown_cases(results: StudyResults) -> Sequence[CaseResult]:
-    """Return all cases; of too many the first that are lost, and those of the first seeds."""
+    """Return all cases; of too many the first that failed, and those of the first seeds."""
     if len(results.cases) <= _MOST_CASES:
         return results.cases
-    lost = [case for case in results.cases if case.failed][: _MOST_CASES // 2]
+    failed = [case for case in results.cases if case.failed][: _MOST_CASES // 2]
     place = {seed: i for i, seed in enumerate(dict.fromkeys(case.seed for case in results.cases))}
     by_seed = sorted(results.cases, key=lambda case: place[case.seed])
-    shown = {*[*dict.fromkeys(case.id for case in [*lost, *by_seed])][:_MOST_CASES]}
+    shown = {*[*dict.fromkeys(case.id for case in [*failed, *by_seed])][:_MOST_CASES]}
     return [case for case in results.cases if case.id in shown]
 
 

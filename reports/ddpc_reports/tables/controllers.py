@@ -62,7 +62,7 @@ def response_table(condition: Condition, prefix: str) -> Table | None:
     preview = condition.results.provenance.get("largest preview", "as many samples as anyone looks ahead")
     notes = (
         f"From each step of the reference until {preview} before the next one: until then, every controller "
-        "answers the same step. Of a run that does not stay near its reference there are none. "
+        "answers the same step. Of a run that failed there are none. "
         + meanings(RESPONSE)
         + " A dash: a time is not reached, an output was not at rest to leave, or its reference has no steps."
     )
@@ -113,7 +113,7 @@ def metric_column(condition: Condition, key: str) -> Column:
 def _median_cells(condition: Condition, key: str, values: Sequence[float], digits: int = 4) -> list[Cell]:
     """Return a column, in which the best are marked and those that the seeds do not tell apart from them.
 
-    One that lost cases has values of the easier seeds only: it is not marked.
+    One of which cases failed has values of the easier seeds only: it is not marked.
     """
     members = condition.controllers
     eligible = [condition.may_win(one) for one in members]

@@ -1,4 +1,4 @@
-"""What went wrong, grouped by reason: runs that were lost, fallbacks, warnings before the loop."""
+"""What went wrong, grouped by reason: runs that failed, fallbacks, warnings before the loop."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -57,9 +57,12 @@ def _span(given: list[str]) -> str:
 def failures_table(results: StudyResults, prefix: str) -> Table | None:
     """Return what went wrong in a row per reason; None if nothing did."""
     failing, read = _failing(results.cases)
-    lost = [case for case in results.cases if case.outcome is not Outcome.COMPLETED]
+    ended_early = [case for case in results.cases if case.outcome is not Outcome.COMPLETED]
+    failed = [case for case in results.cases if case.failed and case.outcome is Outcome.COMPLETED]
+    early, late = f"{len(ended_early)} of {len(results.cases)}", f"{len(failed)} of {len(results.cases)}"
     kinds: dict[str, tuple[Iterable[_Event], bool]] = {
-        f"Runs that did not complete: {len(lost)} of {len(results.cases)}": (_ends(results, lost), False),
+        f"Runs that did not complete: {early}": (_ends(results, ended_early), False),
+        f"Runs that completed and failed: {late}": ((_Event(c.failure, c) for c in failed), False),
         "Fallbacks of controllers": (_fallbacks(case for cases in failing for case in cases[:read]), True),
         "Warnings before the loop": (_warnings(results.cases), False),
     }
@@ -100,10 +103,10 @@ def failures_table(results: StudyResults, prefix: str) -> Table | None:
     )
 
 
-def _ends(results: StudyResults, lost: Sequence[CaseResult]) -> Iterator[_Event]:
+def _ends(results: StudyResults, ended_early: Sequence[CaseResult]) -> Iterator[_Event]:
     """Yield how runs ended; at the time of their last sample, if they have any."""
     loop = results.study.loop
-    for case in lost:
+    for case in ended_early:
         rows = case.metrics.get("samples [1]", 0.0)
         time = loop.start_time + (rows - 1) * loop.sampling_time if rows >= 1 else math.nan
         yield _Event(f"{case.outcome}: {case.reason}" if case.reason else str(case.outcome), case, time)

@@ -38,9 +38,9 @@ _RANK_NOTE = (
     "several outputs in one of them, and worse in none."
 )
 _MEDIANS_NOTE = "Rank: by the medians, as the seeds are too few for a test."
-_LOST_NOTE = (
-    "A lost run does not stay near its reference, or does not complete: who loses one comes after all that "
-    "lose none, and medians are of the runs that are left."
+_FAILED_NOTE = (
+    "A failed run did not complete, ends further than half of its task away, or is worse than doing nothing: "
+    "a controller with one comes after all without, and medians are of the other runs."
 )
 
 
@@ -72,12 +72,12 @@ def ranking_table(condition: Condition, found: Standings, prefix: str) -> Table:
         *share_columns(ranked),
         *more,
         *_terms_columns(ranked, order),
-        *_lost_columns(found, order),
+        *_failed_columns(found, order),
     ]
     what = " and ".join(filter(None, (metric_name(keys[0]) if keys else "", _of_signals(keys))))
     return controller_table(
         f"{prefix}ranking",
-        f"Ranked by {what}" if keys and found.order else "Controllers",
+        f"Ranked by {what}" if keys and found.is_ranked else "Controllers",
         order,
         columns,
         _notes(condition, found),
@@ -134,18 +134,18 @@ def _terms_columns(ranked: Condition, order: Sequence[ControllerResults]) -> lis
     ]
 
 
-def _lost_columns(found: Standings, order: Sequence[ControllerResults]) -> list[Column]:
-    """Return how many runs each loses, where any does."""
+def _failed_columns(found: Standings, order: Sequence[ControllerResults]) -> list[Column]:
+    """Return how many runs of each failed, where any did."""
     standing = {one.controller: one for one in found.order}
-    if not any(one.lost for one in found.order):
+    if not any(one.failed for one in found.order):
         return []
     cells = [
-        Cell(f"{own.lost} of {own.runs}", own.lost, failed=own.lost > 0)
+        Cell(f"{own.failed} of {own.runs}", own.failed, failed=own.failed > 0)
         if (own := standing.get(one.key))
         else Cell(MISSING)
         for one in order
     ]
-    return [(Heading("lost", "runs"), cells)]
+    return [(Heading("failed", "runs"), cells)]
 
 
 def _notes(condition: Condition, found: Standings) -> tuple[str, ...]:
@@ -154,10 +154,10 @@ def _notes(condition: Condition, found: Standings) -> tuple[str, ...]:
     best += ", with those that the seeds do not tell apart from it" if several else ""
     best += "; where that is most of them, none is marked."
     notes = [best]
-    if found.order:
+    if found.is_ranked:
         notes.append(_RANK_NOTE if found.tested else _MEDIANS_NOTE)
-    if any(one.lost for one in found.order):
-        notes.append(_LOST_NOTE)
+    if any(one.failed for one in found.order):
+        notes.append(_FAILED_NOTE)
     if several:
         notes.append(
             f"Medians over {len(condition.seeds)} seeds; 95\u00a0% bootstrap interval of the median, where "
@@ -210,11 +210,11 @@ def matrix_table(
     caption = f"{' or '.join(keys)}: medians over the seeds, and ranges"
     said = (
         *notes,
-        "Tint: ratio to the best of the column that loses no run, up to "
+        "Tint: ratio to the best of the column without a failed run, up to "
         + ", ".join(f"{ratio:g}" for ratio in _RATIOS)
         + ", and more. Bold: the best, with those that the seeds do not tell apart from it. "
         "Each number leads to its figures.",
-        _LOST_NOTE,
+        _FAILED_NOTE,
     )
     return controller_table(
         f"{prefix}matrix",
@@ -254,13 +254,12 @@ def _place_cell(
 ) -> Cell:
     if one is None:
         return Cell("")
-    lost = len(one.cases) - len(one.succeeded)
-    if lost == len(one.cases):
-        told = dict.fromkeys(outcome_words(case) for case in one.cases)
-        return Cell("lost", math.nan, failed=True, tone="share-0", href=href, title="; ".join(told))
+    if one.failed == len(one.cases):
+        told = dict.fromkeys(": ".join(filter(None, (outcome_words(c), c.failure))) for c in one.cases)
+        return Cell("failed", math.nan, failed=True, tone="share-0", href=href, title="; ".join(told))
     spread = one.over_seeds(key)
     detail = f"{significant(spread.low, 3)} … {significant(spread.high, 3)}" if spread.varies else ""
-    failures = f"{lost} lost" if lost and not one.is_point else ""
+    failures = f"{one.failed} failed" if one.failed and not one.is_point else ""
     tone = "share-0" if failures else _tone(float(cell.raw), best) if ranked else ""
     return replace(cell, href=href, detail=detail, failures=failures, tone=tone)
 
@@ -274,8 +273,8 @@ def _tone(value: float, best: float) -> str:
 
 
 def rank_columns(found: Standings, order: Sequence[ControllerResults]) -> list[Column]:
-    """Return the ranks over all scenarios of a problem, and the runs lost."""
-    return [_rank_column(found, order), *_lost_columns(found, order)]
+    """Return the ranks over all scenarios of a problem, and the failed runs."""
+    return [_rank_column(found, order), *_failed_columns(found, order)]
 
 
 def rank_notes(found: Standings, left_out: Mapping[str, str]) -> list[str]:
@@ -285,4 +284,4 @@ def rank_notes(found: Standings, left_out: Mapping[str, str]) -> list[str]:
         "Of each seed the median of its scenarios counts, so that scenarios do not multiply the seeds."
     )
     names = [left_out[name] for name in found.left_out]
-    return [*notes, f"Not counted, as no controller follows there: {', '.join(names)}."] if names else notes
+    return [*notes, f"Not counted, as every controller fails there: {', '.join(names)}."] if names else notes

@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults
+from ddpc_cosim.cli.run import show_results
 from ddpc_cosim.cli.summary import overall_table, summary_table
 from ddpc_cosim.metrics import METRICS
 from ddpc_cosim.study.file_format.sections import ReferencePoints, ReportSection, Study
@@ -36,8 +37,8 @@ def study(variants: int) -> Study:
     )
 
 
-def results(variants: int, lost: str = "") -> StudyResults:
-    """Return results in which the last variant is the best, and all cases of one controller are lost."""
+def results(variants: int, failing: str = "") -> StudyResults:
+    """Return results in which the last variant is the best, and all cases of one controller failed."""
     told = study(variants)
     cases = []
     for place, key in enumerate(told.controllers):
@@ -45,9 +46,9 @@ def results(variants: int, lost: str = "") -> StudyResults:
         label = f"DeePC, horizon = {place - 1}" if varied else told.controllers[key].label or key
         for seed in told.seeds:
             figures = VALUES | {COST: 100.0 - place + 0.5 * seed, "solve_time_median [s]": 2e-5}
-            outcome = Outcome.DIVERGED if key == lost else Outcome.COMPLETED
-            head = (f"{key}_{seed}", key, label, "nominal", seed, outcome, "", key != lost)
-            cases.append(CaseResult(*head, figures, {}, {}, (), Path(), problem="s"))
+            outcome = Outcome.DIVERGED if key == failing else Outcome.COMPLETED
+            head = (f"{key}_{seed}", key, label, "nominal", seed, outcome, "", ())
+            cases.append(CaseResult(*head, figures, {}, {}, (), Path(), problem="s", failed=key == failing))
     return StudyResults(Path("out"), WholeStudy.of(told), tuple(cases), {})
 
 
@@ -84,20 +85,20 @@ def test_without_a_sweep_every_controller_has_its_row() -> None:
     assert not any("metrics.csv" in line for line in lines)
 
 
-def test_a_setting_that_lost_cases_is_not_among_the_best() -> None:
-    names = [name for _, name in ranked(printed(results(4, lost="deepc-horizon-3")))]
+def test_a_setting_with_failed_cases_is_not_among_the_best() -> None:
+    names = [name for _, name in ranked(printed(results(4, failing="deepc-horizon-3")))]
     assert "horizon = 2" in names
     assert "horizon = 3" not in names
 
 
-def test_who_loses_runs_comes_last_with_their_count_in_red() -> None:
-    some = results(0, lost="pid")
+def test_who_has_failed_runs_comes_last_with_their_count_in_red() -> None:
+    some = results(0, failing="pid")
     assert ranked(printed(some)) == [("1", "DeePC"), ("2", "pid")]
     console = Console(width=80, force_terminal=True, color_system="standard")
     with console.capture() as capture:
         console.print(summary_table(some, console))
     (pid,) = (line for line in capture.get().splitlines() if "pid" in line)
-    assert "\x1b[31m 2/2\x1b[0m" in pid
+    assert "\x1b[31m   2/2\x1b[0m" in pid
 
 
 @pytest.mark.parametrize(("width", "count"), [(40, 4), (60, 3), (80, 1), (100, 0)])
@@ -137,14 +138,14 @@ def test_titles_and_labels_of_any_length_leave_a_table_to_read() -> None:
 def test_of_several_scenarios_each_has_a_column() -> None:
     some = results(0)
     windy = [replace(case, scenario="windy") for case in some.cases]
-    lost = replace(windy[0], outcome=Outcome.DIVERGED, holds=False)
+    diverged = replace(windy[0], outcome=Outcome.DIVERGED, failed=True)
     calm = [replace(case, scenario="calm") for case in some.cases]
     study = some.study.model_copy(
         update={
             "scenarios": {"calm": some.study.scenarios["nominal"], "windy": some.study.scenarios["nominal"]}
         }
     )
-    seen = replace(some, whole=WholeStudy.of(study), cases=(*calm, lost, *windy[1:]))
+    seen = replace(some, whole=WholeStudy.of(study), cases=(*calm, diverged, *windy[1:]))
     lines = printed(seen, 80)
     assert ranked(lines) == [("1", "pid"), ("2", "DeePC")]
     heads = next(line for line in lines if "controller" in line)
@@ -171,7 +172,7 @@ def seeded(seeds: int, worse: float) -> StudyResults:
     for place, key in enumerate(("deepc", "pid")):
         for seed in range(seeds):
             figures = VALUES | {COST: 10.0 + place * worse + noise[place, seed]}
-            head = (f"{key}_{seed}", key, key, "nominal", seed, Outcome.COMPLETED, "", True)
+            head = (f"{key}_{seed}", key, key, "nominal", seed, Outcome.COMPLETED, "", ())
             cases.append(CaseResult(*head, figures, {}, {}, (), Path(), problem="s"))
     return replace(results(0), cases=tuple(cases))
 
@@ -222,13 +223,24 @@ def test_the_best_settings_of_a_sweep_follow_from_the_direction_of_the_metric(
     assert rows == ["horizon = 0", "horizon = 1"]
 
 
-def test_a_step_below_a_microsecond_is_not_zero_and_one_of_a_lost_case_is_not_shown() -> None:
-    some = results(0, lost="pid")
+def test_a_step_below_a_microsecond_is_not_zero_and_one_of_a_failed_case_is_not_shown() -> None:
+    some = results(0, failing="pid")
     quick = {"solve_time_median [s]": 2e-7}
     cases = tuple(replace(case, metrics=case.metrics | quick) for case in some.cases)
     deepc, pid = (line for line in printed(replace(some, cases=cases)) if "/2" in line)
     assert "0.20 us" in deepc
     assert " us" not in pid
+
+
+def test_one_controller_alone_has_no_rank_and_is_not_bold() -> None:
+    some = results(0)
+    alone = replace(some, cases=tuple(case for case in some.cases if case.controller == "pid"))
+    console = Console(width=200, force_terminal=True, color_system="standard")
+    with console.capture() as capture:
+        console.print(summary_table(alone, console))
+    (pid,) = (line for line in capture.get().splitlines() if " pid " in line)
+    assert pid.split()[0] == "pid"
+    assert "\x1b[1m" not in pid
 
 
 def test_several_problems_are_summed_up_by_average_rank() -> None:
@@ -247,17 +259,33 @@ def test_several_problems_are_summed_up_by_average_rank() -> None:
     assert overall_table(problems[:1], console) is None
 
 
-def test_where_no_controller_follows_nothing_is_ranked_and_the_metric_has_its_name() -> None:
-    some = results(0, lost="pid")
-    lost = tuple(
-        replace(case, holds=False, metrics=case.metrics | {"settled_share.angle [%]": 40.0})
-        for case in some.cases
-    )
+def test_where_every_run_failed_nothing_is_ranked_and_the_metric_has_its_name() -> None:
+    some = results(0, failing="pid")
+    cases = tuple(replace(case, failed=True, failure="far off") for case in some.cases)
     problems = [
-        replace(some, cases=lost, whole=WholeStudy.of(some.study.model_copy(update={"name": name})))
+        replace(some, cases=cases, whole=WholeStudy.of(some.study.model_copy(update={"name": name})))
         for name in ("one", "two")
     ]
     lines = printed(problems[0])
-    assert "rank" not in "".join(lines).split()
+    assert [line.split()[0] for line in lines if "2/2" in line] == ["DeePC", "pid"]
     assert lines[-1].strip() == "mean abs error of angle [deg]: medians"
     assert overall_table(problems, Console(width=80)) is None
+
+
+def test_runs_that_completed_and_failed_are_one_line_per_reason_and_no_error(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    some = results(0)
+    cases = tuple(
+        replace(case, failed=True, failure=f"angle ends {60 + case.seed} % of its task away", settles=False)
+        if case.controller == "pid"
+        else replace(case, settles=case.seed > 1)
+        for case in some.cases
+    )
+    assert show_results(replace(some, cases=cases), report=False) == 0
+    told = capsys.readouterr()
+    assert told.err.splitlines() == ["pid_1 and 1 more: completed, failed: angle ends 61 % of its task away"]
+    assert "Does not settle within 5 %: DeePC in 1 of 2 runs." in told.out.splitlines()
+    early = replace(cases[0], failed=True, outcome=Outcome.DIVERGED, reason="angle is NaN")
+    assert show_results(replace(some, cases=(early, *cases[1:])), report=False) == 1
+    assert "deepc_1: diverged: angle is NaN" in capsys.readouterr().err.splitlines()

@@ -305,13 +305,21 @@ def test_all_faults_at_once(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         Study(
             {"a": problem(excitation=SignalExcitation((Ramp(0, 1, 0, 1),), 80, 0.1))},
-            {"?": MFAPC(), "x y": MFAPC(), "x-y": MFAPC(), "n": 3, "p": {"b": MFAPC()}},  # type: ignore[dict-item]
+            {
+                "?": MFAPC(),
+                "doing nothing": MFAPC(),
+                "x y": MFAPC(),
+                "x-y": MFAPC(),
+                "n": 3,
+                "p": {"b": MFAPC()},
+            },  # type: ignore[dict-item]
             reference_points=("n", "x_y"),
         )
     faults = "\n".join(caught.value.faults)
     for words in (
         "excitation: a study cannot write SignalExcitation",
         '"?": needed: letters or digits in it',
+        '"doing nothing": "doing-nothing" is what the runs with inputs at rest are called',
         '"x-y"; "x y" is too much like it',
         '"n" is 3; needed: a controller, the name of one',
         '"p": no problem "b"; there are: a',

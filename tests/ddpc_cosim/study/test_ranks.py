@@ -29,14 +29,14 @@ DEMSAR = np.array([
 
 
 def frame(table: dict[str, dict[str, list[float]]], metric: str = METRIC) -> pd.DataFrame:
-    """Return a frame from values by problem and controller; NaN is a run that does not hold."""
+    """Return a frame from values by problem and controller; NaN is a run that failed."""
     rows = [
-        (problem, name, "nominal", "", seed, not math.isnan(value), value)
+        (problem, name, "nominal", "", seed, math.isnan(value), value)
         for problem, controllers in table.items()
         for name, values in controllers.items()
         for seed, value in enumerate(values)
     ]
-    columns = ["problem", "controller", "scenario", "variant", "seed", "holds", metric]
+    columns = ["problem", "controller", "scenario", "variant", "seed", "failed", metric]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -80,7 +80,7 @@ def test_nothing_is_told_apart_of_equal_ones_of_two_or_in_one_problem() -> None:
 
 
 def test_ranks_of_a_study() -> None:
-    """p: a and c hold always; b loses a run and comes after them, d all. q: a and b tie."""
+    """p: a and c never fail; b has a failed run and comes after them, all of d's failed. q: a and b tie."""
     table = {
         "p": {"a": [3.0, 5.0], "b": [1.0, NAN], "c": [2.0, 2.0], "d": [NAN, NAN]},
         "q": {"a": [1.0], "b": [1.0 + 1e-12], "c": [NAN], "d": [NAN]},
@@ -117,7 +117,7 @@ def test_values_of_which_the_larger_are_better_rank_the_other_way() -> None:
 
 
 def test_a_performance_profile_by_hand() -> None:
-    """Ratios: a 1, 3, 1, inf; b 2, 1, inf, inf. The best of the third is 0; in the fourth none holds."""
+    """Ratios: a 1, 3, 1, inf; b 2, 1, inf, inf. The best of the third is 0; in the fourth all failed."""
     steps, shares = performance_profile(np.array([[1.0, 2.0], [6.0, 2.0], [0.0, 5.0], [NAN, NAN]]))
     assert steps.tolist() == [1.0, 2.0, 3.0]
     assert shares.T.tolist() == [[0.5, 0.5, 0.75], [0.25, 0.5, 0.5]]

@@ -24,17 +24,18 @@ def case(
     *,
     seed: int = 0,
     outcome: Outcome = Outcome.COMPLETED,
-    holds: bool = True,
+    failed: bool = False,
     key: str = KEY,
     problem: str = "one",
 ) -> CaseResult:
     metrics = {key: value, "rmse.angle [deg]": 2 * value, "time_at_bounds.torque [s]": 1.0}
     who = (f"{problem}_{controller}_{seed}", controller, controller.title(), "nominal", seed)
-    return CaseResult(*who, outcome, "", holds, metrics, {}, {}, (), Path(), problem=problem)
+    head = (*who, outcome, "", ())
+    return CaseResult(*head, metrics, {}, {}, (), Path(), problem=problem, failed=failed)
 
 
 def share(value: float, zero: float, full: float) -> float:
-    cases = [case("rest", zero, holds=False), case("possible", full), case("own", value)]
+    cases = [case("rest", zero, failed=True), case("possible", full), case("own", value)]
     (one,) = share_runs(cases, POINTS, [KEY])
     return one.share
 
@@ -78,7 +79,7 @@ def test_shares_stay_as_they_are_where_a_metric_is_scaled_and_shifted(
 def test_the_frame_has_what_the_formula_says_in_each_pair(tmp_path: Path) -> None:
     random = np.random.default_rng(1)
     cases = [
-        case(name, size * float(random.lognormal(0, 0.2)), seed=seed, problem=problem, holds=name != "rest")
+        case(name, size * float(random.lognormal(0, 0.2)), seed=seed, problem=problem, failed=name == "rest")
         for problem, scale in {"one": 1.0, "two": 300.0}.items()
         for name, size in {
             "own": 3.0 * scale,
@@ -104,10 +105,10 @@ def test_the_frame_has_what_the_formula_says_in_each_pair(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("zero", "full"),
     [
-        (case("rest", 1.0, holds=False), case("possible", 1.5)),  # the way would be backwards
+        (case("rest", 1.0, failed=True), case("possible", 1.5)),  # the way would be backwards
         (case("rest", 1.0), case("possible", 0.995)),  # next to nothing
-        (case("rest", 1.0, outcome=Outcome.DIVERGED, holds=False), case("possible", 0.1)),
-        (case("rest", 1.0), case("possible", 0.1, holds=False)),
+        (case("rest", 1.0, outcome=Outcome.DIVERGED, failed=True), case("possible", 0.1)),
+        (case("rest", 1.0), case("possible", 0.1, failed=True)),
         (case("rest", math.nan), case("possible", 0.1)),
         (case("rest", 1.0), case("possible", 0.1, seed=1)),
     ],
@@ -118,17 +119,17 @@ def test_without_a_way_there_are_no_shares(zero: CaseResult, full: CaseResult) -
     assert shares_of([zero, full, case("own", 0.5)], POINTS, [KEY]) == {}
 
 
-def test_a_run_that_is_lost_has_no_share_and_is_not_averaged_away() -> None:
+def test_a_run_that_failed_has_no_share_and_is_not_averaged_away() -> None:
     ends = [
         case(name, value, seed=seed)
         for name, value in {"rest": 5.0, "possible": 1.0}.items()
         for seed in range(3)
     ]
-    own = [case("own", 1.0, seed=0), case("own", 0.9, seed=1, holds=False), case("own", 900.0, seed=2)]
+    own = [case("own", 1.0, seed=0), case("own", 0.9, seed=1, failed=True), case("own", 900.0, seed=2)]
     runs = shares_of([*ends, *own], POINTS, [KEY])["own"]
     assert [math.isnan(value) for value in runs.values()] == [False, True, False]
     summed = describe_shares(runs)
-    # Of a perfect run, one that is lost and one that is a hundred times worse than nothing: -100 %.
+    # Of a perfect run, one that failed and one that is a hundred times worse than nothing: -100 %.
     assert (summed.runs, summed.known, summed.median) == (3, 2, -1.0)
 
 

@@ -1,4 +1,4 @@
-"""Standings: who is ahead is what the seeds tell, and who loses runs comes last."""
+"""Standings: who is ahead is what the seeds tell, and whose runs failed comes last."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -47,18 +47,26 @@ def test_where_the_seeds_are_too_few_the_medians_decide() -> None:
     assert ranks(found) == {"a": 1, "same": 1, "b": 3}
 
 
-def test_who_loses_a_run_comes_after_all_that_lose_none_and_after_those_that_lose_fewer() -> None:
+def test_who_has_a_failed_run_comes_after_all_without_and_after_those_with_fewer() -> None:
     nan = float("nan")
     found = of({"two": [nan, nan, 0.1], "none": [5.0, 5.0, 5.0], "one": [0.1, nan, 0.1], "too": [nan, 1, 1]})
     assert ranks(found) == {"none": 1, "one": 2, "too": 2, "two": 4}
-    assert [one.lost for one in found.order] == [0, 1, 1, 2]
+    assert [one.failed for one in found.order] == [0, 1, 1, 2]
     assert found.leaders == ("none",)
 
 
-def test_where_all_lose_runs_there_is_no_leader() -> None:
+def test_where_all_have_failed_runs_there_is_no_leader() -> None:
     found = of({"a": [float("nan"), 1.0], "b": [float("nan"), float("nan")]})
     assert ranks(found) == {"a": 1, "b": 2}
     assert found.leaders == ()
+
+
+def test_where_nothing_is_ranked_there_are_no_ranks() -> None:
+    """One alone, or all runs of all failed; where any did not, they are ranked by how many did."""
+    nan = float("nan")
+    assert of({"a": [1.0, 2.0]}).ranks == {}
+    assert of({"a": [nan, nan], "b": [nan, nan]}).ranks == {}
+    assert of({"a": [nan, 1.0], "b": [nan, nan]}).ranks == {"a": 1, "b": 2}
 
 
 def test_of_two_outputs_one_is_better_that_is_so_in_one_and_not_worse_in_the_other() -> None:
@@ -200,11 +208,11 @@ def test_a_controller_that_ran_in_one_scenario_alone_disagrees_with_none() -> No
 @pytest.fixture
 def results(tmp_path: Path) -> StudyResults:
     def trace_of(key: str, seed: int) -> Trace:
-        if key == "lost" and seed == 3:
+        if key == "falling" and seed == 3:
             return make_trace(0.3, outcome=Outcome.DIVERGED, reason="angle is NaN")
-        return make_trace({"quick": 0.3, "lost": 0.2, "idle": 0.6}.get(key, 1.0), noise_seed=seed)
+        return make_trace({"quick": 0.3, "falling": 0.2, "idle": 0.6}.get(key, 1.0), noise_seed=seed)
 
-    controllers = {name: {"type": "a"} for name in ("slow", "quick", "lost", "idle")}
+    controllers = {name: {"type": "a"} for name in ("slow", "quick", "falling", "idle")}
     return make_results_in(
         tmp_path,
         trace_of,
@@ -216,9 +224,9 @@ def results(tmp_path: Path) -> StudyResults:
 
 def test_of_a_study_reference_points_do_not_compete(results: StudyResults) -> None:
     found = standings(results.study, results.cases)
-    assert [(one.controller, one.rank, one.lost, one.runs) for one in found.order] == [
+    assert [(one.controller, one.rank, one.failed, one.runs) for one in found.order] == [
         ("quick", 1, 0, 12),
-        ("lost", 2, 1, 12),
+        ("falling", 2, 1, 12),
     ]
 
 
@@ -251,8 +259,8 @@ def test_what_is_ranked_by_is_summed_up_over_the_runs_that_are_left(tmp_path: Pa
         seeds=[*range(4)],
     )
     error, step = "mean_abs_error.angle [deg]", "solve_time_max [s]"
-    *left, lost = results.cases
-    assert [case.holds for case in results.cases] == [True, True, True, False]
+    *left, failed = results.cases
+    assert [case.failed for case in results.cases] == [False, False, False, True]
     assert summed(results.cases, error) == left[2].metrics[error]
-    assert summed([lost], error) == lost.metrics[error] > 2 * left[1].metrics[error]
+    assert summed([failed], error) == failed.metrics[error] > 2 * left[1].metrics[error]
     assert summed(results.cases, step) == pytest.approx(12e-5)

@@ -36,13 +36,13 @@ def runs(*values: float, condition: str = "nominal") -> Runs:
 
 
 def table(**controllers: list[float]) -> pd.DataFrame:
-    """Return a frame of one problem and scenario; a NaN is a run that does not hold."""
+    """Return a frame of one problem and scenario; a NaN is a run that failed."""
     rows = [
-        ("p", name, "nominal", "", seed, not math.isnan(value), 7.0 if math.isnan(value) else value)
+        ("p", name, "nominal", "", seed, math.isnan(value), 7.0 if math.isnan(value) else value)
         for name, values in controllers.items()
         for seed, value in enumerate(values)
     ]
-    columns = ["problem", "controller", "scenario", "variant", "seed", "holds", "rmse.y [m]"]
+    columns = ["problem", "controller", "scenario", "variant", "seed", "failed", "rmse.y [m]"]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -53,7 +53,7 @@ def test_what_is_said_of_a_controller() -> None:
     assert math.isnan(one.high)
 
 
-def test_without_a_run_that_holds_there_are_no_figures() -> None:
+def test_where_every_run_failed_there_are_no_figures() -> None:
     one = describe(runs(NAN, NAN))
     assert one[:3] == (2, 0, 0)
     assert all(map(math.isnan, one[3:]))
@@ -217,7 +217,7 @@ def test_the_table_of_power_is_that_of_its_script() -> None:
 
 
 def test_two_controllers_compared() -> None:
-    """The own run is lost on seed 5, the other's on seed 6; seed 7 the other has not run."""
+    """The own run failed on seed 5, the other's on seed 6; seed 7 the other has not run."""
     own = runs(1.0, 2.0, 3.0, 4.0, 5.0, NAN, 1.0, 1.0)
     other = runs(2.0, 1.0, 5.0, 4.0, 9.0, 1.0, NAN)
     one = compare(own, other)
@@ -305,7 +305,7 @@ def test_controllers_compared_each_with_each() -> None:
     noise = np.random.default_rng(0).normal(size=(3, 12))
     found = compare_all({
         "worst": runs(*(9.0 + noise[0])), "a": runs(*(1.0 + noise[1])), "b": runs(*(1.01 + noise[1] * 1.1)),
-        "lost": runs(*[NAN] * 12),
+        "failing": runs(*[NAN] * 12),
     })  # fmt: skip
     assert set(found.order) == {"a", "b", "worst"}
     assert found.order[-1] == "worst"
@@ -388,18 +388,19 @@ def test_interactions_of_what_the_seed_does_not_change_are_known() -> None:
 def test_the_table_of_a_study() -> None:
     base = [float(i) for i in range(10)]
     gone = [NAN] * 10  # which is a row all the same
-    frame = table(base=base, better=[v - 1 - v / 99 for v in base], lost=[*base[:4], *gone[4:]], gone=gone)
-    second = frame[~frame.controller.isin(["lost", "gone"])].assign(problem="q")
+    frame = table(base=base, better=[v - 1 - v / 99 for v in base], failing=[*base[:4], *gone[4:]], gone=gone)
+    second = frame[~frame.controller.isin(["failing", "gone"])].assign(problem="q")
     found = compare_frame(pd.concat([frame, second]), "rmse.y [m]", "base").set_index(
         ["problem", "controller"]
     )
-    of_p, of_q = ("base", "better", "lost", "gone"), ("base", "better")
+    of_p, of_q = ("base", "better", "failing", "gone"), ("base", "better")
     assert [*found.index] == [*(("p", name) for name in of_p), *(("q", name) for name in of_q)]
     assert found.loc[("p", "gone")][["runs", "known", "pairs", "only_other"]].tolist() == [10, 0, 0, 10]
-    better, lost = found.loc[("p", "better")], found.loc[("p", "lost")]
-    assert (lost.runs, lost.held, lost.known, lost.only_other, lost.pairs) == (10, 4, 4, 6, 4)
+    better, failing = found.loc[("p", "better")], found.loc[("p", "failing")]
+    counts = [failing[key] for key in ("runs", "failed", "known", "only_other", "pairs")]
+    assert counts == [10, 6, 4, 6, 4]
     assert (better.won, better.p, better.corrected) == (1.0, 2 / 1024, 2 / 1024)
-    assert math.isnan(lost.corrected), "with failed runs it is in no family of tests"
+    assert math.isnan(failing.corrected), "with failed runs it is in no family of tests"
     assert better.told_apart
     assert better.difference == pytest.approx(np.median([-1 - v / 99 for v in base]))
     assert better.difference_low <= better.difference <= better.difference_high < 0

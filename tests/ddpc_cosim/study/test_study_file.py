@@ -313,3 +313,8 @@ recording.excitation.torque = { low = -500.0, high = 500.0, unit = "mN.m" }
     assert np.allclose(drawn["weak"], drawn["all"] / 4.0)
     assert np.array_equal(drawn["short"], drawn["all"][:20])
     assert len({case.id for case in cases(text, tmp_path)}) == 3
+
+
+def test_the_name_of_the_runs_that_the_tool_makes_itself_is_reserved(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r'controllers\.doing-nothing: "doing-nothing" is what .* give '):
+        cases(SMALL.replace("controllers.mfapc", "controllers.doing-nothing"), tmp_path)

@@ -144,7 +144,7 @@ def test_what_falls_over_is_taken_for_unstable_though_it_comes_to_rest_elsewhere
     assert study["plant"]["outputs"] == ["angle"]
     first, then = study["reference"]["angle"]["values"]
     assert first == 0.0
-    assert 0.0 < then < 0.5  # a small step, by which it can be judged whether any controller follows
+    assert 0.0 < then < 0.5  # a small step, by which it can be judged whether any controller settles
     assert "recording" not in study
     assert study["loop"]["sampling_time"] < 0.1  # it doubles its angle in 0.13 s
 

@@ -81,7 +81,7 @@ def proposed(plant: Linear, timing: Timing) -> tuple[StepTest, Choice, float, fl
 
 
 def told(tested: StepTest, plant: Linear) -> list[str]:
-    """Return what may keep any controller from following."""
+    """Return what may keep any controller from settling."""
     room = np.ones(len(plant.inputs))
     choice = choose(tested, room, 10.0, all_outputs=False)
     return list(hints(Circumstances(plant.inputs, plant.outputs, tested, choice, 1.0, False), room))

@@ -66,7 +66,7 @@ def test_what_cannot_start_is_left_out_with_the_reason_and_the_best_is_named(mod
     case = load_results(tmp_path / "results").cases[0]
     left = re.search(r"left of the step at worst: PID, step test ([\d.]+) %", text)
     assert left, text
-    assert float(left[1]) == pytest.approx(left_by(case), rel=0.05)
+    assert float(left[1]) == pytest.approx(case.left, rel=0.05)
 
 
 def test_where_the_output_is_limited_setpoints_are_moved_to_what_was_reached(model_fmu, tmp_path) -> None:
@@ -79,19 +79,19 @@ def test_where_the_output_is_limited_setpoints_are_moved_to_what_was_reached(mod
     text = written(proved, fmu, tmp_path)
     assert text.startswith("# Tried once; best: PID, step test, ")
     assert "y does not go above 12 (parameter y_max = 12)" in comments(text)
-    assert "No controller follows" not in run(tmp_path)
+    assert "No controller settles" not in run(tmp_path)
 
 
-def test_where_nobody_follows_the_file_begins_with_it_and_the_likely_reason(model_fmu, tmp_path) -> None:
+def test_where_none_settles_the_file_begins_with_it_and_the_likely_reason(model_fmu, tmp_path) -> None:
     """A mass of 1 kg that falls, pushed by at most 1 N against 9.81 N: no authority."""
     fmu = model_fmu("falling")
     proposal = suggest_study(fmu, trial=False)
     proved = tried_out(only(proposal, "pid"), fmu, monotonic() + 1000.0, lambda _: None)
     text = written(proved, fmu, tmp_path)
-    assert text.startswith("# No controller follows the reference; ")
+    assert text.startswith("# No controller settles within 5 %: ")
     assert re.search(r"Likely why: .*place: the inputs move it by .* while they rest", comments(text))
     shown = run(tmp_path).lstrip()
-    assert shown.startswith("No controller follows the reference; ")
+    assert shown.startswith("No controller settles within 5 %: ")
     assert "place: the inputs move it by" in " ".join(shown.split())
 
 

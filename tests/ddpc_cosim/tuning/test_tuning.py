@@ -282,19 +282,19 @@ def test_whatever_loses_fewer_runs_is_better() -> None:
     assert best(values[::-1]) == 3
 
 
-def search_of(runs: list[list[float]], losing: frozenset[int] = frozenset()) -> SettingsSearch:
+def search_of(runs: list[list[float]], failing: frozenset[int] = frozenset()) -> SettingsSearch:
     """Return a search after trials with these values in three runs; in the first some lose the reference."""
     search = SettingsSearch(
         "p", "c", {"gain": 1.0}, {"gain": Linear(0.0, 4.0)}, (Objective.parse("rmse:mean"),)
     )
     for number, values in enumerate(runs):
-        figures = [Figures(not seed and number in losing, (value,)) for seed, value in enumerate(values)]
+        figures = [Figures(not seed and number in failing, (value,)) for seed, value in enumerate(values)]
         search.tell(search.next_settings(), {Run("quiet", seed): one for seed, one in enumerate(figures)})
     return search
 
 
-def begun(*values: float, lost: bool = False) -> dict[Run, Figures]:
-    return {Run("quiet", seed): Figures(lost, (value,)) for seed, value in enumerate(values)}
+def begun(*values: float, failed: bool = False) -> dict[Run, Figures]:
+    return {Run("quiet", seed): Figures(failed, (value,)) for seed, value in enumerate(values)}
 
 
 def test_numbers_are_tried_with_four_digits_within_their_ends() -> None:
@@ -322,10 +322,10 @@ def test_a_trial_ends_when_it_would_not_be_the_best_even_if_the_rest_were_a_tent
     assert (search.trials[-1].runs, search.trials[-1].pruned) == (1, True)
 
 
-def test_a_trial_ends_when_it_has_lost_more_runs_than_the_best() -> None:
-    assert search_of([[1.0, 1.0, 1.0]]).is_hopeless(begun(0.1, lost=True))
-    assert not search_of([[1.0, 1.0, 1.0]], frozenset([0])).is_hopeless(begun(9.0, lost=True))
-    assert search_of([[1.0, 1.0, 1.0]] * 6, frozenset([0])).is_hopeless(begun(9.0, lost=True))
+def test_a_trial_ends_when_it_has_more_failed_runs_than_the_best() -> None:
+    assert search_of([[1.0, 1.0, 1.0]]).is_hopeless(begun(0.1, failed=True))
+    assert not search_of([[1.0, 1.0, 1.0]], frozenset([0])).is_hopeless(begun(9.0, failed=True))
+    assert search_of([[1.0, 1.0, 1.0]] * 6, frozenset([0])).is_hopeless(begun(9.0, failed=True))
 
 
 def test_two_objectives_leave_a_front(tmp_path: Path) -> None:

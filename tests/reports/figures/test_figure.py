@@ -325,11 +325,11 @@ def test_a_control_signal_that_the_plant_was_not_given_is_said_to_be_a_command(
     assert ["as commanded" in caption for caption in said] == [False, True]
 
 
-def test_where_no_case_holds_its_reference_there_is_no_spread_to_draw(make_results: MakeResults) -> None:
-    def lost(key: str, seed: int) -> Trace:
+def test_where_every_case_failed_there_is_no_spread_to_draw(make_results: MakeResults) -> None:
+    def far_off(key: str, seed: int) -> Trace:
         return scaled(make_trace(0.5), 0.1)
 
-    assert spread_figures(conditions(make_results(lost, seeds=[7, 8]))[0], "") == []
+    assert spread_figures(conditions(make_results(far_off, seeds=[7, 8]))[0], "") == []
     assert len(spread_figures(conditions(make_results(seeds=[7, 8]))[0], "")) == 1
 
 
@@ -433,17 +433,17 @@ def test_long_runs_are_thinned_out_to_bands_that_hold_all_that_they_were(make_re
     assert ((values >= low) & (values <= high)).mean() == pytest.approx(8 / 12, abs=0.2)
 
 
-def test_runs_that_do_not_hold_are_left_out_of_the_band_and_counted(make_results: MakeResults) -> None:
+def test_runs_that_failed_are_left_out_of_the_band_and_counted(make_results: MakeResults) -> None:
     def some_fall(key: str, seed: int) -> Trace:
-        lost = key == "slow" and seed in (2, 3)
-        return scaled(make_trace(0.5), 50.0) if lost else make_trace(0.3, noise_seed=seed)
+        falls = key == "slow" and seed in (2, 3)
+        return scaled(make_trace(0.5), 50.0) if falls else make_trace(0.3, noise_seed=seed)
 
     (condition,) = conditions(make_results(some_fall, seeds=[1, 2, 3, 4]))
     drawn = seen(condition, "x-")
-    assert drawn.over.lost == {"c0": 0, "c1": 2}
+    assert drawn.over.failed == {"c0": 0, "c1": 2}
     assert max(value for value in drawn.outputs[0].band["c1h"] if value is not None) < 25
     caption = every_figure(time_figures(condition, "x-"))[0].caption
-    assert "without the runs that do not stay near their reference (slow 2)" in caption
+    assert "without the runs that failed (slow 2)" in caption
 
 
 def test_a_steady_error_of_a_hundredth_of_the_step_can_be_seen(make_results: MakeResults) -> None:

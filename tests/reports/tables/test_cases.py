@@ -9,12 +9,12 @@ from ddpc_reports.tables.cases import cases_table
 from ..synthetic import MakeResults, make_trace
 
 
-def test_of_thousands_of_cases_the_lost_ones_and_the_first_seeds_are_listed(
+def test_of_thousands_of_cases_those_that_failed_and_the_first_seeds_are_listed(
     make_results: MakeResults,
 ) -> None:
     results = make_results()
     cases = [
-        replace(case, id=f"{case.id}{seed}", seed=seed, holds=seed % 5 > 0)
+        replace(case, id=f"{case.id}{seed}", seed=seed, failed=seed % 5 == 0)
         for case in results.cases
         for seed in range(1000)
     ]
@@ -22,16 +22,20 @@ def test_of_thousands_of_cases_the_lost_ones_and_the_first_seeds_are_listed(
     table = cases_table(many, conditions(many), "x-")
     assert table.caption == "1500 of 2000 cases"
     shown = {(row.header, int(row.cells[0].text)) for row in table.rows}
-    assert {(case.label, case.seed) for case in cases if not case.holds} < shown
+    assert {(case.label, case.seed) for case in cases if case.failed} < shown
     assert {(case.label, case.seed) for case in cases if case.seed < 600} < shown
     few = cases_table(results, conditions(results), "x-")
     assert (few.caption, len(few.rows)) == ("Every case (2)", 2)
 
 
-def test_why_a_case_was_lost_stands_with_its_outcome(make_results: MakeResults) -> None:
+def test_why_a_case_ended_stands_with_its_outcome(make_results: MakeResults) -> None:
     reason = f"no file /home/jo/own.csv {'x' * 200}"
     results = make_results(lambda key, seed: make_trace(0.5, outcome=Outcome.CRASHED, reason=reason))
     cell = cases_table(results, conditions(results), "x-").rows[0].cells[1]
     assert (cell.text, cell.failed) == ("crashed", True)
     assert cell.detail.startswith("no file own.csv xxx")
     assert len(cell.detail) == 80
+    results = make_results(lambda key, seed: make_trace(30.0))
+    cell = cases_table(results, conditions(results), "x-").rows[0].cells[1]
+    assert (cell.text, cell.failed) == ("completed, failed", True)
+    assert cell.detail == "angle ends 82 % of its task away from its reference"

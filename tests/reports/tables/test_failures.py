@@ -1,4 +1,4 @@
-"""The table of what went wrong: lost runs, fallbacks and warnings, a row per reason."""
+"""The table of what went wrong: failed runs, fallbacks and warnings, a row per reason."""
 
 from dataclasses import replace
 
@@ -72,6 +72,18 @@ def test_the_fault_that_ends_a_case_is_no_fallback(outcome: Outcome, make_result
     ]
     (condition,) = conditions(results)
     assert [one.total("failures [1]") for one in condition.controllers] == [0, 0]
+
+
+def test_runs_that_completed_and_failed_are_told_by_reason(make_results: MakeResults) -> None:
+    """Lags of 30 and 31 s leave 82 and 83 % of a step of 6 s: one reason, with both numbers."""
+    lags = {7: 30.0, 8: 31.5}
+    results = make_results(lambda key, seed: make_trace(lags[seed] if key == "slow" else 0.3), seeds=[7, 8])
+    (told,) = said(results)
+    assert told == (
+        "Runs that completed and failed: 2 of 4",
+        "angle ends 82 … 83 % of its task away from its reference",
+        ["slow", "2", "\N{EN DASH}", "slow, seed 7", "\N{EN DASH}"],
+    )
 
 
 def test_a_run_without_a_sample_has_no_time(make_results: MakeResults) -> None:

@@ -22,7 +22,7 @@ from ..synthetic import MakeResults, make_trace, ranked
 
 SEEDS = [*range(12)]
 KEY = "mean_abs_error.angle [deg]"
-LAGS = {"slow": 0.9, "quick": 0.3, "lost": 0.2}
+LAGS = {"slow": 0.9, "quick": 0.3, "falling": 0.2}
 NAMES = {name: {"type": "a"} for name in LAGS}
 
 
@@ -35,7 +35,7 @@ def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def run_of(key: str, seed: int) -> Trace:
     """Let one controller be the best of all but for one run."""
-    if key == "lost" and seed == 3:
+    if key == "falling" and seed == 3:
         return make_trace(0.2, outcome=Outcome.DIVERGED, reason="angle is NaN")
     jitter = 1 + 0.02 * np.random.default_rng([seed, len(key)]).standard_normal()
     trace = make_trace(LAGS[key] * jitter, noise_seed=seed)
@@ -52,30 +52,30 @@ def of(results: StudyResults, key: str, scenario: str = "nominal") -> list[float
     return [
         case.metrics[KEY]
         for case in results.cases
-        if (case.controller, case.scenario) == (key, scenario) and case.holds
+        if (case.controller, case.scenario) == (key, scenario) and not case.failed
     ]
 
 
-def test_the_ranked_table_has_ranks_medians_terms_and_runs_lost(make_results: MakeResults) -> None:
+def test_the_ranked_table_has_ranks_medians_terms_and_failed_runs(make_results: MakeResults) -> None:
     results = make_results(run_of, NAMES, seeds=SEEDS)
     table = ranked(conditions(results)[0])
-    assert [row.key for row in table.rows] == ["quick", "slow", "lost"]
+    assert [row.key for row in table.rows] == ["quick", "slow", "falling"]
     assert table.sortable
     assert {key: cell.raw for key, cell in column(table, "rank").items()} == {
         "quick": 1,
         "slow": 2,
-        "lost": 3,
+        "falling": 3,
     }
     errors = column(table, "mean abs error (°)")
     assert {key: cell.raw for key, cell in errors.items()} == {
         key: pytest.approx(median(of(results, key))) for key in LAGS
     }
     assert [key for key, cell in errors.items() if cell.best] == ["quick"]
-    lost = column(table, "lost (runs)")
-    assert {key: (cell.text, cell.failed) for key, cell in lost.items()} == {
+    failed = column(table, "failed (runs)")
+    assert {key: (cell.text, cell.failed) for key, cell in failed.items()} == {
         "quick": ("0 of 12", False),
         "slow": ("0 of 12", False),
-        "lost": ("1 of 12", True),
+        "falling": ("1 of 12", True),
     }
     assert {key: cell.raw for key, cell in column(table, "sees ahead (samples)").items()} == dict.fromkeys(
         LAGS, 5.0
@@ -83,10 +83,10 @@ def test_the_ranked_table_has_ranks_medians_terms_and_runs_lost(make_results: Ma
     assert column(table, "learns from (samples)")["quick"].raw == 100.0
 
 
-def test_where_nobody_loses_a_run_nothing_is_said_of_it(make_results: MakeResults) -> None:
+def test_where_no_run_failed_nothing_is_said_of_it(make_results: MakeResults) -> None:
     results = make_results(run_of, {"quick": {"type": "a"}, "slow": {"type": "a"}}, seeds=SEEDS)
     table = ranked(conditions(results)[0])
-    assert "lost (runs)" not in [heading.words for heading in table.headings]
+    assert "failed (runs)" not in [heading.words for heading in table.headings]
 
 
 def matrix(results: StudyResults) -> Table:
@@ -113,51 +113,71 @@ def test_the_matrix_has_a_cell_for_each_scenario_that_leads_to_its_figures(make_
             assert (low, high) == (pytest.approx(min(values), rel=5e-3), pytest.approx(max(values), rel=5e-3))
             assert f'id="{cell.href.removeprefix("#")}"' in page
         assert [key for key, cell in cells.items() if cell.best] == ["quick"]
-        assert cells["lost"].failures == "1 lost"
-        assert (cells["quick"].tone, cells["slow"].tone, cells["lost"].tone) == (
+        assert cells["falling"].failures == "1 failed"
+        assert (cells["quick"].tone, cells["slow"].tone, cells["falling"].tone) == (
             "share-5",
             "share-1",
             "share-0",
         )
 
 
-def test_numbers_beside_lost_runs_are_of_the_runs_that_are_left(make_results: MakeResults) -> None:
+def test_numbers_beside_failed_runs_are_of_the_other_runs(make_results: MakeResults) -> None:
     """Those that complete far from their reference are in neither the matrix nor the ranked table."""
 
     def trace_of(key: str, seed: int) -> Trace:
-        return make_trace(50.0) if key == "lost" and seed in (3, 4, 5) else run_of(key, seed)
+        return make_trace(50.0) if key == "falling" and seed in (3, 4, 5) else run_of(key, seed)
 
     both = make_results(trace_of, NAMES, seeds=SEEDS, scenarios=SCENARIOS)
-    cell = column(matrix(both), "calm (°)")["lost"]
-    own = of(both, "lost", "calm")
-    assert (cell.failures, cell.raw) == ("3 lost", pytest.approx(median(own)))
+    cell = column(matrix(both), "calm (°)")["falling"]
+    own = of(both, "falling", "calm")
+    assert (cell.failures, cell.raw) == ("3 failed", pytest.approx(median(own)))
     assert float(cell.detail.split(" … ")[1]) == pytest.approx(max(own), rel=5e-3)
     table = ranked(conditions(make_results(trace_of, NAMES, seeds=SEEDS))[0])
-    assert column(table, "mean abs error (°)")["lost"].raw == pytest.approx(median(own))
+    assert column(table, "mean abs error (°)")["falling"].raw == pytest.approx(median(own))
 
 
 def test_a_best_of_zero_is_tinted_and_all_others_are_far_from_it(make_results: MakeResults) -> None:
     """One without a value spoils no column."""
     results = make_results(run_of, NAMES, seeds=SEEDS[:3], scenarios=SCENARIOS)
-    values = {"quick": 0.0, "slow": 1.0, "lost": math.nan}
+    values = {"quick": 0.0, "slow": 1.0, "falling": math.nan}
     cases = [
-        replace(case, holds=True, metrics=case.metrics | {KEY: values[case.controller]})
+        replace(case, failed=False, metrics=case.metrics | {KEY: values[case.controller]})
         for case in results.cases
     ]
     cells = column(matrix(replace(results, cases=tuple(cases))), "calm (°)")
     assert {key: cell.tone for key, cell in cells.items()} == {
         "quick": "share-5",
         "slow": "share-1",
-        "lost": "",
+        "falling": "",
     }
 
 
-def test_one_that_loses_every_run_of_a_scenario_has_no_value_there(make_results: MakeResults) -> None:
+def test_one_that_fails_in_every_run_of_a_scenario_has_no_value_there(make_results: MakeResults) -> None:
     def trace_of(key: str, seed: int) -> Trace:
-        return run_of(key, seed) if key != "lost" else make_trace(0.2, outcome=Outcome.DIVERGED)
+        return run_of(key, seed) if key != "falling" else make_trace(0.2, outcome=Outcome.DIVERGED)
 
-    cell = column(matrix(make_results(trace_of, NAMES, seeds=[0], scenarios=SCENARIOS)), "calm (°)")["lost"]
-    assert (cell.text, cell.failed, cell.title) == ("lost", True, "diverged")
+    cell = column(matrix(make_results(trace_of, NAMES, seeds=[0], scenarios=SCENARIOS)), "calm (°)")[
+        "falling"
+    ]
+    assert (cell.text, cell.failed, cell.title) == ("failed", True, "diverged")
+
+
+def test_where_nothing_is_ranked_no_rank_is_shown_and_nobody_is_bold(make_results: MakeResults) -> None:
+    """Every run failed, or there is one controller; a reference point that did not fail ranks nobody."""
+    every = make_results(lambda key, seed: make_trace(40.0), NAMES, seeds=SEEDS)
+    alone = make_results(run_of, {"quick": {"type": "a"}}, seeds=SEEDS)
+    points = {"reference_points": {"zero": "slow", "full": "quick"}}
+    far_off = {"quick": 0.3, "slow": 0.9}
+    pointed = make_results(
+        lambda key, seed: make_trace(far_off.get(key, 40.0)),
+        {name: {"type": "a"} for name in ("quick", "slow", "one", "other")},
+        seeds=SEEDS,
+        report=points,
+    )
+    for results in (every, alone, pointed):
+        table = ranked(conditions(results)[0])
+        assert {cell.text for cell in column(table, "rank").values()} == {""}
+        assert not any(cell.best for row in table.rows for cell in row.cells)
 
 
 def test_what_tuning_is_worth_is_the_best_of_the_grid_against_the_own_settings(
@@ -176,8 +196,8 @@ def test_what_tuning_is_worth_is_the_best_of_the_grid_against_the_own_settings(
     table = next(c for kind, c in part.first if kind == "table" and c.id.endswith("worth"))
     (row,) = table.rows
     value = {name: of(results, name)[0] for name in lags}
-    own, best, worst, change, settings, edge, lost = row.cells
+    own, best, worst, change, settings, edge, failed = row.cells
     assert (own.raw, best.raw, worst.raw) == (value["a"], value["a3"], value["a1"])
     assert change.raw == pytest.approx(100 * (value["a3"] / value["a"] - 1))
     assert best.best
-    assert (settings.text, edge.text, lost.text) == ("weight = 4", "weight: largest", "0 of 3")
+    assert (settings.text, edge.text, failed.text) == ("weight = 4", "weight: largest", "0 of 3")

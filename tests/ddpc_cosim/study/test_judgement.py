@@ -1,0 +1,199 @@
+"""What is said of runs that failed and of those that do not settle, and nothing where there are none."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ddpc_cosim import CaseResult, Outcome
+from ddpc_cosim.responses import EndWindow, Tracking
+from ddpc_cosim.study.file_format.sections import Study
+from ddpc_cosim.study.judgement import WHY, Remark, all_failed, judged, none_settles, remarks, unsettled
+
+FAR = "y ends 90 % of its task away from its reference"
+
+
+def case(
+    controller: str,
+    left: float = math.inf,
+    *,
+    outcome: Outcome = Outcome.COMPLETED,
+    failure: str = "",
+    scenario: str = "nominal",
+    at_limits: float = 0.0,
+    warnings: tuple[str, ...] = (),
+) -> CaseResult:
+    """Return a case that leaves so much of a step [%], with its input at its limits so long [s] of 10 s."""
+    head = ("id", controller, controller, scenario, 0, outcome, "", ())
+    return CaseResult(
+        *head,
+        {"time_at_bounds.u [s]": at_limits},
+        {},
+        {},
+        warnings,
+        Path(),
+        failed=bool(failure) or outcome is not Outcome.COMPLETED,
+        failure=failure,
+        settles=None if math.isnan(left) else left <= 5.0,
+        left=left,
+    )
+
+
+CRASHED = case("a", outcome=Outcome.CRASHED)
+
+
+@pytest.mark.parametrize(
+    ("cases", "sentence"),
+    [
+        ([case("a", 5.0), case("b", 60.0, failure=FAR)], ""),
+        (
+            [case("a", 42.0), case("b", 60.0)],
+            "No controller settles within 5 %: the best leaves 42 % of a step",
+        ),
+        ([case("a", 7.25)], "No controller settles within 5 %: the best leaves 7.2 % of a step"),
+        ([case("a", math.nan)], ""),  # a reference that always moves: nothing to size an error by
+        # Over the seeds it is the median.
+        ([case("a", 3.0), case("a", 90.0), case("a", 4.0)], ""),
+        (
+            [case("a", 3.0), case("a", 90.0), case("a", 80.0)],
+            "No controller settles within 5 %: the best leaves 80 % of a step",
+        ),
+        # A run that ends early leaves more than any number.
+        (
+            [case("a", 3.0), CRASHED, CRASHED, case("b", 30.0)],
+            "No controller settles within 5 %: the best leaves 30 % of a step",
+        ),
+        (
+            [case("a", 3.0), CRASHED, CRASHED],
+            "No controller settles in most of its runs: at least half of the runs of each fail",
+        ),
+        ([CRASHED, CRASHED, case("a", math.nan)], ""),
+        ([], ""),
+    ],
+)
+def test_that_none_settles_is_said_where_it_is_true(cases: list[CaseResult], sentence: str) -> None:
+    assert none_settles(cases) == sentence
+
+
+@pytest.mark.parametrize(
+    ("cases", "sentence"),
+    [
+        ([CRASHED, case("b", 60.0)], ""),
+        ([CRASHED, case("b", outcome=Outcome.DIVERGED)], "Every controller fails: no run completes"),
+        (
+            [CRASHED, case("b", 95.0, failure="far"), case("b", 90.0, failure=FAR)],
+            f"Every controller fails; in the best run, {FAR}",
+        ),
+        ([], ""),
+    ],
+)
+def test_that_all_failed_is_said_where_it_is_true(cases: list[CaseResult], sentence: str) -> None:
+    assert all_failed(cases) == sentence
+
+
+def study_of_three(limitations: list[str], **changes: Any) -> Study:
+    return Study.model_validate(
+        {
+            "name": "s",
+            "seeds": [0],
+            "plant": {"name": "pendulum"},
+            "loop": {"sampling_time": 0.1, "duration": 10.0},
+            "reference": {"angle": {"kind": "constant", "value": 1.0}},
+            "controllers": {name: {"type": "pid"} for name in ("a", "b", "rest", "full")},
+            "report": {"limitations": limitations, **changes},
+            "scenarios": {"calm": {}, "storm": {"label": "in a storm"}, "blind": {}},
+        }
+    )
+
+
+def test_scenarios_are_told_apart_and_a_likely_reason_is_named() -> None:
+    study = study_of_three(["One seed only."])
+    cases = [case("a", 1.0, scenario="calm"), case("a", 30.0, scenario="storm", at_limits=8.0)]
+    cases.append(case("a", 90.0, scenario="blind", failure=FAR, warnings=("the recording is poor", "too")))
+    assert remarks(study, cases) == [
+        Remark(
+            "in a storm: No controller settles within 5 %: the best leaves 30 % of a step; "
+            "at its limits: u 80 % of the time",
+            is_failure=False,
+        ),
+        Remark(
+            f"blind: Every controller fails; in the best run, {FAR}; the recording is poor", is_failure=True
+        ),
+    ]
+
+
+def test_a_warning_of_one_controller_is_not_the_reason_for_all() -> None:
+    cases = [case("a", 30.0, warnings=("the recording is poor",)), case("b", 40.0)]
+    (remark,) = remarks(study_of_three([]), cases)
+    assert remark.text.endswith("the best leaves 30 % of a step")
+
+
+def test_the_reason_that_the_study_gives_comes_before_what_was_warned_of() -> None:
+    study = study_of_three([f"{WHY}y does not go above 12"])
+    cases = [case("a", 30.0, scenario="blind", warnings=("the recording is poor",))]
+    (remark,) = remarks(study, cases)
+    assert remark.text == (
+        "No controller settles within 5 %: the best leaves 30 % of a step; y does not go above 12"
+    )
+    assert remarks(study, [case("a", 3.0, scenario="blind")]) == []
+
+
+def test_whose_runs_do_not_settle_is_counted_without_those_that_failed_and_the_reference_points() -> None:
+    study = study_of_three([], reference_points={"zero": "rest", "full": "full"})
+    cases = [case("rest", 99.0), case("a", 3.0), case("a", 30.0), case("a", 90.0, failure=FAR), CRASHED]
+    cases += [case("b", 6.0, scenario=name) for name in study.scenarios] + [case("full", math.nan)]
+    assert unsettled(study, cases) == "Does not settle within 5 %: a in 1 of 4 runs, b in 3 of 3 runs"
+    assert unsettled(study, [case("a", 3.0), case("b", math.nan), CRASHED]) == ""
+
+
+def tracking(end: float, error: float, step: float = 0.0, *, deviation: float = 0.0) -> Tracking:
+    """Return what an output says that ends off its reference, and is off it on average; its task is 2."""
+    window = EndWindow(10, end, end, step, constant=True)
+    return Tracking("y", 2.0, math.inf, 1.0, deviation, 0.0, error, (window,))
+
+
+def concluded(one: Tracking, nothing: Tracking | None = None) -> CaseResult:
+    run = replace(case("a"), tracking=(one,))
+    resting = {("", "nominal", 0): replace(run, tracking=(nothing,))} if nothing else {}
+    (found,) = judged({}, [run], resting)
+    return found
+
+
+@pytest.mark.parametrize(("end", "failed"), [(0.99, False), (1.01, True)])
+def test_a_run_fails_that_ends_further_than_half_of_its_task_away(end: float, failed: bool) -> None:
+    found = concluded(tracking(end, 0.1))
+    assert (found.failed, bool(found.failure)) == (failed, failed)
+    early = replace(case("a", outcome=Outcome.TIMED_OUT), tracking=(tracking(0.0, 0.0),))
+    (early,) = judged({}, [early], {})
+    assert (early.failed, early.settles, early.left) == (True, False, math.inf)
+
+
+@pytest.mark.parametrize(("error", "failed"), [(0.519, False), (0.521, True)])
+def test_a_run_fails_that_is_worse_than_doing_nothing_by_more_than_a_hundredth(
+    error: float, failed: bool
+) -> None:
+    assert not concluded(tracking(0.0, error)).failed
+    found = concluded(tracking(0.0, error), tracking(0.9, 0.5))
+    assert found.failed == failed
+    assert found.failure == failed * (
+        "worse than doing nothing: mean error 26 % of the task, doing nothing 25 % of it"
+    )
+
+
+def test_what_is_out_of_all_proportion_has_no_number() -> None:
+    far_off = concluded(tracking(1e9, 1e9))
+    assert far_off.failure == "y ends more than 100 times its task away from its reference"
+
+
+def test_a_task_is_as_large_as_what_happens_while_nothing_is_done() -> None:
+    assert concluded(tracking(1.5, 0.1)).failed
+    assert not concluded(tracking(1.5, 0.1), tracking(0.0, 4.0, deviation=4.0)).failed
+
+
+@pytest.mark.parametrize(("step", "settles"), [(0.0, False), (2.0, False), (4.0, True)])
+def test_what_is_left_is_in_parts_of_a_step_or_of_the_task(step: float, settles: bool) -> None:
+    found = concluded(tracking(0.15, 0.1, step))
+    assert found.settles == settles
+    assert found.left == pytest.approx(15.0 / (step or 2.0))
