@@ -229,9 +229,9 @@ class Standings:
         """Why there is no overall rank: differences of leaders that depend on the scenario; else none.
 
         They are of two controllers without a failed run, each of which leads over all scenarios or in one.
-        Their difference changes between two scenarios by more than chance explains and by enough to matter, and one
-        of them is told to be better in the one scenario, and not so in the other. That a lead is larger in
-        one scenario than in another takes it from nobody.
+        Their difference changes between two scenarios by more than chance explains and by enough to matter,
+        and one of them is told to be better in the one scenario, and not so in the other. That a lead is
+        larger in one scenario than in another takes it from nobody.
         """
         if not self.tested or not self.by_scenario:
             return ()
