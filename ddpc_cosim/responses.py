@@ -141,6 +141,7 @@ class Response(Signal):
             deviation=deviation if deviation > at_rest else 0.0,
             scatter=_scatter(y),
             mean_abs_error=float(np.abs(r - y).mean()),
+            factor=abs(self.variable.shown_in.factor),
             ends=tuple(ends),
         )
 
@@ -210,6 +211,8 @@ class Tracking:
         the output, whoever controls it: feedback cannot change what cannot be told ahead.
     mean_abs_error : float
         Over all samples.
+    factor : float
+        What a difference is multiplied by where it is shown in the display unit.
     ends : tuple of EndWindow
         The ends of the stretches of constant reference; that of the run where there is none.
     """
@@ -221,6 +224,7 @@ class Tracking:
     deviation: float
     scatter: float
     mean_abs_error: float
+    factor: float = 1.0
     ends: tuple[EndWindow, ...] = ()
 
     @classmethod
@@ -240,7 +244,7 @@ class Tracking:
         return cls(output=str(table["output"]), ends=ends, **numbers)
 
 
-_NUMBERS = ("travel", "room", "nominal", "deviation", "scatter", "mean_abs_error")
+_NUMBERS = ("travel", "room", "nominal", "deviation", "scatter", "mean_abs_error", "factor")
 
 
 @dataclass(frozen=True)

@@ -96,6 +96,8 @@ class CaseResult:
     left : float
         What it leaves of a step at worst [%], beyond what the scenario makes unavoidable; infinite of a run
         that did not complete, and NaN where its reference is never constant.
+    tasks : dict of str to float
+        By controlled output, the size of its task, in the unit in which it is shown.
     wall_time : float
         How long its worker took for it [s]; NaN if it was lost.
     """
@@ -121,6 +123,7 @@ class CaseResult:
     failure: str = ""
     settles: bool | None = None
     left: float = math.nan
+    tasks: dict[str, float] = field(default_factory=dict)
     wall_time: float = field(default=math.nan, compare=False)
 
     def trace(self) -> Trace:

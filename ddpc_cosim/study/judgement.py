@@ -115,7 +115,8 @@ def _judged(case: CaseResult, resting: CaseResult | None, scenario: "ScenarioSec
     if not failure and completed:
         failure = _against_nothing(case.tracking, nothing, sizes, unavoidable)
     settles = None if math.isnan(most) else most <= SETTLED
-    return replace(case, failed=bool(failure), failure=failure, settles=settles, left=most)
+    tasks = {one.output: sizes[one.output] * one.factor for one in case.tracking}
+    return replace(case, failed=bool(failure), failure=failure, settles=settles, left=most, tasks=tasks)
 
 
 def task_size(one: Tracking, nothing: Tracking | None) -> float:

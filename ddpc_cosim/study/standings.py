@@ -381,9 +381,7 @@ def summed(cases: Sequence[CaseResult], key: str) -> float:
     return how(known) if known else math.nan
 
 
-def standings(
-    study: Study, cases: Iterable[CaseResult], tasks: Mapping[str, float] | None = None
-) -> Standings:
+def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
     """Return the standings of a study's controllers over cases of one problem.
 
     Reference points and the variants of sweeps do not compete.
@@ -394,8 +392,6 @@ def standings(
         The study, of one problem.
     cases : iterable of CaseResult
         Its cases, or some of them.
-    tasks : mapping of str to float, optional
-        By metric that is ranked by, the size of the task in its unit: what a difference is measured by.
     """
     points = study.report.reference_points
     aside = {name for name, section in study.controllers.items() if section.variant_of}
@@ -403,7 +399,11 @@ def standings(
     by_scenario: dict[str, list[CaseResult]] = {}
     for case in cases:
         by_scenario.setdefault(case.scenario, []).append(case)
-    left_out = tuple(name for name, own in by_scenario.items() if all_failed(own))
+    left_out = tuple(
+        name
+        for name, own in by_scenario.items()
+        if all_failed(case for case in own if case.controller not in aside)
+    )
     counting = [case for name, own in by_scenario.items() if name not in left_out for case in own]
     keys = headline(dict.fromkeys(key for case in counting for key in case.metrics))
     runs: dict[str, dict[str, dict[tuple[Hashable, int], float]]] = {key: {} for key in keys}
@@ -414,4 +414,15 @@ def standings(
                 runs[key].setdefault(case.controller, {})[case.scenario, case.seed] = value
     given = study.metrics.relevant
     relevant = Relevant(given.absolute, given.percent) if given else Relevant()
-    return Standings(keys, {key: dict(own) for key, own in runs.items()}, left_out, relevant, tasks or {})
+    return Standings(
+        keys, {key: dict(own) for key, own in runs.items()}, left_out, relevant, _tasks(keys, counting)
+    )
+
+
+def _tasks(keys: Iterable[str], cases: Sequence[CaseResult]) -> dict[str, float]:
+    """Return by key of an output's error the size of its task, the median over the runs; of a cost none."""
+    return {
+        key: median(sizes)
+        for key in keys
+        if (sizes := [case.tasks[name] for case in cases if (name := split_key(key)[1]) in case.tasks])
+    }
