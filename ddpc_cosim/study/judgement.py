@@ -277,7 +277,7 @@ class Remark(NamedTuple):
     is_failure: bool
 
 
-def remarks(study: "Study", cases: Iterable[CaseResult]) -> list[Remark]:
+def scenario_remarks(study: "Study", cases: Iterable[CaseResult]) -> list[Remark]:
     """Return a remark for each scenario of a study in which every run fails, or no controller settles."""
     by_scenario: dict[str, list[CaseResult]] = {}
     for case in cases:

@@ -170,6 +170,12 @@ class Comparisons:
         return max((one.seeds for one in self.differences.values()), default=0)
 
     @property
+    def tells_first(self) -> bool:
+        """Whether the pairs tell that the first is better than each other one."""
+        first = [one for (name, _), one in self.differences.items() if name == self.order[0]]
+        return not self.too_few_seeds and all(one.told_apart and not one.told_worse for one in first)
+
+    @property
     def too_few_seeds(self) -> bool:
         """Whether no p could fall below 5 %, even if a controller is ahead on every seed."""
         return self.tests > 0 and self.seeds < self.seeds_needed

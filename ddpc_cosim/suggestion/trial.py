@@ -16,7 +16,7 @@ from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.responses import Actuation, Response, Stretch
 from ddpc_cosim.study.case_files import CaseResult, judge_again
 from ddpc_cosim.study.cases import cases_of
-from ddpc_cosim.study.judgement import SETTLED, WHY, all_failed, none_settles, remarks
+from ddpc_cosim.study.judgement import SETTLED, WHY, all_failed, none_settles, scenario_remarks
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedStudy
@@ -185,7 +185,7 @@ def _attempt(
             attempt.cases = load_cases(folder, WholeStudy.of(resolved.study), ids).cases
     if resolved is not None and attempt.cases:
         attempt.preview = resolved.metrics.preview
-        attempt.line = next((one.text for one in remarks(resolved.study, attempt.cases)), "")
+        attempt.line = next((one.text for one in scenario_remarks(resolved.study, attempt.cases)), "")
         attempt.surprises = [*_surprises(attempt.best_trace(), proposal, attempt.preview)]
         attempt.limits = [*_limits_shown(attempt.best_trace(), resolved.plant.variables().parameters)]
     return attempt

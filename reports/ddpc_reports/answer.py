@@ -1,30 +1,29 @@
 """The answer of a study in a few sentences: who is ahead, how sure that is, what others offer, who fails."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_name, metric_of
+from ddpc_cosim.study.findings import Findings, Lead
 from ddpc_cosim.study.standings import Standing, Standings
 from ddpc_cosim.study.statistics import Difference, compare, describe
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
 from ddpc_reports.fairness import told_of_plant
-from ddpc_reports.numbers import MINUS, significant, with_unit
+from ddpc_reports.numbers import MINUS, apart, significant, with_unit
 from ddpc_reports.verdict import counted, formatter, join_words, names, p_words, some_of
 
 _NAMED = 3
 """Controllers that are named with their values where more share the first rank."""
-_FAILING = 3
-"""Controllers that are named for their failed runs."""
 _LONGEST_TOLD = 100
 _MUCH_LESS = 0.5
 """From this part of a leader's on, a value of another is worth a word."""
 
 
-def answer(results: StudyResults, seen: Sequence[Condition], found: Standings) -> Markup:
+def answer(results: StudyResults, seen: Sequence[Condition], told: Findings) -> Markup:
     """Return who is ahead in a problem and how sure that is, from intervals and not adjectives.
 
     Parameters
@@ -33,20 +32,22 @@ def answer(results: StudyResults, seen: Sequence[Condition], found: Standings) -
         The results of one problem.
     seen : sequence of Condition
         Its scenarios.
-    found : Standings
-        Where its controllers stand, over all scenarios that count.
+    told : Findings
+        What they show, over all scenarios that count.
     """
+    found = told.standings
     who = {one.key: one for condition in seen for one in condition.controllers}
-    if not found.order:
+    if told.lead is Lead.NOBODY:
         return Markup("") if found.left_out else Markup("No controller competes here, so nothing is ranked.")
     counting = [one for one in seen if one.scenario not in found.left_out]
     labels = [Markup("<i>{}</i>").format(one.label) for one in seen if one.scenario in found.left_out]
+    offers = _offers(told, who, counting)
     parts = [
-        _first(found, who, counting),
+        _lead(told, who, counting, offers),
         _uneven(found),
-        _elsewhere(found, who, counting) if found.leaders else "",
-        _offer(found, who, counting),
-        _failing(found, who),
+        _elsewhere(found, who, counting) if told.leaders else "",
+        _offered(found, who, offers),
+        _failing(told, who),
         Markup("Not counted, as every controller fails there: {}.").format(some_of(labels)) if labels else "",
     ]
     return Markup(" ").join(part for part in parts if part)
@@ -60,11 +61,36 @@ def _over(found: Standings, counting: Sequence[Condition]) -> str:
     return f"over {scenarios}, on one seed" if scenarios else "on the one seed that was run"
 
 
-def _first(found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]) -> Markup:
+def _lead(
+    told: Findings,
+    who: dict[str, ControllerResults],
+    counting: Sequence[Condition],
+    offers: Mapping[str, Sequence[str]],
+) -> Markup:
     """Say who is ahead; where scenarios disagree, who leads where."""
-    if found.disagreements:
+    found, over = told.standings, _over(told.standings, counting)
+    if told.lead is Lead.BY_SCENARIO:
         return _by_scenario(found, who, counting)
-    return _ahead(found, who, counting) if found.leaders else _all_fail_some(found, who)
+    if told.lead is Lead.ALL_FAIL:
+        return _all_fail_some(found, who)
+    leaders = [who[name] for name in told.leaders]
+    best = leaders[0]
+    if told.lead is Lead.ONLY_ONE:
+        text = Markup("There is nothing to compare <i>{}</i> with: {} {}.")
+        return text.format(best.label, _values(found, best.key), over)
+    if told.lead in (Lead.LEVEL, Lead.ALIKE):
+        return _level(told, leaders, over) + _unsure(found)
+    if told.lead is Lead.ONLY_SOUND:
+        text = Markup("<b>{}</b> alone has no failed run, {}: {}.")
+        return text.format(best.label, over, _values(found, best.key))
+    name = Markup("<b>{}</b>" if told.is_sure else "<i>{}</i>").format(best.label)
+    medians = "has the best median" if len(found.keys) == 1 else "has the best medians"
+    verb = "is ahead" if told.lead is Lead.AHEAD else medians
+    text = Markup("{} {} {}: {}").format(name, verb, over, _values(found, best.key))
+    if told.following and told.following not in offers:
+        label, behind = who[told.following].label, _behind(found, best.key, told.following)
+        text += Markup("; the next, <i>{}</i>, {}").format(label, behind)
+    return text + "." + _unsure(found)
 
 
 def _by_scenario(
@@ -82,33 +108,6 @@ def _by_scenario(
         parts.append(Markup("{} {} in {}").format(some_of(bold), lead, some_of(scenarios)))
     text = "The scenarios disagree, so there is no overall rank: {}."
     return Markup(text).format(Markup("; ").join(parts))
-
-
-def _ahead(found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]) -> Markup:
-    leaders = [who[name] for name in found.leaders]
-    over = _over(found, counting)
-    if len(leaders) == len(found.order) == 1:
-        values = _values(found, leaders[0].key)
-        return Markup("There is nothing to compare <i>{}</i> with: {} {}.").format(
-            leaders[0].label, values, over
-        )
-    if len(leaders) > 1:
-        return _level(found, leaders, over) + _unsure(found)
-    best = leaders[0]
-    if all(one.failed for one in found.order if one.controller != best.key):
-        return Markup("<b>{}</b> alone has no failed run, {}: {}.").format(
-            best.label, over, _values(found, best.key)
-        )
-    name = Markup("<b>{}</b>" if found.tested else "<i>{}</i>").format(best.label)
-    medians = "has the best median" if len(found.keys) == 1 else "has the best medians"
-    verb = "is ahead" if found.tested or found.seeds < 2 else medians
-    text = Markup("{} {} {}: {}").format(name, verb, over, _values(found, best.key))
-    follower = next((one for one in found.order if not one.failed and one.rank > 1), None)
-    if follower:
-        text += Markup("; the next, <i>{}</i>, {}").format(
-            who[follower.controller].label, _behind(found, best.key, follower.controller)
-        )
-    return text + "." + _unsure(found)
 
 
 def _uneven(found: Standings) -> Markup:
@@ -139,9 +138,9 @@ def _elsewhere(found: Standings, who: dict[str, ControllerResults], counting: Se
     return Markup(text).format(it, led, len(counting), some_of(named), do, together)
 
 
-def _level(found: Standings, leaders: Sequence[ControllerResults], over: str) -> Markup:
+def _level(told: Findings, leaders: Sequence[ControllerResults], over: str) -> Markup:
     """Say that several share the first rank, with their values and how far they are apart."""
-    shown = leaders[:_NAMED]
+    found, shown = told.standings, leaders[:_NAMED]
     more = len(leaders) - len(shown)
     bold = [Markup("<b>{}</b>").format(one.label) for one in shown]
     who = join_words([*bold, *([f"{more} more"] if more else [])])
@@ -151,12 +150,16 @@ def _level(found: Standings, leaders: Sequence[ControllerResults], over: str) ->
         values = [
             Markup("<i>{}</i> {}").format(one.label, _values(found, one.key, brief=True)) for one in shown
         ]
-        return Markup("Nobody is told to be better than {} {}: {}.").format(
+        return Markup("No controller is significantly better than {} {}: {}.").format(
             who, over, Markup("; ").join(values)
         )
     key = found.keys[0]
     show = formatter(key, 3)
     medians = join_words([show(found.samples[key][one.key].median) for one in shown])
+    if told.lead is Lead.ALIKE:
+        text = Markup("{} lead {}, and no difference between them matters: {} {}, less than {} apart.")
+        least = with_unit(significant(found.relevant_differences[key], 2), metric_unit(key))
+        return text.format(who, over, metric_name(key), medians, least)
     apart = [_difference(found, key, shown[0].key, one.key) for one in shown[1:]]
     text = Markup("{} lead {} and are not told apart: {} {}").format(who, over, metric_name(key), medians)
     words = join_words([_interval(one, key) + _why_alike(one) for one in apart])
@@ -183,10 +186,12 @@ def _values(found: Standings, name: str, *, brief: bool = False) -> Markup:
 
 
 def _ends(low: float, high: float, key: str) -> str:
-    """Write a 95 % interval in brackets; nothing without one, or where both ends are the same."""
-    if math.isnan(low) or math.isclose(low, high, rel_tol=1e-9, abs_tol=0.0):
+    """Write a 95 % interval in brackets; nothing without one, and words where both ends are the same."""
+    if math.isnan(low):
         return ""
-    return f" [{significant(low, 3)} … {significant(high, 3)}]"
+    if math.isclose(low, high, rel_tol=1e-9, abs_tol=0.0):
+        return " [the same on every seed]"
+    return f" [{' … '.join(apart(low, high))}]"
 
 
 def _difference(found: Standings, key: str, first: str, other: str) -> Difference:
@@ -251,22 +256,31 @@ def _unsure(found: Standings) -> Markup:
     )
 
 
-def _offer(found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]) -> Markup:
-    """Say what the best of those behind offer that the leaders do not."""
-    leaders = [who[name] for name in found.leaders]
+def _offers(
+    told: Findings, who: dict[str, ControllerResults], counting: Sequence[Condition]
+) -> dict[str, list[str]]:
+    """Return what the best of those behind offer that the leaders do not."""
+    found = told.standings
+    leaders = [who[name] for name in told.leaders]
     rest = [who[one.controller] for one in found.order if not one.failed and one.rank > 1]
     if not leaders or not rest or len(found.keys) > 1:
-        return Markup("")
+        return {}
     offers: dict[str, list[str]] = {}
     if all(_recorded(one) for one in leaders):
         for one in [one for one in rest if not _recorded(one)][:1]:
             offers.setdefault(one.key, []).append(f"learns from no recording{_but_told(counting, one)}")
     if len(counting) == 1 and (settled := _settles_closest(counting[0], leaders, rest)):
         offers.setdefault(settled[0], []).append(settled[1])
-    key = found.keys[0]
+    return offers
+
+
+def _offered(
+    found: Standings, who: dict[str, ControllerResults], offers: Mapping[str, Sequence[str]]
+) -> Markup:
+    """Say what those behind offer; nothing where they offer nothing."""
     parts = []
     for name, words in offers.items():
-        ratio = _ratio(found, key, leaders[0].key, name)
+        ratio = _ratio(found, found.keys[0], found.leaders[0], name)
         behind = "" if math.isnan(ratio) else f" ({_ratio_words(ratio, '{} times')})"
         parts.append(Markup("<i>{}</i>{} {}").format(who[name].label, behind, join_words(words)))
     return Markup("Behind, {}.").format(Markup("; ").join(parts)) if parts else Markup("")
@@ -308,14 +322,13 @@ def _settles_closest(
     return name, f"settles to {show(values[name])} in place of {show(least)}{more}"
 
 
-def _failing(found: Standings, who: dict[str, ControllerResults]) -> Markup:
-    """Say of whom runs failed, and who of them is ahead in those that did not."""
-    failing = [one for one in found.order if one.failed]
-    if not failing or not (found.leaders or found.disagreements):
+def _failing(told: Findings, who: dict[str, ControllerResults]) -> Markup:
+    """Say of whom runs failed, of each how many, and who of them is ahead in those that did not."""
+    if not told.failing or told.lead is Lead.ALL_FAIL:
         return Markup("")
-    parts = [_failed_words(found, who, one) for one in failing]
-    shown = [*parts[:_FAILING], *([f"{len(parts) - _FAILING} more"] if parts[_FAILING:] else [])]
-    return Markup("Failed: {}.").format(join_words(shown))
+    return Markup("Failed: {}.").format(
+        join_words([_failed_words(told.standings, who, one) for one in told.failing])
+    )
 
 
 def _failed_words(found: Standings, who: dict[str, ControllerResults], one: Standing) -> Markup:

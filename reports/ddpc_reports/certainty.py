@@ -17,12 +17,13 @@ from ddpc_reports.shares import SHARE, SHARE_NOTE, share_cells, share_interval
 from ddpc_reports.tables.table import Cell, Heading, Row, Table, interval_texts, number_cells
 from ddpc_reports.verdict import RANKED_BY, p_words
 
+_SAME = "the same on every seed"
 _NOTES = (
     "Runs: those that did not fail and have a value; all that follows is of them. Interval: the "
     f"95\u00a0% bootstrap interval of the median, from {FEWEST} seeds on. Difference: to the best median, in "
     "pairs of the same seed. Seeds ahead: of these pairs, a tie counting half.",
     "p: one step-down sign-flip max-T test of all pairs of controllers that have no failed run"
-    "; exact: the seed changes nothing; a dash: of fewer than six seeds no p could fall below "
+    "; a dash: of fewer than six seeds no p could fall below "
     "5\u00a0%. Others come last whatever their figures, and are not tested. Group: controllers that are not "
     "told apart at 5\u00a0% share a letter.",
 )
@@ -107,14 +108,14 @@ def _shares(condition: Condition, key: str, order: Sequence[ControllerResults]) 
 def _intervals(found: Sequence[Sample | Difference | None], exact: Sequence[bool]) -> list[Cell]:
     ends = [(one.low, one.high) if one else (math.nan, math.nan) for one in found]
     return [
-        Cell(MISSING, MISSING) if math.isnan(low) else Cell("exact" if same else text, f"{low!r} … {high!r}")
+        Cell(MISSING, MISSING) if math.isnan(low) else Cell(_SAME if same else text, f"{low!r} … {high!r}")
         for text, (low, high), same in zip(interval_texts(ends), ends, exact, strict=True)
     ]
 
 
 def _p(one: Difference | None) -> Cell:
     if one and one.constant:
-        return Cell("exact")
+        return Cell(_SAME)
     return Cell(p_words(one.corrected), one.corrected) if one else Cell(MISSING)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
-from ddpc_cosim.study.standings import standings
+from ddpc_cosim.study.findings import findings_of
 from ddpc_cosim.texts import encodable, printable, without_folders
 from ddpc_reports.comparison import labels
 from ddpc_reports.sections import StudyPart, gather
@@ -107,10 +107,16 @@ def _results(results: StudyResults) -> dict[str, Any]:
 
 
 def _ranking(part: StudyResults) -> dict[str, Any]:
-    found, names = standings(part.study, part.cases), labels(part)
+    told, names = findings_of(part.study, part.cases), labels(part)
+    found = told.standings
     return {
         "problem": part.study.name,
         "metrics": found.keys,
+        "lead": told.lead.value,
+        "leaders": told.leaders,
+        "leaders_are_sure": told.is_sure,
+        "leaders_by_scenario": found.leaders_by_scenario,
+        "relevant_differences": [found.relevant_differences[key] for key in found.keys],
         "seeds": found.seeds,
         "told_apart_by_seeds": found.tested,
         "scenarios_left_out": found.left_out,

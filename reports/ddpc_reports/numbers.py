@@ -74,6 +74,14 @@ def significant(value: float, digits: int = 4) -> str:
     return fixed(value, max(digits - 1 - _exponent(rounded), 0))
 
 
+def apart(low: float, high: float, digits: int = 3) -> tuple[str, str]:
+    """Write two ends with so many significant digits, and more where they would read the same."""
+    texts = significant(low, digits), significant(high, digits)
+    if texts[0] != texts[1] or digits >= _MOST_DIGITS:
+        return texts
+    return apart(low, high, digits + 1)
+
+
 def fixed(value: float, decimals: int) -> str:
     """Write a finite number with a count of decimals, thousands apart, and a true minus sign."""
     text = f"{value:,.{decimals}f}".replace(",", _NARROW_SPACE)

@@ -10,8 +10,8 @@ import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, ReportSection, StudyResults
-from ddpc_cosim.study.judgement import remarks, unsettled
-from ddpc_cosim.study.standings import Standings, standings
+from ddpc_cosim.study.findings import Findings, findings_of
+from ddpc_cosim.study.standings import Standings
 from ddpc_cosim.texts import clipped, without_folders
 from ddpc_reports.across_problems import (
     RANKS_NOTE,
@@ -304,11 +304,14 @@ class _Part:
     _over_time: dict[str, TimeFigures] = field(default_factory=dict)
 
     @cached_property
+    def findings(self) -> Findings:
+        """What the results show, over all scenarios."""
+        return findings_of(self.results.study, self.results.cases)
+
+    @property
     def standings(self) -> Standings:
         """Where the controllers stand, over all scenarios."""
-        if len(self.seen) == 1:
-            return self.seen[0].standings
-        return standings(self.results.study, self.results.cases)
+        return self.findings.standings
 
     def each(
         self,
@@ -495,8 +498,8 @@ def _study_part(
 ) -> StudyPart:
     prefix = f"s{number}-"
     part = _Part(results, seen, prefix, data, room, variants, alone)
-    said = in_its_place("Answer", lambda: answer(results, seen, part.standings))
-    told, unsettling = remarks(results.study, results.cases), unsettled(results.study, results.cases)
+    said = in_its_place("Answer", lambda: answer(results, seen, part.findings))
+    told = part.findings.remarks
     return StudyPart(
         prefix,
         number,
@@ -508,7 +511,7 @@ def _study_part(
         part.sections(),
         results.study.summary.strip(),
         results.study.source,
-        [*(one.text for one in told if not one.is_failure), *filter(None, [unsettling])],
+        [one.text for one in told if not one.is_failure],
     )
 
 

@@ -19,7 +19,7 @@ from ddpc_reports.comparison import (
     metric_unit,
     ranked,
 )
-from ddpc_reports.numbers import duration, given_duration, integer, significant, with_unit
+from ddpc_reports.numbers import apart, duration, given_duration, integer, significant, with_unit
 
 _POOR = 3.0
 """From this many times the best error on, a small total variation is not a merit."""
@@ -376,12 +376,7 @@ def _seed_by_seed(winner: ControllerResults, second: ControllerResults, key: str
 
 def _first(condition: Condition, key: str, one: ControllerResults) -> Markup:
     """Set the name of the first of a ranking: in bold only if the seeds tell it apart from all others."""
-    several = len(condition.seeds) > 1
-    unsure = several and (
-        condition.compared(key).too_few_seeds
-        or condition.not_told_apart(key)
-        or condition.ahead_in_pairs(key)
-    )
+    unsure = len(condition.seeds) > 1 and not condition.compared(key).tells_first
     return (Markup("<i>{}</i>") if unsure else Markup("<b>{}</b>")).format(one.label)
 
 
@@ -492,11 +487,11 @@ def counted(count: float, noun: str) -> str:
 
 
 def median_and_range(values: Spread, key: str) -> str:
-    """Write a median and, where the cases differ, their range in brackets."""
+    """Write a median and, where the cases differ, from where to where they are."""
     show = formatter(key)
     if not values.varies:
         return show(values.median)
-    return f"{show(values.median)} [{significant(values.low)} … {significant(values.high)}]"
+    return f"{show(values.median)} (range {' to '.join(apart(values.low, values.high, 4))})"
 
 
 def formatter(key: str, digits: int = 4) -> Callable[[float], str]:

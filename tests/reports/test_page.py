@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import pytest
 import vl_convert
-from ddpc_cosim.study.following import following_lines
 from rich.console import Console
 
 from ddpc_cosim import CosimWarning, Outcome, StudyResults, Trace

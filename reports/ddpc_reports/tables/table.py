@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from ddpc_cosim.texts import csv_text, encodable
 from ddpc_reports.comparison import ControllerResults
-from ddpc_reports.numbers import MISSING, column
+from ddpc_reports.numbers import MISSING, apart, column
 
 Raw = float | int | str
 
@@ -200,10 +200,12 @@ def number_cells(
 
 
 def interval_texts(ends: Sequence[tuple[float, float]]) -> list[str]:
-    """Write the intervals of a column with common decimals; a dash where there is none."""
+    """Write the intervals of a column with common decimals, more where they would have no width."""
     lows, highs = (column([one[i] for one in ends]) for i in (0, 1))
     return [
-        MISSING if math.isnan(one[0]) else f"{low.strip()} … {high.strip()}"
+        MISSING
+        if math.isnan(one[0])
+        else " … ".join(apart(*one) if low == high and one[0] < one[1] else (low.strip(), high.strip()))
         for one, low, high in zip(ends, lows, highs, strict=True)
     ]
 

@@ -8,7 +8,6 @@ from time import monotonic
 
 import pytest
 from click.testing import CliRunner
-from ddpc_cosim.study.following import left_by
 from fmus.builder import (
     CO_SIMULATION,
     INTEGRATOR,

@@ -1,0 +1,122 @@
+"""What the results of one problem show, as data: who is ahead, how sure that is, does it matter, who failed.
+
+Page, terminal, files and Python ask here, and put it into their own words.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from ddpc_cosim.metrics import metric_name, split_key
+from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.file_format.sections import Study
+from ddpc_cosim.study.judgement import Remark, scenario_remarks, unsettled
+from ddpc_cosim.study.previews import WorsePreview, worse_previews
+from ddpc_cosim.study.standings import Standing, Standings, standings
+from ddpc_cosim.texts import printable
+
+_LONGEST_LABEL = 100
+
+
+class Lead(StrEnum):
+    """In which way controllers lead."""
+
+    NOBODY = "nobody competes"
+    ONLY_ONE = "there is nobody to compare it with"
+    ALL_FAIL = "each has failed runs"
+    ONLY_SOUND = "it alone has no failed run"
+    BY_SCENARIO = "scenarios disagree"
+    AHEAD = "it is ahead of all others"
+    BEST_MEDIAN = "it has the best median, and the seeds are too few for a test"
+    LEVEL = "they are not told apart"
+    ALIKE = "no difference between them matters"
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the results of one problem show.
+
+    Parameters
+    ----------
+    standings : Standings
+        Ranks, tests and figures.
+    lead : Lead
+        In which way the leaders lead.
+    leaders : tuple of str
+        The controllers of the first rank; none where scenarios disagree, or all have failed runs.
+    following : str
+        The best of those behind without a failed run; empty: there is none.
+    failing : tuple of Standing
+        The controllers with failed runs, those with the fewest first.
+    worse_previews : tuple of WorsePreview
+        Whom seeing more of the reference makes worse.
+    remarks : tuple of Remark
+        What is to be known of scenarios besides ranks.
+    """
+
+    standings: Standings
+    lead: Lead
+    leaders: tuple[str, ...]
+    following: str
+    failing: tuple[Standing, ...]
+    worse_previews: tuple[WorsePreview, ...]
+    remarks: tuple[Remark, ...]
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the seeds tell that nobody is better than the leaders: only then are they set in bold."""
+        sure = (Lead.AHEAD, Lead.LEVEL, Lead.ALIKE, Lead.ONLY_SOUND, Lead.BY_SCENARIO)
+        return self.lead in sure and (self.standings.tested or self.lead is Lead.ONLY_SOUND)
+
+
+def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
+    """Return what cases of one problem show."""
+    everything = [*cases]
+    found = standings(study, everything)
+    worse = tuple(worse_previews(study, everything))
+    return Findings(
+        found,
+        _lead(found),
+        found.leaders,
+        next((one.controller for one in found.order if not one.failed and one.rank > 1), ""),
+        tuple(one for one in found.order if one.failed),
+        worse,
+        tuple(remarks(study, everything, worse)),
+    )
+
+
+def remarks(
+    study: Study, cases: Sequence[CaseResult], worse: Iterable[WorsePreview] | None = None
+) -> Iterator[Remark]:
+    """Yield what is to be known besides ranks: who fails or does not settle, whom preview makes worse."""
+    yield from scenario_remarks(study, cases)
+    if text := unsettled(study, cases):
+        yield Remark(text, is_failure=False)
+    labels = {case.controller: printable(case.label, _LONGEST_LABEL) for case in cases}
+    scenarios = {name: printable(one.label or name, _LONGEST_LABEL) for name, one in study.scenarios.items()}
+    for one in worse_previews(study, cases) if worse is None else worse:
+        name, signal, unit = split_key(one.key)
+        what = " of ".join(filter(None, (metric_name(name), printable(signal))))
+        values = f"{one.with_more.median:.3g} against {one.with_less.median:.3g} {printable(unit)}"
+        more, less = scenarios[one.more], scenarios[one.less]
+        text = f'{labels[one.controller]} is worse in "{more}" than in "{less}", where it sees less ahead'
+        yield Remark(f"{text}: {what} {values}", is_failure=False)
+
+
+def _lead(found: Standings) -> Lead:
+    sound = [one for one in found.order if not one.failed]
+    if not found.order:
+        return Lead.NOBODY
+    if not sound:
+        return Lead.ALL_FAIL
+    if len(found.order) == 1:
+        return Lead.ONLY_ONE
+    if found.disagreements:
+        return Lead.BY_SCENARIO
+    if len(sound) == 1:
+        return Lead.ONLY_SOUND
+    first, *others = found.leaders
+    if others:
+        alike = all(found.too_small(first, other) for other in others)
+        return Lead.ALIKE if alike and found.tested else Lead.LEVEL
+    return Lead.AHEAD if found.tested or found.seeds < 2 else Lead.BEST_MEDIAN
