@@ -2,16 +2,16 @@
 
 Both ask how far an output ends from its reference: over the last fifth of each stretch of constant
 reference, or of the run where there is none. That is taken in parts of the size of the output's task, which
-is the larger of how far its reference moves and how far the output goes while nothing is done; of a task
-without either, the width of the output's limits, else its nominal value, or the magnitude of its reference
-where that is larger.
+is the larger of how far its reference and, while nothing is done, the output go from where it begins; of a
+task without either, the width of the output's limits, else its nominal value, or the magnitude of its
+reference where that is larger.
 
 What a scenario makes unavoidable is taken off. With ``s``, the standard deviation of what cannot be known one
 sample ahead (measurement noise, and what disturbances scatter the output: the smaller of that of the run and
 that of doing nothing), ``q``, the step of quantised measurements, and ``n``, the samples of the window, that
 is ``0.8 s + 4 * 0.6 s / sqrt(n) + q / 2`` of a mean magnitude (0.8 s is the mean magnitude of Gaussian noise,
 0.6 s its standard deviation) and ``4 s / sqrt(n) + q / 2`` of a mean: four standard errors, since a run has
-many windows and a study many runs.
+many windows and a study many runs. Of a mean over the whole run ``n`` is that of its windows together.
 
 Doing nothing is a run that the tool makes itself, once per scenario and seed, outside every ranking.
 """
@@ -67,7 +67,7 @@ class Unavoidable(NamedTuple):
     scatter: float = 0.0
     offset: float = 0.0
 
-    def magnitude(self, rows: float = math.inf) -> float:
+    def magnitude(self, rows: int) -> float:
         """Of a mean magnitude over so many samples."""
         errors = _STANDARD_ERRORS * _SPREAD_OF_MAGNITUDE / math.sqrt(rows)
         return (_MEAN_MAGNITUDE + errors) * self.scatter + self.offset
@@ -179,12 +179,16 @@ def _against_nothing(
     for outputs in (*alone, tracking):
         own = fmean(one.mean_abs_error / sizes[one.output] for one in outputs)
         rest = fmean(nothing[one.output].mean_abs_error / sizes[one.output] for one in outputs)
-        more = fmean(unavoidable[one.output].magnitude() / sizes[one.output] for one in outputs)
+        more = fmean(unavoidable[one.output].magnitude(_rows(one)) / sizes[one.output] for one in outputs)
         if not own - rest <= more + _NEGLIGIBLE:
             where = f"{outputs[0].output} is " if len(outputs) == 1 else ""
             means = f"mean error {_percent(own)} the task, doing nothing {_percent(rest)} it"
             return f"{where}worse than doing nothing: {means}"
     return ""
+
+
+def _rows(one: Tracking) -> int:
+    return sum(end.rows for end in one.ends)
 
 
 def _percent(share: float) -> str:
