@@ -132,7 +132,7 @@ class Response(Signal):
         if not ends:
             ends = [EndWindow.of(r - y, slice(len(y) - max(round(_SETTLED_FRACTION * len(y)), 1), len(y)))]
         at_rest = _AT_REST * float(np.abs(np.append(r, y)).max())
-        travel, deviation = float(np.abs(r - y[0]).max()), float(np.abs(y - y[0]).max())
+        travel, deviation = float(np.ptp(np.append(r, y[0]))), float(np.abs(y - y[0]).max())
         return Tracking(
             output=self.variable.name,
             travel=travel if np.ptp(r) > 0.0 or travel > at_rest else 0.0,
@@ -198,7 +198,7 @@ class Tracking:
     output : str
         Its name.
     travel : float
-        How far the reference goes from where the output begins.
+        How far the reference moves, where the output begins included: the largest less the smallest value.
     room : float
         Width of its limits; infinite without.
     nominal : float

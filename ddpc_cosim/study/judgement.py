@@ -2,9 +2,9 @@
 
 Both ask how far an output ends from its reference: over the last fifth of each stretch of constant
 reference, or of the run where there is none. That is taken in parts of the size of the output's task, which
-is the larger of how far its reference and, while nothing is done, the output go from where it begins; of a
-task without either, the width of the output's limits, else its nominal value, or the magnitude of its
-reference where that is larger.
+is the larger of how far its reference travels, from where the output begins on, and how far the output goes
+while nothing is done; of a task without either, the width of the output's limits, else its nominal value, or
+the magnitude of its reference where that is larger.
 
 What a scenario makes unavoidable is taken off. With ``s``, the standard deviation of what cannot be known one
 sample ahead (measurement noise, and what disturbances scatter the output: the smaller of that of the run and
@@ -36,7 +36,7 @@ SETTLED = 5.0
 WHY = "Likely why no controller settles: "
 """How a limitation of a study begins that is such a reason."""
 _FAILED = 0.5
-"""Of its task: a run that ends further away failed."""
+"""Of its task: a run that ends as far away failed, as does one that rests between two setpoints."""
 _NEGLIGIBLE = 0.01
 """Of its task: what is worse than doing nothing by less is not worse."""
 _MEAN_MAGNITUDE = math.sqrt(2.0 / math.pi)
@@ -158,7 +158,7 @@ def _distance(
     for one in tracking:
         far = max((_far(end, unavoidable[one.output]) for end in one.ends), default=math.inf)
         share = far / sizes[one.output]
-        if not share <= _FAILED:
+        if not share < _FAILED:
             return f"{one.output} ends {_percent(share)} its task away from its reference"
     return ""
 
