@@ -141,6 +141,7 @@ def suggest_study(
             f"{path.name}: no output responds to a step of an input (tried: {tried}); --range tries more, "
             f"--at another operating point, --output other outputs{early}"
         )
+    check_identified(path.name, found)
     proposal = _propose(path.stem, candidates, found)
     levels = zip(found.inputs, found.rest.tolist(), strict=True)
     moved = {variable.name: level for variable, level in levels if level != variable.start}
@@ -284,6 +285,24 @@ def _propose(name: str, candidates: Candidates, found: Found) -> Proposal:
         rest=design.where_it_rests(tested)[list(choice.outputs)],
         asked=request,
     )
+
+
+def check_identified(label: str, found: Found) -> None:
+    """Check that there is a gain for every output: controllers and setpoints are made from it.
+
+    Raises
+    ------
+    CosimError
+        An output that is asked for does not respond, or not in time.
+    """
+    rows = zip(found.choice.outputs, found.choice.gains, strict=True)
+    unknown = [found.outputs[j].name for j, row in rows if not (row.any() and np.isfinite(row).all())]
+    if unknown:
+        what = f"{label}: no response of {', '.join(unknown)} to a step of an input"
+        if found.tested.stopped or found.tested.fault:
+            why = f" ({found.tested.fault})" if found.tested.fault else ""
+            raise CosimError(f"{what} was identified in time{why}; raise --budget, or leave it out")
+        raise CosimError(f"{what}; leave it out, or try more with --range or at another point with --at")
 
 
 def _settled_gains(tested: StepTest, choice: Choice) -> FloatArray:

@@ -59,7 +59,9 @@ def choose(tested: StepTest, room: FloatArray, fallback: float, *, all_outputs: 
     guessed = not np.isfinite(shown)
     time_scale = fallback if guessed else shown
     gains = lasting_gains(tested, time_scale)
-    if not all_outputs:
+    if all_outputs:  # one of which nothing lasts has no other measure than its peaks
+        gains = np.where(gains.any(axis=1, keepdims=True), gains, _peaks(tested))
+    else:
         gains = _not_adrift(_urgent(gains, tested.responses), tested, room)
     reach = np.abs(gains) * np.abs(room)
     lively = [i for i in range(len(room)) if np.any(reach[:, i] > 0.0)]
@@ -93,9 +95,15 @@ def lasting_gains(tested: StepTest, time_scale: float) -> FloatArray:
             elif response.type is not ResponseType.INSENSITIVE and not returns(response):
                 gains[j, i] = response.effect / tested.steps[i]
     if not gains.any():
-        peaks = np.array([[response.peak for response in row] for row in tested.responses])
-        gains = peaks.reshape(gains.shape) / tested.steps
+        return _peaks(tested)
     return gains
+
+
+def _peaks(tested: StepTest) -> FloatArray:
+    """Return by how much one unit of each input moves each output at most, shape (p, m)."""
+    peaks = np.array([[response.peak for response in row] for row in tested.responses])
+    moved: FloatArray = peaks.reshape(len(tested.responses), len(tested.steps)) / tested.steps
+    return moved
 
 
 def returns(response: Response) -> bool:

@@ -218,6 +218,10 @@ def dependence_on_step_size(plant: Plant, resting: Resting, tested: StepTest, st
     return float(np.max(difference[counts] / movement[counts], initial=0.0))
 
 
+class _NotInTimeError(CosimError):
+    """A run was over before its first block of samples, for want of time."""
+
+
 class _Paced(Plant):
     """A plant whose runs share the time that there is: a run that takes longer ends early, with a fault."""
 
@@ -318,7 +322,10 @@ def _with_larger_steps(
             break
         steps = np.where(idle, share * resting.room, 0.0)
         grid = _Grid(float(tested.time[0]), len(tested.time) // BLOCK, timing.fixed)
-        larger, _ = _run_all(plant, resting, steps, grid)
+        try:
+            larger, _ = _run_all(plant, resting, steps, grid)
+        except _NotInTimeError as error:
+            return tested, str(error)
         rows = zip(tested.responses, larger.responses, strict=True)
         merged = tuple(
             tuple(new if still else old for old, new, still in zip(before, after, idle, strict=True))
@@ -343,7 +350,10 @@ def _at_time_scale(plant: _Paced, resting: Resting, steps: FloatArray, timing: T
         if timing.fixed or not plant.may_repeat:
             break
         step /= _FASTER
-        closest, _ = _run_all(plant, resting, steps, _Grid(step, timing.blocks, fixed=False))
+        try:
+            closest, _ = _run_all(plant, resting, steps, _Grid(step, timing.blocks, fixed=False))
+        except _NotInTimeError:
+            break
     return replace(coarse, static=True)
 
 
@@ -364,7 +374,7 @@ def _until_clear(plant: _Paced, resting: Resting, steps: FloatArray, timing: Tim
             return replace(tested, stopped=True)
         try:
             longer, _ = _run_all(plant, resting, steps, grid, _PART_FOR_LONGER)
-        except CosimError:  # not even one block in time
+        except _NotInTimeError:
             return replace(tested, stopped=True)
         if plant.ran_out:
             return replace(tested, stopped=True)
@@ -423,6 +433,8 @@ def _run_all(
     plant.share(1 + len(u), part)
     rest, fault = grid.run(plant, u, parameters)
     fails_at_rest = bool(fault) and not plant.ran_out
+    if len(rest) < BLOCK and plant.ran_out:
+        raise _NotInTimeError("not identified in time: the run with the inputs at rest; raise --budget")
     if len(rest) < BLOCK:
         raise CosimError(f"the plant does not run with its inputs at rest: {fault}")
     deviations = []
@@ -432,6 +444,9 @@ def _run_all(
             continue
         plant.share(len(u) - i, part)
         stepped, failed = grid.run(plant, u + height * np.eye(len(u))[i], parameters)
+        if len(stepped) < BLOCK and plant.ran_out:  # of a part of a block nothing can be said
+            name = plant.inputs[i].name
+            raise _NotInTimeError(f"not identified in time: the response to a step of {name}; raise --budget")
         n = _whole_blocks(min(len(rest), len(stepped)))
         fault = fault or failed
         deviations.append(stepped[:n] - rest[:n])
@@ -460,7 +475,10 @@ def _with_instabilities(plant: _Paced, resting: Resting, tested: StepTest, timin
     if tested.fault or not plant.may_repeat:
         return tested
     grid = _Grid(float(tested.time[0]), len(tested.time) // BLOCK, timing.fixed)
-    smaller, deviations = _run_all(plant, resting, _SMALLER_SHARE * tested.steps, grid)
+    try:
+        smaller, deviations = _run_all(plant, resting, _SMALLER_SHARE * tested.steps, grid)
+    except _NotInTimeError:
+        return tested
     responses = [list(row) for row in tested.responses]
     unstable, switched = set(), set()
     for j, row in enumerate(smaller.responses):
@@ -473,13 +491,13 @@ def _with_instabilities(plant: _Paced, resting: Resting, tested: StepTest, timin
             if not is_late:
                 if math.isclose(small.peak, large.peak, rel_tol=_ALIKE):  # else it may be the FMU's noise
                     switched.add((j, i))
-            elif slope := limited_slope(grid.time, scaled):
+            elif slope := limited_slope(grid.time[: len(scaled)], scaled):
                 responses[j][i] = replace(
                     large, type=ResponseType.INTEGRATING, slope=slope, rise_time=0.0, settling_time=np.inf
                 )
             else:
                 unstable.add(j)
-                responses[j][i] = escaping(grid.time, scaled, small.peak)
+                responses[j][i] = escaping(grid.time[: len(scaled)], scaled, small.peak)
     return replace(
         tested,
         responses=tuple(map(tuple, responses)),

@@ -1,5 +1,6 @@
 """`init` writes studies that run at once, whatever the plant's time scale, gain and nature."""
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,14 @@ from click.testing import CliRunner, Result
 from ddpc_cosim import ConfigError, CosimError, FMUImportError, Outcome, load_results
 from ddpc_cosim.cli.main import main
 from ddpc_cosim.study.reading import read_study
-from ddpc_cosim.suggestion import suggest_study, write_study
-from ddpc_cosim.suggestion.choice import Choice
+from ddpc_cosim.suggestion import check_identified, suggest_study, write_study
+from ddpc_cosim.suggestion.choice import Choice, choose
 from ddpc_cosim.suggestion.design import Range, setpoints
+from ddpc_cosim.suggestion.operating_point import Found
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.response_types import Response, ResponseType
-from ddpc_cosim.suggestion.step_test import StepTest
+from ddpc_cosim.suggestion.step_test import StepTest, Timing
+from ddpc_cosim.suggestion.writing import study_text
 from ddpc_cosim.variables import Variable, names
 
 
@@ -213,3 +216,35 @@ def test_descriptions_cannot_break_out_of_their_comments(pendulum_fmu, mutate, t
     fmu = mutate(pendulum_fmu, ('description="Applied torque"', 'description="a &#10;[bounds]&#10;x = 1"'))
     path = write_study(suggest_study(fmu, trial=False), fmu, tmp_path / "study.toml")
     assert set(tomllib.loads(path.read_text(encoding="utf-8"))["bounds"]) == {"torque"}
+
+
+def test_an_output_of_which_nothing_lasts_can_be_asked_for(model_fmu) -> None:
+    """A rate has no gain for good: its peak says how far it goes, where nothing was said of it: infinity."""
+    proposal = suggest_study(model_fmu("fast_pendulum"), outputs=["rate", "angle"], trial=False)
+    text = study_text(proposal, "plant.fmu")
+    assert not re.search(r"\b(nan|inf)\b", "\n".join(one for one in text.splitlines() if one[:1] != "#"))
+    assert 0.0 < proposal.nominal["rate"] < np.inf
+
+
+@pytest.mark.parametrize(
+    ("stopped", "words"),
+    [(False, r"y to a step of an input; leave it out"), (True, "was identified in time.* raise --budget")],
+)
+def test_an_output_without_a_response_is_not_proposed(stopped: bool, words: str) -> None:
+    responses = ((Response(ResponseType.INSENSITIVE),), (Response(ResponseType.SETTLED, 1.0, peak=1.0),))
+    tested = StepTest(np.arange(24.0), np.zeros((24, 2)), np.ones(1), responses, stopped=stopped)
+    found = Found(
+        inputs=(Variable("u"),),
+        outputs=(Variable("y"), Variable("z")),
+        warnings=(),
+        start={},
+        bounds={},
+        rest=np.zeros(1),
+        room=np.ones(1),
+        timing=Timing(1e-4, longest=1.0),
+        request=Request(),
+        tested=tested,
+        choice=choose(tested, np.ones(1), 1.0, all_outputs=True),
+    )
+    with pytest.raises(CosimError, match=words):
+        check_identified("plant.fmu", found)

@@ -8,6 +8,8 @@ import pytest
 
 from ddpc_cosim import CosimError, Plant
 from ddpc_cosim.plant import ParameterValue
+from ddpc_cosim.suggestion.choice import choose
+from ddpc_cosim.suggestion.design import first_gains
 from ddpc_cosim.suggestion.response_types import ResponseType
 from ddpc_cosim.suggestion.step_test import Resting, StepTest, Timing, step_test
 from ddpc_cosim.variables import FloatArray, Variable
@@ -64,3 +66,36 @@ def test_steps_of_fixed_size_are_as_many_as_fit(monkeypatch) -> None:
     assert result.time[-1] == pytest.approx(
         1e-4 * 24 * (2**3 - 1), rel=0.05
     )  # 3 blocks: 168 of 300 steps each
+
+
+class Stalling(SlowLag):
+    """It takes a while only from one of its steps on: the machine has something else to do."""
+
+    def __init__(self, stalls_at: int) -> None:
+        super().__init__(1e-4)
+        self.count, self.stalls_at = 0, stalls_at
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        self.count += 1
+        self.seconds = 10.0 if self.count >= self.stalls_at else 1e-4
+        return super().step(u, h)
+
+
+@pytest.mark.parametrize("stalls_at", [600, 700, 900, 1100])
+def test_what_there_was_no_time_for_leaves_gains_that_are_numbers(
+    stalls_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = run(Stalling(stalls_at), monkeypatch, budget=30.0, blocks=12)
+    chosen = choose(result, np.ones(1), 1.0, all_outputs=True)
+    assert np.isfinite(chosen.gains).all()
+    assert chosen.gains.any()
+    assert np.isfinite(first_gains(result, chosen, 0.1)).all()
+
+
+@pytest.mark.parametrize("stalls_at", [292, 293, 300, 312])
+def test_a_step_that_was_cut_short_has_not_been_identified(
+    stalls_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Steps 4 to 291 are those at rest; those after it make the first block of the response."""
+    with pytest.raises(CosimError, match="not identified in time: the response to a step of u; raise --budg"):
+        run(Stalling(stalls_at), monkeypatch, budget=30.0, blocks=12)
