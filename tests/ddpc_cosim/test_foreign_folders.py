@@ -63,7 +63,7 @@ def test_a_study_has_its_own_modules_and_shadows_nothing(
     elsewhere = tmp_path / "empty"
     elsewhere.mkdir()
     command = [program, "run", str(study), "--out", str(tmp_path / "results"), "--jobs", "1", "--no-report"]
-    for folder, said in ((tmp_path, "2 cases to run"), (elsewhere, "0 cases to run, 2 kept")):
+    for folder, said in ((tmp_path, "3 cases to run"), (elsewhere, "0 cases to run, 3 kept")):
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         assert said in done.stderr

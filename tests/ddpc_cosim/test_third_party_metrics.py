@@ -182,7 +182,7 @@ def test_one_that_is_installed_later_has_values_without_another_run(site: Path, 
     assert "energy [J]" not in rows(site)[0]
     samples = [(case.folder / "signals.csv").stat().st_mtime_ns for case in load_results(site / "out").cases]
     install(site, energy="energy")
-    assert "2 kept" in run("--no-report").stderr
+    assert "3 kept" in run("--no-report").stderr
     assert all(float(row["energy [J]"]) > 0 for row in rows(site))
     again = [(case.folder / "signals.csv").stat().st_mtime_ns for case in load_results(site / "out").cases]
     assert again == samples
@@ -206,7 +206,7 @@ def test_metrics_follow_what_the_study_says_of_them_and_no_case_runs_again(site:
     more = "[controllers.far]\ntype = 'measures:FarSighted'\n[metrics.cost]\noutputs.y = 2.0\n"
     (site / "lag.toml").write_text(text + more, encoding="utf-8")
     result = run("--no-report")
-    assert "1 case to run, 2 kept" in result.stderr
+    assert "1 case to run, 3 kept" in result.stderr
     cases = load_results(site / "out").cases
     assert (cases[0].folder, (folder / "signals.csv").stat().st_mtime_ns) == (folder, before)
     for case in cases:

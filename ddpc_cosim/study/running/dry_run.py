@@ -87,8 +87,9 @@ def _time(
         except DAMAGED:
             continue
         if math.isfinite(seconds):
-            for key in ((problem, base.get((problem, controller), controller)), (problem, "")):
-                times.setdefault(key, []).append(seconds)
+            times.setdefault((problem, base.get((problem, controller), controller)), []).append(seconds)
+            if controller != DOING_NOTHING:  # which takes less time than any other
+                times.setdefault((problem, ""), []).append(seconds)
     total, unknown = 0.0, Counter[str]()
     for case in missing:
         own = base.get((case.problem, case.controller), case.controller)

@@ -97,9 +97,9 @@ def test_run_prints_the_table_and_writes_everything(folder: Path, write_study: W
     ]
     lines = result.stdout.splitlines()
     assert lines[0] == "study (2 seeds)"
-    assert any(line.split()[:2] == ["1", "mfapc"] for line in lines)
+    assert any(line.split()[:1] == ["mfapc"] for line in lines)
     assert Path(lines[-1]) == Path("runs/study/report.html")
-    assert "2 cases to run" in result.stderr
+    assert "4 cases to run" in result.stderr
     assert "\x1b" not in result.output
 
 
@@ -215,7 +215,7 @@ def test_a_report_that_cannot_be_written_is_explained(folder: Path, write_study:
 def test_damaged_samples_do_not_give_a_traceback(folder: Path, write_study: WriteStudy) -> None:
     write_study("mfapc")
     assert invoke("run", "study.toml", "--no-report", "--out", "out").exit_code == 0
-    (samples,) = folder.glob("out/cases/*/signals.csv")
+    (samples,) = folder.glob("out/cases/mfapc_*/signals.csv")
     samples.write_text("time [s]", encoding="utf-8")
     result = invoke("report", "out")
     assert result.exit_code == 1
@@ -226,9 +226,9 @@ def test_damaged_samples_do_not_give_a_traceback(folder: Path, write_study: Writ
 def test_fresh_runs_everything_again(folder: Path, write_study: WriteStudy) -> None:
     write_study("mfapc")
     arguments = ("run", "study.toml", "--no-report")
-    assert "1 case to run" in invoke(*arguments).stderr
-    assert "0 cases to run, 1 kept" in invoke(*arguments).stderr
-    assert "1 case to run\n" in invoke(*arguments, "--fresh").stderr
+    assert "2 cases to run" in invoke(*arguments).stderr
+    assert "0 cases to run, 2 kept" in invoke(*arguments).stderr
+    assert "2 cases to run\n" in invoke(*arguments, "--fresh").stderr
 
 
 def test_export_writes_an_fmu_that_others_can_read(folder: Path) -> None:
@@ -245,7 +245,7 @@ def test_as_a_process_results_go_to_stdout_and_the_rest_to_stderr(
     done = run_program("run", "study.toml", "--jobs", "1", "--no-report")
     assert done.returncode == 0, done.stderr
     assert "mfapc" in done.stdout
-    assert "1 case to run" in done.stderr.splitlines()
+    assert "2 cases to run" in done.stderr.splitlines()
     assert "\x1b" not in done.stdout + done.stderr
     shutil.rmtree(study.parent / "runs")
     study.write_text("x", encoding="utf-8")
@@ -294,7 +294,7 @@ def test_cases_are_chosen_by_labels_with_brackets_too(folder: Path, write_study:
     study.write_text(text, encoding="utf-8")
     for only in ("At [rest]", "At *", "idle"):
         result = invoke("run", "study.toml", "--only", only, "--dry-run")
-        assert result.stdout.startswith("1 case: ")
+        assert result.stdout.startswith("1 case and 1 run of doing nothing: ")
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ def folders(write_study: WriteStudy, run_program: Run, tmp_path: Path) -> tuple[
 def test_two_runs_of_one_study_agree(folders: tuple[Path, Path], run_program: Run) -> None:
     """Computation times differ, and do not count; nor does the kind of file."""
     run_program("run", "study.toml", "--no-report", "--fresh", "--out", "b", "--storage", "parquet")
-    assert len([*folders[1].glob("cases/*/signals.parquet")]) == 4
+    assert len([*folders[1].glob("cases/*/signals.parquet")]) == 6
     done = diff(*folders, "--abs", "0", "--rel", "0")
     assert (done.exit_code, done.stdout) == (0, "4 of 4 cases agree within max(0, 0 of the larger value)\n")
 
@@ -108,6 +108,6 @@ def test_folders_that_cannot_be_compared(folders: tuple[Path, Path], tmp_path: P
     assert done.exit_code == 2
     assert "damaged" in done.stderr
     shutil.rmtree(folders[1] / "cases")
-    assert diff(*folders).stderr.count("error: ") == 4
+    assert diff(*folders).stderr.count("error: ") == 6
     for value in ("nan", "-1"):
         assert diff(*folders, "--rel", value).exit_code == 2

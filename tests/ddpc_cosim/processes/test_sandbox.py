@@ -83,7 +83,7 @@ def test_a_study_in_the_sandbox(
     assert within.provenance["sandbox"] == f"4 of 4 cases: {within.cases[0].sandbox}"
     assert read_run(within.cases[0].folder)["sandbox"] == within.cases[0].sandbox
     again = run_program("run", "study.toml", "--no-report", "--out", "free", "--sandbox")
-    assert "0 cases to run, 4 kept" in again.stderr
+    assert "0 cases to run, 6 kept" in again.stderr
 
 
 @pytest.mark.parametrize("command", ["check", "init", "simulate"])

@@ -110,11 +110,13 @@ def test_cases_of_the_base_are_reused_even_under_the_name_of_a_problem(folder: P
     before = {path.name: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
     resolved = read(folder, MINE, "pendulum.toml")
     selection = Selection(seeds=[1])
-    assert expected(resolved, out, selection, progress).startswith("9 cases: 3 to run, 6 already there")
+    assert expected(resolved, out, selection, progress).startswith(
+        "9 cases and 3 runs of doing nothing: 4 to run, 8 already there"
+    )
     results = run_study(resolved, out, selection, progress)
     after = {path.name: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}
     assert {name: after[name] for name in before} == before
-    assert len(results.cases) == len(after) == 9
+    assert (len(results.cases), len(after)) == (9, 12)
     for text, name in (
         (BASE, "below/base.toml"),
         (MINE, "other.toml"),

@@ -260,7 +260,7 @@ def test_a_worker_that_is_killed_costs_no_case(
         cluster.stop(worker, signal.SIGKILL)
         results = running.result(timeout=120)
     assert [case.outcome for case in results.cases] == ["completed"] * 6
-    assert len([*results.folder.glob("cases/*/signals.parquet")]) == 6
+    assert len([*results.folder.glob("cases/*/signals.parquet")]) == 9
     assert select.select([case], [], [], 60)[0], "the case's process has outlived its worker"
     os.close(case)
 

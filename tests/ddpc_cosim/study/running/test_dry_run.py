@@ -35,7 +35,7 @@ def told(study: str, folder: Path, selection: Selection) -> list[str]:
 
 def test_without_any_case_the_time_is_not_known_and_nothing_is_written(study: str, tmp_path: Path) -> None:
     cases, time, _ = told(study, tmp_path / "out", Selection())
-    assert cases.startswith("10 cases and 5 runs of doing nothing: 15 to run, 0 already there")
+    assert cases.startswith("10 cases and 2 runs of doing nothing: 12 to run, 0 already there")
     assert time == "time: not known, as none of them has been run"
     assert not (tmp_path / "out").exists()
 
@@ -48,8 +48,10 @@ def test_the_time_is_that_of_the_same_controller_with_whatever_settings(study: s
     first = load_case(tmp_path / "out" / "cases" / cases[0].id)
     write_case(first.folder, first.trace(), cases[0].head() | {"wall_time": 60.0})
     kept, time, _ = told(study, tmp_path / "out", Selection(jobs=2))
-    assert kept.startswith("10 cases and 5 runs of doing nothing: 14 to run, 1 already there")
-    assert time == "time: about 4 min with 2 workers, by the cases already run"  # 9 x 60 s / 2
+    assert kept.startswith("10 cases and 2 runs of doing nothing: 10 to run, 2 already there")
+    assert (
+        time == "time: about 5 min with 2 workers, by the cases already run"
+    )  # 9 x 60 s / 2, and next to nothing
     assert told(study, tmp_path / "out", Selection(seeds=[0], only="mfapc"))[1:] == []
 
 

@@ -46,11 +46,11 @@ def test_a_run_records_how_to_have_it_again(tmp_path: Path) -> None:
     assert facts["study file"] == str(path)
     assert facts["study file sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
     assert "study file commit" not in facts
-    assert facts["wall time"].endswith(" s for 2 cases, 0 kept from an earlier run")
+    assert facts["wall time"].endswith(" s for 4 cases, 0 kept from an earlier run")
     runs = [json.loads((case.folder / "run.json").read_text(encoding="utf-8")) for case in results.cases]
     assert facts["time of all cases"] == f"{sum(one['wall_time'] for one in runs):.3g} s, one after another"
     again = run().provenance
-    assert again["wall time"].endswith(" s for 0 cases, 2 kept from an earlier run")
+    assert again["wall time"].endswith(" s for 0 cases, 4 kept from an earlier run")
     assert again["time of all cases"] == facts["time of all cases"]
 
 
