@@ -22,7 +22,7 @@ from rich.console import Console
 from ddpc_cosim import CosimWarning, Outcome, StudyResults, Trace
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS
-from ddpc_cosim.study.judgement import remarks
+from ddpc_cosim.study.findings import remarks
 from ddpc_cosim.study.results import METRICS_FILE, write_results
 from ddpc_cosim.texts import printable
 from ddpc_reports import sections, write_report

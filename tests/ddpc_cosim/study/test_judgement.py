@@ -10,7 +10,15 @@ import pytest
 from ddpc_cosim import CaseResult, Outcome
 from ddpc_cosim.responses import EndWindow, Tracking
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.judgement import WHY, Remark, all_failed, judged, none_settles, remarks, unsettled
+from ddpc_cosim.study.judgement import (
+    WHY,
+    Remark,
+    all_failed,
+    judged,
+    none_settles,
+    scenario_remarks,
+    unsettled,
+)
 
 FAR = "y ends 90 % of its task away from its reference"
 
@@ -112,7 +120,7 @@ def test_scenarios_are_told_apart_and_a_likely_reason_is_named() -> None:
     study = study_of_three(["One seed only."])
     cases = [case("a", 1.0, scenario="calm"), case("a", 30.0, scenario="storm", at_limits=8.0)]
     cases.append(case("a", 90.0, scenario="blind", failure=FAR, warnings=("the recording is poor", "too")))
-    assert remarks(study, cases) == [
+    assert scenario_remarks(study, cases) == [
         Remark(
             "in a storm: No controller settles within 5 %: the best leaves 30 % of a step; "
             "at its limits: u 80 % of the time",
@@ -126,18 +134,18 @@ def test_scenarios_are_told_apart_and_a_likely_reason_is_named() -> None:
 
 def test_a_warning_of_one_controller_is_not_the_reason_for_all() -> None:
     cases = [case("a", 30.0, warnings=("the recording is poor",)), case("b", 40.0)]
-    (remark,) = remarks(study_of_three([]), cases)
+    (remark,) = scenario_remarks(study_of_three([]), cases)
     assert remark.text.endswith("the best leaves 30 % of a step")
 
 
 def test_the_reason_that_the_study_gives_comes_before_what_was_warned_of() -> None:
     study = study_of_three([f"{WHY}y does not go above 12"])
     cases = [case("a", 30.0, scenario="blind", warnings=("the recording is poor",))]
-    (remark,) = remarks(study, cases)
+    (remark,) = scenario_remarks(study, cases)
     assert remark.text == (
         "No controller settles within 5 %: the best leaves 30 % of a step; y does not go above 12"
     )
-    assert remarks(study, [case("a", 3.0, scenario="blind")]) == []
+    assert scenario_remarks(study, [case("a", 3.0, scenario="blind")]) == []
 
 
 def test_whose_runs_do_not_settle_is_counted_without_those_that_failed_and_the_reference_points() -> None:

@@ -40,7 +40,7 @@ from ddpc_cosim import (
 )
 from ddpc_cosim.signals import GaussianNoise
 from ddpc_cosim.study.file_format.sections import ScenarioSection
-from ddpc_cosim.study.judgement import judged, remarks, run_of
+from ddpc_cosim.study.judgement import judged, run_of, scenario_remarks
 from ddpc_cosim.study.standings import standings
 
 SEEDS = range(30)
@@ -536,7 +536,7 @@ def test_a_pendulum_at_the_edge_of_its_band(tmp_path: Path) -> None:
     errors = {case.controller: case.metrics["mean_abs_error.angle [deg]"] for case in results.cases}
     assert errors["pid"] < 0.5 * errors["idle"]
     assert order_of(results) == {"pid": 1, "idle": 2}
-    assert not any(one.is_failure for one in remarks(results.study, results.cases))
+    assert not any(one.is_failure for one in scenario_remarks(results.study, results.cases))
 
 
 def test_white_noise_does_not_keep_who_follows_from_settling(tmp_path: Path) -> None:
@@ -549,7 +549,7 @@ def test_white_noise_does_not_keep_who_follows_from_settling(tmp_path: Path) -> 
     assert max(end.error for case in own for end in case.tracking[0].ends) > 0.06
     assert all(case.settles for case in own)
     assert order_of(results) == {"following": 1, "idle": 2}
-    assert remarks(results.study, results.cases) == []
+    assert scenario_remarks(results.study, results.cases) == []
 
 
 def test_a_building_in_the_weather(tmp_path: Path) -> None:
