@@ -45,7 +45,7 @@ def tune_command(
     said = ["ddpc-cosim", "tune", name, "--trials", str(trials)]
     said += [word for objective in objectives for word in ("--objective", objective)]
     said += ["--seeds", seeds] if seeds else []
-    said += ["--only", how["only"]] if how["only"] != "*" else []
+    said += [word for pattern in how["only"] for word in ("--only", pattern)]
     request = Request(
         tuple(map(Objective.parse, objectives)), trials, parse_seeds(seeds), command=shlex.join(said)
     )

@@ -177,7 +177,7 @@ class Case:
 
 
 def cases_of(
-    resolved: "ResolvedStudy", plant: PlantSpec, seeds: Sequence[int] = (), only: str = "*"
+    resolved: "ResolvedStudy", plant: PlantSpec, seeds: Sequence[int] = (), only: str | Sequence[str] = ()
 ) -> list[Case]:
     """Return the cases of a study of one problem: controllers x scenarios x seeds.
 
@@ -189,27 +189,31 @@ def cases_of(
         Its plant, ready to run.
     seeds : sequence of int
         In place of the study's; empty: the study's.
-    only : str
-        Glob pattern that the name or the label of a case, its controller or its scenario must match.
+    only : str or sequence of str
+        Glob patterns, of which the name or the label of a case, its controller or its scenario must match
+        one; empty: all cases.
 
     Raises
     ------
     ConfigError
-        No case matches.
+        Patterns that no case matches, all of them.
     """
     return cases_of_problems({"": (resolved, plant)}, seeds, only)
 
 
 def cases_of_problems(
-    problems: Mapping[str, tuple["ResolvedStudy", PlantSpec]], seeds: Sequence[int] = (), only: str = "*"
+    problems: Mapping[str, tuple["ResolvedStudy", PlantSpec]],
+    seeds: Sequence[int] = (),
+    only: str | Sequence[str] = (),
 ) -> list[Case]:
     """Return the cases of problems, by name; parameters and errors as of :func:`cases_of`."""
-    chosen = [
-        case
-        for problem, (resolved, plant) in problems.items()
-        for case in _cases_of_problem(resolved, plant, problem, seeds, only)
-    ]
-    if not chosen:
+
+    def cases(patterns: Sequence[str]) -> Iterator[Case]:
+        for problem, (resolved, plant) in problems.items():
+            yield from cases_of_problem(resolved, plant, problem, seeds, patterns)
+
+    patterns = patterns_of(only)
+    if lost := [pattern for pattern in patterns if next(cases([pattern]), None) is None]:
         known = {
             word
             for problem, (resolved, _) in problems.items()
@@ -218,8 +222,14 @@ def cases_of_problems(
             for word in _words(resolved.study, problem, controller, scenario)
             if word
         }
-        raise ConfigError(f"--only {only}: no case matches; {did_you_mean(only, known)}")
-    return chosen
+        raise ConfigError([f"--only {one}: no case matches; {did_you_mean(one, known)}" for one in lost])
+    return list(cases(patterns))
+
+
+def patterns_of(only: str | Sequence[str]) -> tuple[str, ...]:
+    """Return the patterns that select cases; none where all are selected."""
+    given = (only,) if isinstance(only, str) else tuple(only)
+    return () if "*" in given else given
 
 
 def _words(study: "Study", problem: str, controller: str, scenario: str) -> tuple[str, ...]:
@@ -487,12 +497,17 @@ def _outcome_of(case: Case, error: CosimError) -> Outcome:
     return Outcome.FMU_ERROR if is_plants else Outcome.CONTROLLER_ERROR
 
 
-def _cases_of_problem(
-    resolved: "ResolvedStudy", plant: PlantSpec, problem: str, seeds: Sequence[int], only: str = "*"
+def cases_of_problem(
+    resolved: "ResolvedStudy",
+    plant: PlantSpec,
+    problem: str,
+    seeds: Sequence[int],
+    patterns: Sequence[str],
 ) -> Iterator[Case]:
-    """Yield the cases that a pattern matches, by their name or what they are made of.
+    """Yield the cases that one of some patterns matches, by their name or what they are made of.
 
-    What those that differ by their seed alone have in common is made, and hashed, once.
+    Without patterns these are all. What those that differ by their seed alone have in common is made, and
+    hashed, once.
     """
     study = resolved.study
     stabiliser = study.recording.controller if study.recording is not None else None
@@ -503,7 +518,9 @@ def _cases_of_problem(
         for name, scenario in study.scenarios.items():
             words = _words(study, problem, controller, name)
             # A label may have brackets, which mean something else in a pattern.
-            matches = only in words or any(fnmatch(word, only) for word in words)
+            matches = not patterns or any(
+                pattern in words or any(fnmatch(word, pattern) for word in words) for pattern in patterns
+            )
             case = Case(
                 problem=problem,
                 controller=controller,
@@ -537,7 +554,11 @@ def _cases_of_problem(
                 late=resolved.late.get(controller, ""),
             )
             named = [(seed, case.name_with(seed)) for seed in seeds or study.seeds]
-            chosen = [(seed, called) for seed, called in named if matches or fnmatch(called, only)]
+            chosen = [
+                (seed, called)
+                for seed, called in named
+                if matches or any(fnmatch(called, pattern) for pattern in patterns)
+            ]
             if not chosen:
                 continue
             content = content or _code_and_files(case) | recording

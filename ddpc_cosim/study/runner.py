@@ -55,6 +55,7 @@ from ddpc_cosim.study.cases import (
     files_read,
     no_samples,
     partial_trace,
+    patterns_of,
     row_store,
     run_case,
 )
@@ -133,8 +134,8 @@ class Selection:
         Number of worker processes.
     seeds : list of int
         In place of the study's; empty: the study's.
-    only : str
-        Glob pattern of case or controller names.
+    only : str or sequence of str
+        Glob patterns of names or labels, of which a case must match one; empty: all cases.
     fresh : bool
         Run cases again that already exist.
     sandboxed : bool
@@ -157,7 +158,7 @@ class Selection:
 
     jobs: int = 1
     seeds: list[int] = field(default_factory=list)
-    only: str = "*"
+    only: str | Sequence[str] = ()
     fresh: bool = False
     sandboxed: bool = False
     executor: str = "local"
@@ -195,7 +196,7 @@ class Selection:
     def options(self) -> list[str]:
         """Return the options of ``run`` that decide which cases there are, and whether they are sandboxed."""
         seeds = ["--seeds", seed_ranges(self.seeds)] if self.seeds else []
-        only = ["--only", self.only] if self.only != "*" else []
+        only = [word for pattern in patterns_of(self.only) for word in ("--only", pattern)]
         return [*seeds, *only, *(["--sandbox"] if self.sandboxed else [])]
 
     def part_of(self, cases: Sequence[Case]) -> list[Case]:

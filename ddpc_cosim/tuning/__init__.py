@@ -20,7 +20,7 @@ import tomli_w
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.study.case_files import CaseResult, load_case, read_run
-from ddpc_cosim.study.cases import Case, cases_of_problems
+from ddpc_cosim.study.cases import Case, cases_of_problem, cases_of_problems, patterns_of
 from ddpc_cosim.study.file_format.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
 from ddpc_cosim.study.file_format.study_files import StudyFile
 from ddpc_cosim.study.plants import PlantSpec
@@ -184,15 +184,12 @@ def tune_study(
     searches, kept = _searches(resolved, request)
     plants = built_plants(resolved, progress)
     claim_folder(folder / HELD_OUT_FOLDER, resolved.whole)
+    patterns = patterns_of(selection.only)
     planned = {name: (one, plants[name]) for name, one in resolved.problems.items()}
-    in_full = Counter(
-        (c.problem, c.controller) for c in cases_of_problems(planned, request.seeds, selection.only)
-    )
+    in_full = Counter((c.problem, c.controller) for c in cases_of_problems(planned, request.seeds, patterns))
     searches = [search for search in searches if (search.problem, search.name) in in_full]
     progress.start(request.trials * sum(in_full[search.problem, search.name] for search in searches), 0)
-    tuning = [
-        _tuning(search, *planned[search.problem], request, selection.only, progress) for search in searches
-    ]
+    tuning = [_tuning(search, *planned[search.problem], request, patterns, progress) for search in searches]
     due = {one: next(one) for one in tuning}
     times = list[float]()
     while due:
@@ -208,13 +205,13 @@ def tune_study(
     tuned = _tuned_study(resolved, trials, request)
     text = tomli_w.dumps(tuned.tables())
     write_atomically(folder / TUNED_FILE, encodable(text).encode())
-    kept = kept if selection.only == "*" else []
+    kept = [] if patterns else kept
     both = StudyFile(TUNED_FILE, folder, _with_given(tuned, resolved, trials, kept).tables())
     progress.prepare("comparing on the seeds of the study")
     count, runs = len(trials) * request.trials, sum(one.runs for own in trials.values() for one in own)
     seconds = fsum(filter(isfinite, times))
     facts = {"tuning": f"{count} trials, {runs} runs, which took {seconds:.0f} s one after another"}
-    on_all = replace(selection, only="*")
+    on_all = replace(selection, only=())
     results = run_study(resolve_file(both), folder / HELD_OUT_FOLDER, on_all, progress, facts)
     held_out = {
         key: _held_out(key, tried, results, reference_spans(resolved.problems[key[0]]), request.objectives)
@@ -266,7 +263,7 @@ def _tuning(
     one: ResolvedStudy,
     plant: PlantSpec,
     request: Request,
-    only: str,
+    patterns: Sequence[str],
     progress: TuningProgress,
 ) -> Generator[list[Case], list[CaseResult], None]:
     """Go through the trials of a search: yield what is to be run next, and be sent its results.
@@ -278,7 +275,7 @@ def _tuning(
     has_several = len(one.study.scenarios) > 1
     for _ in range(request.trials):
         settings = search.next_settings()
-        cases = _cases(search, settings, one, plant, request, only)
+        cases = _cases(search, settings, one, plant, request, patterns)
         runs = dict[Run, Figures]()
         pruned = False
         for _, part in groupby(cases, key=lambda case: case.scenario if has_several else case.seed):
@@ -296,7 +293,7 @@ def _cases(
     one: ResolvedStudy,
     plant: PlantSpec,
     request: Request,
-    only: str,
+    patterns: Sequence[str],
 ) -> list[Case]:
     """Return the runs of a trial."""
     study = one.study
@@ -306,7 +303,7 @@ def _cases(
     if request.by_prediction:  # which is known before the first sample
         changes["loop"] = study.loop.model_copy(update={"duration": study.loop.sampling_time})
     changed = replace(one, study=study.model_copy(update=changes))
-    return cases_of_problems({search.problem: (changed, plant)}, request.seeds, only)
+    return list(cases_of_problem(changed, plant, search.problem, request.seeds, patterns))
 
 
 def _held_out(
