@@ -1,6 +1,7 @@
 """The study file: its sections, keys and ranges. Read by :mod:`ddpc_cosim.study.reading`."""
 
 import itertools
+import math
 import reprlib
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -253,15 +254,16 @@ class LoopSection(Section):
 
 
 class BoundsSection(Section):
-    """Limits of one input or controlled output; a side left out is the plant's own."""
+    """Limits of one input or controlled output; one left out is the plant's, an infinite one is none."""
 
-    min: Finite | None = None
-    max: Finite | None = None
+    min: float | None = Field(None, description="lower limit; -inf: none, though the plant has one")
+    max: float | None = Field(None, description="upper limit; inf: none, though the plant has one")
     unit: str = Field("", description="unit of min and max; empty: the variable's own")
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong with the order of the limits."""
-        if self.min is not None and self.max is not None and (error := limits_error((self.min, self.max))):
+        low, high = -math.inf if self.min is None else self.min, math.inf if self.max is None else self.max
+        if error := limits_error((low, high)):
             yield "", error
 
 
