@@ -299,8 +299,8 @@ class _Resolution:
         place = ("controllers", controller.name, "tuned")
         if controller.controller is not None:
             known = list(_dotted_names(controller.settings))
-            self.errors.require_known((*place, "settings"), "setting", tuned.settings, known)
-        if shared := sorted(set(tuned.seeds) & set(self.study.seeds)):
+            self.errors.require_known((*place, "settings"), "setting", tuned.settings or (), known)
+        if shared := sorted(set(tuned.seeds or ()) & set(self.study.seeds)):
             listed = ", ".join(map(str, shared[:_MOST_LISTED])) + (", ..." if shared[_MOST_LISTED:] else "")
             what = f"{listed}: a seed of the study; needed: seeds on which no result is reported"
             self.errors.add((*place, "seeds"), what, ("seeds",))

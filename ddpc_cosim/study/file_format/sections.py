@@ -405,17 +405,28 @@ class MetricsSection(Section):
 
 
 class TunedSection(Section):
-    """How settings of a controller were found, which the report states."""
+    """How settings of a controller were found, which the report states: by trials, or a source alone."""
 
-    settings: Annotated[list[str], Field(min_length=1)] = Field(
-        description="names of the settings that were found so; dotted where a setting is a table"
+    settings: Annotated[list[str], Field(min_length=1)] | None = Field(
+        None, description="names of the settings that were found so; dotted where a setting is a table"
     )
-    trials: Annotated[int, Field(ge=1)] = Field(description="number of settings tried")
-    seeds: Annotated[Seeds, Field(min_length=1)] = Field(
-        description="seeds of the trials; none of them may be a seed of the study"
+    trials: Annotated[int, Field(ge=1)] | None = Field(None, description="number of settings tried")
+    seeds: Annotated[Seeds, Field(min_length=1)] | None = Field(
+        None, description="seeds of the trials; none of them may be a seed of the study"
     )
-    by: str = Field(description="what was compared, e.g. median rmse over the scenarios")
-    source: Text = Field("", description="where the trials can be repeated from")
+    by: str | None = Field(None, description="what was compared, e.g. median rmse over the scenarios")
+    source: Text = Field(
+        "", description="where the trials can be repeated from; alone: where the settings are, e.g. a table"
+    )
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is missing."""
+        of_trials = {key: getattr(self, key) for key in ("settings", "trials", "seeds", "by")}
+        missing = [key for key, value in of_trials.items() if value is None]
+        if len(missing) < len(of_trials):
+            yield from ((key, "required key is missing") for key in missing)
+        elif not self.source:
+            yield "source", f"required key is missing; or give {', '.join(missing)}"
 
 
 _Ends = Annotated[list[Finite], Field(min_length=2, max_length=2)]
@@ -476,7 +487,7 @@ class ControllerSection(Section):
         description="for `ddpc-cosim tune`: where to look for settings, in place of what the type declares",
     )
     tuned: Annotated[TunedSection | None, BeforeValidator(_none_if_false)] = Field(
-        None, description="how settings were found; none, or `false`: as the study says"
+        None, description="how settings were found; none, or `false`: that is not known"
     )
     variant_of: str = Field("", description="the controller whose sweep this one is part of")
     varied: list[str] = Field([], description="settings in which it differs from that controller")

@@ -73,6 +73,10 @@ def test_the_study_of_the_paper_is_in_order() -> None:
     resolved = read_study("paper").problem
     assert resolved.study.name == "paper"
     assert resolved.study.seeds == [5489, *range(30)]
+    for name in ("paper", "claims"):
+        controllers = read_study(name).problem.study.controllers.values()
+        sources = [one.tuned.source if one.tuned else "" for one in controllers if not one.variant_of]
+        assert all("of the paper" in source for source in sources)
     assert (names(resolved.inputs), names(resolved.outputs)) == (("torque",), ("angle",))
     assert names(resolved.measurements) == ("angle", "angular_velocity")
     assert len(cases_of(resolved, TARGET)) == 7 * 31
