@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatch
 from functools import partial
@@ -324,14 +325,14 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
 def started(case: Case) -> tuple[Controller, Loop]:
     """Return the controller of a case as its loop starts, and the loop; experiments have been run.
 
+    The random numbers of the loop are as they were before the controller started.
+
     Raises
     ------
     CosimError
         What keeps the loop from starting.
     """
-    controller = _controller(case.section, case.plant)
-    if controller is None:
-        raise ConfigError(f'"{case.controller}" is not a controller: the plant runs in open loop')
+    controller = controller_of(case)
     only_started = _OnlyStarted(controller)
     plant = _open(case)
     try:
@@ -341,6 +342,20 @@ def started(case: Case) -> tuple[Controller, Loop]:
         with suppress(CosimError):  # the first error counts
             safe_calls.close_plant(plant)
     return controller, only_started.loop
+
+
+def controller_of(case: Case) -> Controller:
+    """Make the controller of a case.
+
+    Raises
+    ------
+    CosimError
+        It cannot be made, or there is none.
+    """
+    controller = _controller(case.section, case.plant)
+    if controller is None:
+        raise ConfigError(f'"{case.controller}" is not a controller: the plant runs in open loop')
+    return controller
 
 
 class _StartedError(CosimError):
@@ -359,8 +374,8 @@ class _OnlyStarted(Controller):
         return safe_calls.learns_from_recording(self._controller)
 
     def start(self, loop: Loop) -> None:
+        self.loop = replace(loop, rng=deepcopy(loop.rng))
         safe_calls.start_controller(self._controller, loop)
-        self.loop = loop
         raise _StartedError
 
     def step(self, sample: Sample) -> FloatArray:
