@@ -247,7 +247,7 @@ def test_the_command_says_what_was_found_and_where(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr("ddpc_cosim.cli.tune.find_spec", lambda name: None)
     lacking = run(["tune", "study.toml"])
     assert lacking.exit_code == 2
-    assert 'tune needs Optuna: pip install "ddpc-cosim[tune]"' in lacking.stderr
+    assert 'tune needs Optuna: `pip install ".[tune]"` or `uv sync --extra tune`' in lacking.stderr
 
 
 def result(scenario: str, seed: int, rmse: float, outcome: Outcome = Outcome.COMPLETED) -> CaseResult:
