@@ -86,6 +86,8 @@ class CaseResult:
         How many samples of the recording the controller learned from.
     wall_time : float
         How long its worker took for it [s]; NaN if it was lost.
+    simulated_time : float
+        From its first sample to its last [s].
     """
 
     id: str
@@ -106,6 +108,7 @@ class CaseResult:
     problem: str = ""
     recorded_samples: int = 0
     wall_time: float = field(default=math.nan, compare=False)
+    simulated_time: float = 0.0
 
     def trace(self) -> Trace:
         """Read the samples of the run.
@@ -154,6 +157,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             folder=folder,
             transient=transient,
             wall_time=float(run.get("wall_time", math.nan)),
+            simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
         )
     except DAMAGED as error:
         raise damaged_files(folder, error) from error

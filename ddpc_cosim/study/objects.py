@@ -1,7 +1,7 @@
 """Studies in Python: problems and controllers as objects, of which a study file is the written form."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -361,6 +361,9 @@ class Study:
     ) -> None:
         faults = list[str]()
         told = {"title": title, "summary": summary, "source": source}
+        if not isinstance(seeds, Iterable):
+            faults.append(f"seeds = {seeds!r}: needed: a sequence, e.g. [{seeds!r}] or range({seeds!r})")
+            seeds = ()
         tables: Table = {"name": name, **_given(told), "seeds": [int(seed) for seed in seeds]}
         self._recordings: dict[str, Problem] = {}
         if isinstance(problems, Problem):

@@ -69,6 +69,8 @@ class ResolvedStudy:
         Logged data, in place of an experiment.
     late : dict of str to str
         Why a controller cannot be run: one of its calls has not returned within the time limit.
+    lacking : dict of str to str
+        What a controller needs that is not installed: its cases fail.
     """
 
     study: Study
@@ -85,6 +87,7 @@ class ResolvedStudy:
     metrics: MetricSettings
     recording: Recording | None
     late: dict[str, str]
+    lacking: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,6 +235,7 @@ class _Resolution:
                 for one in self.controllers
                 if one.late
             },
+            lacking={one.name: one.lacking for one in self.controllers if one.lacking},
         )
 
     def _metrics(self) -> MetricSettings:

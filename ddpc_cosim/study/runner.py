@@ -20,7 +20,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from ddpc_cosim.csv_files import load_pyarrow
-from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import (
     find_modules_in,
@@ -268,6 +268,8 @@ def selected_cases(
     ------
     ConfigError
         No case is selected.
+    MissingLibraryError
+        None that is selected can run without a package that is not installed.
     """
     plants = built_plants(resolved, progress)
     # The only problem, whose name is the study's, is in no case's name.
@@ -276,7 +278,11 @@ def selected_cases(
         "" if own and not one.study.variant_of else name: (one, plants[name])
         for name, one in resolved.problems.items()
     }
-    return plants, cases_of_problems(problems, selection.seeds, selection.only)
+    cases = cases_of_problems(problems, selection.seeds, selection.only)
+    lacking = [problems[case.problem][0].lacking.get(case.controller, "") for case in cases]
+    if all(lacking):
+        raise MissingLibraryError(list(dict.fromkeys(lacking)))
+    return plants, cases
 
 
 def run_missing(

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Protocol, Self
 
 import tomli_w
 
-from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.errors import ConfigError, MissingLibraryError
 from ddpc_cosim.study.case_files import CaseResult, load_case, read_run
 from ddpc_cosim.study.cases import Case, cases_of_problem, cases_of_problems, patterns_of
 from ddpc_cosim.study.file_format.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
@@ -188,6 +188,9 @@ def tune_study(
     planned = {name: (one, plants[name]) for name, one in resolved.problems.items()}
     in_full = Counter((c.problem, c.controller) for c in cases_of_problems(planned, request.seeds, patterns))
     searches = [search for search in searches if (search.problem, search.name) in in_full]
+    lacking = [planned[search.problem][0].lacking.get(search.name, "") for search in searches]
+    if any(lacking):
+        raise MissingLibraryError(list(dict.fromkeys(filter(None, lacking))))
     progress.start(request.trials * sum(in_full[search.problem, search.name] for search in searches), 0)
     tuning = [_tuning(search, *planned[search.problem], request, patterns, progress) for search in searches]
     due = {one: next(one) for one in tuning}
