@@ -23,6 +23,7 @@ from .errors import (
     DivergenceError as DivergenceError,
     FMUImportError as FMUImportError,
     FMUStepError as FMUStepError,
+    MissingLibraryError as MissingLibraryError,
     PluginError as PluginError,
     StepStatus as StepStatus,
 )

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
-from ddpc_cosim.errors import ConfigError, DataError
+from ddpc_cosim.errors import ConfigError, DataError, MissingLibraryError
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.spelling import did_you_mean
 
@@ -300,14 +300,13 @@ def load_pyarrow() -> Any:
 
     Raises
     ------
-    ConfigError
+    MissingLibraryError
         It is not installed.
     """
     try:
         import pyarrow.parquet
     except ImportError as error:
-        remedy = 'install it with: pip install "ddpc-cosim[parquet]"'
-        raise ConfigError(f"Parquet files need pyarrow ({error}); {remedy}") from error
+        raise MissingLibraryError.of("a Parquet file", "pyarrow", "parquet") from error
     return pyarrow
 
 

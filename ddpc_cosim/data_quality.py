@@ -1,5 +1,6 @@
-"""What can be known of a recording before the loop is closed: whether it can serve for this reference."""
+"""What can be known before the loop is closed: whether recording and limits can serve for this reference."""
 
+from collections.abc import Sequence
 from itertools import chain
 
 import numpy as np
@@ -16,6 +17,11 @@ _FAR = 10.0
 _BEYOND = 3.0
 # Root mean square of a recorded input about its mean, in parts of half its range; 0.58 fills the range.
 _FAINT = 0.01
+
+# In parts of the limit: what goes beyond it by less was rounded, such as by a conversion of units.
+_ROUNDED = 1e-9
+
+CANNOT_FOLLOW = "a controller that keeps to the limit cannot follow the reference there"
 
 # Prediction errors up to which a prediction is good, and fair, in parts of the output's standard deviation.
 _GOOD, _FAIR = 0.2, 0.5
@@ -49,6 +55,35 @@ def recording_warnings(loop: Loop, reference: FloatArray) -> tuple[str, ...]:
     center, size = recording.y.mean(axis=0), recording.y.std(axis=0)
     way = np.abs(reference - center).max(axis=0, initial=0.0) / size
     return tuple(chain(_far_references(loop, way, size), _faint_inputs(loop, recording.u, way)))
+
+
+def references_beyond_limits(
+    outputs: Sequence[Variable], reference: FloatArray, y_min: FloatArray, y_max: FloatArray
+) -> list[str]:
+    """Return which references go beyond the limits of their own outputs, and how far, in display units.
+
+    Parameters
+    ----------
+    outputs : sequence of Variable
+        The controlled outputs.
+    reference : array, shape (K, p)
+        Their references, in their units, time along axis 0.
+    y_min, y_max : array, shape (p,)
+        Their limits, in their units.
+    """
+    found = []
+    for i, variable in enumerate(outputs if len(reference) else ()):
+        lowest, highest = float(reference[:, i].min()), float(reference[:, i].max())
+        ends = (("down", lowest, "lower", float(y_min[i])), ("up", highest, "upper", float(y_max[i])))
+        for way, extreme, which, limit in ends:
+            beyond = extreme - limit if way == "up" else limit - extreme
+            if beyond > _ROUNDED * max(abs(limit), abs(extreme)):
+                shown = variable.shown_in.from_unit(np.array([extreme, limit]))
+                far, near = (f"{value:.6g} {variable.shown_in.name}".strip() for value in shown)
+                found.append(
+                    f"the reference of {variable.name} goes {way} to {far}, its {which} limit is {near}"
+                )
+    return found
 
 
 def judge_prediction(error: float, fitted: float) -> str:

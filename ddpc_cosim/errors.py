@@ -2,6 +2,7 @@
 
 CosimError
 ├── ConfigError       a study, a setting or a call is wrong
+│   └── MissingLibraryError   what is asked for needs an optional package that is not installed
 ├── DataError         a recording cannot serve the purpose
 │   └── DivergenceError   the plant diverged while it was recorded
 ├── ControllerError   a controller raised, or returned something unusable
@@ -12,6 +13,8 @@ CosimError
 
 from collections.abc import Sequence
 from enum import StrEnum
+
+from fmu_plants.installing import how_to_install
 
 
 class CosimError(Exception):
@@ -35,6 +38,24 @@ class _FaultsError(CosimError):
 
 class ConfigError(_FaultsError):
     """A study, a setting or a call is wrong; all faults found are in ``faults``."""
+
+
+class MissingLibraryError(ConfigError):
+    """What is asked for needs an optional package that is not installed, and how it is.
+
+    A controller that raises it when it is made is told of before the first case of a study is run, and does
+    not keep the others from running.
+
+    Examples
+    --------
+    >>> print(MissingLibraryError.of("NMPC", "CasADi", "nmpc"))
+    NMPC needs CasADi: `pip install ".[nmpc]"` or `uv sync --extra nmpc`, in a checkout of ddpc-cosim
+    """
+
+    @classmethod
+    def of(cls, what: str, library: str, extra: str) -> "MissingLibraryError":
+        """Return the error that something needs a library, which an extra of this project installs."""
+        return cls(f"{what} needs {library}: {how_to_install(extra)}")
 
 
 class DataError(_FaultsError):

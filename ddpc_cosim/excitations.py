@@ -1,5 +1,6 @@
 """What an experiment applies to a plant, or adds to the inputs of a controller that stabilises it."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -414,6 +415,17 @@ class MixedExcitation(Excitation):
         order = np.argsort([i for _, part in self.parts for i in part])
         mixed: FloatArray = drawn[:, order]
         return mixed
+
+
+def sampling_faults(excitation: Excitation, sampling_time: float) -> list[str]:
+    """Return what is wrong where an excitation is made for another sampling time [s] than that of a loop."""
+    if isinstance(excitation, MixedExcitation):
+        return [fault for part, _ in excitation.parts for fault in sampling_faults(part, sampling_time)]
+    own = getattr(excitation, "sampling_time", None)
+    if not isinstance(own, Real) or math.isclose(own, sampling_time, rel_tol=1e-9):
+        return []
+    name = type(excitation).__name__
+    return [f"excitation: {name} has sampling_time = {own:g} s, the loop {sampling_time:g} s; needed: one"]
 
 
 def _are_finite(values: object) -> bool:

@@ -24,7 +24,7 @@ from ddpc_cosim.errors import (
     StepStatus,
     is_of_the_machine,
 )
-from ddpc_cosim.excitations import Excitation
+from ddpc_cosim.excitations import Excitation, sampling_faults
 from ddpc_cosim.loop_setup import (
     CONTROLLER_STREAM,
     STABILISER_STREAM,
@@ -310,6 +310,8 @@ def _experiment(
 ) -> _Experiment:
     """Excite a plant from its initial state and record it; ``onwards`` [s] are to follow."""
     plant, sampling_time = setup.plant, setup.sampling_time
+    if faults := sampling_faults(excitation, sampling_time):
+        raise ConfigError(faults)
     inputs = excitation_table(excitation, len(setup.inputs))
     exciting = ExcitingController(inputs, stabiliser)
     loop = setup.loop(STABILISER_STREAM, exciting.horizon)

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
-from ddpc_cosim.errors import ConfigError, Place, PluginError, dotted
+from ddpc_cosim.errors import ConfigError, MissingLibraryError, Place, PluginError, dotted
 from ddpc_cosim.plugins import load_plugin, load_target
 from ddpc_cosim.variables import FloatArray
 from fmu_plants.spelling import did_you_mean
@@ -298,6 +298,8 @@ def _from_table(place: Place, value: Any, kind: Any) -> Any:
         raise SettingsError([((*place, key), f"{what}; {hint}") for key, hint in hints.items()])
     try:
         return kind(**{key: from_plain(kind, key, entry) for key, entry in entries.items()})
+    except MissingLibraryError:
+        raise
     except SettingsError as error:
         raise SettingsError([((*place, *below), fault) for below, fault in error.found]) from error
     except ConfigError as error:

@@ -144,6 +144,18 @@ def test_commands_have_the_options_that_they_are_shown_with(code: str) -> None:
             command.make_parser(click.Context(command)).parse_args(arguments)
 
 
+def test_extras_are_installed_from_a_checkout_and_are_those_that_there_are() -> None:
+    """The project is on no index: ``pip install ddpc-cosim[nmpc]`` would find nothing, or something else."""
+    written = [*PAGES, *(path for room in ROOMS[:4] for path in (ROOT / room).rglob("*.py"))]
+    texts = {path: path.read_text(encoding="utf-8") for path in written}
+    assert [path for path, text in texts.items() if "ddpc-cosim[" in text] == []
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = re.compile(r"""pip install ["']\.\[(\w+)\]|uv sync --extra (\w+)|how_to_install\(["'](\w+)""")
+    extras = {name for text in texts.values() for found in named.findall(text) for name in found if name}
+    assert extras <= project["optional-dependencies"].keys()
+    assert {"nmpc", "tune", "parquet", "cluster", "zig"} <= extras
+
+
 def test_the_readme_begins_with_the_two_commands() -> None:
     shell = blocks("sh")
     first = shell[0].values[0]  # type: ignore[attr-defined]

@@ -35,7 +35,7 @@ from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.quality import Span, fit_by_windows, judge
 from ddpc_controllers.export.code import Code
 from ddpc_controllers.export.law import add_law
-from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
+from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend, require_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits, rate_limits
 from ddpc_controllers.optimisation.problem import Blocks, ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import NOTHING_TOLD, Law, action, make_law, predicted_ends
@@ -118,6 +118,7 @@ class BehavioralTracking(ScaledSignals):
 
     def __post_init__(self) -> None:
         check_settings_and(self, self._faults_between_settings)
+        require_backend(self.backend)
 
     def _start(self, loop: Loop) -> None:
         """Condense the problem on the loop's recording."""

@@ -25,7 +25,7 @@ from ddpc_controllers.data.online import Learner, OnlineSettings
 from ddpc_controllers.data.quality import Span, fit_by_windows, judge
 from ddpc_controllers.export.code import Code
 from ddpc_controllers.export.law import add_law
-from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend
+from ddpc_controllers.optimisation.backends import BACKENDS, BackendName, make_backend, require_backend
 from ddpc_controllers.optimisation.limits import PREDICTED, InputLimits
 from ddpc_controllers.optimisation.problem import ParameterVector, Problem
 from ddpc_controllers.optimisation.qp import NOTHING_TOLD, action, make_law, predicted_ends
@@ -95,6 +95,7 @@ class WKPC(OnlineSettings, ScaledSignals):
 
     def __post_init__(self) -> None:
         check_settings_and(self, self._faults_between_settings)
+        require_backend(self.backend)
 
     def _start(self, loop: Loop) -> None:
         """Lift the loop's recording and condense the problem on it."""

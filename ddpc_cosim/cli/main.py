@@ -9,6 +9,7 @@ import math
 import os
 import signal
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
@@ -79,8 +80,24 @@ def _harmless_usage_errors() -> Iterator[None]:
         raise click.UsageError(shown.removeprefix("Error: "), error.ctx) from None
 
 
+class _Command(click.Command):
+    """A command whose options are given once, but for those that may be repeated."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments, and say which option with one value has several."""
+        if not ctx.resilient_parsing:
+            _, _, given = self.make_parser(ctx).parse_args(list(args))
+            for option, count in Counter(one for one in given if isinstance(one, click.Option)).items():
+                if count > 1 and not (option.multiple or option.is_flag):
+                    name = next(name for name in option.opts if name.startswith("--"))
+                    ctx.fail(f"{name} is given {count} times; allowed: once, as it has one value.")
+        return super().parse_args(ctx, args)
+
+
 class _Commands(click.Group):
     """A group whose commands report errors of this project in their own words."""
+
+    command_class = _Command
 
     def main(self, *arguments: Any, **more: Any) -> Any:
         """Run a command, and say if what it prints cannot be written."""
@@ -191,7 +208,9 @@ _EXECUTOR = click.option(
 _SCHEDULER = click.option(
     "--scheduler", default="", metavar="ADDRESS", help="The dask scheduler's: tcp://host:8786."
 )
-_ONLY = click.option("--only", default="*", metavar="GLOB", help="Only cases of this name or label.")
+_ONLY = click.option(
+    "--only", multiple=True, metavar="GLOB", help="Only cases of this name or label; may be repeated."
+)
 _NO_REPORT = click.option("--no-report", is_flag=True, help="Write no report.")
 _OPEN = click.option("--open", "browse", is_flag=True, help="Open the report in a browser.")
 
@@ -229,7 +248,7 @@ def run(
     study: str,
     out: Path | None,
     jobs: int | None,
-    only: str,
+    only: tuple[str, ...],
     seeds: str | None,
     fresh: bool,
     shard: str,
@@ -289,7 +308,7 @@ def tune(
     jobs: int | None,
     out: Path | None,
     objectives: tuple[str, ...],
-    only: str,
+    only: tuple[str, ...],
     seeds: str | None,
     sampler_seed: int,
     no_comparison: bool,

@@ -45,11 +45,11 @@ class _Cases:
         """Take note of how far a case is."""
         self._running[update.case] = 100 * update.samples // max(update.planned, 1)
 
-    def finished(self, case: "Case") -> None:
-        """Count a case."""
+    def finished(self, case: "Case", result: "CaseResult") -> None:
+        """Count a case, and what of it was simulated."""
         self._running.pop(case.name, None)
         self.done += 1
-        self.simulated += case.duration
+        self.simulated += result.simulated_time
 
     @property
     def rate(self) -> str:
@@ -128,7 +128,7 @@ class LineProgress:
 
     def finished(self, case: "Case", result: "CaseResult") -> None:
         """Count a case; say at the end how many are done."""
-        self._cases.finished(case)
+        self._cases.finished(case, result)
         self._text = f"{self._cases.counts}last: {case.name}"
         if self._cases.done == self._cases.total:
             self._say(self._text)
@@ -213,7 +213,7 @@ class TerminalProgress:
 
     def finished(self, case: "Case", result: "CaseResult") -> None:
         """Count a case, and keep a line about one that failed as no other did before."""
-        self._cases.finished(case)
+        self._cases.finished(case, result)
         rate, simulated = self._cases.rate, self._cases.simulated
         self._progress.update(self._task, advance=1, description="running", simulated=simulated, rate=rate)
         kind = result.outcome, alike(result.reason)

@@ -43,7 +43,7 @@ def run_command(
     name: str,
     out: Path | None,
     jobs: int | None,
-    only: str,
+    only: Sequence[str],
     seeds: str | None,
     fresh: bool,
     how: Mapping[str, Any],

@@ -10,7 +10,7 @@ from typing import Any
 from ddpc_cosim.cli.output import say
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.cli.run import parse_seeds, show_results, warnings_in_one_line
-from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.errors import MissingLibraryError
 from ddpc_cosim.metrics import metric_name
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection
@@ -39,16 +39,18 @@ def tune_command(
 
     Raises
     ------
+    MissingLibraryError
+        Optuna is not installed.
     ConfigError
-        Optuna is not installed, or nothing can be tuned so.
+        Nothing can be tuned so.
     """
     if find_spec("optuna") is None:
-        raise ConfigError('tune needs Optuna: pip install "ddpc-cosim[tune]"')
+        raise MissingLibraryError.of("tune", "Optuna", "tune")
     said = ["ddpc-cosim", "tune", name, "--trials", str(trials)]
     said += [word for objective in objectives for word in ("--objective", objective)]
     said += ["--seeds", seeds] if seeds else []
     said += ["--sampler-seed", str(sampler_seed)] if sampler_seed else []
-    said += ["--only", how["only"]] if how["only"] != "*" else []
+    said += [word for pattern in how["only"] for word in ("--only", pattern)]
     request = Request(
         tuple(map(Objective.parse, objectives)),
         trials,

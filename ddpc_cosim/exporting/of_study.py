@@ -8,8 +8,9 @@ from typing import Any
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.exporting import block_of, write_block
+from ddpc_cosim.exporting.vector import SAMPLES, vector_of
 from ddpc_cosim.processes.sandbox import require
-from ddpc_cosim.study.cases import Case, cases_of_problems, started
+from ddpc_cosim.study.cases import Case, cases_of_problems, controller_of, run_case, started
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 from ddpc_cosim.study.runner import Progress, answer_of, built_plants
@@ -20,6 +21,7 @@ from fmu_plants.export.sampled_block import SampledBlock
 from fmu_plants.model import ExportUsageError
 from fmu_plants.spelling import did_you_mean
 
+_VECTOR = "test_vector.csv"
 _SIGNALS = ("measurements", "references", "controls")
 
 
@@ -136,7 +138,12 @@ def _alone(case: Case, resolved: ResolvedStudy) -> str:
 def _block(case: Case, name: str, facts: dict[str, Any], study: str) -> dict[str, Any]:
     """Return, in a worker, a case's controller as a block, in plain values."""
     controller, loop = started(case)
-    return asdict(block_of(controller, loop, name, facts, {"study.toml": study}))
+    block = block_of(controller, loop, name, facts, {"study.toml": study})
+    late = max(case.conditions.delay.values(), default=0.0)
+    steps = min(round(case.duration / case.sampling_time), SAMPLES + round(late / case.sampling_time))
+    trace = run_case(replace(case, duration=steps * case.sampling_time))
+    vector = {_VECTOR: vector_of(block, partial(controller_of, case), loop, trace)} if len(trace) else {}
+    return asdict(replace(block, resources={**block.resources, **vector}))
 
 
 def _read(told: dict[str, Any]) -> SampledBlock:

@@ -15,6 +15,7 @@ from ddpc_cosim.fmu.build import described_sources, has_sources, is_source
 from ddpc_cosim.fmu.description import FMUDescription, Interface, InterfaceKind
 from ddpc_cosim.fmu.description.defects import Findings, Kind, Severity
 from ddpc_cosim.fmu.library import library_extension, library_in, listed, platform_folders, platforms
+from fmu_plants.installing import how_to_install
 
 Route = Literal["binary", "sources", ""]
 """How an FMU can run here: its library, its sources compiled here, or not at all."""
@@ -25,7 +26,7 @@ NO_COMPILER = Kind(
     "no-compiler",
     _ERROR,
     "sources but no binary for this platform, and no C compiler here",
-    'install one, or ziglang: pip install "ddpc-cosim[zig]"',
+    f"install one, or ziglang: {how_to_install('zig')}",
 )
 COMPILED = Kind(
     "compiled-here", _NOTE, "sources but no binary for this platform", "they are compiled at the first use"

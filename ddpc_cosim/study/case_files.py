@@ -100,6 +100,8 @@ class CaseResult:
         By controlled output, the size of its task, in the unit in which it is shown.
     wall_time : float
         How long its worker took for it [s]; NaN if it was lost.
+    simulated_time : float
+        From its first sample to its last [s].
     """
 
     id: str
@@ -125,6 +127,7 @@ class CaseResult:
     left: float = math.nan
     tasks: dict[str, float] = field(default_factory=dict)
     wall_time: float = field(default=math.nan, compare=False)
+    simulated_time: float = 0.0
 
     def trace(self) -> Trace:
         """Read the samples of the run.
@@ -177,6 +180,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             folder=folder,
             transient=transient,
             wall_time=float(run.get("wall_time", math.nan)),
+            simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
         )
     except DAMAGED as error:
         raise damaged_files(folder, error) from error

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatch
 from functools import partial
@@ -180,7 +181,7 @@ class Case:
 
 
 def cases_of(
-    resolved: "ResolvedStudy", plant: PlantSpec, seeds: Sequence[int] = (), only: str = "*"
+    resolved: "ResolvedStudy", plant: PlantSpec, seeds: Sequence[int] = (), only: str | Sequence[str] = ()
 ) -> list[Case]:
     """Return the cases of a study of one problem: controllers x scenarios x seeds.
 
@@ -192,27 +193,31 @@ def cases_of(
         Its plant, ready to run.
     seeds : sequence of int
         In place of the study's; empty: the study's.
-    only : str
-        Glob pattern that the name or the label of a case, its controller or its scenario must match.
+    only : str or sequence of str
+        Glob patterns, of which the name or the label of a case, its controller or its scenario must match
+        one; empty: all cases.
 
     Raises
     ------
     ConfigError
-        No case matches.
+        Patterns that no case matches, all of them.
     """
     return cases_of_problems({"": (resolved, plant)}, seeds, only)
 
 
 def cases_of_problems(
-    problems: Mapping[str, tuple["ResolvedStudy", PlantSpec]], seeds: Sequence[int] = (), only: str = "*"
+    problems: Mapping[str, tuple["ResolvedStudy", PlantSpec]],
+    seeds: Sequence[int] = (),
+    only: str | Sequence[str] = (),
 ) -> list[Case]:
     """Return the cases of problems, by name; parameters and errors as of :func:`cases_of`."""
-    chosen = [
-        case
-        for problem, (resolved, plant) in problems.items()
-        for case in _cases_of_problem(resolved, plant, problem, seeds, only)
-    ]
-    if not chosen:
+
+    def cases(patterns: Sequence[str]) -> Iterator[Case]:
+        for problem, (resolved, plant) in problems.items():
+            yield from cases_of_problem(resolved, plant, problem, seeds, patterns)
+
+    patterns = patterns_of(only)
+    if lost := [pattern for pattern in patterns if next(cases([pattern]), None) is None]:
         known = {
             word
             for problem, (resolved, _) in problems.items()
@@ -221,8 +226,14 @@ def cases_of_problems(
             for word in _words(resolved.study, problem, controller, scenario)
             if word
         }
-        raise ConfigError(f"--only {only}: no case matches; {did_you_mean(only, known)}")
-    return chosen
+        raise ConfigError([f"--only {one}: no case matches; {did_you_mean(one, known)}" for one in lost])
+    return list(cases(patterns))
+
+
+def patterns_of(only: str | Sequence[str]) -> tuple[str, ...]:
+    """Return the patterns that select cases; none where all are selected."""
+    given = (only,) if isinstance(only, str) else tuple(only)
+    return () if "*" in given else given
 
 
 def doing_nothing(cases: Iterable[Case]) -> list[Case]:
@@ -355,14 +366,14 @@ def run_case(case: Case, store: RowStore | None = None) -> Trace:
 def started(case: Case) -> tuple[Controller, Loop]:
     """Return the controller of a case as its loop starts, and the loop; experiments have been run.
 
+    The random numbers of the loop are as they were before the controller started.
+
     Raises
     ------
     CosimError
         What keeps the loop from starting.
     """
-    controller = _controller(case.section, case.plant)
-    if controller is None:
-        raise ConfigError(f'"{case.controller}" is not a controller: the plant runs in open loop')
+    controller = controller_of(case)
     only_started = _OnlyStarted(controller)
     plant = _open(case)
     try:
@@ -372,6 +383,20 @@ def started(case: Case) -> tuple[Controller, Loop]:
         with suppress(CosimError):  # the first error counts
             safe_calls.close_plant(plant)
     return controller, only_started.loop
+
+
+def controller_of(case: Case) -> Controller:
+    """Make the controller of a case.
+
+    Raises
+    ------
+    CosimError
+        It cannot be made, or there is none.
+    """
+    controller = _controller(case.section, case.plant)
+    if controller is None:
+        raise ConfigError(f'"{case.controller}" is not a controller: the plant runs in open loop')
+    return controller
 
 
 class _StartedError(CosimError):
@@ -390,8 +415,8 @@ class _OnlyStarted(Controller):
         return safe_calls.learns_from_recording(self._controller)
 
     def start(self, loop: Loop) -> None:
+        self.loop = replace(loop, rng=deepcopy(loop.rng))
         safe_calls.start_controller(self._controller, loop)
-        self.loop = loop
         raise _StartedError
 
     def step(self, sample: Sample) -> FloatArray:
@@ -528,12 +553,17 @@ def _outcome_of(case: Case, error: CosimError) -> Outcome:
     return Outcome.FMU_ERROR if is_plants else Outcome.CONTROLLER_ERROR
 
 
-def _cases_of_problem(
-    resolved: "ResolvedStudy", plant: PlantSpec, problem: str, seeds: Sequence[int], only: str = "*"
+def cases_of_problem(
+    resolved: "ResolvedStudy",
+    plant: PlantSpec,
+    problem: str,
+    seeds: Sequence[int],
+    patterns: Sequence[str],
 ) -> Iterator[Case]:
-    """Yield the cases that a pattern matches, by their name or what they are made of.
+    """Yield the cases that one of some patterns matches, by their name or what they are made of.
 
-    What those that differ by their seed alone have in common is made, and hashed, once.
+    Without patterns these are all. What those that differ by their seed alone have in common is made, and
+    hashed, once.
     """
     study = resolved.study
     stabiliser = study.recording.controller if study.recording is not None else None
@@ -544,7 +574,9 @@ def _cases_of_problem(
         for name, scenario in study.scenarios.items():
             words = _words(study, problem, controller, name)
             # A label may have brackets, which mean something else in a pattern.
-            matches = only in words or any(fnmatch(word, only) for word in words)
+            matches = not patterns or any(
+                pattern in words or any(fnmatch(word, pattern) for word in words) for pattern in patterns
+            )
             case = Case(
                 problem=problem,
                 controller=controller,
@@ -578,7 +610,11 @@ def _cases_of_problem(
                 late=resolved.late.get(controller, ""),
             )
             named = [(seed, case.name_with(seed)) for seed in seeds or study.seeds]
-            chosen = [(seed, called) for seed, called in named if matches or fnmatch(called, only)]
+            chosen = [
+                (seed, called)
+                for seed, called in named
+                if matches or any(fnmatch(called, pattern) for pattern in patterns)
+            ]
             if not chosen:
                 continue
             content = content or _code_and_files(case) | recording

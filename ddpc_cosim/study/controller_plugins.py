@@ -8,7 +8,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from typing import Any
 
 from ddpc_cosim.controller import Controller
-from ddpc_cosim.errors import ConfigError, Place, PluginError
+from ddpc_cosim.errors import ConfigError, MissingLibraryError, Place, PluginError
 from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.settings import SettingsError, declared_settings, from_plain, instead_of
 from fmu_plants.spelling import did_you_mean
@@ -35,6 +35,8 @@ def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
     ------
     SettingsError
         Unknown or impossible settings, all of them.
+    MissingLibraryError
+        It needs a package that is not installed.
     PluginError
         There is no such controller, or it cannot be loaded.
     """
@@ -57,6 +59,8 @@ def make_controller(kind: str, settings: Mapping[str, Any]) -> Controller:
         raise SettingsError(found + [((name,), "required setting is missing") for name in missing])
     try:
         controller = plugin(**arguments)
+    except MissingLibraryError:
+        raise
     except SettingsError as error:
         found += error.found
     except ConfigError as error:

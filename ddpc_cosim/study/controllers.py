@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ddpc_cosim.controller import Controller
-from ddpc_cosim.errors import ControllerError, Place, PluginError
+from ddpc_cosim.errors import ControllerError, MissingLibraryError, Place, PluginError
 from ddpc_cosim.safe_calls import (
     DEFAULT_STEP_TIMEOUT,
     CallsInTime,
@@ -54,13 +54,16 @@ class StudyController(NamedTuple):
     settings : dict
         Its settings in plain values, every default filled in, paths absolute.
     controller : Controller or None
-        To be asked what it needs; where it runs, another one is built. None if it has errors, or is late.
+        To be asked what it needs; where it runs, another one is built. None if it has errors, is late,
+        or lacks a package.
     uses_recording : bool
         Whether it learns from a recording.
     horizon : int
         How many future references it wants.
     late : str
         Which of its calls has not returned in time; empty: none.
+    lacking : str
+        What it needs that is not installed, and how it is; empty: nothing.
     """
 
     name: str
@@ -72,6 +75,7 @@ class StudyController(NamedTuple):
     uses_recording: bool = False
     horizon: int = 0
     late: str = ""
+    lacking: str = ""
 
     def section(self, section: ControllerSection) -> ControllerSection:
         """Return its section in a study without sweeps, with all its settings."""
@@ -116,6 +120,8 @@ def resolve_stabiliser(
     built = _build(named, section, folder, errors, in_time, {}) or named
     if built.uses_recording:
         errors.add(place, "learns from a recording itself; needed: one that controls without")
+    if built.lacking:
+        errors.add(place, built.lacking)
     if built.late:
         errors.add(place, late_call(section.type, built.late, in_time.seconds))
     return built
@@ -202,6 +208,8 @@ def _build(
     except TimeoutError:
         late[section.type] = doing
         return named._replace(settings=given, late=doing)
+    except MissingLibraryError as error:
+        return named._replace(settings=given, lacking=str(error))
     except SettingsError as error:
         for setting, fault in error.found:
             at = (*place, "settings", *setting)

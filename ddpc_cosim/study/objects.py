@@ -1,19 +1,17 @@
 """Studies in Python: problems and controllers as objects, of which a study file is the written form."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.coupling.wiring import Connection
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.excitations import Excitation
+from ddpc_cosim.excitations import Excitation, sampling_faults
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.plugins import name_in_file, name_of
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Reference
@@ -112,7 +110,8 @@ class Problem:
     bounds : mapping of str to (float, float)
         Limits of inputs and controlled outputs in place of the plant's; infinite: none.
     excitation : Excitation, optional
-        The experiment that data-driven controllers learn from.
+        The experiment that data-driven controllers learn from, sampled as the loop; each case draws it with
+        its own seed.
     stabiliser : Controller, optional
         Keeps the plant during the experiment.
     recording : Recording, optional
@@ -149,7 +148,8 @@ class Problem:
     Raises
     ------
     ConfigError
-        Scenarios besides noise, conditions or events, or both an excitation and a recording.
+        Scenarios besides noise, conditions or events, both an excitation and a recording, or an excitation
+        with another sampling time than the loop's.
     """
 
     plant: Any
@@ -188,7 +188,9 @@ class Problem:
             faults.append(f"problem: {', '.join(given)} belong to a scenario; needed: in one of scenarios")
         if self.excitation is not None and self.recording is not None:
             faults.append("problem: give an excitation or a recording, not both")
-        if self.excitation is None and self.stabiliser is not None:
+        if self.excitation is not None:
+            faults += [f"problem: {one}" for one in sampling_faults(self.excitation, self.sampling_time)]
+        elif self.stabiliser is not None:
             faults.append("problem: stabiliser needs an excitation, which is added to its inputs")
         if faults:
             raise ConfigError(faults)
@@ -317,7 +319,8 @@ def _given(table: Table) -> Table:
 
 
 def _limits(limits: tuple[float, float]) -> Table:
-    return {key: float(end) for key, end in zip(("min", "max"), limits, strict=True) if np.isfinite(end)}
+    low, high = limits
+    return {"min": float(low), "max": float(high)}
 
 
 class Study:
@@ -372,6 +375,9 @@ class Study:
     ) -> None:
         faults = list[str]()
         told = {"title": title, "summary": summary, "source": source}
+        if not isinstance(seeds, Iterable):
+            faults.append(f"seeds = {seeds!r}: needed: a sequence, e.g. [{seeds!r}] or range({seeds!r})")
+            seeds = ()
         tables: Table = {"name": name, **_given(told), "seeds": [int(seed) for seed in seeds]}
         self._recordings: dict[str, Problem] = {}
         if isinstance(problems, Problem):
@@ -463,7 +469,7 @@ class Study:
         *,
         jobs: int = 1,
         progress: bool | Progress = True,
-        only: str = "*",
+        only: str | Sequence[str] = (),
         seeds: Sequence[int] = (),
         fresh: bool = False,
         sandbox: bool = False,

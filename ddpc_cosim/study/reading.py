@@ -1,11 +1,16 @@
 """From a study file to a resolved study: every error of the file at once, each with its line."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 
-from ddpc_cosim.errors import ConfigError
+import numpy as np
+
+from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
+from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.plugins import find_modules_in
+from ddpc_cosim.signals import values_at
 from ddpc_cosim.study.file_format.replacing import PROBLEMS, SWEEP
 from ddpc_cosim.study.file_format.sections import Study, StudyHead
 from ddpc_cosim.study.file_format.study_files import Fault, StudyFile, find_study
@@ -85,7 +90,49 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
     first = next(iter(problems.values())).study
     if head is None and len(problems) > 1:  # a flat file with variants
         head = StudyHead.model_validate({key: getattr(first, key) for key in StudyHead.model_fields})
+    if type(count := tables.get("seeds")) is int and count > 1:
+        several = f'for {count} seeds write "0:{count}"'
+        warnings.warn(
+            f"seeds = {count} is the one seed number {count}; {several}", CosimWarning, stacklevel=2
+        )
+    _warn_of_references(problems)
+    _warn_of_missing_libraries(problems)
     return ResolvedProblems(head or first, problems, file)
+
+
+def _warn_of_references(problems: Mapping[str, ResolvedStudy]) -> None:
+    """Say which references go beyond the limits of their outputs, and for whom, where not for all."""
+    for name, one in problems.items():
+        loop = one.study.loop
+        time = loop.start_time + np.arange(loop.steps + 1, dtype=np.float64) * loop.sampling_time
+        table = np.column_stack(
+            [values_at(one.reference[v.name], f"reference of {v.name}", time) for v in one.outputs]
+        )
+        found: dict[str, list[tuple[str, str]]] = {}
+        pairs = [(controller, scenario) for controller in one.bounds for scenario in one.scenario_bounds]
+        for controller, scenario in pairs:
+            limits = one.bounds[controller] | one.scenario_bounds[scenario]
+            y_min, y_max = np.array([limits[v.name] for v in one.outputs]).T
+            for text in references_beyond_limits(one.outputs, table, y_min, y_max):
+                found.setdefault(text, []).append((controller, scenario))
+        for text, held in found.items():
+            where = [f"problem {name}"] if len(problems) > 1 else []
+            if len(held) < len(pairs):
+                where += [", ".join(dict.fromkeys(word for pair in held for word in pair))]
+            whose = f" ({': '.join(where)})" if where else ""
+            warnings.warn(f"{text}{whose}; {CANNOT_FOLLOW}", CosimWarning, stacklevel=3)
+
+
+def _warn_of_missing_libraries(problems: Mapping[str, ResolvedStudy]) -> None:
+    """Say what is not installed, and of which controllers no case can be run without."""
+    needed: dict[str, dict[str, None]] = {}
+    for one in problems.values():
+        for controller, what in one.lacking.items():
+            needed.setdefault(what, {})[controller] = None
+    for what, controllers in needed.items():
+        noun = "controller" if len(controllers) == 1 else "controllers"
+        whose = f"all cases of the {noun} {', '.join(controllers)} will fail, the others are run"
+        warnings.warn(f"{what}; without, {whose}", CosimWarning, stacklevel=3)
 
 
 def _in_order(found: Mapping[Fault, list[str]], parts: Sequence[FlatStudy], file: StudyFile) -> list[str]:

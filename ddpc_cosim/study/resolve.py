@@ -70,6 +70,8 @@ class ResolvedStudy:
         Logged data, in place of an experiment.
     late : dict of str to str
         Why a controller cannot be run: one of its calls has not returned within the time limit.
+    lacking : dict of str to str
+        What a controller needs that is not installed: its cases fail.
     """
 
     study: Study
@@ -86,6 +88,7 @@ class ResolvedStudy:
     metrics: MetricSettings
     recording: Recording | None
     late: dict[str, str]
+    lacking: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,6 +238,7 @@ class _Resolution:
                 for one in self.controllers
                 if one.late
             },
+            lacking={one.name: one.lacking for one in self.controllers if one.lacking},
         )
 
     def _metrics(self) -> MetricSettings:
@@ -320,8 +324,8 @@ class _Resolution:
         place = ("controllers", controller.name, "tuned")
         if controller.controller is not None:
             known = list(_dotted_names(controller.settings))
-            self.errors.require_known((*place, "settings"), "setting", tuned.settings, known)
-        if shared := sorted(set(tuned.seeds) & set(self.study.seeds)):
+            self.errors.require_known((*place, "settings"), "setting", tuned.settings or (), known)
+        if shared := sorted(set(tuned.seeds or ()) & set(self.study.seeds)):
             listed = ", ".join(map(str, shared[:_MOST_LISTED])) + (", ..." if shared[_MOST_LISTED:] else "")
             what = f"{listed}: a seed of the study; needed: seeds on which no result is reported"
             self.errors.add((*place, "seeds"), what, ("seeds",))

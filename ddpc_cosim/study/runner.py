@@ -20,7 +20,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from ddpc_cosim.csv_files import load_pyarrow
-from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import (
     find_modules_in,
@@ -56,6 +56,7 @@ from ddpc_cosim.study.cases import (
     files_read,
     no_samples,
     partial_trace,
+    patterns_of,
     row_store,
     run_case,
 )
@@ -134,8 +135,8 @@ class Selection:
         Number of worker processes.
     seeds : list of int
         In place of the study's; empty: the study's.
-    only : str
-        Glob pattern of case or controller names.
+    only : str or sequence of str
+        Glob patterns of names or labels, of which a case must match one; empty: all cases.
     fresh : bool
         Run cases again that already exist.
     sandboxed : bool
@@ -158,7 +159,7 @@ class Selection:
 
     jobs: int = 1
     seeds: list[int] = field(default_factory=list)
-    only: str = "*"
+    only: str | Sequence[str] = ()
     fresh: bool = False
     sandboxed: bool = False
     executor: str = "local"
@@ -196,7 +197,7 @@ class Selection:
     def options(self) -> list[str]:
         """Return the options of ``run`` that decide which cases there are, and whether they are sandboxed."""
         seeds = ["--seeds", seed_ranges(self.seeds)] if self.seeds else []
-        only = ["--only", self.only] if self.only != "*" else []
+        only = [word for pattern in patterns_of(self.only) for word in ("--only", pattern)]
         return [*seeds, *only, *(["--sandbox"] if self.sandboxed else [])]
 
     def part_of(self, cases: Sequence[Case]) -> list[Case]:
@@ -271,6 +272,8 @@ def selected_cases(
     ------
     ConfigError
         No case is selected.
+    MissingLibraryError
+        None that is selected can run without a package that is not installed.
     """
     plants = built_plants(resolved, progress)
     # The only problem, whose name is the study's, is in no case's name.
@@ -279,7 +282,11 @@ def selected_cases(
         "" if own and not one.study.variant_of else name: (one, plants[name])
         for name, one in resolved.problems.items()
     }
-    return plants, cases_of_problems(problems, selection.seeds, selection.only)
+    cases = cases_of_problems(problems, selection.seeds, selection.only)
+    lacking = [problems[case.problem][0].lacking.get(case.controller, "") for case in cases]
+    if all(lacking):
+        raise MissingLibraryError(list(dict.fromkeys(lacking)))
+    return plants, cases
 
 
 def run_missing(

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple, Protocol, Self
 import tomli_w
 
 from ddpc_cosim.controller import Controller
-from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.errors import ConfigError, MissingLibraryError
 from ddpc_cosim.safe_calls import settings_of_other
 from ddpc_cosim.study.case_files import CaseResult, load_case, read_run
-from ddpc_cosim.study.cases import Case, cases_of_problems, doing_nothing
+from ddpc_cosim.study.cases import Case, cases_of_problem, cases_of_problems, doing_nothing, patterns_of
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.file_format.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
 from ddpc_cosim.study.file_format.study_files import StudyFile
@@ -203,10 +203,14 @@ def tune_study(
     plants = built_plants(resolved, progress)
     if request.compares:
         claim_folder(folder / HELD_OUT_FOLDER, resolved.whole)
+    patterns = patterns_of(selection.only)
     planned = {name: (one, plants[name]) for name, one in resolved.problems.items()}
-    all_cases = cases_of_problems(planned, request.seeds, selection.only)
+    all_cases = cases_of_problems(planned, request.seeds, patterns)
     in_full = Counter((case.problem, case.controller) for case in all_cases)
     searches = [search for search in searches if (search.problem, search.name) in in_full]
+    lacking = [planned[search.problem][0].lacking.get(search.name, "") for search in searches]
+    if any(lacking):
+        raise MissingLibraryError(list(dict.fromkeys(filter(None, lacking))))
     at_rest = [] if request.by_prediction else doing_nothing(all_cases)
     tried = request.trials * sum(in_full[search.problem, search.name] for search in searches)
     progress.start(tried + len(at_rest), 0)
@@ -217,9 +221,7 @@ def tune_study(
         scenarios = resolved.problems[cases[0].problem].study.scenarios
         return list(judged(scenarios, map(load_case, places), resting))
 
-    tunings = [
-        _Tuning(search, *planned[search.problem], request, selection.only, progress) for search in searches
-    ]
+    tunings = [_Tuning(search, *planned[search.problem], request, patterns, progress) for search in searches]
     others = [one.others_in(tunings) for one in tunings]
     last = [min(len(some), request.trials - 1) for some in others]
     first = [one.go_on(request.trials - n) for one, n in zip(tunings, last, strict=True)]
@@ -234,7 +236,7 @@ def tune_study(
     tuned = _tuned_study(resolved, trials, at_ends, request)
     text = tomli_w.dumps(tuned.tables())
     write_atomically(folder / TUNED_FILE, encodable(text).encode())
-    kept = kept if selection.only == "*" else []
+    kept = [] if patterns else kept
     if not request.compares:
         table = encodable(_trials_table(trials, {}, at_ends, request)).encode()
         write_atomically(folder / TRIALS_FILE, table)
@@ -244,7 +246,7 @@ def tune_study(
     count, runs = len(trials) * request.trials, sum(one.runs for own in trials.values() for one in own)
     seconds = fsum(filter(isfinite, times))
     facts = {"tuning": f"{count} trials, {runs} runs, which took {seconds:.0f} s one after another"}
-    on_all = replace(selection, only="*")
+    on_all = replace(selection, only=())
     results = run_study(resolve_file(both), folder / HELD_OUT_FOLDER, on_all, progress, facts)
     held_out = {
         key: _held_out(key, tried, results, reference_spans(resolved.problems[key[0]]), request.objectives)
@@ -310,11 +312,11 @@ class _Tuning:
         one: ResolvedStudy,
         plant: PlantSpec,
         request: Request,
-        only: str,
+        patterns: Sequence[str],
         progress: TuningProgress,
     ) -> None:
         self.search = search
-        self._one, self._plant, self._request, self._only = one, plant, request, only
+        self._one, self._plant, self._request, self._patterns = one, plant, request, patterns
         self._spans, self._progress = reference_spans(one), progress
 
     def go_on(self, trials: int) -> Generator[list[Case], list[CaseResult], None]:
@@ -375,8 +377,8 @@ class _Tuning:
         if self._request.by_prediction:  # which is known before the first sample
             changes["loop"] = study.loop.model_copy(update={"duration": study.loop.sampling_time})
         changed = replace(self._one, study=study.model_copy(update=changes))
-        problem = {self.search.problem: (changed, self._plant)}
-        return cases_of_problems(problem, self._request.seeds, self._only)
+        seeds = self._request.seeds
+        return list(cases_of_problem(changed, self._plant, self.search.problem, seeds, self._patterns))
 
 
 def _run_all(

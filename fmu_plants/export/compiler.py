@@ -17,6 +17,7 @@ from pathlib import Path
 from fmu_plants.export.binaries import exported_symbols
 from fmu_plants.export.platforms import Platform, host_platform
 from fmu_plants.files import cache_dir
+from fmu_plants.installing import how_to_install
 from fmu_plants.model import ExportError
 
 # The largest FMUs take some minutes.
@@ -36,8 +37,8 @@ ZIG = (sys.executable, "-P", "-m", "ziglang", "cc")  # -P: nothing in the curren
 
 _NO_ZIG = (
     "compiling for other platforms needs the Python package ziglang, which is not installed: "
-    '`pip install "ddpc-cosim[zig]"` (or `pip install ziglang`); without --platforms, the FMU is for this '
-    "platform and any C compiler will do."
+    f"{how_to_install('zig')} (or `pip install ziglang`); without --platforms, the FMU is for this platform "
+    "and any C compiler will do."
 )
 
 _FOR_SIZE = "-Os"

@@ -43,8 +43,8 @@ class _Said(NamedTuple):
 def fairness_statements(results: StudyResults, conditions: Sequence[Condition]) -> list[Statement]:
     """Return the terms of the comparison, as the study sets them and as its first seed was run.
 
-    What is the same for all stands together; then, topic by topic, what is not. Of controllers that do not
-    tell a fact, it is said that it is not known.
+    What is known to be the same for all stands together; then, topic by topic, what is not. Of controllers
+    that do not tell a fact, it is said that it is not known.
     """
     if not conditions or not conditions[0].controllers:
         return []
@@ -109,7 +109,7 @@ def _used(one: ControllerResults, trace: Trace | None) -> _Fact:
 def _limits(first: Condition) -> _Said:
     traces = list(first.first_traces.values())
     if not traces:
-        return _Said(Markup("No run tells the limits."), alike=True)
+        return _Said(Markup("No run tells the limits."), alike=False)
 
     def limits(signal: int, one: ControllerResults, trace: Trace | None) -> _Fact:
         told = limits_texts(trace)[signal] if trace else ""
@@ -183,9 +183,7 @@ def _tuning(results: StudyResults, first: Condition) -> _Said:
         if not (table := tables.get(one.key)):
             return _NOT_KNOWN
         how = _tuned_words(table, [case.seed for case in one.cases])
-        return _Fact(
-            *(f"{has} settings found in {counted(table.trials, 'trial')} {how}" for has in ("has", "have"))
-        )
+        return _Fact(f"has settings {how}", f"have settings {how}")
 
     if not first.contenders:
         return _Said(Markup(""), alike=True)
@@ -197,12 +195,14 @@ def _tuning(results: StudyResults, first: Condition) -> _Said:
 
 
 def _tuned_words(tuned: TunedSection, reported: Sequence[int]) -> str:
+    if not tuned.trials or not tuned.seeds:
+        return f"from {tuned.source}"
     seeds = f"{'seed' if len(tuned.seeds) == 1 else 'seeds'} {compact_seeds(tuned.seeds)}"
     source = f" ({tuned.source})" if tuned.source else ""
     shared = [seed for seed in dict.fromkeys(reported) if seed in tuned.seeds]
     # With `run --seeds` a study can be reported on seeds that are not its own.
     again = f", seeds of the tuning reported here: {compact_seeds(shared)}" if shared else ""
-    return f"on {seeds}, by {tuned.by}{source}{again}"
+    return f"found in {counted(tuned.trials, 'trial')} on {seeds}, by {tuned.by}{source}{again}"
 
 
 def _sentence(
@@ -229,7 +229,8 @@ def _sentence(
         unknown = Markup("of {} it is not known {}").format(who, what)
         parts.append(unknown if fact == _NOT_KNOWN else Markup("{} {}").format(who, said))
     text = Markup("; ").join(parts)
-    return _Said(text[:1].upper() + text[1:] + ".", alike=len(groups) == 1)
+    # What is not known of anybody may differ all the same.
+    return _Said(text[:1].upper() + text[1:] + ".", alike=len(groups) == 1 and most != _NOT_KNOWN)
 
 
 def _values(settings: object) -> Iterator[object]:

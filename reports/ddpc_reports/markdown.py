@@ -37,9 +37,9 @@ def markdown(results: Sequence[StudyResults]) -> str:
 def _part(part: StudyPart) -> Iterator[str]:
     yield ""
     yield from (f"**{_text(line)}.**\n" for line in part.warnings)
-    yield from (f"{_text(line)}.\n" for line in part.remarks)
     if part.answer:
         yield from (_line(part.answer), "")
+    yield from (f"{_text(line)}.\n" for line in part.remarks)
     yield "; ".join(f"{_text(name)}: {_text(value)}" for name, value in part.facts.items())
     yield from _blocks(part.first)
     for section in part.sections:

@@ -180,7 +180,7 @@ def _worth_row(condition: Condition, group: Sequence[Sweep], key: str) -> Row | 
     values = [_median(base, key), _median([best], key), _median([worst], key)]
     own, least, most = number_cells(values)
     change = 100 * (values[1] / values[0] - 1) if values[0] > 0 else math.nan
-    edges = ", ".join(_edges(best_sweep, best)) or "no"
+    edges = ", ".join(_edges(best_sweep, best, base)) or "no"
     cells = (
         own,
         replace(least, best=not values[0] <= values[1]),
@@ -195,13 +195,13 @@ def _worth_row(condition: Condition, group: Sequence[Sweep], key: str) -> Row | 
     return Row(group[0].label, cells, group[0].base, index, title)
 
 
-def _edges(sweep: Sweep, best: ControllerResults) -> Iterator[str]:
-    """Yield the settings of which the best value is the smallest or the largest of three or more."""
+def _edges(sweep: Sweep, best: ControllerResults, own: Sequence[ControllerResults]) -> Iterator[str]:
+    """Yield the settings of which the best value is the smallest or the largest that was tried."""
     for setting in sweep.settings:
-        given = [sweep.value(one.key, setting) for one in sweep.variants]
+        given = [sweep.value(one.key, setting) for one in (*sweep.variants, *own)]
         numbers = {value for value in given if isinstance(value, int | float) and not isinstance(value, bool)}
         value = sweep.value(best.key, setting)
-        if len(numbers) > 2 and value in (min(numbers), max(numbers)):
+        if len(numbers) > 1 and value in (min(numbers), max(numbers)):
             which = "smallest" if value == min(numbers) else "largest"
             yield f"{setting}: {which}"
 

@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import CaseResult
+from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.metrics import metric_name, split_key
 from ddpc_cosim.study.statistics import Difference
 from ddpc_reports.comparison import (
@@ -555,13 +556,34 @@ def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
 def limitations(conditions: Sequence[Condition]) -> list[str]:
     """Return the study's own limitations, then those that its results show."""
     found = [*conditions[0].results.study.report.limitations] if conditions else []
-    found += _of_cases(conditions) + _of_windows(conditions) + _of_seeds(conditions)
+    found += (
+        _of_references(conditions) + _of_cases(conditions) + _of_windows(conditions) + _of_seeds(conditions)
+    )
     if conditions:
         found.append(
             "Step times are wall-clock times of one machine under the load it had; they rank "
             "implementations, not methods."
         )
     return found
+
+
+def _of_references(conditions: Sequence[Condition]) -> list[str]:
+    """Name the references that go beyond the limits of their own outputs, and for whom, where not for all."""
+    found: dict[str, list[str]] = {}
+    everyone = dict.fromkeys(one.label for condition in conditions for one in condition.controllers)
+    for condition in conditions:
+        for one in condition.controllers:
+            if (trace := condition.first_traces.get(one.key)) is None:
+                continue
+            limits = trace.bounds.y_min, trace.bounds.y_max
+            for text in references_beyond_limits(trace.outputs, trace.reference, *limits):
+                found.setdefault(text, []).append(one.label)
+    return [
+        f"{text[:1].upper()}{text[1:]}"
+        + ("" if set(labels) == set(everyone) else f" ({', '.join(dict.fromkeys(labels))})")
+        + f": {CANNOT_FOLLOW}."
+        for text, labels in found.items()
+    ]
 
 
 def _of_cases(conditions: Sequence[Condition]) -> list[str]:

@@ -235,7 +235,7 @@ def test_a_missing_measurement_is_predicted_and_a_missing_reference_holds_the_in
 
 def test_without_casadi_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(ConfigError, match=r'pip install "ddpc-cosim\[nmpc\]"'):
+    with pytest.raises(ConfigError, match=r"NMPC needs CasADi: .*`uv sync --extra nmpc"):
         NMPC(model="pendulum")
 
 

@@ -166,7 +166,19 @@ def test_of_runs_without_a_sample_nothing_is_known(make_results: MakeResults) ->
         return replace(trace, **none, status=(), solve_time=trace.solve_time[:0])
 
     said = told(make_results(lost, controllers()))
-    assert said["The same for all"].startswith(
-        "Of all controllers it is not known how far ahead the reference was seen."
+    assert "The same for all" not in said
+    assert said["Preview"] == "Of all controllers it is not known how far ahead the reference was seen."
+    assert said["Limits"] == "No run tells the limits."
+    assert said["Tuning"] == "Of all controllers it is not known how settings were found."
+
+
+def test_settings_of_a_publication_are_told_by_their_source(make_results: MakeResults) -> None:
+    table = {"source": "Table 1 of the paper"}
+    everyone = told(make_results(run, controllers(**dict.fromkeys(LABELS, table))))
+    assert "All controllers have settings from Table 1 of the paper." in everyone["The same for all"]
+    assert "Tuning" not in everyone
+    some = told(make_results(run, controllers(data=table, model=TUNED)))["Tuning"]
+    assert some.startswith(
+        "Data-driven has settings from Table 1 of the paper; Model-based has settings found"
     )
-    assert "No run tells the limits." in said["The same for all"]
+    assert some.endswith("So the effort spent on tuning is not known to be equal.")

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ddpc_cosim import ConfigError, FloatArray, Loop, Variable
+from ddpc_cosim import ConfigError, FloatArray, Loop, MissingLibraryError, Variable
 from ddpc_cosim.plugins import installed, load_plugin
 
 _STEP_TIMES_POLE = 2.0
@@ -31,13 +31,13 @@ def casadi() -> Any:
 
     Raises
     ------
-    ConfigError
+    MissingLibraryError
         It is not installed.
     """
     try:
         return import_module("casadi")
     except ImportError as error:
-        raise ConfigError('NMPC needs CasADi: pip install "ddpc-cosim[nmpc]"') from error
+        raise MissingLibraryError.of("NMPC", "CasADi", "nmpc") from error
 
 
 def find_model(model: str, fmu: str) -> Any:

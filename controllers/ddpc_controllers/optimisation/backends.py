@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, Protocol, get_args
 import numpy as np
 import piqp
 
-from ddpc_cosim import ConfigError, FloatArray
+from ddpc_cosim import FloatArray, MissingLibraryError
 
 BackendName = Literal["piqp", "daqp"]
 BACKENDS: tuple[str, ...] = get_args(BackendName)
@@ -135,7 +135,7 @@ class DAQPBackend(_DenseBackend):
 
     Raises
     ------
-    ConfigError
+    MissingLibraryError
         It is not installed.
     """
 
@@ -144,9 +144,8 @@ class DAQPBackend(_DenseBackend):
         try:
             import_module("daqp")
         except ImportError as error:
-            raise ConfigError(
-                "backend = 'daqp' needs the package daqp: install ddpc-cosim[daqp], or use backend = 'piqp'"
-            ) from error
+            needed = MissingLibraryError.of("backend = 'daqp'", "DAQP", "daqp")
+            raise MissingLibraryError(f"{needed}; or use backend = 'piqp'") from error
 
     def _set_up(self, gain: FloatArray) -> Any:
         """Set the solver up at no excess: it refuses to be set up with bounds that no t meets."""
@@ -175,10 +174,16 @@ def make_backend(name: str) -> Backend:
 
     Raises
     ------
-    ConfigError
+    MissingLibraryError
         The solver is not installed.
     """
     return DAQPBackend() if name == "daqp" else PIQPBackend()
+
+
+def require_backend(name: str) -> None:
+    """Raise MissingLibraryError if a solver is not installed; PIQP, which always is, is not imported."""
+    if name != "piqp":
+        make_backend(name)
 
 
 SparseBlocks = Mapping[str, Any]

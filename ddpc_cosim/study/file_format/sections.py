@@ -1,6 +1,7 @@
 """The study file: its sections, keys and ranges. Read by :mod:`ddpc_cosim.study.reading`."""
 
 import itertools
+import math
 import reprlib
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -279,15 +280,16 @@ class LoopSection(Section):
 
 
 class BoundsSection(Section):
-    """Limits of one input or controlled output; a side left out is the plant's own."""
+    """Limits of one input or controlled output; one left out is the plant's, an infinite one is none."""
 
-    min: Finite | None = None
-    max: Finite | None = None
+    min: float | None = Field(None, description="lower limit; -inf: none, though the plant has one")
+    max: float | None = Field(None, description="upper limit; inf: none, though the plant has one")
     unit: str = Field("", description="unit of min and max; empty: the variable's own")
 
     def cross_field_errors(self) -> Iterator[tuple[str, str]]:
         """Yield what is wrong with the order of the limits."""
-        if self.min is not None and self.max is not None and (error := limits_error((self.min, self.max))):
+        low, high = -math.inf if self.min is None else self.min, math.inf if self.max is None else self.max
+        if error := limits_error((low, high)):
             yield "", error
 
 
@@ -455,17 +457,19 @@ class MetricsSection(Section):
 
 
 class TunedSection(Section):
-    """How settings of a controller were found, which the report states."""
+    """How settings of a controller were found, which the report states: by trials, or a source alone."""
 
-    settings: Annotated[list[str], Field(min_length=1)] = Field(
-        description="names of the settings that were found so; dotted where a setting is a table"
+    settings: Annotated[list[str], Field(min_length=1)] | None = Field(
+        None, description="names of the settings that were found so; dotted where a setting is a table"
     )
-    trials: Annotated[int, Field(ge=1)] = Field(description="number of settings tried")
-    seeds: Annotated[Seeds, Field(min_length=1)] = Field(
-        description="seeds of the trials; none of them may be a seed of the study"
+    trials: Annotated[int, Field(ge=1)] | None = Field(None, description="number of settings tried")
+    seeds: Annotated[Seeds, Field(min_length=1)] | None = Field(
+        None, description="seeds of the trials; none of them may be a seed of the study"
     )
-    by: str = Field(description="what was compared, e.g. median rmse over the scenarios")
-    source: Text = Field("", description="where the trials can be repeated from")
+    by: str | None = Field(None, description="what was compared, e.g. median rmse over the scenarios")
+    source: Text = Field(
+        "", description="where the trials can be repeated from; alone: where the settings are, e.g. a table"
+    )
     sampler_seed: Annotated[int, Field(ge=0)] = Field(
         0, description="seed of the search, which decides what is tried"
     )
@@ -473,6 +477,15 @@ class TunedSection(Section):
         [],
         description="settings found at an end of where was looked: a wider search may find others",
     )
+
+    def cross_field_errors(self) -> Iterator[tuple[str, str]]:
+        """Yield what is missing."""
+        of_trials = {key: getattr(self, key) for key in ("settings", "trials", "seeds", "by")}
+        missing = [key for key, value in of_trials.items() if value is None]
+        if len(missing) < len(of_trials):
+            yield from ((key, "required key is missing") for key in missing)
+        elif not self.source:
+            yield "source", f"required key is missing; or give {', '.join(missing)}"
 
 
 _Ends = Annotated[list[Finite], Field(min_length=2, max_length=2)]
@@ -536,7 +549,7 @@ class ControllerSection(Section):
         [], description="for `ddpc-cosim tune`: settings that are tried next after those given"
     )
     tuned: Annotated[TunedSection | None, BeforeValidator(_none_if_false)] = Field(
-        None, description="how settings were found; none, or `false`: as the study says"
+        None, description="how settings were found; none, or `false`: that is not known"
     )
     variant_of: str = Field("", description="the controller whose sweep this one is part of")
     varied: list[str] = Field([], description="settings in which it differs from that controller")

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ddpc_cosim.controller import Recording
-from ddpc_cosim.errors import ConfigError, CosimError
+from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
 from ddpc_cosim.plugins import names_in, origin, own_files, own_folder, plugin_names, values_of
 from ddpc_cosim.processes.scratch import ScratchFolder, remove
 from ddpc_cosim.settings import hash_of_file
@@ -111,8 +111,7 @@ def _connected(scheduler: str) -> "Iterator[Client]":
     try:
         from distributed import Client
     except ModuleNotFoundError as error:
-        remedy = 'install it with: pip install "ddpc-cosim[cluster]"'
-        raise ConfigError(f"--executor dask needs dask.distributed ({error}); {remedy}") from error
+        raise MissingLibraryError.of("--executor dask", "dask.distributed", "cluster") from error
     try:
         client = Client(scheduler, timeout=_CONNECT_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:

@@ -137,7 +137,7 @@ def _controllers_table(results: StudyResults, units: Mapping[str, str], prefix: 
         "name": [key if key != label else "" for key, (label, _) in own.items()],
         "differs from the study": [_own_words(section, units) for _, section in own.values()],
         "tuned settings": [
-            ", ".join(section.tuned.settings) if section.tuned else "" for _, section in own.values()
+            ", ".join(section.tuned.settings or ()) if section.tuned else "" for _, section in own.values()
         ],
         "note": [section.note for _, section in own.values()],
     }

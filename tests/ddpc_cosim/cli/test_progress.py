@@ -61,7 +61,7 @@ def test_each_running_case_the_rate_and_the_time_left_are_told(monkeypatch) -> N
         cases.update(SimpleNamespace(case=name, samples=samples, planned=10))
     assert cases.running(4) == ["a: 10 %", "b: 20 %", "c: 100 %", "d: 50 %"]
     assert cases.running(3) == ["a: 10 %", "b: 20 %", "2 more"]
-    cases.finished(SimpleNamespace(name="c", duration=40.0))
+    cases.finished(SimpleNamespace(name="c", duration=60.0), SimpleNamespace(simulated_time=40.0))
     # The clock goes on by 10 s at each look: at 10 s, and for the counts at 20 s and 30 s.
     assert cases.rate == "6 cases/min"
     assert cases.counts == "1/20 cases, 40 s simulated, 2 cases/min, about 380 s left, "

@@ -4,6 +4,7 @@ import math
 import subprocess
 import sys
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ from ddpc_cosim import (
     MixedExcitation,
     Multisine,
     ParameterChange,
+    ParameterValue,
+    Plant,
     Problem,
     Ramp,
     Recording,
@@ -43,10 +46,13 @@ from ddpc_cosim import (
     Variable,
     WhiteNoise,
     load_results,
+    record,
     setting,
 )
+from ddpc_cosim.study.cases import cases_of, run_case
 from ddpc_cosim.study.file_format.signal_sections import ExcitationSection, Excited, Experiment, InputSection
 from ddpc_cosim.study.file_format.written import controller_table, experiment_table, signal_table
+from ddpc_cosim.study.reading import read_study
 
 NUMBERS = st.floats(-1e6, 1e6)
 TIMES = st.lists(NUMBERS, min_size=1, max_size=5, unique=True).map(sorted)
@@ -267,11 +273,60 @@ def test_conditions_events_and_cost_are_in_the_file(tmp_path: Path) -> None:
         {"torque": 0.1},
         {"angle": 0.05},
     )
-    assert file["bounds"] == {"torque": {"max": 2.0}}
+    assert file["bounds"] == {"torque": {"min": -math.inf, "max": 2.0}}
     assert file["loop"] == {"sampling_time": 0.1, "duration": 1.0, "start_time": 2.0, "preview": 3}
     assert file["metrics"]["cost"]["outputs"] == {"angle": 2.0}
     assert file["metrics"]["relevant"] == {"absolute": 0.5, "percent": 2.0}
     assert file["controllers"]["MFAPC"] == {"type": "mfapc", "settings": {}}
+
+
+class Bounded(Plant):
+    """An integrator whose input has limits of its own."""
+
+    inputs = (Variable("u", min=0.0, max=1.0),)
+    outputs = (Variable("y"),)
+
+    def reset(self, parameters: Mapping[str, ParameterValue], t0: float) -> FloatArray:
+        self.y = np.zeros(1)
+        return self.y
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        self.y = self.y + h * u
+        return self.y
+
+
+def test_infinite_bounds_lift_the_plants_own(tmp_path: Path) -> None:
+    unbounded: dict[str, Any] = {"plant": Bounded, "inputs": (), "outputs": (), "excitation": None}
+    for limits in ((-math.inf, math.inf), (-math.inf, 0.5)):
+        made = problem(bounds={"u": limits}, reference=Constant(-5.0), **unbounded)
+        study = Study(made, {"PID": PID(proportional=1.0)})
+        resolved = read_study(str(study.write(tmp_path / "study.toml"))).problem
+        trace = run_case(cases_of(resolved, resolved.plant.built())[0])
+        assert (trace.bounds.u_min[0], trace.bounds.u_max[0]) == limits
+        assert trace.u.min() < 0.0
+    for wrong in ((math.inf, math.inf), (math.nan, 1.0), (2.0, -math.inf)):
+        study = Study(problem(bounds={"u": wrong}, **unbounded), {"PID": PID(proportional=1.0)})
+        with pytest.raises(ConfigError, match=r"bounds.u: min \(.*\) must be below max"):
+            study.run(tmp_path / "wrong", progress=False)
+
+
+@pytest.mark.parametrize(
+    "excitation",
+    [
+        Multisine(-1.0, 1.0, 64, sampling_time=0.05),
+        Chirp(0.0, 1.0, 40, sampling_time=0.05, from_frequency=0.1, to_frequency=2.0),
+        SignalExcitation((Steps((0.0, 1.0), (1.0, 2.0)),), 40, 0.05),
+        MixedExcitation(((PRBS(0.0, 2.0, 64), (0,)), (Multisine(-1.0, 1.0, 64, sampling_time=0.05), (1,)))),
+    ],
+    ids=lambda excitation: type(excitation).__name__,
+)
+def test_an_excitation_is_made_for_the_sampling_time_of_the_loop(excitation: Any) -> None:
+    """Another one would have other frequencies than it says."""
+    said = r"excitation: \w+ has sampling_time = 0.05 s, the loop 0.1 s"
+    with pytest.raises(ConfigError, match=f"problem: {said}"):
+        problem(excitation=excitation)
+    with pytest.raises(ConfigError, match=said):
+        record(Bounded(), excitation, sampling_time=0.1)
 
 
 @dataclass(kw_only=True)

@@ -295,7 +295,7 @@ def test_parquet_needs_its_extra_before_anything_runs(
     """Without it the results can be read, but for the samples."""
     write_case(tmp_path / "case", trace, HEAD | {"storage": "parquet"})
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    remedy = r'Parquet files need pyarrow .* pip install "ddpc-cosim\[parquet\]"'
+    remedy = r'a Parquet file needs pyarrow: `pip install "\.\[parquet\]"`'
     with pytest.raises(ConfigError, match=rf"^--storage parquet: {remedy}"):
         Selection(storage="parquet")
     case = load_case(tmp_path / "case")

@@ -2,16 +2,31 @@
 
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from ddpc_cosim import ConfigError, Controller, FloatArray, Loop, Ramp, Sample, Sine, Steps, setting
-from ddpc_cosim.study.cases import Case, cases_of
+from ddpc_cosim import (
+    PRBS,
+    Conditions,
+    ConfigError,
+    Controller,
+    FloatArray,
+    Loop,
+    ParameterChange,
+    Ramp,
+    Recording,
+    Sample,
+    Sine,
+    Steps,
+    setting,
+)
+from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.study.cases import Case, _hash_of, cases_of
 from ddpc_cosim.study.file_format.sections import expand_seeds
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
@@ -58,6 +73,10 @@ def test_the_study_of_the_paper_is_in_order() -> None:
     resolved = read_study("paper").problem
     assert resolved.study.name == "paper"
     assert resolved.study.seeds == [5489, *range(30)]
+    for name in ("paper", "claims"):
+        controllers = read_study(name).problem.study.controllers.values()
+        sources = [one.tuned.source if one.tuned else "" for one in controllers if not one.variant_of]
+        assert all("of the paper" in source for source in sources)
     assert (names(resolved.inputs), names(resolved.outputs)) == (("torque",), ("angle",))
     assert names(resolved.measurements) == ("angle", "angular_velocity")
     assert len(cases_of(resolved, TARGET)) == 7 * 31
@@ -245,6 +264,65 @@ def test_what_cannot_be_relevant_is_refused(text: str, relevant: str, fault: str
     with pytest.raises(ConfigError) as caught:
         cases(text + RELEVANT.format(relevant), tmp_path)
     assert any(fault in one for one in caught.value.faults), caught.value.faults
+
+
+OTHER: dict[str, Any] = {
+    "controller": "other",
+    "scenario": "other",
+    "section": {"type": "mfapc", "settings": {"mu": 2.0}},
+    "plant": PlantSpec("", "pendulum.fmu", content="1"),
+    "inputs": (Variable("other"),),
+    "outputs": (Variable("other"),),
+    "measurements": (Variable("other"),),
+    "sampling_time": 0.2,
+    "duration": 2.0,
+    "start_time": 1.0,
+    "continue_recording": True,
+    "reference": {"angle": Steps((0.0,), (0.3,))},
+    "bounds": {"angle": (-1.0, 1.0), "torque": (-1.0, 1.0)},
+    "excitation": PRBS(-1.0, 1.0, 40),
+    "recording": Recording(np.ones((3, 1)), np.ones((3, 1)), np.ones((3, 1)), 0.1),
+    "stabiliser": {"type": "pid", "settings": {}},
+    "parameters": {"mass": 2.0},
+    "noise": {"angle": 0.1},
+    "events": (ParameterChange(0.5, {"friction": 0.2}),),
+    "preview": 3,
+    "conditions": Conditions(delay={"torque": 0.1}),
+    "undriven": (Variable("other"),),
+}
+"""Another value of every field of a case that decides its result."""
+
+SAME: dict[str, Any] = {
+    "label": "other",
+    "id": "other",
+    "problem": "other",
+    "metrics": MetricSettings(preview=7),
+    "step_timeout": 1.0,
+    "case_timeout": 1.0,
+    "memory_limit": 1.0,
+    "late": "other",
+    "sandbox": "other",
+    "storage": "parquet",
+}
+"""Another value of every field that does not, whatever it is."""
+
+
+def case_hash(case: Case) -> str:
+    return _hash_of(case, {"recording": case.recording and case.recording.digest}).hexdigest()
+
+
+def test_every_field_of_a_case_is_known_to_decide_its_result_or_not_to(tmp_path: Path) -> None:
+    """The seed, which decides it, too, comes in the end."""
+    assert {one.name for one in fields(Case)} == {*OTHER, *SAME, "seed"}
+    (case,) = cases(SMALL, tmp_path)
+    original = case_hash(case)
+    hashes = {name: case_hash(replace(case, **{name: value})) for name, value in OTHER.items()}
+    assert original not in hashes.values()
+    assert len(set(hashes.values())) == len(hashes)
+    assert {case_hash(replace(case, **{name: value})) for name, value in SAME.items()} == {original}
+    seeds = cases(f"seeds = [0, 1]\n{SMALL}", tmp_path)
+    assert seeds[0].id == case.id
+    assert seeds[1].id.rpartition("_")[2] != case.id.rpartition("_")[2]
 
 
 def test_a_change_of_the_code_gives_another_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

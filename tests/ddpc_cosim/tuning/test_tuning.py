@@ -180,7 +180,8 @@ def test_only_what_is_selected_is_tuned_and_compared(tmp_path: Path, monkeypatch
     (tmp_path / "tuning_toys.py").write_text(TOYS, encoding="utf-8")
     (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    said = ["tune", "study.toml", "--trials", "2", "--jobs", "2", "--only", "b", "--no-report"]
+    said = ["tune", "study.toml", "--trials", "2", "--jobs", "2", "--no-report"]
+    said += ["--only", "b", "--only", "b*"]
     done = CliRunner().invoke(main, said)
     assert done.exit_code == 0, done.output
     table = Path("runs/study-tuning/trials.csv").read_text(encoding="utf-8")
@@ -189,7 +190,7 @@ def test_only_what_is_selected_is_tuned_and_compared(tmp_path: Path, monkeypatch
     assert [name for name, section in study.controllers.items() if section.tuned] == ["b"]
     how = study.controllers["b"].tuned
     assert how is not None
-    assert how.source.endswith(" --only b")
+    assert how.source.endswith(" --only b --only 'b*'")
     assert study.summary.startswith("Tuned with 2 trials each on the seeds 10000, 10001, 10002, by rmse")
     assert study.summary.endswith(": b.")
     compared = read_study("runs/study-tuning/held-out/study.toml").problem.study.controllers
@@ -247,7 +248,7 @@ def test_the_command_says_what_was_found_and_where(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr("ddpc_cosim.cli.tune.find_spec", lambda name: None)
     lacking = run(["tune", "study.toml"])
     assert lacking.exit_code == 2
-    assert 'tune needs Optuna: pip install "ddpc-cosim[tune]"' in lacking.stderr
+    assert 'tune needs Optuna: `pip install ".[tune]"` or `uv sync --extra tune`' in lacking.stderr
 
 
 def result(scenario: str, seed: int, rmse: float, outcome: Outcome = Outcome.COMPLETED) -> CaseResult:

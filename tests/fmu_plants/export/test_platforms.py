@@ -242,5 +242,5 @@ def test_a_machine_that_nothing_is_compiled_for_is_named(monkeypatch):
 
 def test_without_ziglang_it_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ExportError, match=r"pip install \"ddpc-cosim\[zig\]\""):
+    with pytest.raises(ExportError, match=r"pip install \"\.\[zig\]\""):
         export_fmu(MODEL, tmp_path / "pendulum.fmu", platforms="all")

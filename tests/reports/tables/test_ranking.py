@@ -201,3 +201,27 @@ def test_what_tuning_is_worth_is_the_best_of_the_grid_against_the_own_settings(
     assert change.raw == pytest.approx(100 * (value["a3"] / value["a"] - 1))
     assert best.best
     assert (settings.text, edge.text, failed.text) == ("weight = 4", "weight: largest", "0 of 3")
+
+
+@pytest.mark.parametrize(
+    ("own", "tried", "edge"),
+    [
+        (2.0, {1.0: 0.3, 3.0: 0.6}, "weight: smallest"),
+        (2.0, {1.0: 0.6, 3.0: 0.3}, "weight: largest"),
+        (0.5, {1.0: 0.3, 3.0: 0.6}, "no"),
+        (2.0, {1.0: 0.6, 2.5: 0.3, 3.0: 0.5}, "no"),
+        (2.0, {1.0: 0.3}, "weight: smallest"),
+    ],
+)
+def test_the_best_is_at_the_edge_where_nothing_beyond_it_was_tried(
+    make_results: MakeResults, own: float, tried: dict[float, float], edge: str
+) -> None:
+    """The own value is one of those tried, wherever it lies."""
+    lags = {"a": 0.5} | {f"a-{weight:g}": lag for weight, lag in tried.items()}
+    controllers: dict[str, dict[str, Any]] = {"a": {"type": "a", "settings": {"weight": own}}}
+    for weight in tried:
+        varied = {"type": "a", "variant_of": "a", "varied": ["weight"]}
+        controllers[f"a-{weight:g}"] = varied | {"settings": {"weight": weight}}
+    part = gather([make_results(lambda key, seed: make_trace(lags[key]), controllers)]).parts[0]
+    table = next(c for kind, c in part.first if kind == "table" and c.id.endswith("worth"))
+    assert table.rows[0].cells[5].text == edge

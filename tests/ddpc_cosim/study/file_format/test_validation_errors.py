@@ -639,6 +639,10 @@ def test_how_settings_were_found_can_be_said(tmp_path: Path) -> None:
         controllers__wkpc__tuned=tuned(settings=["dictionary.count"])["controllers"]["deepc"]["tuned"]
     )
     assert errors_of(study, tmp_path) == []
+    elsewhere = changed(controllers__deepc__tuned={"source": "Table 1 of a paper"})
+    assert errors_of(elsewhere, tmp_path) == []
+    (error,) = errors_of(changed(controllers__deepc__tuned={}), tmp_path)
+    assert error.startswith("controllers.deepc.tuned.source: required key is missing; or give settings, ")
 
 
 @pytest.mark.parametrize(

@@ -312,7 +312,7 @@ def test_without_the_extra_the_remedy_is_told(
     write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ConfigError, match=r'needs dask\.distributed .*: pip install "ddpc-cosim\[cluster\]"'):
+    with pytest.raises(ConfigError, match=r'needs dask\.distributed: `pip install "\.\[cluster\]"`'):
         run(write_study("mfapc"), "out", executor="dask", scheduler="tcp://127.0.0.1:1")
 
 

@@ -1,0 +1,81 @@
+"""A test vector: what a controller answers to recorded samples, started anew again and again.
+
+A controller by itself may be unstable, though with its plant it is not. Fed with recorded samples from one
+start on, roundings grow in it without a bound. Here the past of every sample is a few recorded ones after a
+start, within which they cannot.
+"""
+
+import csv
+import io
+from collections.abc import Callable, Iterator
+from copy import deepcopy
+from dataclasses import replace
+
+import numpy as np
+
+from ddpc_cosim.controller import OK, Controller, Loop, Sample
+from ddpc_cosim.safe_calls import ask_controller, clip_inputs, horizon_of, start_controller
+from ddpc_cosim.trace import Trace
+from ddpc_cosim.variables import FloatArray, names
+from fmu_plants.export.sampled_block import SampledBlock
+
+SAMPLES = 100
+"""Of the recorded run so many are in a vector."""
+_FROM_A_START = 10
+
+
+def vector_of(block: SampledBlock, make: Callable[[], Controller], loop: Loop, trace: Trace) -> str:
+    """Return the test vector of a controller's code as the text of a CSV file.
+
+    Each row has in its columns ``start`` (1: ``controller_start`` is called before), the arguments y and r of
+    ``controller_step`` in their order, u as Python answers, and ``fallback`` (1: the status is not 0).
+
+    Parameters
+    ----------
+    block : SampledBlock
+        What the controller became.
+    make : callable
+        Makes the controller.
+    loop : Loop
+        The loop that it was started with, with its random numbers as they were before.
+    trace : Trace
+        A run of the same case: its samples are those of the vector.
+    """
+    signals = (*block.measurements, *block.references, *block.controls)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["start", *(variable.name for variable in signals), "fallback"])
+    for row in _rows(make, loop, trace):
+        writer.writerow([repr(float(value)) if isinstance(value, float) else value for value in row])
+    return text.getvalue()
+
+
+def _rows(make: Callable[[], Controller], loop: Loop, trace: Trace) -> Iterator[list[float | int]]:
+    seen, others = _measured(loop, trace)
+    for k in range(min(SAMPLES, len(trace))):
+        begins = k % _FROM_A_START == 0
+        if begins:
+            controller = make()
+            start_controller(controller, replace(loop, rng=deepcopy(loop.rng)))
+            horizon = horizon_of(controller)
+            preview = min(loop.preview, horizon)
+        ahead = np.minimum(np.arange(1, horizon + 1), preview) + k
+        wanted = trace.reference[np.minimum(ahead, len(trace) - 1)]
+        i = k % _FROM_A_START
+        sample = Sample(
+            i, i * loop.sampling_time, seen[k], trace.measured[k].copy(), wanted, trace.reference[k].copy()
+        )
+        decision = clip_inputs(ask_controller(controller, sample, len(loop.inputs)), loop.bounds)
+        y = [*seen[k].tolist(), *trace.measured[k][others].tolist()]
+        r = [*trace.reference[k].tolist(), *wanted[:preview].ravel().tolist()]
+        yield [int(begins), *y, *r, *decision.u.tolist(), int(decision.status != OK)]
+
+
+def _measured(loop: Loop, trace: Trace) -> tuple[FloatArray, list[int]]:
+    """Return the controlled outputs as measured, shape (K, p), and which measurements are others."""
+    outputs, measurements = names(loop.outputs), names(loop.measurements)
+    seen = trace.y.copy()
+    for i, name in enumerate(outputs):
+        if name in measurements:
+            seen[:, i] = trace.measured[:, measurements.index(name)]
+    return seen, [j for j, name in enumerate(measurements) if name not in outputs]
