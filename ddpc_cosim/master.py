@@ -5,10 +5,12 @@ At every sample the plant is measured, the controller decides, the row is writte
 inputs until the next sample. The experiment that records data is the same loop with an exciting controller.
 """
 
+import os
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from functools import wraps
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -35,6 +37,7 @@ from ddpc_cosim.loop_setup import (
     whole_steps,
 )
 from ddpc_cosim.plant import ParameterValue, Plant
+from ddpc_cosim.processes.fork_server import ONE_THREAD
 from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.safe_calls import (
     NotFiniteError,
@@ -71,6 +74,26 @@ EARLY = 1e-6
 """How far a sample time can lie before the instant it stands for, in sampling times."""
 
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def _on_one_thread(function: Callable[P, T]) -> Callable[P, T]:
+    """Have linear algebra done on one thread, in any process as in a worker, whose environment says it."""
+
+    @wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> T:
+        if os.environ.items() >= ONE_THREAD.items():
+            return function(*args, **kwargs)
+        from threadpoolctl import threadpool_limits  # a worker does without
+
+        with threadpool_limits(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited
+
+
+@_on_one_thread
 def cosimulate(
     plant: Plant,
     controller: Controller | None,
@@ -221,6 +244,7 @@ def cosimulate(
     )
 
 
+@_on_one_thread
 def record(
     plant: Plant,
     excitation: Excitation,

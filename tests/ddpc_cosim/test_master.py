@@ -1,5 +1,8 @@
 """The loop, seen by a plant and a controller that write down what is done to them."""
 
+import os
+import subprocess
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -511,3 +514,46 @@ def test_an_open_loop_needs_neither_inputs_nor_outputs() -> None:
     plant.reset = lambda *_: np.empty(0)  # type: ignore[method-assign, assignment]
     plant.step = lambda *_: np.empty(0)  # type: ignore[method-assign, assignment]
     assert len(cosimulate(plant, None, sampling_time=0.5, duration=1.0, reference={})) == 3
+
+
+THREADS = """
+import numpy as np
+import scipy.linalg
+from threadpoolctl import threadpool_info, threadpool_limits
+from ddpc_cosim import Constant, Controller, Plant, UniformRandom, Variable, cosimulate, record
+
+def threads():
+    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+class Lag(Plant):
+    inputs, outputs = (Variable("u", min=-1.0, max=1.0),), (Variable("y"),)
+    def reset(self, parameters=None, t0=0.0):
+        seen.append(threads())
+        return np.zeros(1)
+    def step(self, u, h):
+        return np.zeros(1)
+
+class Sees(Controller):
+    def start(self, loop):
+        seen.append(threads())
+    def step(self, sample):
+        seen.append(threads())
+        if sample.k == 3:
+            raise ValueError
+        return np.zeros(1)
+
+seen = []
+with threadpool_limits(2, "blas"):
+    before = threads()
+    cosimulate(Lag(), Sees(), sampling_time=0.1, duration=1.0, reference=Constant(0.0))
+    record(Lag(), UniformRandom(low=-1.0, high=1.0, samples=5), sampling_time=0.1)
+    assert threads() == before, (threads(), before)
+assert seen == [{1}] * 7, seen
+"""
+
+
+def test_linear_algebra_has_one_thread_during_a_run_as_in_a_worker() -> None:
+    """And as many as before afterwards, also where the run has failed: the process is the caller's."""
+    own = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", THREADS], env=own, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
