@@ -1,8 +1,8 @@
 """Write the tables of benchmark.md from the results of the benchmark and the trials that led to its settings.
 
 Run ``python docs/scripts/benchmark_tables.py RESULTS TRIALS [TRIALS ...]``: the folder that ``ddpc-cosim run
-benchmark`` wrote, ``trials.csv`` of the tuning of all problems (of several, if parts were tuned apart, joined by
-a comma), and those of the tunings with another seed of the sampler. A table stands between
+benchmark`` wrote, ``trials.csv`` of the tuning of all problems (if parts were tuned apart, several, joined by
+commas), and those of the tunings with another seed of the sampler. A table stands between
 ``<!-- table: NAME -->`` and ``<!-- end -->``.
 """
 
@@ -33,7 +33,9 @@ def methods(found: Overall) -> str:
     """Return ranks, shares, failed runs and cost of each method, the best rank first."""
     far = found.distances
     assert far is not None
-    table = [["method", "average rank", "share of the way [95 % interval]", "failed runs", "step", "learns from"]]
+    table = [
+        ["method", "average rank", "share of the way [95 % interval]", "failed runs", "step", "learns from"]
+    ]
     for key, one in found.controllers.items():
         failed, runs = found.failed[key]
         step, samples = far.step[key] * 1e6, far.recorded[key]
@@ -96,7 +98,9 @@ def order(trials: dict[tuple[str, str], dict[str, str]], problem: str) -> dict[s
 
 def again(first: dict[tuple[str, str], dict[str, str]], others: Iterable[Path]) -> str:
     """Return how the order of the methods moves where a problem is tuned with another seed of the sampler."""
-    table = [["problem", "Kendall's tau-b", "error of the first, then of the second tuning: places that change"]]
+    table = [
+        ["problem", "Kendall's tau-b", "error of the first, then of the second tuning: places that change"]
+    ]
     for path in others:
         second = chosen([path])
         problem = next(iter(second))[0]
