@@ -9,6 +9,8 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any, NamedTuple
 
+import numpy as np
+
 NAN = math.nan
 
 
@@ -83,7 +85,7 @@ def outputs_of(folder: Path, preview: int) -> dict[str, tuple[dict[str, Any], li
 
 def figures_of(folder: Path, preview: int) -> dict[str, float]:
     """Return the figures of a completed case by the keys of metrics.csv."""
-    table = {}
+    table: dict[str, float] = {}
     for name, (output, stretches, errors) in outputs_of(folder, preview).items():
         shown = output["display_unit"] or {"name": output["unit"], "factor": 1.0}
         unit, factor = shown["name"] or "1", abs(shown["factor"])
@@ -114,7 +116,7 @@ class Ends(NamedTuple):
     offset: float
     rows: int
     step: float
-    constant: bool
+    settling: bool
 
 
 def verdict(folder: Path, preview: int) -> Verdict:
@@ -126,50 +128,80 @@ def verdict(folder: Path, preview: int) -> Verdict:
     rests = resting["outcome"] == "completed"
     study = tomllib.loads((folder.parents[1] / "study.toml").read_text(encoding="utf-8"))
     scenario = study["scenarios"][run["scenario"]]
-    far, errors, at_rest, unavoidable, left = False, [], [], [], list[float]()
+    far, left, worse, alone = False, list[float](), list[float](), list[float]()
     for i, output in enumerate(run["outputs"]):
         r, y = own[output["name"]]
         _, nothing = rest[output["name"]]
+        travel = span([*r, y[0]])
+        if min(r) == max(r) and at_rest(travel, [*r, *y]):
+            travel = 0.0
         goes = max(abs(one - nothing[0]) for one in nothing) if rests else 0.0
-        size = max(max(*r, y[0]) - min(*r, y[0]), goes)
-        if not size:
-            width = float(run["bounds"]["y_max"][i]) - float(run["bounds"]["y_min"][i])
-            size = width if math.isfinite(width) else output["nominal"]
-        curvature = [nothing[k + 1] - 2 * nothing[k] + nothing[k - 1] for k in range(1, len(nothing) - 1)]
-        scattered = 1.4826 * median(map(abs, curvature)) / math.sqrt(6)
+        moves = max(travel, 0.0 if at_rest(goes, [*r, *nothing]) else goes)
+        width = float(run["bounds"]["y_max"][i]) - float(run["bounds"]["y_min"][i])
+        size = moves or (width if math.isfinite(width) else max(output["nominal"], *map(abs, r)))
+        scattered = min(scatter(y), scatter(nothing))
         s = math.hypot(scenario.get("noise", {}).get(output["name"], 0.0), scattered)
         half = 0.5 * scenario.get("quantum", {}).get(output["name"], 0.0)
-        mean_magnitude = math.sqrt(2 / math.pi) * s + half
-        for end in ends_of(r, y, preview, run["sampling_time"]):
-            far |= (end.magnitude - mean_magnitude) / size > 0.5
-            if end.constant:
-                offset = max(end.offset - 3 * s / math.sqrt(end.rows) - half, 0.0)
-                left.append(100 * offset / (abs(end.step) or size))
-        errors.append(mean_error(r, y) / size)
-        at_rest.append(mean_error(r, nothing) / size if rests else math.inf)
-        unavoidable.append(mean_magnitude / size)
-    worse = fmean(errors) - fmean(at_rest) > fmean(unavoidable) + 0.01
-    return Verdict(far or worse, max(left) <= 5.0 if left else None)
+        ends = ends_of(r, y, preview, run["sampling_time"])
+        for end in ends:
+            far |= end.magnitude - mean_magnitude(s, end.rows) - half >= 0.5 * size
+            if end.settling:
+                offset = max(end.offset - 4 * s / math.sqrt(end.rows) - half, 0.0)
+                left.append(100 * offset / (abs(end.step) if abs(end.step) > 0.01 * travel else size))
+        if rests:
+            more = mean_magnitude(s, sum(end.rows for end in ends)) + half
+            worse.append((mean_error(r, y) - mean_error(r, nothing) - more) / size)
+            alone += worse[-1:] if moves else []
+    failed = far or (rests and max(fmean(worse), *alone) > 0.01)
+    return Verdict(failed, max(left) <= 5.0 if left else None)
+
+
+def span(values: list[float]) -> float:
+    return max(values) - min(values)
+
+
+def at_rest(moved: float, values: list[float]) -> bool:
+    """Return whether what moved by so much rests, rounded as its values may be."""
+    return moved <= 1e-4 * max(map(abs, values))
+
+
+def mean_magnitude(s: float, rows: int) -> float:
+    """Return the mean magnitude of Gaussian noise, and four standard errors of it."""
+    return math.sqrt(2 / math.pi) * s + 4 * math.sqrt(1 - 2 / math.pi) * s / math.sqrt(rows)
+
+
+def scatter(y: list[float]) -> float:
+    """Return the standard deviation of what the last value and the last change do not tell of the next."""
+    if len(y) < 10 or not span(y):
+        return 0.0
+    x = np.array(y) - fmean(y)
+    told = np.column_stack([np.ones(len(x) - 2), x[1:-1], np.diff(x)[:-1]])
+    # A prediction that is exact up to rounding misses by next to nothing, whatever the columns' rank.
+    coefficients, *_ = np.linalg.lstsq(told / span(y), x[2:])
+    missed = sorted(map(abs, (x[2:] - told @ coefficients / span(y)).tolist()))
+    kept = missed[: len(missed) - math.ceil(0.05 * len(missed))]
+    return 1.148 * math.sqrt(math.fsum(one**2 for one in kept) / (len(kept) - 3))
 
 
 def ends_of(r: list[float], y: list[float], preview: int, h: float) -> list[Ends]:
     """Return the ends of the stretches of constant reference, else that of the run."""
-    steps = steps_of(r, y, preview, h)
-    if not steps:
-        return [_end(r, y, range(len(r) - max(round(len(r) / 5), 1), len(r)), 0.0, constant=False)]
+    stretches = steps_of(r, y, preview, h)
+    if not stretches:
+        return [_end(r, y, range(len(r) - max(round(len(r) / 5), 1), len(r)), 0.0, settling=False)]
+    steps_nowhere = all(math.isnan(one.size) for one in stretches)
     found = []
-    for one in steps:
+    for one in stretches:
         last = one.end - preview
         # A run may begin away from its reference: that is no step of it.
         step = 0.0 if one.first == 0 or math.isnan(one.size) else one.size
         tail = range(last - round((last - one.first) / 5), last)
-        found.append(_end(r, y, tail, step, constant=True))
+        found.append(_end(r, y, tail, step, settling=steps_nowhere or not math.isnan(one.size)))
     return found
 
 
-def _end(r: list[float], y: list[float], tail: range, step: float, *, constant: bool) -> Ends:
+def _end(r: list[float], y: list[float], tail: range, step: float, *, settling: bool) -> Ends:
     errors = [r[k] - y[k] for k in tail]
-    return Ends(fmean(map(abs, errors)), abs(fmean(errors)), len(tail), step, constant)
+    return Ends(fmean(map(abs, errors)), abs(fmean(errors)), len(tail), step, settling)
 
 
 def mean_error(r: list[float], y: list[float]) -> float:

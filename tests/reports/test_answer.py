@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
-from ddpc_cosim.study.standings import standings
+from ddpc_cosim.study.findings import findings_of
 from ddpc_reports.answer import answer
 from ddpc_reports.comparison import conditions
 
@@ -25,7 +25,7 @@ Make = Callable[[str, int], Trace]
 
 def said(results: StudyResults) -> str:
     """Return the answer as plain text."""
-    found = standings(results.study, results.cases)
+    found = findings_of(results.study, results.cases)
     text = re.sub("<[^>]*>", "", str(answer(results, conditions(results), found)))
     return html.unescape(text).translate({0xA0: " ", 0x202F: " ", 0x2212: "-"})
 
@@ -258,7 +258,7 @@ def test_names_are_text(make_results: MakeResults, name: str) -> None:
     results = make_results(
         lag({"a": 0.3, "b": 0.9}), {"a": {"type": "a", "label": name}, "b": {"type": "a"}}, seeds=SEEDS
     )
-    text = str(answer(results, conditions(results), standings(results.study, results.cases)))
+    text = str(answer(results, conditions(results), findings_of(results.study, results.cases)))
     assert html.escape(name, quote=True).replace("&quot;", "&#34;") in text.replace("&quot;", "&#34;")
 
 
