@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from ddpc_cosim.study.file_format.sections import Study
+    from ddpc_cosim.study.findings import Findings
     from ddpc_cosim.study.problems import WholeStudy
 
 REPORT_FILE, TRIALS_FILE = "report.html", "trials.csv"
@@ -226,6 +227,19 @@ class StudyResults:
             raise ConfigError(f'no metric "{metric}"; {did_you_mean(metric, shown)}')
         names = {case.label: case.controller for case in self.cases}
         return compare_frame(self.frame(), chosen[0], names.get(baseline, baseline))
+
+    def findings(self) -> "dict[str, Findings]":
+        """Return by problem who is ahead, how sure that is, whether it matters and who failed.
+
+        Returns
+        -------
+        findings : dict of str to Findings
+            See :class:`ddpc_cosim.study.findings.Findings`: ``lead``, ``leaders``, ``is_sure``, ``failing``,
+            ``remarks``, and ``standings`` with ranks and tests.
+        """
+        from ddpc_cosim.study.findings import findings_of
+
+        return {one.study.name: findings_of(one.study, one.cases) for one in self.problems()}
 
     def shares(self, metric: str = "") -> "pd.DataFrame":
         """Return how far each run comes on the way between the study's reference points.
