@@ -128,7 +128,8 @@ def _print_some(lines: Sequence[str], rest: str) -> None:
 
 def _damaged(results: StudyResults) -> bool:
     """Print which cases are damaged and what to do, and return whether any is."""
-    damaged, total = len(results.damaged), len(results.damaged) + len(results.cases)
+    damaged = len(results.damaged)
+    total = damaged + len(results.cases) + len(results.resting)
     _print_some([f"error: {why}" for why in results.damaged.values()], "")
     if damaged:
         remedy = f"run the study again with --out {results.folder}: only they are run"

@@ -540,7 +540,7 @@ def _damaged_blocks(results: StudyResults) -> list[Block]:
     if not results.damaged:
         return []
     damaged = [*map(without_folders, results.damaged.values())]
-    total = len(damaged) + len(results.cases)
+    total = len(damaged) + len(results.cases) + len(results.resting)
     first = (
         f"{len(damaged)} of {total} cases are damaged and left out: all that follows is of the others. "
         "Run the study again with the same folder of results: only they are run."

@@ -220,7 +220,7 @@ def test_damaged_samples_do_not_give_a_traceback(folder: Path, write_study: Writ
     result = invoke("report", "out")
     assert result.exit_code == 1
     assert f"{samples.parent.name}: damaged: signals.csv is not what was written" in result.stderr
-    assert "1 of 1 cases are damaged" in Path("out/report.html").read_text(encoding="utf-8")
+    assert "1 of 2 cases are damaged" in Path("out/report.html").read_text(encoding="utf-8")
 
 
 def test_fresh_runs_everything_again(folder: Path, write_study: WriteStudy) -> None:
