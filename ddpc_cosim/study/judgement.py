@@ -240,6 +240,13 @@ def none_settles(cases: Iterable[CaseResult]) -> str:
     return f"No controller settles within {SETTLED:g} %: {what}"
 
 
+def set_aside(study: "Study") -> set[str]:
+    """Return the controllers that do not compete: reference points, and the variants of sweeps."""
+    points = study.report.reference_points
+    aside = {name for name, section in study.controllers.items() if section.variant_of}
+    return aside | ({points.zero, points.full} if points else set())
+
+
 def unsettled(study: "Study", cases: Iterable[CaseResult]) -> str:
     """Return a sentence on the runs that did not fail and do not settle, by controller; nothing without any.
 
@@ -250,9 +257,7 @@ def unsettled(study: "Study", cases: Iterable[CaseResult]) -> str:
     cases : iterable of CaseResult
         Of one problem, over all its scenarios.
     """
-    points = study.report.reference_points
-    aside = {name for name, section in study.controllers.items() if section.variant_of}
-    aside |= {points.zero, points.full} if points else set()
+    aside = set_aside(study)
     own: dict[str, list[CaseResult]] = {}
     for case in cases:
         if case.controller not in aside:
@@ -282,17 +287,24 @@ class Remark(NamedTuple):
 
 
 def scenario_remarks(study: "Study", cases: Iterable[CaseResult]) -> list[Remark]:
-    """Return a remark for each scenario of a study in which every run fails, or no controller settles."""
+    """Return a remark for each scenario of a study in which every run fails, or no controller settles.
+
+    That a reference point or a variant of a sweep does not fail changes nothing: they do not compete.
+    """
+    aside = set_aside(study)
     by_scenario: dict[str, list[CaseResult]] = {}
     for case in cases:
         by_scenario.setdefault(case.scenario, []).append(case)
     labels = {name: printable(one.label or name, _LONGEST_LABEL) for name, one in study.scenarios.items()}
     where = "{}: " if len(by_scenario) > 1 else ""
-    return [
-        Remark(f"{where.format(labels.get(name, name))}{text}{_likely_reason(own, study)}", bool(failed))
-        for name, own in by_scenario.items()
-        if (text := (failed := all_failed(own)) or none_settles(own))
-    ]
+    found = []
+    for name, own in by_scenario.items():
+        competing = [case for case in own if case.controller not in aside]
+        failed = all_failed(competing)
+        if text := failed or none_settles(own):
+            reason = _likely_reason(competing if failed else own, study)
+            found.append(Remark(f"{where.format(labels.get(name, name))}{text}{reason}", bool(failed)))
+    return found
 
 
 def _likely_reason(cases: Sequence[CaseResult], study: "Study") -> str:

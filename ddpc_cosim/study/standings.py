@@ -11,7 +11,7 @@ from typing import NamedTuple, cast
 from ddpc_cosim.metrics import headline, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.judgement import all_failed
+from ddpc_cosim.study.judgement import all_failed, set_aside
 from ddpc_cosim.study.statistics import (
     Comparisons,
     Interaction,
@@ -315,6 +315,8 @@ class Standings:
     def _too_small(self, key: str, a: str, b: str) -> bool:
         """Return whether a difference is below what matters, or below what is printed of the medians."""
         medians = self._medians(key, a, b)
+        if any(map(math.isnan, medians)):  # without a run that both have, nothing is known of a difference
+            return False
         if len({f"{value:.{_DIGITS}g}" for value in medians}) == 1:
             return True
         differences = self.compared[key].differences
@@ -393,9 +395,7 @@ def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
     cases : iterable of CaseResult
         Its cases, or some of them.
     """
-    points = study.report.reference_points
-    aside = {name for name, section in study.controllers.items() if section.variant_of}
-    aside |= {points.zero, points.full} if points else set()
+    aside = set_aside(study)
     by_scenario: dict[str, list[CaseResult]] = {}
     for case in cases:
         by_scenario.setdefault(case.scenario, []).append(case)

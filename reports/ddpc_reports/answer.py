@@ -345,8 +345,6 @@ def _failed_words(found: Standings, who: dict[str, ControllerResults], one: Stan
 
 def _all_fail_some(found: Standings, who: dict[str, ControllerResults]) -> Markup:
     fewest = [one for one in found.order if one.rank == 1]
-    if all(one.failed == one.runs for one in fewest):
-        return Markup("Every run of every controller failed, so nothing is ranked.")
     which = some_of(names([who[one.controller] for one in fewest]))
     return Markup("No controller is without a failed run. Fewest failed: {} {} of {}.").format(
         which, fewest[0].failed, counted(fewest[0].runs, "run")

@@ -20,6 +20,8 @@ from .synthetic import ANGLE, SPEED, MakeResults, make_trace
 
 SEEDS = [*range(12)]
 KEY = "mean_abs_error.angle [deg]"
+ALL_MATTERS = {"relevant": {"absolute": 1e-9}}
+"""Of the study's metrics: no difference is too small to matter."""
 Make = Callable[[str, int], Trace]
 
 
@@ -79,12 +81,14 @@ def test_the_percentage_is_that_of_the_difference_beside_it_not_that_of_the_medi
     a, b = {"x": 1.0, "y": 5.0, "z": 9.0}, {"x": 1.4, "y": 5.9, "z": 9.5}
     results = study(make_results, lag({"a": 0.3, "b": 0.5}), "a", "b", scenarios={name: {} for name in a})
     shaken = having(results, {"a": lambda s, n: a[s] + n / 1e4, "b": lambda s, n: b[s] + n / 1e4})
-    assert re.match(r"a is ahead .*; the next, b, differs by \+0\.500°, \+10 %\.", said(shaken))
+    assert re.match(
+        r"a is ahead .*; the next, b, differs by \+0\.500° \[the same on every seed\], \+10 %\.", said(shaken)
+    )
 
 
 def test_an_interval_without_0_has_the_p_by_which_two_are_not_told_apart(make_results: MakeResults) -> None:
     apart = [*(0.01 * n for n in range(1, 11)), -0.5, -0.6]
-    results = study(make_results, lag({"a": 0.3, "b": 0.5, "c": 0.9}), "a", "b", "c")
+    results = study(make_results, lag({"a": 0.3, "b": 0.5, "c": 0.9}), "a", "b", "c", metrics=ALL_MATTERS)
     told = said(
         having(
             results,
@@ -107,10 +111,10 @@ def test_an_interval_without_0_has_the_p_by_which_two_are_not_told_apart(make_re
 def test_who_alone_has_no_failed_run_is_not_told_to_be_ahead(make_results: MakeResults) -> None:
     results = study(make_results, lag({"a": 0.9, "b": 0.3}), "a", "b")
     told = said(having(results, {"a": lambda s, n: 5.0, "b": lambda s, n: math.nan if n == 3 else 1.0}))
-    assert told.startswith(
-        "a alone has no failed run, over 12 seeds: mean abs error 5.00°. Failed: b 1 of 12 runs ("
+    assert told == (
+        "a alone has no failed run, over 12 seeds: mean abs error 5.00° [the same on every seed]. "
+        "Failed: b 1 of 12 runs (in the others ahead of a by 4.00° [the same on every seed])."
     )
-    assert "ahead of a by 4.00°" in told
 
 
 def test_runs_of_other_seeds_have_no_difference(make_results: MakeResults) -> None:
@@ -137,13 +141,15 @@ def test_of_many_that_lead_three_are_named(make_results: MakeResults) -> None:
     names = "abcde"
     results = study(make_results, lag(dict.fromkeys(names, 0.5)), *names)
     same = having(results, dict.fromkeys(names, lambda s, n: 1.0))
-    assert said(same).startswith(
-        "a, b, c and 2 more lead over 12 seeds and are not told apart: mean abs error "
+    assert said(same) == (
+        "a, b, c and 2 more lead over 12 seeds, and no difference between them matters: mean abs error "
+        "1.00°, 1.00° and 1.00°, less than 0.20° apart."
     )
 
 
 def test_those_that_are_not_told_apart_lead_together(make_results: MakeResults) -> None:
-    results = study(make_results, lag({"a": 0.5, "b": 0.5, "c": 0.9}, 0.1), "c", "b", "a")
+    lags = lag({"a": 0.5, "b": 0.5, "c": 0.9}, 0.1)
+    results = study(make_results, lags, "c", "b", "a", metrics=ALL_MATTERS)
     told = said(results)
     assert re.match(r"[ab] and [ab] lead over 12 seeds and are not told apart: mean abs error ", told)
     low, high = re.findall(r"\[([-\d.]+) … ([-\d.]+)\]", told)[0]
@@ -186,10 +192,14 @@ def test_where_every_run_failed_nothing_is_ranked(make_results: MakeResults) -> 
     results = study(make_results, lambda key, seed: make_trace(40.0), "a", "b", "rest")
     points = {"reference_points": {"zero": "rest", "full": "b"}}
     assert said(results) == ""
-    cases = tuple(replace(case, failed=case.controller != "rest") for case in results.cases)
     beaten = study(make_results, lag({"a": 0.5, "b": 0.5, "rest": 0.5}), "a", "b", "rest", report=points)
-    cases = tuple(replace(case, failed=case.controller == "a") for case in beaten.cases)
-    assert said(replace(beaten, cases=cases)) == "Every run of every controller failed, so nothing is ranked."
+    cases = tuple(
+        replace(case, failed=case.controller == "a", failure="a is far off") for case in beaten.cases
+    )
+    assert said(replace(beaten, cases=cases)) == ""
+    for every in (results, replace(beaten, cases=cases)):
+        (remark,) = (one for one in findings_of(every.study, every.cases).remarks if one.is_failure)
+        assert re.match("Every controller fails; in the best run, (angle ends|a is far off)", remark.text)
 
 
 @pytest.mark.parametrize(

@@ -152,15 +152,15 @@ def test_an_interval_of_one_point_is_not_exact_where_the_seed_changes_something(
         lambda key, seed: make_trace(0.6 if (key, seed) == ("slow", 0) else 0.5), two, seeds=[*range(8)]
     )
     shown = rows(table_of(results))
-    assert shown["quick"].cells[2].text == "exact"
-    assert "exact" not in [cell.text for cell in shown["slow"].cells]
+    assert shown["quick"].cells[2].text == "the same on every seed"
+    assert "the same on every seed" not in [cell.text for cell in shown["slow"].cells]
     assert shown["slow"].cells[4].raw == "0.0 … 0.0"
 
 
 def test_what_the_seed_does_not_change_is_exact(make_results: MakeResults) -> None:
     results = make_results(lambda key, seed: make_trace(0.5 if key == "quick" else 1.0), seeds=[0, 1])
     slow = rows(table_of(results))["slow"]
-    assert [cell.text for cell in slow.cells[5:]] == ["exact", "0 of 2", "b"]
+    assert [cell.text for cell in slow.cells[5:]] == ["the same on every seed", "0 of 2", "b"]
     spread = next(str(text) for topic, text in findings_of(conditions(results)[0]) if topic == "Spread")
     assert "<b>quick</b> has the smallest median" in spread
     assert "The seeds tell it apart from every other controller." in spread

@@ -67,7 +67,7 @@ def test_the_numbers_in_the_words_are_those_of_the_cases(make_results: MakeResul
     costs = [case.metrics[COST] for case in results.cases if case.controller == "steady"]
     said = statements(results)["Spread"]
     assert f"{median(costs):.3f}°" in said
-    assert f"[{min(costs):.3f} … {max(costs):.3f}]" in said
+    assert f"(range {min(costs):.3f} to {max(costs):.3f})" in said
 
 
 def test_where_none_settles_a_note_says_so_and_they_are_ranked(make_results: MakeResults) -> None:

@@ -105,8 +105,9 @@ def in_order(controllers: Sequence[ControllerResults], found: Standings) -> list
 
 def _rank_column(found: Standings, order: Sequence[ControllerResults]) -> Column:
     ranks = {one.controller: one for one in found.order}
+    of_others = Cell(MISSING if found.is_ranked else "")
     cells = [
-        Cell(rank.text, rank.rank if rank.shown else "") if (rank := ranks.get(one.key)) else Cell(MISSING)
+        Cell(rank.text, rank.rank if rank.shown else "") if (rank := ranks.get(one.key)) else of_others
         for one in order
     ]
     return Heading("rank"), cells

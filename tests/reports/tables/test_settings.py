@@ -12,7 +12,13 @@ from markupsafe import Markup
 from pydantic import BaseModel, ValidationError
 
 from ddpc_cosim import StudyResults, Trace
-from ddpc_cosim.study.file_format.sections import ReferencePoints, ReportSection, SearchSection, Study
+from ddpc_cosim.study.file_format.sections import (
+    ClaimSection,
+    ReferencePoints,
+    ReportSection,
+    SearchSection,
+    Study,
+)
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_reports.comparison import conditions
 from ddpc_reports.embedding import Drawing
@@ -137,6 +143,7 @@ CONTENT: dict[str, Any] = {
             },
         },
         "controller": {"type": "pid", "settings": {"gains": [1.0, 2.0]}},
+        "inputs": {"wind": {"kind": "steps", "times": [0.0, 2.0], "values": [0.5, 1.5], "unit": "m/s"}},
         "file": ["monday.csv", "tuesday.csv"],
         "columns": {"angle": "Angle"},
         "time_column": "t",
@@ -150,7 +157,15 @@ CONTENT: dict[str, Any] = {
             "settings": {"horizon": 5, "kernel": OBJECT, "slack": True, "kind": "ridge"},
             "bounds": {"angle": {"min": -70.0, "max": 71.0, "unit": "deg"}},
             "sweep": [{"horizon": [5, 6]}],
-            "tuned": {"settings": ["horizon"], "trials": 9, "seeds": [100], "by": "rmse", "source": "here"},
+            "tuned": {
+                "settings": ["horizon"],
+                "trials": 9,
+                "seeds": [100],
+                "by": "rmse",
+                "source": "here",
+                "sampler_seed": 3,
+                "at_ends": ["horizon"],
+            },
         },
         "quick-horizon-9": {
             "type": "a",
@@ -199,6 +214,7 @@ CONTENT: dict[str, Any] = {
             "recording": {
                 "samples": 60,
                 "excitation": {"torque": {"kind": "uniform", "low": -1.0, "high": 1.0, "unit": "N.m"}},
+                "inputs": {"wind": {"kind": "constant", "value": 0.75, "unit": "m/s"}},
             },
         },
         "plain": {},
@@ -343,10 +359,12 @@ def test_the_study_of_these_tests_sets_every_field_there_is() -> None:
     known = {(one.__name__, name) for one in sections_in(Study) for name in one.model_fields}
     elsewhere = {
         *(("PlantSection", key) for key in ("fmu", "ssp")),  # in place of its name
-        ("ControllerSection", "search"),  # of what is tuned, not of what is run
+        *(("ControllerSection", key) for key in ("search", "first_trials")),  # of what is tuned, not run
         *(("SearchSection", key) for key in SearchSection.model_fields),
         ("ReportSection", "reference_points"),  # in tests of shares
         *(("ReferencePoints", key) for key in ReferencePoints.model_fields),
+        ("ReportSection", "claims"),  # in tests of their table
+        *(("ClaimSection", key) for key in ClaimSection.model_fields),
         ("Study", "variant_of"),  # in the table of the study's sweep
         ("Study", "varied"),
         ("Study", "based_on"),  # whose settings it has
@@ -430,7 +448,8 @@ def test_what_the_study_says_of_itself_is_in_the_page(
         if path[0] in TEXTS and path[-2:-1] != ("controllers",)
     }
     assert {path[1] for path in told if path[0] == "report"} == {*ReportSection.model_fields} - {
-        "reference_points"
+        "claims",
+        "reference_points",
     }
     pages = {render_page([results]): "the study itself"}
     for path, value in told.items():
