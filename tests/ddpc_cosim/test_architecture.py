@@ -17,8 +17,9 @@ ROOMS = {
     "ddpc_reports": ROOT / "reports" / "ddpc_reports",
 }
 # Modules that plug-ins may use besides the names of the package.
-PUBLIC_MODULES = {"metrics", "plugins", "responses", "testing", "texts"}
-PUBLIC_MODULES |= {"study.following", "study.ranks", "study.shares", "study.standings", "study.statistics"}
+PUBLIC_MODULES = {"data_quality", "metrics", "plugins", "responses", "testing", "texts"}
+PUBLIC_MODULES |= {"study.claims", "study.findings", "study.judgement", "study.ranks", "study.shares"}
+PUBLIC_MODULES |= {"study.standings", "study.statistics"}
 PUBLIC_MODULES |= {"study.file_format.sections", "study.file_format.sweeps"}
 
 

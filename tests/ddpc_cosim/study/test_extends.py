@@ -111,7 +111,7 @@ def test_cases_of_the_base_are_reused_even_under_the_name_of_a_problem(folder: P
     resolved = read(folder, MINE, "pendulum.toml")
     selection = Selection(seeds=[1])
     assert expected(resolved, out, selection, progress).startswith(
-        "9 cases and 3 runs of doing nothing: 4 to run, 8 already there"
+        "9 cases and 3 runs of doing nothing: 3 to run, 9 already there"
     )
     results = run_study(resolved, out, selection, progress)
     after = {path.name: path.stat().st_mtime_ns for path in (out / "cases").iterdir()}

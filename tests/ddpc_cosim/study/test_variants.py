@@ -111,7 +111,9 @@ def test_variants_are_run_beside_the_study_whose_own_cases_are_kept(tmp_path: Pa
         ("swing", "loop.sampling_time = 0.2", "mfapc"),
         ("swing", "loop.sampling_time = 0.2", "pid"),
     ]
-    assert sorted(after.keys() - before.keys())[0].startswith("swing-loop.sampling_time-0.2_mfapc_seed0_")
+    assert [name.rpartition("_")[0] for name in sorted(after.keys() - before.keys())] == [
+        f"swing-loop.sampling_time-0.2_{who}_seed0" for who in ("doing-nothing", "mfapc", "pid")
+    ]
 
 
 def test_the_report_of_a_variant_names_only_the_controllers_that_it_has(tmp_path: Path) -> None:
