@@ -18,7 +18,7 @@ from ddpc_cosim.cli.summary import overall_table, summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import expand_seeds
-from ddpc_cosim.study.findings import remarks
+from ddpc_cosim.study.findings import findings_of
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import (
     HTML,
@@ -83,11 +83,12 @@ def show_results(results: StudyResults, *, report: bool = True, browse: bool = F
     console = screen()
     ran = [problem for problem in results.problems() if problem.cases]
     for problem in results.problems():
-        for remark in remarks(problem.study, problem.cases):
+        told = findings_of(problem.study, problem.cases)
+        for remark in told.remarks:
             style = "bold red" if remark.is_failure else ""
             console.print(printable(f"{remark.text}."), markup=False, highlight=False, style=style)
         if problem.cases:
-            console.print(summary_table(problem, console), crop=False)
+            console.print(summary_table(problem, console, told), crop=False)
         if several := len(results.variants(problem.study.name)):
             noun = "variant" if several == 1 else "variants"
             console.print(

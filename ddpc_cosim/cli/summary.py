@@ -14,6 +14,7 @@ from ddpc_cosim.cli.output import clipped, fitting, wrapped
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.findings import Findings, findings_of
 from ddpc_cosim.study.ranks import ranks_frame
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.study.shares import marked
@@ -61,16 +62,17 @@ class _Column:
     cell: Callable[[Sequence[CaseResult]], Text]
 
 
-def summary_table(results: StudyResults, console: Console) -> RenderableType:
+def summary_table(results: StudyResults, console: Console, told: Findings | None = None) -> RenderableType:
     """Return the controllers of one problem, the best first; of sweeps the best settings below their own.
 
     Of one scenario there is a column per metric, of several a column per scenario. Those that do not fit the
-    console are named below.
+    console are named below. ``told`` is what the results show, where the caller knows it.
     """
-    found = standings(results.study, results.cases)
+    told = told or findings_of(results.study, results.cases)
+    found = told.standings
     keys = tuple(dict.fromkeys(key for case in results.cases for key in case.metrics))
     scenarios = tuple(dict.fromkeys(case.scenario for case in results.cases))
-    rows = _rows(results, found)
+    rows = _rows(results, told)
     columns = _metric_columns(results, keys) if len(scenarios) < 2 else _scenario_columns(results, keys)
     columns = [one for one in columns if one.title != _RANGE or _has_values(one, rows)]
     longest = max(int(_NAME_PART * console.width), _SHORTEST_NAME)
@@ -276,8 +278,9 @@ def _lines(
     return lines
 
 
-def _rows(results: StudyResults, found: Standings) -> list[_Row]:
+def _rows(results: StudyResults, told: Findings) -> list[_Row]:
     """Return the rows in the order of the standings, after each controller the best of its sweeps."""
+    found = told.standings
     groups: dict[str, list[CaseResult]] = {}
     for case in results.cases:
         groups.setdefault(case.controller, []).append(case)
@@ -298,7 +301,8 @@ def _rows(results: StudyResults, found: Standings) -> list[_Row]:
         if own:
             label = own[0].label
             label += f" ({family})" if labels.count(label) > 1 else ""
-            rows.append(_Row(marked(label, family, points), own, rank(family), family in found.leaders))
+            leads = told.is_sure and family in told.leaders
+            rows.append(_Row(marked(label, family, points), own, rank(family), leads))
         variants = [groups[name] for name in groups if base[name] == family != name]
         variants.sort(key=lambda cases: _place(cases, key))
         shown = variants[:_VARIANTS_SHOWN]

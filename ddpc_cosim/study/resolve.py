@@ -466,9 +466,11 @@ class _Resolution:
                 self.errors.add(place, "must be a number, as controllers are ranked by metrics.cost")
             else:
                 self.errors.require_known(place, "controlled output", absolute, self.outputs.names)
-        elif absolute is not None and not self.study.metrics.cost and len(self.outputs.names) > 1:
-            needed = f"needed: one for each, e.g. {{ {self.outputs.names[0]} = {absolute:g} }}"
-            self.errors.add(place, f"one number for {len(self.outputs.names)} controlled outputs; {needed}")
+        elif absolute is not None and not self.study.metrics.cost and self.outputs.is_known:
+            names = dict.fromkeys(self.outputs.names)  # one that is listed twice is one
+            if len(names) > 1:
+                needed = f"needed: one for each, e.g. {{ {self.outputs.names[0]} = {absolute:g} }}"
+                self.errors.add(place, f"one number for {len(names)} controlled outputs; {needed}")
 
     @independent
     def _references(self) -> dict[str, Reference] | None:

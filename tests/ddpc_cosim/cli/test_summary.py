@@ -243,6 +243,14 @@ def test_one_controller_alone_has_no_rank_and_is_not_bold() -> None:
     assert "\x1b[1m" not in pid
 
 
+@pytest.mark.parametrize(("seeds", "bold"), [(1, []), (5, []), (12, ["deepc"])])
+def test_who_leads_is_bold_only_where_the_seeds_tell_it(seeds: int, bold: list[str]) -> None:
+    console = Console(width=200, force_terminal=True, color_system="standard")
+    with console.capture() as capture:
+        console.print(summary_table(seeded(seeds, worse=9.0), console))
+    assert re.findall("\x1b\\[1m *(deepc|pid)", capture.get()) == bold
+
+
 def test_several_problems_are_summed_up_by_average_rank() -> None:
     """Where two agree and one does not, the average is (1 + 1 + 2) / 3 against (2 + 2 + 1) / 3."""
     problems = [

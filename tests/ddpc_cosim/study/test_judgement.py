@@ -158,8 +158,8 @@ def test_whose_runs_do_not_settle_is_counted_without_those_that_failed_and_the_r
 
 def tracking(end: float, error: float, step: float = 0.0, *, deviation: float = 0.0) -> Tracking:
     """Return what an output says that ends off its reference, and is off it on average; its task is 2."""
-    window = EndWindow(10, end, end, step, constant=True)
-    return Tracking("y", 2.0, math.inf, 1.0, deviation, 0.0, error, (window,))
+    window = EndWindow(10, end, end, step, settling=True)
+    return Tracking("y", 2.0, math.inf, 1.0, deviation, 0.0, error, ends=(window,))
 
 
 def concluded(one: Tracking, nothing: Tracking | None = None) -> CaseResult:
@@ -186,7 +186,7 @@ def test_a_run_fails_that_is_worse_than_doing_nothing_by_more_than_a_hundredth(
     found = concluded(tracking(0.0, error), tracking(0.9, 0.5))
     assert found.failed == failed
     assert found.failure == failed * (
-        "worse than doing nothing: mean error 26 % of the task, doing nothing 25 % of it"
+        "y is worse than doing nothing: mean error 26 % of the task, doing nothing 25 % of it"
     )
 
 

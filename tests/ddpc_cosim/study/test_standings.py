@@ -64,9 +64,14 @@ def test_where_all_have_failed_runs_there_is_no_leader() -> None:
 def test_where_nothing_is_ranked_there_are_no_ranks() -> None:
     """One alone, or all runs of all failed; where any did not, they are ranked by how many did."""
     nan = float("nan")
-    assert of({"a": [1.0, 2.0]}).ranks == {}
-    assert of({"a": [nan, nan], "b": [nan, nan]}).ranks == {}
-    assert of({"a": [nan, 1.0], "b": [nan, nan]}).ranks == {"a": 1, "b": 2}
+    alone, failed = of({"a": [1.0, 2.0]}), of({"a": [nan, nan], "b": [nan, nan]})
+    assert not alone.is_ranked
+    assert texts(alone) == {"a": ""}
+    assert not failed.is_ranked
+    assert texts(failed) == {"a": "", "b": ""}
+    one_run_left = of({"a": [nan, 1.0], "b": [nan, nan]})
+    assert one_run_left.is_ranked
+    assert texts(one_run_left) == {"a": "1", "b": "2"}
 
 
 def test_of_two_outputs_one_is_better_that_is_so_in_one_and_not_worse_in_the_other() -> None:
