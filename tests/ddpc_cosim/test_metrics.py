@@ -292,13 +292,13 @@ def test_what_drifts_before_its_controller_knows_of_the_step_does_not_anticipate
 
 
 def test_what_a_run_is_judged_by_is_taken_at_the_end_of_each_stretch() -> None:
-    """Of 20 rows the last 4; the first stretch begins where the output is, and is no step."""
+    """Of 20 rows the last 4; the first stretch begins where the output is, and is no step to settle after."""
     y = np.repeat([0.0, 0.51, 2.0], 20)
     y[30] = 4.0
     (one,) = stepping(0, 1, 2, y=y).tracking()
     assert (one.output, one.travel, one.deviation) == ("y", 2.0, 4.0)
-    assert [(end.rows, end.step, end.constant) for end in one.ends] == [
-        (4, 0.0, True),
+    assert [(end.rows, end.step, end.settling) for end in one.ends] == [
+        (4, 0.0, False),
         (4, 1.0, True),
         (4, 1.0, True),
     ]
