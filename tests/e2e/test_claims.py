@@ -194,4 +194,10 @@ def test_the_report_states_the_terms_of_the_comparison_as_the_study_sets_them(cl
     assert f"{labels['wkpc']} uses {', '.join(study['plant']['measurements'])}" in rest["Measurements"]
     learning = f"{labels['deepc']} and {labels['wkpc']} learn from a recording of"
     assert f"{learning} {study['recording']['samples']} samples" in rest["Recording"]
-    assert "Of all controllers it is not known how settings were found." in rest["The same for all"]
+    sources = {name: study["controllers"][name]["tuned"]["source"] for name in METHODS}
+    assert sources["deepc"] == sources["wkpc"]
+    assert rest["Tuning"] == (
+        f"{labels['mfapc']} has settings from {sources['mfapc']}; "
+        f"{labels['deepc']} and {labels['wkpc']} have settings from {sources['wkpc']}."
+    )
+    assert "The same for all" not in rest
