@@ -407,7 +407,7 @@ def test_without_a_comparison_there_are_trials_alone(tmp_path: Path) -> None:
     found = tuned(tmp_path, request=Request(trials=3, seeds=[4], compares=False))
     assert (found.results, found.held_out) == (None, {})
     assert not (tmp_path / "out" / "held-out").exists()
-    assert {row["held out: runs lost"] for row in trials_of(tmp_path)} == {""}
+    assert {row["held out: runs failed"] for row in trials_of(tmp_path)} == {""}
     assert read_study(str(tmp_path / "out" / "tuned.toml")).problem.study.controllers["a"].tuned
 
 
