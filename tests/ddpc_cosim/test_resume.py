@@ -260,7 +260,7 @@ def test_damage_to_any_byte_is_noticed_and_only_that_case_run_again(
     assert "1 of 4 cases are damaged and left out; run the study again with --out out: only" in done.stderr
     assert damaged.parent.name in done.stderr
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
-    assert "1 of 2 cases are damaged and left out" in page
+    assert "1 of 4 cases are damaged and left out" in page
     metrics = tmp_path / "out/metrics.csv"
     assert len(metrics.read_text(encoding="utf-8").splitlines()) == 2, "rebuilt from the case that is left"
     metrics.write_text("forged", encoding="utf-8")
