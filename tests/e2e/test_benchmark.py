@@ -80,10 +80,13 @@ def test_what_the_summary_says_holds_without_noise_too(nominal: StudyResults) ->
     shares = nominal.shares().groupby(["controller", "problem"])["share"].median().groupby("controller")
     medians = shares.median()
     for name in ("mpc", "koopman-mpc", "spc", "gamma-ddpc", "deepc"):
-        assert 0.95 < medians[name] < 1.05, name
-    failed = {name: sum(c.failed for c in nominal.cases if c.controller == name) for name in medians.index}
-    assert failed["koopman-mpc"] == 0
+        assert 0.98 < medians[name] < 1.02, name
+    assert all(0.94 < medians[name] < 0.96 for name in ("lqr", "wkpc"))
     without = {*medians.index} - {case.controller for case in nominal.cases if case.recorded_samples}
     assert without == {"ipid", "spsa", "mfapc", "mfac"}
-    assert all(failed[name] >= 2 for name in {"pid", *without} - {"ipid"})
-    assert failed["ipid"] == 1
+    assert max(without, key=medians.__getitem__) == "ipid"
+    failed = {
+        (one.controller, one.problem) for one in nominal.cases if one.failed and one.controller != "idle"
+    }
+    on_the_boiler = {(name, "boiler-turbine") for name in ("pid", "spsa", "mfac")}
+    assert failed == {*on_the_boiler, ("mfapc", "van-der-pol")}
