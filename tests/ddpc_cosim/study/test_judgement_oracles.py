@@ -307,10 +307,8 @@ def test_one_output_that_fails_is_enough() -> None:
     # Of the size of its disturbance, which it makes thrice as large for a while.
     disturbed = {"z": [Steps((10.0, 40.0), (1.0, 0.0))]}
     case = judge(plant, Worsening(), 0, {"y": DOWN, "z": Constant(0.0)}, disturbances=disturbed)
-    assert case.failure == (
     means = "mean error 90 % of the task, doing nothing 30 % of it"
     assert case.failure == f"z is worse than doing nothing: {means}"
-    )
 
 
 class Worsening(Controller):
