@@ -64,6 +64,12 @@ def problems(found: Overall) -> str:
     return rows(*table)
 
 
+def kinds(found: Overall) -> str:
+    """Return which kinds tuning chose for each method, and in how many problems."""
+    shown = [[one.label, found.chosen[key]] for key, one in found.controllers.items() if key in found.chosen]
+    return rows(["method", "chosen, and in how many of the problems"], *shown)
+
+
 def chosen(paths: Iterable[Path]) -> dict[tuple[str, str], dict[str, str]]:
     """Return the trial that was chosen, by problem and controller."""
     found = {}
@@ -123,6 +129,7 @@ def main(results: Path, first: str, *others: str) -> None:
     tables = {
         "methods": methods(found),
         "problems": problems(found),
+        "kinds": kinds(found),
         "ends": ends(trials),
         "again": again(trials, map(Path, others)),
     }

@@ -1,14 +1,15 @@
 """Over all problems of a study: average ranks, performance profiles, and whom they tell apart."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from ddpc_cosim import StudyResults
+from ddpc_cosim import Study, StudyResults
 from ddpc_cosim.study.ranks import AverageRanks, Profile, profile_frame, ranks_frame
 from ddpc_cosim.study.statistics import LEVEL, letters
 from ddpc_cosim.texts import clipped
@@ -19,6 +20,7 @@ from ddpc_reports.figures.figure import Figure, entry, one_chart
 from ddpc_reports.figures.samples import column_name
 from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.shares import SHARE_NOTE, interval_words, share_words
+from ddpc_reports.tables.settings import value_text
 from ddpc_reports.tables.table import Cell, Column, Heading, Table, controller_table, number_cells
 from ddpc_reports.verdict import Statement, join_words, names, p_words, some_of
 
@@ -55,6 +57,8 @@ class Overall:
         Of all controllers, those too that are not ranked.
     distances : Distances or None
         How far the controllers come between the reference points; None where there are none.
+    chosen : dict of str to str
+        By controller, which kinds tuning chose, and in how many problems; numbers are left out.
     """
 
     problems: int
@@ -65,6 +69,7 @@ class Overall:
     profile: Profile
     labels: dict[str, str]
     distances: Distances | None
+    chosen: dict[str, str]
 
 
 def overall(problems: Sequence[StudyResults]) -> Overall | None:
@@ -98,7 +103,32 @@ def overall(problems: Sequence[StudyResults]) -> Overall | None:
     far = distances(problems, [*shown.values(), *sorted(others, key=lambda one: one.is_point)])
     labels = {key: one.label for key, one in found.items()}
     profile = profile_frame(frame, _METRIC)
-    return Overall(ranks.problems, left_out, shown, failed, ranks, profile, labels, far)
+    chosen = chosen_kinds([results.study for results in problems])
+    return Overall(ranks.problems, left_out, shown, failed, ranks, profile, labels, far, chosen)
+
+
+def chosen_kinds(problems: Iterable[Study]) -> dict[str, str]:
+    """Return by controller which kinds tuning chose, the most frequent first, with the number of problems.
+
+    A kind is a word, a truth, or a plug-in by the name of its class: what a method is then, where a number
+    says how much of it.
+    """
+    found: dict[str, dict[str, Counter[str]]] = {}
+    for study in problems:
+        for key, section in study.controllers.items():
+            for name in section.tuned.settings if section.tuned else ():
+                value = section.settings.get(name)
+                if isinstance(value, Mapping) and isinstance(value.get("type"), str):
+                    value = value["type"].rpartition(":")[2]
+                if isinstance(value, str | bool):
+                    found.setdefault(key, {}).setdefault(name, Counter())[value_text(value)] += 1
+    return {
+        key: "; ".join(
+            f"{name}: {', '.join(f'{kind} {times}' for kind, times in kinds.most_common())}"
+            for name, kinds in settings.items()
+        )
+        for key, settings in found.items()
+    }
 
 
 def _rows_of(condition: Condition, number: int) -> list[dict[str, Any]]:
@@ -233,6 +263,9 @@ def overall_table(found: Overall, prefix: str) -> Table:
         ),
         (Heading("failed", "runs"), _failed_cells(found, everyone)),
     ]
+    if found.chosen:
+        kinds = [Cell(found.chosen.get(one.key, MISSING)) for one in everyone]
+        columns.append((Heading("chosen by tuning", "problems of each kind", numeric=False), kinds))
     notes: tuple[str, ...] = (
         RANKS_NOTE,
         "Shares of runs: the best of the same problem, scenario and seed, or within twice its value, each "

@@ -15,6 +15,7 @@ from ddpc_reports.across_problems import (
     overall_statements,
     overall_table,
 )
+from ddpc_reports.numbers import MISSING
 
 from .synthetic import FORCE, SPEED, MakeResults, make_trace
 
@@ -57,6 +58,20 @@ def test_the_same_order_in_every_problem(alike: list[StudyResults]) -> None:
         "Ranks": "Over 8 problems, Quick has the best average rank, 1.00; the problems do not tell it apart "
         "from Middle. Friedman's test: p &lt; 0.001; ranks that are 1.17 or more apart differ."
     }
+
+
+def test_the_kinds_that_tuning_chose_are_counted_and_numbers_are_not(make_results: MakeResults) -> None:
+    kinds = ["mine:Flat", "mine:Flat", "mine:Curved"]
+    tuned = {"settings": ["dictionary", "horizon", "integral"], "source": "tune"}
+    problems = []
+    for kind in kinds:
+        settings = {"dictionary": {"type": kind, "n": 3}, "horizon": 5, "integral": True, "form": "cfdl"}
+        controllers = THREE | {"quick": THREE["quick"] | {"settings": settings, "tuned": tuned}}
+        problems.append(make_results(lambda key, seed: make_trace(LAGS[key]), controllers))
+    found = found_in(problems)
+    assert found.chosen == {"quick": "dictionary: Flat 2, Curved 1; integral: yes 3"}
+    table = overall_table(found, "")
+    assert [row.cells[-1].text for row in table.rows] == [found.chosen["quick"], MISSING, MISSING]
 
 
 def test_the_figures_draw_what_the_table_says(alike: list[StudyResults]) -> None:
