@@ -187,11 +187,9 @@ class SettingsSearch:
                     params=params, distributions=self._distributions, values=trial.penalised
                 )
                 self._optuna.add_trial(told)
-        elif pruned:
-            self._asked.report(hoped.penalised[0], step=len(runs))
-            self._optuna.tell(self._asked, state=optuna.trial.TrialState.PRUNED)
         else:
-            self._optuna.tell(self._asked, trial.penalised)
+            # Told as pruned, any trial would count as worse than every whole one, the poorest among them.
+            self._optuna.tell(self._asked, self._expected(runs).penalised if pruned else trial.penalised)
         self._lost.update(run for run, own in runs.items() if own.failed)
         for run, own in runs.items():
             other = self._best_yet.get(run, own)
@@ -204,6 +202,19 @@ class SettingsSearch:
         """Return what a trial is if it does in the runs that are left as well as can be hoped."""
         every = {run: best_yet.hoped for run, best_yet in self._best_yet.items()} | {**runs}
         return trial_of(settings, every, self._objectives)
+
+    def _expected(self, runs: Mapping[Run, Figures]) -> Trial:
+        """Return what a trial is if in the runs left it is as much worse than the best as so far."""
+        own, foremost = (np.array([of[run].values for run in runs]) for of in (runs, self._best_yet))
+        lost = np.isinf(own)
+        worse = np.where(lost, np.inf, own - np.where(lost, 0.0, foremost)).mean(axis=0)
+        left = {
+            run: Figures(failed=False, values=tuple(figures.values + worse))
+            for run, figures in self._best_yet.items()
+            if run not in runs
+        }
+        expected = trial_of({}, {**left, **runs}, self._objectives)
+        return expected._replace(failed=round(expected.failed * expected.runs / len(runs)))
 
     def at_ends(self, settings: Mapping[str, Any]) -> list[str]:
         """Return which settings lie at an end of where was looked, or beyond it."""

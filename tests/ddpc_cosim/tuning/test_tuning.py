@@ -323,6 +323,33 @@ def test_a_trial_ends_when_it_would_not_be_the_best_even_if_the_rest_were_a_tent
     assert (search.trials[-1].runs, search.trials[-1].pruned) == (1, True)
 
 
+def nearest(number: int, *, pruning: bool) -> float:
+    """Return how near 47 trials come, in decades, to a valley beside which the first trial lies."""
+    valley = 10 ** np.random.default_rng(number).uniform(-3, 3, 4)
+    given = {f"gain{i}": float(1.2 * at) for i, at in enumerate(valley)}
+    spaces = dict.fromkeys(given, Log(1e-5, 1e5))
+    search = SettingsSearch("p", f"c{number}", given, spaces, (Objective.parse("rmse:mean"),))
+    distances = []
+    for _ in range(48):
+        settings = search.next_settings()
+        tried = np.array([settings[name] for name in given])
+        distances.append(float(np.sqrt(np.mean(np.log10(tried / valley) ** 2))))
+        runs: dict[Run, Figures] = {}
+        pruned = False
+        for seed in range(3):
+            runs[Run("quiet", seed)] = Figures(False, (0.01 + distances[-1] * (1 + seed / 2),))
+            if pruned := pruning and seed < 2 and search.is_hopeless(runs):
+                break
+        search.tell(settings, runs, pruned=pruned)
+    return min(distances[1:])
+
+
+def test_a_search_that_prunes_comes_as_near_as_one_that_does_not() -> None:
+    """The first trials are had in full, poor as they are; the search must not be drawn to them."""
+    pruning, whole = ([nearest(number, pruning=prunes) for number in range(12)] for prunes in (True, False))
+    assert np.mean(pruning) < 1.2 * np.mean(whole)
+
+
 def test_a_trial_ends_when_it_has_more_failed_runs_than_the_best() -> None:
     assert search_of([[1.0, 1.0, 1.0]]).is_hopeless(begun(0.1, failed=True))
     assert not search_of([[1.0, 1.0, 1.0]], frozenset([0])).is_hopeless(begun(9.0, failed=True))
