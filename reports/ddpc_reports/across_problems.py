@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from ddpc_cosim import Study, StudyResults
+from ddpc_cosim import StudyResults
+from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.ranks import AverageRanks, Profile, profile_frame, ranks_frame
 from ddpc_cosim.study.statistics import LEVEL, letters
 from ddpc_cosim.texts import clipped
