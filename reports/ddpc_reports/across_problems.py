@@ -117,7 +117,7 @@ def chosen_kinds(problems: Iterable[Study]) -> dict[str, str]:
     found: dict[str, dict[str, Counter[str]]] = {}
     for study in problems:
         for key, section in study.controllers.items():
-            for name in section.tuned.settings if section.tuned else ():
+            for name in (section.tuned.settings or ()) if section.tuned else ():
                 value = section.settings.get(name)
                 if isinstance(value, Mapping) and isinstance(value.get("type"), str):
                     value = value["type"].rpartition(":")[2]
