@@ -73,7 +73,7 @@ def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
     """Return what cases of one problem show."""
     everything = [*cases]
     found = standings(study, everything)
-    worse = tuple(worse_previews(study, everything))
+    worse = tuple(worse_previews(study, found))
     return Findings(
         found,
         _lead(found),
@@ -81,20 +81,17 @@ def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
         next((one.controller for one in found.order if not one.failed and one.rank > 1), ""),
         tuple(one for one in found.order if one.failed),
         worse,
-        tuple(remarks(study, everything, worse)),
+        tuple(_remarks(study, everything, worse)),
     )
 
 
-def remarks(
-    study: Study, cases: Sequence[CaseResult], worse: Iterable[WorsePreview] | None = None
-) -> Iterator[Remark]:
-    """Yield what is to be known besides ranks: who fails or does not settle, whom preview makes worse."""
+def _remarks(study: Study, cases: Sequence[CaseResult], worse: Iterable[WorsePreview]) -> Iterator[Remark]:
     yield from scenario_remarks(study, cases)
     if text := unsettled(study, cases):
         yield Remark(text, is_failure=False)
     labels = {case.controller: printable(case.label, _LONGEST_LABEL) for case in cases}
     scenarios = {name: printable(one.label or name, _LONGEST_LABEL) for name, one in study.scenarios.items()}
-    for one in worse_previews(study, cases) if worse is None else worse:
+    for one in worse:
         name, signal, unit = split_key(one.key)
         what = " of ".join(filter(None, (metric_name(name), printable(signal))))
         values = f"{one.with_more.median:.3g} against {one.with_less.median:.3g} {printable(unit)}"

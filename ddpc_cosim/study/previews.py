@@ -1,19 +1,15 @@
 """Whom seeing more of the reference makes worse: scenarios that differ in nothing else, side by side."""
 
-import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from itertools import permutations
 from typing import TYPE_CHECKING, NamedTuple
 
-from ddpc_cosim.metrics import headline, metric_of
-from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.metrics import metric_of
+from ddpc_cosim.study.standings import Standings
 from ddpc_cosim.study.statistics import Difference, Runs, Sample, compare_pairs, describe
 
 if TYPE_CHECKING:
     from ddpc_cosim.study.file_format.sections import Study
-
-_RELEVANT = 0.01
-"""Of the median with less preview: a smaller difference does not matter."""
 
 
 class WorsePreview(NamedTuple):
@@ -42,24 +38,17 @@ class WorsePreview(NamedTuple):
     difference: Difference
 
 
-def worse_previews(study: "Study", cases: Iterable[CaseResult]) -> list[WorsePreview]:
+def worse_previews(study: "Study", found: Standings) -> list[WorsePreview]:
     """Return the controllers of a study of one problem that the seeds tell to be worse with more preview.
 
     Compared are scenarios that differ in their preview alone; the controllers of two such scenarios are one
     family of tests. Runs that failed are in no pair.
     """
-    runs: dict[tuple[str, str, str], dict[int, float]] = {}
-    everything = [case for case in cases if not case.failed]
-    keys = headline(dict.fromkeys(key for case in everything for key in case.metrics))
-    for case in everything:
-        for key in keys:
-            value = case.metrics.get(key, math.nan)
-            runs.setdefault((key, case.scenario, case.controller), {})[case.seed] = value
     return [
         one
         for more, less in _pairs(study)
-        for key in keys
-        for one in _worse(key, more, less, {k[1:]: own for k, own in runs.items() if k[0] == key})
+        for key in found.keys
+        for one in _worse(key, more, less, found.runs[key], found.relevant_differences[key])
     ]
 
 
@@ -76,17 +65,16 @@ def _pairs(study: "Study") -> Iterator[tuple[str, str]]:
 
 
 def _worse(
-    key: str, more: str, less: str, runs: dict[tuple[str, str], dict[int, float]]
+    key: str, more: str, less: str, runs: Mapping[str, Runs], relevant: float
 ) -> Iterator[WorsePreview]:
-    names = [name for scenario, name in runs if scenario == more and (less, name) in runs]
-    better = metric_of(key).better
-    table: dict[str, Runs] = {
-        f"{scenario}\n{name}": {("", seed): value for seed, value in runs[scenario, name].items()}
-        for name in names
-        for scenario in (more, less)
-    }
-    found = compare_pairs(table, [(f"{more}\n{name}", f"{less}\n{name}") for name in names], better)
+    def within(scenario: str, own: Runs) -> Runs:
+        return {("", seed): one for (where, seed), one in own.items() if where == scenario and one == one}
+
+    pairs = {name: (within(more, own), within(less, own)) for name, own in runs.items()}
+    names = [name for name, both in pairs.items() if all(both)]
+    table = {side + name: pairs[name][at] for name in names for at, side in enumerate(("more ", "less "))}
+    found = compare_pairs(table, [(f"more {name}", f"less {name}") for name in names], metric_of(key).better)
     for name, difference in zip(names, found.values(), strict=True):
-        seen, unseen = (describe(table[f"{scenario}\n{name}"]) for scenario in (more, less))
-        if difference.told_worse and abs(difference.median) > _RELEVANT * abs(unseen.median):
+        if difference.told_worse and abs(difference.median) >= relevant:
+            seen, unseen = map(describe, pairs[name])
             yield WorsePreview(name, key, more, less, seen, unseen, difference)

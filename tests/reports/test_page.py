@@ -22,7 +22,6 @@ from rich.console import Console
 from ddpc_cosim import CosimWarning, Outcome, StudyResults, Trace
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS
-from ddpc_cosim.study.findings import remarks
 from ddpc_cosim.study.results import METRICS_FILE, write_results
 from ddpc_cosim.texts import printable
 from ddpc_reports import sections, write_report
@@ -204,7 +203,7 @@ def test_nothing_acts_unseen_in_page_data_tables_and_terminal(
     tables = [base64.b64decode(link.partition(",")[2]).decode() for link in links]
     screen = Console(file=io.StringIO(), width=500)
     screen.print(summary_table(results, screen))
-    for remark in remarks(results.study, results.cases):
+    for remark in [one for found in results.findings().values() for one in found.remarks]:
         screen.print(printable(remark.text))
     assert isinstance(screen.file, io.StringIO)
     write_results(results)

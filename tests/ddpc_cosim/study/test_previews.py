@@ -7,7 +7,8 @@ import numpy as np
 
 from ddpc_cosim import CaseResult, Outcome
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.previews import worse_previews
+from ddpc_cosim.study.previews import WorsePreview, worse_previews
+from ddpc_cosim.study.standings import standings
 
 KEY = "mean_abs_error.y [K]"
 
@@ -48,12 +49,16 @@ def cases(levels: dict[tuple[str, str], float], seeds: int = 8, failed: int = 0)
     ]
 
 
+def worse(of: Study, runs: list[CaseResult]) -> list[WorsePreview]:
+    return worse_previews(of, standings(of, runs))
+
+
 SEEN = study(seen={}, unseen={"preview": 1, "label": "one sample"})
 WORSE = {("a", "seen"): 0.074, ("a", "unseen"): 0.021, ("b", "seen"): 0.02, ("b", "unseen"): 0.03}
 
 
 def test_a_controller_that_is_worse_with_more_preview_is_told() -> None:
-    (found,) = worse_previews(SEEN, cases(WORSE))
+    (found,) = worse(SEEN, cases(WORSE))
     assert (found.controller, found.key, found.more, found.less) == ("a", KEY, "seen", "unseen")
     assert 0.07 < found.with_more.median < 0.08
     assert 0.02 < found.with_less.median < 0.03
@@ -61,12 +66,12 @@ def test_a_controller_that_is_worse_with_more_preview_is_told() -> None:
 
 
 def test_nothing_is_told_of_chance_of_too_few_seeds_or_of_what_does_not_matter() -> None:
-    assert not worse_previews(SEEN, cases(dict.fromkeys(WORSE, 0.02)))
-    assert not worse_previews(SEEN, cases(WORSE, seeds=5))
-    assert not worse_previews(SEEN, cases({("a", "seen"): 100.5, ("a", "unseen"): 100.0}))
-    assert not worse_previews(SEEN, cases(WORSE, failed=4))
+    assert not worse(SEEN, cases(dict.fromkeys(WORSE, 0.02)))
+    assert not worse(SEEN, cases(WORSE, seeds=5))
+    assert not worse(SEEN, cases({("a", "seen"): 100.5, ("a", "unseen"): 100.0}))
+    assert not worse(SEEN, cases(WORSE, failed=4))
 
 
 def test_scenarios_that_differ_in_more_are_not_set_side_by_side() -> None:
     other = study(seen={"noise": {"y": 0.1}}, unseen={"preview": 1})
-    assert not worse_previews(other, cases(WORSE))
+    assert not worse(other, cases(WORSE))
