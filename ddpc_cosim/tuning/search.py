@@ -23,6 +23,7 @@ from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.file_format.sections import ControllerSection
+from ddpc_cosim.study.standings import Relevant
 from ddpc_cosim.tuning.objectives import Objective, Run
 
 # From so many on, the best value that a run has had says what can be hoped for: by this part better at most.
@@ -329,9 +330,14 @@ def trial_of(settings: dict[str, Any], runs: Mapping[Run, Figures], objectives: 
 
 
 def best(trials: Sequence[Trial]) -> int:
-    """Return the number of the best trial, the first of equals."""
+    """Return the number of the best trial: the first of those from which it differs by nothing that matters.
+
+    What gains less than that is an accident of the trials' seeds, and may cost much that no objective sees.
+    """
     whole = [number for number, trial in enumerate(trials) if not trial.pruned]
-    return min(whole, key=lambda number: (trials[number].failed, trials[number].values[0]))
+    least = min((trials[number] for number in whole), key=lambda trial: (trial.failed, trial.values[0]))
+    enough = least.values[0] + Relevant().difference("", least.values[0])
+    return next(n for n in whole if trials[n].failed == least.failed and trials[n].values[0] <= enough)
 
 
 def search_spaces(section: ControllerSection, *, by_prediction: bool) -> Iterator[tuple[str, Search]]:

@@ -283,6 +283,14 @@ def test_whatever_loses_fewer_runs_is_better() -> None:
     assert best(values[::-1]) == 3
 
 
+def test_of_trials_that_differ_by_nothing_that_matters_the_first_is_chosen() -> None:
+    values = [2.0, 1.0099, 1.0, 1.005]
+    assert best([Trial(0, (value,), {}) for value in values]) == 1
+    assert best([Trial(number == 1, (value,), {}) for number, value in enumerate(values)]) == 2
+    assert best([Trial(0, (value,), {}) for value in (-0.98, -0.995, -1.0)]) == 1
+    assert best([Trial(0, (np.inf,), {}), Trial(0, (np.inf,), {})]) == 0
+
+
 def search_of(runs: list[list[float]], failing: frozenset[int] = frozenset()) -> SettingsSearch:
     """Return a search after trials with these values in three runs; in the first some lose the reference."""
     search = SettingsSearch(
