@@ -52,6 +52,11 @@ def test_what_is_possible_is_reached_and_nothing_done_is_far_from_it(nominal: St
     assert (shares["full"] < 0.1 * shares["zero"]).all()
 
 
+def test_every_recording_is_as_large_as_the_tool_advises(nominal: StudyResults) -> None:
+    warned = {warning for case in nominal.cases for warning in case.warnings}
+    assert not [warning for warning in warned if "larger excitation" in warning]
+
+
 def test_shares_are_those_of_the_samples(nominal: StudyResults) -> None:
     """By the mean of |reference - output| over the samples, from the files of the cases."""
     errors = {}

@@ -250,8 +250,8 @@ def test_knowing_of_the_coupling_shows_in_how_far_the_other_level_moves(results_
     for scenario in results.study.scenarios:
         most = medians(results, scenario, moved)
         assert max(most[name] for name in (*PREDICTIVE, "lqr")) < 0.07
-        assert all(0.1 < most[name] < 0.2 for name in ("deepc-decentralised", "ipid"))
-        assert min(most[name] for name in ("pid", "mfapc", "mfac")) > 0.2
+        assert all(0.09 < most[name] < 0.2 for name in ("wkpc", "deepc-decentralised", "ipid", "mfapc"))
+        assert all(0.2 < most[name] < 0.25 for name in ("pid", "mfac"))
 
 
 def moved(case: CaseResult) -> float:
@@ -278,16 +278,11 @@ def test_predictive_methods_come_out_alike_on_the_tanks_and_owe_a_quarter_to_pre
 
 def test_upright_the_compact_form_of_mfapc_falls_and_the_others_hold(results_of: Results) -> None:
     results = results_of("unstable")
-    assert {case.controller for case in results.cases if case.failed} == {"mfapc", "mfac-ffdl"}
     for scenario in results.study.scenarios:
-        assert all(case.failed for case in cases_of(results, scenario, "mfapc", "mfac-ffdl"))
-        assert all(
-            0.3 < mean_error(case, 5.0, 10.0) < 3.0 for case in cases_of(results, scenario, "mfac-ffdl")
-        )
-        rest = [case for case in cases_of(results, scenario) if case.controller not in ("mfapc", "mfac-ffdl")]
-        assert max(mean_error(case, 5.0, 10.0) for case in rest if case.controller != "spsa") < 0.05
-        most = medians(results, scenario, travel)
-        assert all(most["mfac-ffdl"] > 5.0 * most[case.controller] for case in rest)
+        assert all(case.failed for case in cases_of(results, scenario, "mfapc"))
+        rest = [case for case in cases_of(results, scenario) if case.controller != "mfapc"]
+        assert not any(case.failed for case in rest)
+        assert max(mean_error(case, 5.0, 10.0) for case in rest if case.controller != "spsa") < 0.01
 
 
 def test_upright_the_force_limit_decides_without_preview(results_of: Results) -> None:
@@ -297,10 +292,10 @@ def test_upright_the_force_limit_decides_without_preview(results_of: Results) ->
         assert max(figure[name] for name in PREDICTIVE) < 1.02 * min(figure[name] for name in PREDICTIVE)
     assert all(0.4 < ahead[name] / blind[name] < 0.5 for name in PREDICTIVE)
     best = min(blind.values())
-    assert max(blind["ipid"], blind["wkpc"]) < 1.01 * best
+    assert max(blind[name] for name in ("ipid", "wkpc", "mfac-ffdl")) < 1.01 * best
     others = [blind[name] for name in ("lqr", "pid", "spsa", "cascade", "mfapc-ffdl")]
-    assert min(others) > 1.3 * best
-    assert max(others) < 3.5 * best
+    assert min(others) > best * 8 / 7
+    assert max(others) < 2.5 * best
     atop = medians(results, "no-preview", lambda case: metric(case, "max_abs_input"))
     assert all(atop[name] > 9.9 for name in (*PREDICTIVE, "ipid"))
 
