@@ -149,30 +149,27 @@ def test_what_was_learnt_or_given_once_fails_when_the_direction_turns(
     results = results_of("direction-change")
     for scenario in results.study.scenarios:
         for case in cases_of(results, scenario, *LEARNT_ONCE):
-            assert mean_error(case, 10.0, 19.0) < 4.0
+            assert (mean_error(case, 10.0, 19.0) < 4.0) == (case.controller != "pid")
             assert mean_error(case, 20.0, 80.0) > 10.0
         assert all(case.failed for case in cases_of(results, scenario, *LEARNT_ONCE, "spsa"))
 
 
-def test_model_free_adaptive_control_recovers_within_a_step_or_two(results_of: Results) -> None:
+def test_who_goes_on_learning_recovers_before_the_next_step(results_of: Results) -> None:
     results = results_of("direction-change")
     for scenario in results.study.scenarios:
-        adaptive = cases_of(results, scenario, "mfapc", "mfapc-any-sign", "mfac-any-sign")
+        adaptive = cases_of(results, scenario, "mfapc", "mfapc-any-sign", "mfac-any-sign", "deepc-online")
         assert not any(case.failed for case in adaptive)
-        assert all(mean_error(case, 37.0, 39.0) < 1.0 for case in adaptive)
-        for case in cases_of(results, scenario, "mfapc", "mfapc-any-sign"):
-            assert mean_error(case, 27.0, 29.0) < 1.0
-        assert results.study.controllers["mfapc"].settings["form"] == "ffdl"
+        assert all(mean_error(case, 27.0, 29.0) < 1.0 for case in adaptive)
+        least = medians(results, scenario, lambda case: metric(case, "mean_abs_error"))
+        assert min(least, key=least.__getitem__) == "deepc-online"
+    assert results.study.controllers["mfapc"].settings["form"] == "ffdl"
 
 
-@pytest.mark.parametrize(("controller", "fewest"), [("deepc-online", 0.9), ("wkpc-online", 1.0)])
-def test_data_that_fade_recover_on_nearly_every_seed(
-    controller: str, fewest: float, results_of: Results
-) -> None:
+@pytest.mark.parametrize("controller", ["deepc-online", "wkpc-online"])
+def test_data_that_fade_recover(controller: str, results_of: Results) -> None:
     results = results_of("direction-change")
     for scenario in results.study.scenarios:
-        succeeded = [not case.failed for case in cases_of(results, scenario, controller)]
-        assert np.mean(succeeded) >= fewest
+        assert not any(case.failed for case in cases_of(results, scenario, controller))
         assert medians(results, scenario, lambda case: mean_error(case, 50.0, 79.0))[controller] < 3.0
 
 
