@@ -227,6 +227,11 @@ class Tracking:
     factor: float = 1.0
     ends: tuple[EndWindow, ...] = ()
 
+    @property
+    def is_regulation(self) -> bool:
+        """Whether the reference is constant."""
+        return all(end.settling and not end.step for end in self.ends)
+
     @classmethod
     def read(cls, table: dict[str, Any]) -> Self:
         """Return what a file of a case says; KeyError, TypeError or ValueError if it says none of it."""

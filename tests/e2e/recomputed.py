@@ -136,10 +136,12 @@ def verdict(folder: Path, preview: int) -> Verdict:
         if min(r) == max(r) and at_rest(travel, [*r, *y]):
             travel = 0.0
         goes = max(abs(one - nothing[0]) for one in nothing) if rests else 0.0
-        moves = max(travel, 0.0 if at_rest(goes, [*r, *nothing]) else goes)
+        goes = 0.0 if at_rest(goes, [*r, *nothing]) else goes
+        moves = max(travel, goes if min(r) == max(r) else min(goes, 3 * travel))
         width = float(run["bounds"]["y_max"][i]) - float(run["bounds"]["y_min"][i])
         size = moves or (width if math.isfinite(width) else max(output["nominal"], *map(abs, r)))
-        scattered = min(scatter(y), scatter(nothing))
+        acted_on = scenario.get("disturbances") or scenario.get("inputs")
+        scattered = min(scatter(y), scatter(nothing)) if acted_on else 0.0
         s = math.hypot(scenario.get("noise", {}).get(output["name"], 0.0), scattered)
         half = 0.5 * scenario.get("quantum", {}).get(output["name"], 0.0)
         ends = ends_of(r, y, preview, run["sampling_time"])

@@ -172,10 +172,17 @@ def run(plant: Plant, controller: Controller, seed: int, reference: Any, **loop:
     return CaseResult(*head, trace.metrics(), {}, {}, (), Path())
 
 
+def scenario(**given: Any) -> ScenarioSection:
+    """Return a scenario with such noise and quantisation; of disturbances it counts that there are some."""
+    some = [{"kind": "constant", "value": 1.0}]
+    disturbances = dict.fromkeys(given.pop("disturbances", ()), some)
+    return ScenarioSection.model_validate({**given, "disturbances": disturbances})
+
+
 def judge(plant: Plant, controller: Controller, seed: int, reference: Any, **loop: Any) -> CaseResult:
     """Return a run as it is judged beside doing nothing."""
     case, idle = (run(plant, one, seed, reference, **loop) for one in (controller, Idle()))
-    section = ScenarioSection(noise=loop.get("noise", {}), quantum=loop.get("quantum", {}))
+    section = scenario(**{key: value for key, value in loop.items() if key in ScenarioSection.model_fields})
     own, resting = judged({"s": section}, [case, idle], {run_of(idle): idle})
     assert not resting.failure.startswith("worse")
     if isinstance(controller, Perfect | Predicting):
@@ -330,8 +337,27 @@ def test_where_doing_nothing_does_not_complete_that_clause_is_left_out() -> None
     falls = run(plant, Idle(), 0, Constant(0.0), disturbances=disturbances)
     holds = run(plant, Perfect(plant), 0, Constant(0.0), disturbances=disturbances)
     lost = replace(falls, outcome=Outcome.DIVERGED)
-    case, idle = judged({"s": ScenarioSection()}, [holds, lost], {run_of(lost): lost})
+    case, idle = judged({"s": scenario(disturbances=disturbances)}, [holds, lost], {run_of(lost): lost})
     assert (case.failed, case.settles, idle.failed, idle.left) == (False, True, True, math.inf)
+
+
+class Igniting(Linear):
+    """Left alone it runs away from where it is begun, as far as there is room; nothing acts on it."""
+
+    def step(self, u: FloatArray, h: float) -> FloatArray:
+        self.x = np.clip(1.3 * self.x + u, -1000.0, 1000.0)
+        return self.x.copy()
+
+
+@pytest.mark.parametrize("acts", [{}, {"disturbances": {"u0": [WhiteNoise(0.01)]}}])
+def test_a_plant_that_runs_away_when_left_alone_does_not_make_its_task_larger(acts: dict[str, Any]) -> None:
+    """Its reference travels by 1: who ends four away, or goes round it as far, failed and does not settle."""
+    plant = Igniting(first=0.01)
+    for wrong in (Otherwise((5.0,)), Otherwise((1.0,), wave=6.0)):
+        case = judge(Linear(), wrong, 0, DOWN)
+        theirs = run(plant, Idle(), 0, DOWN, **acts)
+        own, resting = judged({"s": scenario(**acts)}, [case, theirs], {run_of(theirs): theirs})
+        assert (own.failed, own.settles, resting.failed) == (True, False, True)
 
 
 class Chaotic(Linear):
@@ -353,6 +379,14 @@ class Tamed(Controller):
         return np.asarray(0.9 * sample.reference[0] - 3.9 * sample.y * (1.0 - sample.y))
 
 
+def test_without_a_run_of_doing_nothing_a_perfect_controller_under_disturbances_settles() -> None:
+    """It would be a run of another shard: what cannot be known ahead is read off the run itself."""
+    acts = {"disturbances": {"y": [WhiteNoise(0.2)]}}
+    for seed in range(20):
+        (case,) = judged({"s": scenario(**acts)}, [run(Linear(), Perfect(), seed, DOWN, **acts)], {})
+        assert_perfect(case)
+
+
 def test_what_is_wild_while_nothing_is_done_is_no_noise() -> None:
     """A controller that leaves a fifth of a step does not settle, however wild its plant is."""
     assert run(Chaotic(first=0.3), Idle(), 0, DOWN).tracking[0].scatter > 0.2
@@ -364,8 +398,7 @@ def test_what_is_wild_while_nothing_is_done_is_no_noise() -> None:
 def test_a_plant_that_drifts_or_oscillates_by_itself() -> None:
     for plant in (Drifting([[1.0]], [[1.0]]), Relay([[0.9]], [[1.0]])):
         assert not judge(plant, PID(proportional=0.5, integral=0.2), 0, Constant(0.0)).failed
-        idle = judge(plant, Idle(), 0, Constant(0.0))
-        assert idle.failed == isinstance(plant, Drifting)
+        assert judge(plant, Idle(), 0, Constant(0.0)).failed
         assert judge(plant, Otherwise((1.0,), wave=3.0), 0, Constant(0.0)).failed
 
 
