@@ -14,7 +14,7 @@ from ddpc_cosim.cli.output import clipped, fitting, wrapped
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
-from ddpc_cosim.study.findings import Findings, findings_of
+from ddpc_cosim.study.findings import Findings, Lead, findings_of
 from ddpc_cosim.study.ranks import ranks_frame
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.study.shares import marked
@@ -69,7 +69,6 @@ def summary_table(results: StudyResults, console: Console, told: Findings | None
     console are named below. ``told`` is what the results show, where the caller knows it.
     """
     told = told or findings_of(results.study, results.cases)
-    found = told.standings
     keys = tuple(dict.fromkeys(key for case in results.cases for key in case.metrics))
     scenarios = tuple(dict.fromkeys(case.scenario for case in results.cases))
     rows = _rows(results, told)
@@ -81,7 +80,7 @@ def summary_table(results: StudyResults, console: Console, told: Findings | None
     if len(scenarios) > 1:
         of_metrics = (one.title for one in _metric_columns(results, keys) if one.key not in headline(keys))
         left_out += dict.fromkeys(of_metrics)
-    return _set(_title(results), table, _lines(results, found, rows, left_out), console)
+    return _set(_title(results), table, _lines(results, told, rows, left_out), console)
 
 
 def _set(title: str, table: Table, lines: Sequence[str], console: Console) -> RenderableType:
@@ -243,20 +242,18 @@ def _title(results: StudyResults) -> str:
     return f"{clipped(results.study.title or results.study.name, _LONGEST_TITLE)} ({over})"
 
 
-def _lines(
-    results: StudyResults, found: Standings, rows: Sequence[_Row], left_out: Sequence[str]
-) -> list[str]:
+def _lines(results: StudyResults, told: Findings, rows: Sequence[_Row], left_out: Sequence[str]) -> list[str]:
     """Return what is to be said below the table."""
-    lines, where = [], results.folder / METRICS_FILE
+    lines, where, found = [], results.folder / METRICS_FILE, told.standings
     keys = headline(dict.fromkeys(key for case in results.cases for key in case.metrics))
     what = dict.fromkeys(
         f"{_words(key)} [{split_key(key)[2]}]" if len(keys) == 1 else metric_name(key) for key in keys
     )
     several = len({case.seed for case in results.cases}) > 1
     how = "what the seeds tell apart" if found.tested else "the medians" if several else "this value"
-    told = ["medians"] * several + ([f"ranked by {how}"] if found.is_ranked else [])
+    values = ["medians"] * several + ([f"ranked by {how}"] if found.is_ranked else [])
     if what:
-        lines.append(": ".join(filter(None, (", ".join(what), "; ".join(told)))))
+        lines.append(": ".join(filter(None, (", ".join(what), "; ".join(values)))))
     if found.seeds > 1 and any(one.too_few_seeds for one in found.compared.values()):
         few = "seeds are too few to test so many controllers against each other: it takes"
         lines.append(f"{found.seeds_compared} {few} {found.seeds_needed}")
@@ -268,7 +265,13 @@ def _lines(
         ]
         lines.append(f"scenarios disagree, so there is no overall rank; ahead: {'; '.join(ahead)}")
     elif found.tested and len(found.order) > 1 and all(one.rank == 1 for one in found.order):
-        lines.append(f"{found.seeds} seeds tell no two controllers apart")
+        differences = [one for of in found.compared.values() for one in of.differences.values()]
+        if told.lead is Lead.ALIKE:
+            lines.append("no difference between controllers matters")
+        elif any(one.told_apart for one in differences):
+            lines.append(f"{found.seeds} seeds tell no controller to be better by enough to matter")
+        else:
+            lines.append(f"{found.seeds} seeds tell no two controllers apart")
     if any(0 < row.failed < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:
         lines.append("* of the other runs: some failed")
     if left_out:

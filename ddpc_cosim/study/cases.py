@@ -54,7 +54,7 @@ _NAMES, _SURROUNDINGS = (
     ("label", "id", "problem"),
     ("step_timeout", "case_timeout", "memory_limit", "sandbox", "storage"),
 )
-_NOT_DECISIVE = (*_NAMES, *_SURROUNDINGS, "late", "metrics", "seed")
+_NOT_DECISIVE = (*_NAMES, *_SURROUNDINGS, "late", "metrics", "seed", "shared_bounds")
 _RESTING = "idle"
 """The controller, by entry point, that leaves the inputs at rest."""
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
@@ -84,8 +84,8 @@ class Case:
         The loop starts where the recording ended.
     reference : dict of str to Reference
         Of each controlled output, in its own unit.
-    bounds : dict of str to (float, float)
-        Limits in the variables' own units.
+    bounds, shared_bounds : dict of str to (float, float)
+        Limits in the variables' own units, and those of a controller that has none of its own.
     excitation : Excitation or None
         The experiment, which is run with the case's seed.
     recording : Recording or None
@@ -155,6 +155,7 @@ class Case:
     late: str = ""
     id: str = ""
     sandbox: str = ""
+    shared_bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     problem: str = ""
     storage: str = "csv"
 
@@ -250,6 +251,7 @@ def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
     first = next(iter(driven.values()))
     section = {"type": _RESTING, "settings": {}}
     case = replace(first, controller=DOING_NOTHING, label=DOING_NOTHING, section=section, late="")
+    case = replace(case, bounds=first.shared_bounds)  # of whichever controller comes first
     if not case.continue_recording:
         case = replace(case, excitation=None, recording=None, stabiliser=None)
     digest = case.recording.digest if case.recording else None
@@ -594,6 +596,7 @@ def cases_of_problem(
                 continue_recording=study.loop.start == "recording-end",
                 reference=resolved.reference,
                 bounds=resolved.bounds[controller] | resolved.scenario_bounds[name],
+                shared_bounds=resolved.shared_bounds | resolved.scenario_bounds[name],
                 excitation=resolved.excitations[name],
                 recording=resolved.recording,
                 stabiliser=None if stabiliser is None else _type_and_settings(stabiliser),

@@ -1,12 +1,13 @@
 """What a study's source claims of its controllers, checked run by run: in how many it is so."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 from ddpc_cosim.metrics import split_key
 from ddpc_cosim.study.case_files import CaseResult
+from ddpc_cosim.study.judgement import set_aside
 
 if TYPE_CHECKING:
     from ddpc_cosim.study.file_format.sections import ClaimSection, Study
@@ -21,7 +22,7 @@ class CheckedClaim(NamedTuple):
         The claim.
     runs : dict of str to (int, int)
         By scenario: seeds on which it is so, and seeds on which it can be judged, as every controller that
-        it is about has a value.
+        it is about has a value, or the one that it is of failed.
     """
 
     text: str
@@ -55,9 +56,11 @@ def check_claims(study: "Study", cases: Iterable[CaseResult]) -> list[CheckedCla
         about = controllers_of(claim, study)
         found = {}
         for scenario, seeds in runs.items():
-            values = [[_value(own.get(name), claim.metric) for name in about] for own in seeds.values()]
-            known = [dict(zip(about, one, strict=True)) for one in values if not any(map(math.isnan, one))]
-            found[scenario] = (sum(_is_so(claim, one) for one in known), len(known))
+            so = [
+                _is_so(claim, {name: own[name] for name in about if name in own}, about)
+                for own in seeds.values()
+            ]
+            found[scenario] = (so.count(True), len(so) - so.count(None))
         checked.append(CheckedClaim(claim.text, found))
     return checked
 
@@ -69,22 +72,30 @@ def controllers_of(claim: "ClaimSection", study: "Study") -> list[str]:
     sections = study.controllers
     if claim.alike:
         return [claim.alike, *(name for name, one in sections.items() if one.variant_of == claim.alike)]
-    points = study.report.reference_points
-    aside = {points.zero, points.full} if points else set()
-    return [name for name, one in sections.items() if not one.variant_of and name not in aside]
+    aside = set_aside(study)
+    return [name for name in sections if name not in aside]
 
 
-def _value(case: CaseResult | None, metric: str) -> float:
-    """Return a metric by its name and signal; of a failed run there is none."""
-    if case is None or case.failed:
-        return math.nan
+def _value(case: CaseResult, metric: str) -> float:
+    """Return a metric by its name and signal."""
     named = {".".join(filter(None, split_key(key)[:2])): value for key, value in case.metrics.items()}
     return named.get(metric, math.nan)
 
 
-def _is_so(claim: "ClaimSection", values: Mapping[str, float]) -> bool:
+def _is_so(claim: "ClaimSection", cases: Mapping[str, CaseResult], about: Sequence[str]) -> bool | None:
+    """Return whether a claim is so with one seed; None where that cannot be said.
+
+    That is where one of those compared did not run, or has no such figure, or failed without being the one
+    that the claim is of. Where that one failed it is not so.
+    """
+    subjects = claim.order or [claim.alike or claim.lowest or claim.highest]
+    if any(cases[name].failed for name in subjects if name in cases):
+        return False
+    values = {name: _value(case, claim.metric) for name, case in cases.items() if not case.failed}
+    if len(about) < 2 or values.keys() != {*about} or any(map(math.isnan, values.values())):
+        return None
     if claim.order:
-        return all(low < high for low, high in pairwise(values.values()))
+        return all(values[low] < values[high] for low, high in pairwise(claim.order))
     least, most = min(values.values()), max(values.values())
     if claim.alike:
         return most - least <= claim.within / 100.0 * least

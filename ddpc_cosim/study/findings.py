@@ -6,6 +6,7 @@ Page, terminal, files and Python ask here, and put it into their own words.
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import combinations
 
 from ddpc_cosim.metrics import metric_name, split_key
 from ddpc_cosim.study.case_files import CaseResult
@@ -28,7 +29,7 @@ class Lead(StrEnum):
     BY_SCENARIO = "scenarios disagree"
     AHEAD = "it is ahead of all others"
     BEST_MEDIAN = "it has the best median, and the seeds are too few for a test"
-    LEVEL = "they are not told apart"
+    LEVEL = "nobody is told to be better by enough to matter"
     ALIKE = "no difference between them matters"
 
 
@@ -112,8 +113,9 @@ def _lead(found: Standings) -> Lead:
         return Lead.BY_SCENARIO
     if len(sound) == 1:
         return Lead.ONLY_SOUND
-    first, *others = found.leaders
-    if others:
-        alike = all(found.too_small(first, other) for other in others)
-        return Lead.ALIKE if alike and found.tested else Lead.LEVEL
+    if len(found.leaders) > 1:
+        alike = found.tested and all(found.is_surely_small(*pair) for pair in combinations(found.leaders, 2))
+        return Lead.ALIKE if alike else Lead.LEVEL
+    if found.tested and found.order[0].worst > 1:  # others are behind others, but none behind it
+        return Lead.LEVEL
     return Lead.AHEAD if found.tested or found.seeds < 2 else Lead.BEST_MEDIAN

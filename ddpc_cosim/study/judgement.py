@@ -9,10 +9,11 @@ limits, else its nominal value, or the magnitude of its reference where that is 
 
 What a scenario makes unavoidable is taken off. With ``s``, the standard deviation of what cannot be known one
 sample ahead (measurement noise, and what declared disturbances and inputs scatter the output: the smaller of
-that of the run and that of doing nothing), ``q``, the step of quantised measurements, and ``n``, the samples of the window, that
-is ``0.8 s + 4 * 0.6 s / sqrt(n) + q / 2`` of a mean magnitude (0.8 s is the mean magnitude of Gaussian noise,
-0.6 s its standard deviation) and ``4 s / sqrt(n) + q / 2`` of a mean: four standard errors, since a run has
-many windows and a study many runs. Of a mean over the whole run ``n`` is that of its windows together.
+that of the run and that of doing nothing), ``q``, the step of quantised measurements, and ``n``, the samples
+of the window, that is ``0.8 s + 4 * 0.6 s / sqrt(n) + q / 2`` of a mean magnitude (0.8 s is the mean
+magnitude of Gaussian noise, 0.6 s its standard deviation) and ``4 s / sqrt(n) + q / 2`` of a mean: four
+standard errors, since a run has many windows and a study many runs. Of a mean over the whole run ``n`` is
+that of its windows together.
 
 Doing nothing is a run that the tool makes itself, once per scenario and seed, outside every ranking.
 """
@@ -41,7 +42,7 @@ _FAILED = 0.5
 _NEGLIGIBLE = 0.01
 """Of its task: what is worse than doing nothing by less is not worse."""
 _FARTHEST = 3.0
-"""Of how far a reference that moves travels: how far the output goes while nothing is done counts up to that."""
+"""Of the travel of a reference that moves: what doing nothing does counts up to that."""
 _MEAN_MAGNITUDE = math.sqrt(2.0 / math.pi)
 """Of Gaussian noise of standard deviation 1."""
 _SPREAD_OF_MAGNITUDE = math.sqrt(1.0 - 2.0 / math.pi)
@@ -138,8 +139,8 @@ def _moved(one: Tracking, nothing: Tracking | None) -> float:
 def _unavoidable(one: Tracking, nothing: Tracking | None, scenario: "ScenarioSection | None") -> Unavoidable:
     noise = scenario.noise.get(one.output, 0.0) if scenario else 0.0
     quantum = scenario.quantum.get(one.output, 0.0) if scenario else 0.0
-    # Where nothing acts on the plant, what its own dynamics do is no noise. The smaller: what is wild in one of
-    # the two runs, as an unstable plant that is left alone, is none either.
+    # Where nothing acts on the plant, what its own dynamics do is no noise. The smaller: what is wild in one
+    # of the two runs, as an unstable plant that is left alone, is none either.
     acts = scenario is not None and bool(scenario.disturbances or scenario.inputs)
     scatter = min(one.scatter, nothing.scatter if nothing else math.inf) if acts else 0.0
     return Unavoidable(math.hypot(noise, scatter), 0.5 * quantum)

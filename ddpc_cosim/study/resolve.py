@@ -27,6 +27,7 @@ from ddpc_cosim.study.controllers import (
 from ddpc_cosim.study.file_format.sections import BoundsSection, RecordingSection, Study, StudyHead
 from ddpc_cosim.study.file_format.study_files import StudyFile
 from ddpc_cosim.study.file_format.validation_errors import Section, ValidationErrors, independent
+from ddpc_cosim.study.judgement import set_aside
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.scenarios import Scenarios
@@ -56,6 +57,8 @@ class ResolvedStudy:
         Of each controlled output, in its own unit.
     bounds : dict of str to dict of str to (float, float)
         For each controller the limits of inputs and controlled outputs, in their own units.
+    shared_bounds : dict of str to (float, float)
+        The same for who has none of its own.
     scenario_bounds : dict of str to dict of str to (float, float)
         What each scenario puts in place of them.
     excitations : dict of str to (Excitation or None)
@@ -81,6 +84,7 @@ class ResolvedStudy:
     measurements: tuple[Variable, ...]
     reference: dict[str, Reference]
     bounds: dict[str, Limits]
+    shared_bounds: Limits
     scenario_bounds: dict[str, Limits]
     excitations: dict[str, Excitation | None]
     conditions: dict[str, Conditions]
@@ -207,7 +211,8 @@ class _Resolution:
         self._check_relevant()
         self._check_claims()
         self.references = self._references()
-        self.bounds = self._bounds()
+        self.shared_bounds = self._shared_bounds()
+        self.own_bounds = self._own_bounds() or {}
         self.scenario_bounds = {name: self._scenario_bounds(name) or {} for name in study.scenarios}
         self.excitation = self._excitation()
         self.excitations = {
@@ -217,7 +222,7 @@ class _Resolution:
 
     def result(self) -> ResolvedStudy | None:
         """Return the resolved study, None if there are errors."""
-        if self.errors.found or not self.is_complete or self.references is None or self.bounds is None:
+        if self.errors.found or not self.is_complete or self.references is None or self.shared_bounds is None:
             return None
         return ResolvedStudy(
             study=self._written_out(),
@@ -226,7 +231,8 @@ class _Resolution:
             outputs=self.outputs.variables,
             measurements=self.measurements.variables,
             reference=self.references,
-            bounds={controller.name: self.bounds[controller.of] for controller in self.controllers},
+            bounds={one.name: self.shared_bounds | self.own_bounds[one.of] for one in self.controllers},
+            shared_bounds=self.shared_bounds,
             scenario_bounds=self.scenario_bounds,
             excitations=self.excitations,
             conditions={name: conditions or Conditions() for name, conditions in self.conditions.items()},
@@ -292,8 +298,13 @@ class _Resolution:
             for name, metric in all_metrics().items()
             for signal in signals.get(metric.of, ("",))
         ]
+        aside = set_aside(self.study)
         for i, claim in enumerate(self.study.report.claims):
             self.errors.require_known(("report", "claims", i, "metric"), "metric", [claim.metric], known)
+            for key in ("lowest", "highest"):
+                if (name := getattr(claim, key)) in aside:
+                    what = "does not compete: it is a reference point, or a setting of a sweep"
+                    self.errors.add(("report", "claims", i, key), f"{name} {what}")
 
     @independent
     def _require_controllers(self, place: Place, section: Section, key: str) -> None:
@@ -480,12 +491,15 @@ class _Resolution:
         return None if self.errors.found else references
 
     @independent
-    def _bounds(self) -> dict[str, Limits]:
-        """Return the limits of each controller section: its own, else the study's, else the plant's."""
+    def _shared_bounds(self) -> Limits:
+        """Return the limits of who has none of its own: the study's, else the plant's."""
         variables = (*self.inputs.variables, *self.outputs.variables)
-        common = {v.name: (v.min, v.max) for v in variables} | self._limits(("bounds",), self.study.bounds)
+        return {v.name: (v.min, v.max) for v in variables} | self._limits(("bounds",), self.study.bounds)
+
+    @independent
+    def _own_bounds(self) -> dict[str, Limits]:
         return {
-            name: common | self._limits(("controllers", name, "bounds"), section.bounds)
+            name: self._limits(("controllers", name, "bounds"), section.bounds)
             for name, section in self.study.controllers.items()
         }
 

@@ -14,6 +14,7 @@ from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.judgement import all_failed, set_aside
 from ddpc_cosim.study.statistics import (
     Comparisons,
+    Difference,
     Interaction,
     Runs,
     Sample,
@@ -116,15 +117,15 @@ class Standings:
         Scenarios in which no controller follows its reference: they do not count.
     relevant : Relevant
         The smallest difference that matters.
-    tasks : mapping of str to float
-        By key, the size of the task in the unit of the key, where it is known.
+    tasks : mapping of str to mapping of str to float
+        By scenario and key, the size of the task in the unit of the key, where it is known.
     """
 
     keys: tuple[str, ...]
     runs: dict[str, dict[str, Runs]]
     left_out: tuple[str, ...]
     relevant: Relevant = Relevant()
-    tasks: Mapping[str, float] = field(default_factory=dict)
+    tasks: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @cached_property
     def failed(self) -> dict[str, int]:
@@ -176,8 +177,7 @@ class Standings:
             for key in (self.keys if self._sound else ())
         }
         return {
-            key: self.relevant.difference(key, best.get(key, math.nan), self.tasks.get(key, math.nan))
-            for key in self.keys
+            key: self.relevant.difference(key, best.get(key, math.nan), self._task(key)) for key in self.keys
         }
 
     @cached_property
@@ -252,9 +252,18 @@ class Standings:
             and self._changes(key, one.pair, *cast("tuple[str, str]", one.conditions))
         )
 
-    def too_small(self, a: str, b: str) -> bool:
-        """Whether no difference of two controllers matters, be they told apart or not."""
-        return all(self._too_small(key, a, b) for key in self.keys)
+    def is_surely_small(self, a: str, b: str) -> bool:
+        """Whether no difference of two controllers matters wherever in its 95 % interval it lies."""
+        found = {key: self.difference(key, a, b) for key in self.keys}
+        return all(
+            one is not None and max(abs(one.low), abs(one.high)) < self.relevant_differences[key]
+            for key, one in found.items()
+        )
+
+    def difference(self, key: str, a: str, b: str) -> Difference | None:
+        """Return the difference of two controllers, whichever of them comes first; None if there is none."""
+        differences = self.compared[key].differences
+        return differences.get((a, b)) or differences.get((b, a))
 
     @cached_property
     def _sound(self) -> list[str]:
@@ -286,7 +295,12 @@ class Standings:
             }
             for key, of_key in self.runs.items()
         }
-        return replace(self, runs=runs, left_out=())
+        return replace(self, runs=runs, left_out=(), tasks={scenario: self.tasks.get(scenario, {})})
+
+    def _task(self, key: str) -> float:
+        """Return the size of the task of a key's output: of several scenarios the median."""
+        sizes = [own[key] for own in self.tasks.values() if key in own]
+        return median(sizes) if sizes else math.nan
 
     def _changes(self, key: str, pair: tuple[str, str], one: str, other: str) -> bool:
         """Return whether one of two controllers is told to be better in one scenario, and not in another."""
@@ -319,8 +333,7 @@ class Standings:
             return False
         if len({f"{value:.{_DIGITS}g}" for value in medians}) == 1:
             return True
-        differences = self.compared[key].differences
-        found = differences.get((a, b)) or differences.get((b, a))
+        found = self.difference(key, a, b)
         difference = found.median if self.tested and found else medians[0] - medians[1]
         return abs(difference) < self.relevant_differences[key]
 
@@ -414,9 +427,8 @@ def standings(study: Study, cases: Iterable[CaseResult]) -> Standings:
                 runs[key].setdefault(case.controller, {})[case.scenario, case.seed] = value
     given = study.metrics.relevant
     relevant = Relevant(given.absolute, given.percent) if given else Relevant()
-    return Standings(
-        keys, {key: dict(own) for key, own in runs.items()}, left_out, relevant, _tasks(keys, counting)
-    )
+    tasks = {name: _tasks(keys, own) for name, own in by_scenario.items() if name not in left_out}
+    return Standings(keys, {key: dict(own) for key, own in runs.items()}, left_out, relevant, tasks)
 
 
 def _tasks(keys: Iterable[str], cases: Sequence[CaseResult]) -> dict[str, float]:

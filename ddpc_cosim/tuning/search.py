@@ -205,17 +205,21 @@ class SettingsSearch:
         return trial_of(settings, every, self._objectives)
 
     def _expected(self, runs: Mapping[Run, Figures]) -> Trial:
-        """Return what a trial is if in the runs left it is as much worse than the best as so far."""
+        """Return what a trial is if in the runs left it is as much worse than the best as so far.
+
+        Of these as many fail as of other trials: those that fail most come first, and tell nothing of others.
+        """
         own, foremost = (np.array([of[run].values for run in runs]) for of in (runs, self._best_yet))
-        lost = np.isinf(own)
-        worse = np.where(lost, np.inf, own - np.where(lost, 0.0, foremost)).mean(axis=0)
+        finite = np.isfinite(own) & np.isfinite(foremost)
+        worse = np.subtract(own, foremost, out=np.where(np.isfinite(own), 0.0, np.inf), where=finite).mean(0)
         left = {
             run: Figures(failed=False, values=tuple(figures.values + worse))
             for run, figures in self._best_yet.items()
             if run not in runs
         }
         expected = trial_of({}, {**left, **runs}, self._objectives)
-        return expected._replace(failed=round(expected.failed * expected.runs / len(runs)))
+        failing = sum(self._lost[run] for run in left) / max(len(self.trials), 1)
+        return expected._replace(failed=expected.failed + round(failing))
 
     def at_ends(self, settings: Mapping[str, Any]) -> list[str]:
         """Return which settings lie at an end of where was looked, or beyond it."""

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 from markupsafe import Markup
 
@@ -105,6 +106,8 @@ def _by_scenario(
     for leaders, scenarios in where.items():
         bold = [Markup("<b>{}</b>").format(who[name].label) for name in leaders]
         lead = "leads" if len(bold) == 1 else "lead and are not told apart"
+        if not bold:
+            bold, lead = [Markup("no controller")], "is without a failed run"
         parts.append(Markup("{} {} in {}").format(some_of(bold), lead, some_of(scenarios)))
     text = "The scenarios disagree, so there is no overall rank: {}."
     return Markup(text).format(Markup("; ").join(parts))
@@ -122,8 +125,7 @@ def _elsewhere(found: Standings, who: dict[str, ControllerResults], counting: Se
     """Say in how many scenarios others are ahead of the leaders, and who; nothing where none is."""
     others: dict[str, int] = {}
     led = 0
-    for condition in counting:
-        here = condition.standings.leaders
+    for here in (found.leaders_by_scenario or {"": found.leaders}).values():
         led += bool({*here} & {*found.leaders})
         for name in here if not {*here} & {*found.leaders} else ():
             others[name] = others.get(name, 0) + 1
@@ -146,7 +148,7 @@ def _level(told: Findings, leaders: Sequence[ControllerResults], over: str) -> M
     who = join_words([*bold, *([f"{more} more"] if more else [])])
     if not found.tested:
         return Markup("{} share the best medians {}: {}.").format(who, over, _values(found, shown[0].key))
-    if len(found.keys) > 1:
+    if len(found.keys) > 1 or len(leaders) == 1:
         values = [
             Markup("<i>{}</i> {}").format(one.label, _values(found, one.key, brief=True)) for one in shown
         ]
@@ -157,11 +159,20 @@ def _level(told: Findings, leaders: Sequence[ControllerResults], over: str) -> M
     show = formatter(key, 3)
     medians = join_words([show(found.samples[key][one.key].median) for one in shown])
     if told.lead is Lead.ALIKE:
-        text = Markup("{} lead {}, and no difference between them matters: {} {}, less than {} apart.")
+        text = Markup(
+            "{} lead {}, and no difference between them matters: {} {}, in pairs less than {} apart."
+        )
         least = with_unit(significant(found.relevant_differences[key], 2), metric_unit(key))
         return text.format(who, over, metric_name(key), medians, least)
     apart = [_difference(found, key, shown[0].key, one.key) for one in shown[1:]]
-    text = Markup("{} lead {} and are not told apart: {} {}").format(who, over, metric_name(key), medians)
+    told_apart = any(
+        one is not None and one.told_apart
+        for one in (found.difference(key, *pair) for pair in combinations(told.leaders, 2))
+    )
+    how = "none of them is told to be better by enough to matter" if told_apart else "are not told apart"
+    text = Markup("{} lead {}{} {}: {} {}").format(
+        who, over, "," if told_apart else " and", how, metric_name(key), medians
+    )
     words = join_words([_interval(one, key) + _why_alike(one) for one in apart])
     return text + Markup(", paired {} from the first {}.").format(
         "differences" if len(apart) > 1 else "difference", words
@@ -169,7 +180,7 @@ def _level(told: Findings, leaders: Sequence[ControllerResults], over: str) -> M
 
 
 def _why_alike(found: Difference) -> str:
-    """Say by which p two are not told apart of whose difference the interval leaves 0 out."""
+    """Say the p of two that share a rank though the interval of their difference leaves 0 out."""
     return f" (corrected p {p_words(found.corrected)})" if found.low * found.high > 0 else ""
 
 

@@ -15,7 +15,7 @@ from ddpc_reports.sections import StudyPart, gather
 from ddpc_reports.tables.table import Cell, Table
 from ddpc_reports.tidy import COLUMNS, tidy_rows
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Grows with every change by which what was read before is read wrongly or not at all."""
 
 

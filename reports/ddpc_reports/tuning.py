@@ -191,5 +191,6 @@ def _caption(objectives: Sequence[str], one: _Search, shown: int) -> str:
     line = "the line joins" if len(objectives) == 2 else "full ones are"
     return (
         f"{one.label}: one dot per trial; {line} those than which no other is better in one objective "
-        f"and worse in none; diamond: the trial chosen, best in the first objective; square: as given.{rest}"
+        f"and worse in none; diamond: the trial chosen, within 1\u00a0% of the best in the first objective; "
+        f"square: as given.{rest}"
     )

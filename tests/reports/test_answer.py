@@ -143,7 +143,7 @@ def test_of_many_that_lead_three_are_named(make_results: MakeResults) -> None:
     same = having(results, dict.fromkeys(names, lambda s, n: 1.0))
     assert said(same) == (
         "a, b, c and 2 more lead over 12 seeds, and no difference between them matters: mean abs error "
-        "1.00°, 1.00° and 1.00°, less than 0.20° apart."
+        "1.00°, 1.00° and 1.00°, in pairs less than 0.20° apart."
     )
 
 

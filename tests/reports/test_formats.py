@@ -129,7 +129,7 @@ def test_markdown_has_the_same_tables_and_shows_texts_as_they_are(
 
 
 def test_rankings_and_statistics_follow_from_the_cases(results: StudyResults, data: dict[str, Any]) -> None:
-    assert data["schema_version"] == 1
+    assert data["schema_version"] == 2
     metrics = pd.read_csv(results.folder / "metrics.csv")
     key = "mean_abs_error.angle [deg]"
     (ranking,) = data["results"][0]["rankings"]

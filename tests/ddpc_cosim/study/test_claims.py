@@ -80,7 +80,19 @@ def test_equal_values_are_in_no_order_and_some_seeds_make_it_a_part() -> None:
     assert (found.true, found.judged, found.verdict) == (1, 2, "holds in part")
 
 
-def test_where_one_failed_nothing_is_judged() -> None:
+def test_a_claim_is_not_so_where_the_one_that_it_is_of_failed() -> None:
+    failing = [("a", 0), ("a", 1)]
+    assert (found := checked(A_BELOW_B, *failing, lowest="a")).verdict == "holds in part"
+    assert (found.true, found.judged) == (1, 3)
+    assert checked(A_BELOW_B, ("a", 0), order=["a", "b"]).verdict == "holds in part"
+
+
+def test_nobody_to_compare_with_is_no_proof() -> None:
+    assert checked({"a": [1.0, 2.0]}, lowest="a").verdict == "cannot be judged"
+    assert checked({"b": [1.0, 2.0]}, alike="b").verdict == "cannot be judged"
+
+
+def test_where_another_failed_nothing_is_judged() -> None:
     assert checked(A_BELOW_B, ("b", 0), lowest="a").judged == 2
     assert checked(A_BELOW_B, *(("b", seed) for seed in range(3)), lowest="a").verdict == "cannot be judged"
 

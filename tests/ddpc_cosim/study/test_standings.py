@@ -128,8 +128,8 @@ def test_a_difference_that_does_not_matter_shares_a_rank() -> None:
     (compared,) = found.compared.values()
     assert all(one.told_apart for one in compared.differences.values())
     assert ranks(found) == {"a": 1, "b": 1, "c": 3}
-    assert found.too_small("a", "b")
-    assert not found.too_small("b", "c")
+    assert found.is_surely_small("a", "b")
+    assert not found.is_surely_small("b", "c")
     assert ranks(of_relevant(own, Relevant(absolute=0.0))) == {"a": 1, "b": 2, "c": 3}
     assert ranks(of_relevant(own, Relevant(absolute=0.06))) == {"a": 1, "b": 1, "c": 1}
     assert ranks(of_relevant(own, Relevant(percent=6.0))) == {"a": 1, "b": 1, "c": 1}
@@ -139,7 +139,7 @@ def test_a_difference_that_does_not_matter_shares_a_rank() -> None:
 
 def of_relevant(errors: dict[str, list[float]], relevant: Relevant, task: float = float("nan")) -> Standings:
     found = of(errors)
-    return replace(found, relevant=relevant, tasks=dict.fromkeys(found.keys, task))
+    return replace(found, relevant=relevant, tasks={"": dict.fromkeys(found.keys, task)})
 
 
 def test_where_the_medians_decide_a_difference_has_to_matter_too() -> None:

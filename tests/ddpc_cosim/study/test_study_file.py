@@ -26,7 +26,7 @@ from ddpc_cosim import (
     setting,
 )
 from ddpc_cosim.metrics import MetricSettings
-from ddpc_cosim.study.cases import Case, _hash_of, cases_of
+from ddpc_cosim.study.cases import Case, _hash_of, cases_of, doing_nothing
 from ddpc_cosim.study.file_format.sections import expand_seeds
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.reading import read_study
@@ -294,6 +294,7 @@ OTHER: dict[str, Any] = {
 
 SAME: dict[str, Any] = {
     "label": "other",
+    "shared_bounds": {"torque": (-0.5, 0.5)},
     "id": "other",
     "problem": "other",
     "metrics": MetricSettings(preview=7),
@@ -323,6 +324,21 @@ def test_every_field_of_a_case_is_known_to_decide_its_result_or_not_to(tmp_path:
     seeds = cases(f"seeds = [0, 1]\n{SMALL}", tmp_path)
     assert seeds[0].id == case.id
     assert seeds[1].id.rpartition("_")[2] != case.id.rpartition("_")[2]
+
+
+def test_doing_nothing_is_the_same_whoever_runs_beside_it(tmp_path: Path) -> None:
+    """A controller's own limits, that keep it from resting, are not those of doing nothing."""
+    ids = set()
+    for own in ("", "[controllers.mfapc.bounds]\ntorque = { min = 1.0, max = 2.0 }\n"):
+        text = (
+            f"[bounds]\ntorque = {{ min = -3.0, max = 3.0 }}\n{SMALL}{own}[controllers.pid]\ntype = 'pid'\n"
+        )
+        driven = cases(text, tmp_path)
+        for some in (driven, driven[1:]):
+            (resting,) = doing_nothing(some)
+            ids.add(resting.id)
+            assert resting.bounds["torque"] == (-3.0, 3.0)
+    assert len(ids) == 1
 
 
 def test_a_change_of_the_code_gives_another_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
