@@ -83,15 +83,22 @@ def test_what_sources_may_include(tmp_path: Path, cache: Path, secret: Path) -> 
         FMUPlant(path, isolated=True, sandbox=True)
 
 
-@pytest.mark.parametrize("command", ["run", "check", "simulate", "init"])
-@pytest.mark.parametrize("how", ["the assembler", "the preprocessor"])
+@pytest.mark.parametrize(
+    ("command", "how"),
+    [
+        ("run", "the assembler"),
+        ("check", "the preprocessor"),
+        ("simulate", "the assembler"),
+        ("init", "the preprocessor"),
+    ],
+)
 def test_no_command_compiles_outside_of_it(
     command: str, how: str, tmp_path: Path, cache: Path, secret: Path
 ) -> None:
     """Neither the library nor the words of the compiler have what is in the file."""
     fmu_of_sources(tmp_path, including(secret) if how == "the assembler" else f'#include "{secret}"\n')
     subject = "study.toml" if command == "run" else "lag.fmu"
-    result = run(command, subject, "--sandbox", *(["--out", "out"] if command == "run" else []))
+    result = run(command, subject, "--sandbox", *(["--out", "out"] if command in ("run", "init") else []))
     assert result.exit_code in (1, 2)
     assert "cannot compile its C sources" in result.output
     assert SECRET not in result.output
@@ -145,9 +152,9 @@ def test_the_cache_is_not_read(tmp_path: Path, cache: Path, monkeypatch: pytest.
     library = f"binaries/{fmpy.platform}/models.so"
     files = {library: model_library("2.0", complete=True), "modelDescription.xml": description.encode()}
     write_archive(tmp_path / "lag.fmu", files)
-    study = STUDY.replace("x = {", "y = {")
+    study = STUDY.replace("x = {", "y = {").replace("[loop]", 'outputs = ["y"]\n[loop]')
     (tmp_path / "study.toml").write_text(study, encoding="utf-8")
     result = run("run", "study.toml", "--no-report", "--out", "out", "--sandbox")
-    assert result.exit_code == 1
+    assert result.exit_code == 1, result.output
     (case,) = load_results(tmp_path / "out").cases
     assert "the file cannot be opened" in case.reason
