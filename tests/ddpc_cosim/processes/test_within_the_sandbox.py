@@ -1,6 +1,7 @@
 """What a process in the sandbox may and may not do, asked of it."""
 
 import csv
+import fcntl
 import os
 import platform
 import shutil
@@ -206,11 +207,30 @@ def test_it_says_what_it_is_in(called: Ask, apart: bool) -> None:
     assert ("namespaces: users, processes, network" in words) == apart
     assert (called(os.getppid) == 1) == apart
     assert called(os.geteuid) == os.geteuid()
-    there = "[name for name in __import__('os').listdir('/proc') if name.isdigit()]"
-    if apart:
-        assert called(eval, f"__import__('os').path.exists('/proc/{os.getpid()}')") is (os.getpid() < 3)
     with pytest.raises(UnexpectedError, match=REFUSED):
-        called(eval, there)
+        called(os.listdir, "/proc")
+    # As where a system does not have them.
+    assert called(eval, "__import__('ddpc_cosim.processes.sandbox', fromlist='_').separable()") is False
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [("abort()", "SIGABRT"), ("_exit(3)", "exit code 3"), ("kill(os.getpid(), 9)", "SIGKILL")],
+)
+def test_its_end_is_told_as_it_was(call: str, words: str, own: Path, apart: bool) -> None:
+    """Also where it is not the process that was started; and what it has left ends with it."""
+    worker = Worker(serve_calls, folder=own, sandbox=Sandbox((own,)))
+    leave = "os.fork() or [os.setsid(), __import__('signal').pause()]"
+    lock = f"(fcntl := __import__('fcntl')).flock(os.open({str(own / 'lock')!r}, os.O_CREAT), fcntl.LOCK_EX)"
+    try:
+        ask(worker.channel, eval, f"[(os := __import__('os')), {lock}, {leave}, os.{call}]")
+        with pytest.raises(EOFError):
+            worker.channel.receive(LONGEST_REPLY)
+    finally:
+        ending = worker.end()
+    assert words in str(ending)
+    with (own / "lock").open() as file:  # which whoever is left would have
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def test_limits_of_another_process_are_its_own(called: Ask) -> None:
