@@ -201,10 +201,8 @@ def _built_in_sandbox(compiler: "Compiler", sources: Path, sets: Sequence[Source
     from fmu_plants import ExportError
 
     require()
-    program = Path(compiler.command[0]).resolve()
     with ScratchFolder() as folder:
-        # A compiler that is not the system's has its own files around it.
-        read = (sources, Path(compiler.command[0]).parent, program.parent.parent)
+        read = (sources, *_places(Path(compiler.command[0])))
         worker = Worker(serve_calls, folder=folder, sandbox=Sandbox((folder,), read))
         try:
             ask(worker.channel, _build_alone, compiler, sources, sets, folder / name)
@@ -215,9 +213,8 @@ def _built_in_sandbox(compiler: "Compiler", sources: Path, sets: Sequence[Source
             raise ExportError(str(error)) from error
         except (OSError, EOFError, ValueError) as error:
             ending = worker.end()
-            raise ExportError(
-                (ending.excess and f"{ending.excess}, so it was ended") or str(ending)
-            ) from error
+            reason = f"{ending.excess}, so it was ended" if ending.excess else str(ending)
+            raise ExportError(reason) from error
         finally:
             worker.end()
         if fault:
@@ -226,6 +223,16 @@ def _built_in_sandbox(compiler: "Compiler", sources: Path, sets: Sequence[Source
         if not library:
             raise ExportError("it wrote no library")
         return library
+
+
+def _places(program: Path) -> Iterator[Path]:
+    """Yield where a compiler has its own files, which for the system's are read anyway."""
+    yield program
+    temporary = Path(tempfile.gettempdir()).resolve()
+    folders = {program.parent.resolve(), program.resolve().parent}
+    # Of ~/.local/bin, all that programs keep of the user's would be around it.
+    folders |= {f.parent for f in folders if f.name == "bin" and not f.parent.name.startswith(".")}
+    yield from (folder for folder in folders if not temporary.is_relative_to(folder))
 
 
 def _build_alone(compiler: "Compiler", sources: Path, sets: Sequence[SourceSet], built: Path) -> str:
