@@ -22,7 +22,7 @@ from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError
 from ddpc_cosim.plant import Plant
 from ddpc_cosim.plugins import find_modules_in, load_plugin, load_target, plugin_names
 from ddpc_cosim.processes.fork_server import Ending
-from ddpc_cosim.processes.sandbox import Sandbox, require
+from ddpc_cosim.processes.sandbox import Sandbox, demanded, require
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.processes.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, result_of, serve_calls
 from ddpc_cosim.safe_calls import CallsInTime
@@ -30,7 +30,6 @@ from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
 from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
 from ddpc_cosim.texts import printable
-from fmu_plants.files import cache_dir
 from fmu_plants.spelling import did_you_mean
 
 _PRELOAD = (__name__,)
@@ -188,11 +187,12 @@ def check_command(
     with shown(f"check {subject}") as progress:
         found = find_subject(subject, settings, timeout)
         step = sampling_time or _natural_step(found)
+        read: tuple[Path, ...] = ()
         if isinstance(found, FMUSubject):
             from ddpc_cosim.fmu.library import compile_ahead
 
-            compile_ahead(Path(found.path), progress.prepare)  # part of no check's time
-        read = (Path(found.path), cache_dir()) if isinstance(found, FMUSubject) else (cache_dir(),)
+            with demanded(sandboxed):  # part of no check's time
+                read += Path(found.path), *compile_ahead(Path(found.path), progress.prepare)
         with ScratchFolder() as folder, _CheckWorker(folder, read if sandboxed else None) as worker:
             results = []
             if isinstance(found, FMUSubject):  # one that does not open fails once, and not in every check

@@ -17,6 +17,7 @@ from ddpc_cosim.csv_files import CSVFile
 from ddpc_cosim.errors import ConfigError, CosimWarning, DataError
 from ddpc_cosim.plant import FMIType
 from ddpc_cosim.plugins import load_plugin
+from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.simulation import Simulation, run
 from ddpc_cosim.simulation.request import Request, overwrites, prepare
 from ddpc_cosim.texts import printable
@@ -78,7 +79,8 @@ def simulate_command(
     try:
         with warnings.catch_warnings(), shown(f"simulate {plant}") as progress:
             warnings.simplefilter("ignore", CosimWarning)  # they are among the notes
-            prepared = prepare(request)
+            with demanded(sandbox):
+                prepared = prepare(request)
             simulation = run(prepared, progress.update, sandboxed=sandbox)
     except KeyboardInterrupt:
         print("interrupted before the first sample: nothing is written", file=sys.stderr)

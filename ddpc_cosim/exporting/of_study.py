@@ -9,7 +9,7 @@ from typing import Any
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.exporting import block_of, write_block
 from ddpc_cosim.exporting.vector import SAMPLES, vector_of
-from ddpc_cosim.processes.sandbox import require
+from ddpc_cosim.processes.sandbox import demanded, require
 from ddpc_cosim.study.cases import Case, cases_of_problems, controller_of, run_case, started
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
@@ -72,7 +72,8 @@ def export_from_study(
     _chosen("controller", controller, study.controllers)
     within = _chosen("scenario", scenario, study.scenarios)
     alone = replace(resolved, problems={one: resolved.problems[one]})
-    plant = built_plants(alone, progress)[one]
+    with demanded(sandboxed):
+        plant = built_plants(alone, progress)[one]
     case = _case(alone.problem, plant, controller, within, study.seeds[0] if seed is None else seed)
     if case.late:
         raise ConfigError(f'controller "{controller}": {case.late}')

@@ -10,6 +10,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeVar
@@ -45,7 +46,7 @@ _MOST_MARKUP = 14_000_000  # tags and attributes
 _BEYOND_LIMITS = re.compile("PARSE_HUGE|too big|too long")  # what libxml2 says of its own limits
 _ENCRYPTED = 0x1
 _UNIX, _DARWIN = 3, 19
-_EXECUTABLE = 0o111
+_READABLE, _EXECUTABLE = 0o666, 0o111
 _DEVICE_NAME = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 # An identifier names a library file; this is stricter than what a file system takes, laxer than C.
 _LONGEST_SHOWN = 200
@@ -289,16 +290,14 @@ def _unpack_entries(
     for name, entry in files.items():
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        with archive.open(entry) as source, target.open("xb") as file:
+        # In a sandbox nobody changes what a file may be used for, so that it is made so.
+        made = partial(os.open, mode=_READABLE | _execution(entry, name))
+        with archive.open(entry) as source, open(target, "xb", opener=made) as file:
             while chunk := source.read(_CHUNK):
                 remaining -= len(chunk)
                 if remaining < 0:
                     raise too_large
                 file.write(chunk)
-            if mode := _execution(entry, name):
-                # By its number: in a sandbox, files are not changed by name.
-                place = file.fileno() if os.chmod in os.supports_fd else target
-                os.chmod(place, target.stat().st_mode | mode)  # noqa: PTH101 - or by its name
 
 
 def _checked(entries: list[zipfile.ZipInfo], label: str) -> dict[str, zipfile.ZipInfo]:

@@ -14,6 +14,10 @@ from typing import TYPE_CHECKING
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.archive import XMLTree, read_xml
 from ddpc_cosim.fmu.description import FMUDescription
+from ddpc_cosim.processes.rows import content_of
+from ddpc_cosim.processes.sandbox import Sandbox, entered, is_demanded, require
+from ddpc_cosim.processes.scratch import ScratchFolder
+from ddpc_cosim.processes.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, result_of, serve_calls
 
 if TYPE_CHECKING:
     from fmu_plants.export.compiler import Compiler
@@ -27,6 +31,7 @@ _DEFINITIONS = (
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 _CPP = (".cpp", ".cc", ".cxx")
 _OUTPUT_SHOWN = 1500
+_LONGEST_SECONDS, _LARGEST_FILE = 600.0, 1 << 30  # of a compilation in a sandbox
 _INCLUSION = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([\x21-\x7e]+\.c)"', re.MULTILINE)
 
 
@@ -99,10 +104,12 @@ def compile_sources(
     target: Path,
     label: str,
     tell: Callable[[str], object],
-) -> None:
-    """Build the library of an unpacked FMU from its sources.
+) -> Path:
+    """Build the library of an unpacked FMU from its sources; return the folder of the cache that keeps it.
 
-    What has been built before from the same sources by the same compiler is taken from the cache.
+    What has been built before from the same sources by the same compiler is taken from the cache; in a
+    sandbox, what was built in one. Where one is demanded, the compiler runs in it, as sources can include any
+    file that it may read.
 
     Parameters
     ----------
@@ -139,18 +146,23 @@ def compile_sources(
         raise FMUImportError(f"{label}: the FMU comes as C sources, and {error}") from error
     target.parent.mkdir(parents=True, exist_ok=True)
 
+    apart = is_demanded() and not entered()
+
     def make() -> bytes:
         tell(f"compiling the C sources of {label}")
-        return _built(compiler, sources, sets, target.name)
+        return (_built_in_sandbox if apart else _built)(compiler, sources, sets, target.name)
 
-    place = f"libraries/{_digest(sources, sets, compiler.identity)}/{target.name}"
+    where = " in a sandbox" if apart or entered() else ""
+    place = f"libraries/{_digest(sources, sets, compiler.identity + where)}/{target.name}"
     try:
-        target.write_bytes(cached(place, make).read_bytes())
+        kept = cached(place, make)
+        target.write_bytes(kept.read_bytes())
     except ExportError as error:
         what = f"no binary for this platform, and {compiler.command[0]} cannot compile its C sources"
         raise FMUImportError(f"{label}: {what}: {str(error)[:_OUTPUT_SHOWN]}") from error
     except OSError as error:
         raise FMUImportError(f"{label}: its C sources are compiled, and {error}") from error
+    return kept.parent
 
 
 def _source_sets(sources: Path, sets: list[SourceSet], label: str) -> list[SourceSet]:
@@ -182,6 +194,62 @@ def _built(compiler: "Compiler", sources: Path, sets: Sequence[SourceSet], name:
         built = Path(scratch) / name
         _build(compiler, sources, sets, built)
         return built.read_bytes()
+
+
+def _built_in_sandbox(compiler: "Compiler", sources: Path, sets: Sequence[SourceSet], name: str) -> bytes:
+    """Return the library, built by a process that reads the sources and what is installed, and no more."""
+    from fmu_plants import ExportError
+
+    require()
+    with ScratchFolder() as folder:
+        read = (sources, *_places(Path(compiler.command[0])))
+        worker = Worker(serve_calls, folder=folder, sandbox=Sandbox((folder,), read))
+        try:
+            ask(worker.channel, _build_alone, compiler, sources, sets, folder / name)
+            fault = result_of(worker.channel.receive(LONGEST_REPLY, seconds=_LONGEST_SECONDS))
+        except TimeoutError as error:
+            raise ExportError(f"it did not end within {_LONGEST_SECONDS:g} s and was ended") from error
+        except UnexpectedError as error:
+            raise ExportError(str(error)) from error
+        except (OSError, EOFError, ValueError) as error:
+            ending = worker.end()
+            reason = f"{ending.excess}, so it was ended" if ending.excess else str(ending)
+            raise ExportError(reason) from error
+        finally:
+            worker.end()
+        if fault:
+            raise ExportError(str(fault))
+        library = content_of(folder / name, _LARGEST_FILE)
+        if not library:
+            raise ExportError("it wrote no library")
+        return library
+
+
+def _places(program: Path) -> Iterator[Path]:
+    """Yield where a compiler has its own files, which for the system's are read anyway."""
+    yield program
+    temporary = Path(tempfile.gettempdir()).resolve()
+    folders = {program.parent.resolve(), program.resolve().parent}
+    # Of ~/.local/bin, all that programs keep of the user's would be around it.
+    folders |= {f.parent for f in folders if f.name == "bin" and not f.parent.name.startswith(".")}
+    yield from (folder for folder in folders if not temporary.is_relative_to(folder))
+
+
+def _build_alone(compiler: "Compiler", sources: Path, sets: Sequence[SourceSet], built: Path) -> str:
+    """Build a library in a sandbox (Linux); return what is wrong."""
+    import resource
+
+    from fmu_plants import ExportError
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (_LARGEST_FILE, _LARGEST_FILE))  # one line can ask for any size
+    # Caches of compilers: what is in those of the user is executed elsewhere.
+    caches = dict.fromkeys(("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR"), str(built.parent / "zig"))
+    os.environ.update(caches | {"CCACHE_DISABLE": "1"})
+    try:
+        _build(compiler, sources, sets, built)
+    except ExportError as error:
+        return str(error)
+    return ""
 
 
 def _build(compiler: "Compiler", sources: Path, sets: Sequence[SourceSet], built: Path) -> None:

@@ -275,12 +275,17 @@ def _say_nothing(line: str) -> None:
     """Let a line go by."""
 
 
+def _ignore(folder: Path) -> None:
+    """Let a folder go by."""
+
+
 def find_library(
     folder: Path,
     description: FMUDescription,
     interface: Interface,
     label: str,
     tell: Callable[[str], object] = _say_nothing,
+    keep: Callable[[Path], object] = _ignore,
 ) -> tuple[Path, tuple[str, ...]]:
     """Return the library to load, and warnings where it is not where the standard wants it.
 
@@ -296,6 +301,8 @@ def find_library(
         The FMU's file name, for errors.
     tell : callable, optional
         Called with a line before C sources are compiled, which may take a while.
+    keep : callable, optional
+        Called with the folder of the cache that has what was compiled.
 
     Raises
     ------
@@ -314,7 +321,7 @@ def find_library(
             place = f"{_BINARIES}/{candidate}/{found.name}"
             return found, () if place == proper else (f"the library is {place} instead of {proper}",)
     if has_sources(folder):
-        compile_sources(folder, description, name, folder / proper, label, tell)
+        keep(compile_sources(folder, description, name, folder / proper, label, tell))
         return folder / proper, ("no binary for this platform: compiled from the FMU's C sources",)
     raise FMUImportError(
         f"{label}: no binary for this platform ({proper}); it has {listed(folder)}. "
@@ -322,30 +329,32 @@ def find_library(
     )
 
 
-def compile_ahead(path: Path, tell: Callable[[str], object]) -> None:
+def compile_ahead(path: Path, tell: Callable[[str], object] = _say_nothing) -> list[Path]:
     """Compile the libraries that an FMU has as C sources only, before anything is timed, into the cache.
 
-    What is wrong with the FMU is told where it is opened.
+    Returns the folders of the cache that have them. What is wrong with the FMU is told where it is opened.
 
     Parameters
     ----------
     path : Path
         The FMU.
-    tell : callable
+    tell : callable, optional
         Called with a line before each is compiled.
     """
+    kept = list[Path]()
     with suppress(CosimError, OSError, zipfile.BadZipFile):
         with zipfile.ZipFile(path) as archive:
             folders = {name.rpartition("/")[0] for name in archive.namelist()}
         ready = any(f"{_BINARIES}/{platform}" in folders for platform in platform_folders(2))
         if ready or not any(folder.split("/")[0] == "sources" for folder in folders):
-            return
+            return kept
         with ScratchFolder() as folder:
             unpack(path, folder)
             description = read_description(folder, path.name)
             for interface in description.interfaces.values():
                 with suppress(FMUImportError):  # another one may do
-                    find_library(folder, description, interface, path.name, tell)
+                    find_library(folder, description, interface, path.name, tell, kept.append)
+    return kept
 
 
 def platforms(folder: Path) -> list[str]:

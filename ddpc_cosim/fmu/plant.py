@@ -19,7 +19,7 @@ from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU, for_model_exchange, unpack_fmu
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
-from ddpc_cosim.processes.sandbox import entered, require
+from ddpc_cosim.processes.sandbox import demanded, entered, require
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.texts import html_table, printable
 from ddpc_cosim.variables import FloatArray, Variable, names, with_display_units
@@ -126,18 +126,20 @@ class FMUPlant(Plant):
         self._sandbox = require() if sandbox else entered()
         self._sha256 = hashlib.sha256(self.path.read_bytes()).hexdigest()
         self._scratch = ScratchFolder()
+        self._sandboxed = sandbox
         try:
-            self._fmu = unpack_fmu(
-                self.path,
-                self._scratch.path,
-                inputs=inputs,
-                outputs=outputs,
-                fmi_type=fmi_type,
-                start=start,
-                tolerance=tolerance,
-                limits=UnpackLimits(max_unpacked_size, max_files),
-                trace_calls=Path(trace_calls).absolute() if trace_calls else None,
-            )
+            with demanded(sandbox):
+                self._fmu = unpack_fmu(
+                    self.path,
+                    self._scratch.path,
+                    inputs=inputs,
+                    outputs=outputs,
+                    fmi_type=fmi_type,
+                    start=start,
+                    tolerance=tolerance,
+                    limits=UnpackLimits(max_unpacked_size, max_files),
+                    trace_calls=Path(trace_calls).absolute() if trace_calls else None,
+                )
             self.inputs, self.outputs = self._shown_in(display_units or {})
             self.dependencies = direct_dependencies(self.description, self._fmu.inputs, self._fmu.outputs)
             self.is_sampled = is_sampled(self._fmu.inputs)
@@ -208,7 +210,8 @@ class FMUPlant(Plant):
             if not self._may_fall_back or fmu.interface.kind == "model-exchange" or not fmu.is_for_both:
                 raise
             self._session.close()
-            self._fmu = for_model_exchange(fmu)
+            with demanded(self._sandboxed):
+                self._fmu = for_model_exchange(fmu)
             self.warnings += (f"runs for Model Exchange: {str(error).removeprefix(f'{fmu.label}: ')}",)
             self._session = self._open(self._fmu)
             self._step = self._session.step

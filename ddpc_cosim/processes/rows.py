@@ -209,7 +209,7 @@ class RowStore:
         samples = len(self.y)
         width = _LONGEST_NAME + 8 * samples
         if self._followed is not None:
-            memory: Any = _content(self._info_path, _MOST_INFO * width)
+            memory: Any = content_of(self._info_path, _MOST_INFO * width)
         else:
             size = self._info_path.stat().st_size
             memory = _mapped(self._info_path, size) if size >= width else b""
@@ -255,7 +255,7 @@ def _mapped(path: Path, size: int) -> mmap.mmap:
         return mmap.mmap(file.fileno(), size)
 
 
-def _content(path: Path, longest: int) -> bytes:
+def content_of(path: Path, longest: int) -> bytes:
     """Return the content of a file that another process has made, nothing of what a link leads to."""
     harmless = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:

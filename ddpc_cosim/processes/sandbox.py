@@ -3,23 +3,30 @@
 A process that has entered it, and all that it starts, writes nowhere but in the folders it is given, reads
 what is installed but not the user's files, opens no sockets, and signals, traces or limits no process
 outside. The system does this: Landlock (https://docs.kernel.org/userspace-api/landlock.html) for files and
-signals, a seccomp filter for sockets, key rings, shared memory, limits and priorities of other processes, and
-for what Landlock leaves alone: permissions and times of files, and who looks at a folder. Root loses its
-capabilities.
+signals; a seccomp filter that lets only those system calls through that an FMU needs; and, where it allows
+them, namespaces, in which there are no other processes and no network. Root loses its capabilities.
 """
 
 import ctypes
 import errno
 import os
 import platform
+import signal
 import socket
 import struct
+import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 from ddpc_cosim.errors import ConfigError
+from ddpc_cosim.processes.fork_server import LEFT_BEHIND, START_SECONDS, start_python
+from ddpc_cosim.processes.system_calls import FIRST_NEW, Condition, allowed_calls
 
 _NO_NEW_PRIVILEGES, _SECCOMP, _GET_SECCOMP, _FILTER = 38, 22, 21, 2
 _CREATE_RULESET, _ADD_RULE, _RESTRICT = 444, 445, 446  # the same on every processor
@@ -36,53 +43,43 @@ _CHANGE = _WRITE | _REMOVE_FOLDER | _REMOVE_FILE | _MAKE_FOLDER | _MAKE_FILE | _
 _OF_FILES = _EXECUTE | _WRITE | _READ | _CUT | _CONTROL_DEVICE
 
 _INSTALLED = (
-    *("/usr", "/lib", "/lib32", "/lib64", "/bin", "/sbin", "/opt", "/nix/store", "/gnu/store", "/proc"),
+    *("/usr", "/lib", "/lib32", "/lib64", "/bin", "/sbin", "/opt", "/nix/store", "/gnu/store"),
     *("/sys/devices/system", "/etc/ld.so.cache", "/etc/ld.so.conf", "/etc/ld.so.conf.d", "/etc/alternatives"),
     *("/etc/localtime", "/etc/locale.alias", "/etc/passwd", "/etc/group", "/etc/nsswitch.conf", "/etc/fonts"),
 )
 _DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
 
 
+# Not the whole of it: the folder of each process, and of each of its threads, has one of the network.
+_PROC = (
+    *("cpuinfo", "meminfo", "stat", "loadavg", "uptime", "version", "filesystems", "sys/kernel", "sys/vm"),
+    *(f"self/{name}" for name in ("maps", "smaps", "stat", "statm", "status", "cmdline", "comm", "environ")),
+    *(f"self/{name}" for name in ("auxv", "exe", "fd", "limits", "cgroup", "mounts", "mountinfo")),
+)
+# Users, processes, network, shared memory, mounts, host name.
+_NAMESPACES = 0x10000000 | 0x20000000 | 0x40000000 | 0x08000000 | 0x00020000 | 0x04000000
+_PRIVATE = (1 << 14) | (1 << 18)  # mounts, all of them, that are seen here only
+_HARMLESS = 0b1110  # no programs, devices, or other users' rights from there
+_DIE_WITH_PARENT, _CLOSE_RANGE, _LAST_DESCRIPTOR = 1, 436, 0xFFFFFFFF
+
+
 class _Processor(NamedTuple):
-    """How a processor is called in filters, and its numbers of the calls that are not free."""
+    """How a processor is called in filters, and the column of its numbers of system calls."""
 
     audit: int
-    pair: int  # of sockets: only of streams, as one end of a pair of datagrams can send to any service
-    own_only: tuple[int, ...]  # of a process: a limit on CPU time ends it, one processor slows it down
-    refused: tuple[int, ...]
+    column: int
 
 
-_EVERYWHERE = (425, 452, 463, 466)  # io_uring_setup, fchmodat2, setxattrat, removexattrat
-_PROCESSORS = {
-    "x86_64": _Processor(
-        0xC000003E,
-        53,
-        # prlimit64; sched_setparam, sched_setscheduler, sched_setaffinity, sched_setattr
-        (302, 142, 144, 203, 314),
-        (
-            *(41, 29, 30, 64, 68),  # socket; shmget, shmat, semget, msgget
-            *(90, 92, 94, 260, 268),  # chmod, chown, lchown, fchownat, fchmodat
-            *(188, 189, 197, 198),  # setxattr, lsetxattr, removexattr, lremovexattr
-            *(248, 249, 250),  # add_key, request_key, keyctl
-            *(132, 235, 261, 280),  # utime, utimes, futimesat, utimensat
-            *(254, 141, 251),  # inotify_add_watch; setpriority, ioprio_set
-            *_EVERYWHERE,
-        ),
-    ),
-    "aarch64": _Processor(
-        0xC00000B7,
-        199,
-        (261, 118, 119, 122, 274),
-        (198, 194, 196, 190, 186, 54, 53, 5, 6, 14, 15, 217, 218, 219, 88, 27, 140, 30, *_EVERYWHERE),
-    ),
-}
+_PROCESSORS = {"x86_64": _Processor(0xC000003E, 0), "aarch64": _Processor(0xC00000B7, 1)}
 _LOAD, _AND, _EQUAL, _AT_LEAST, _RETURN = 0x20, 0x54, 0x15, 0x35, 0x06
-_NUMBER, _PROCESSOR, _FIRST_ARGUMENT, _SECOND_ARGUMENT = 0, 4, 16, 24  # where a filter finds them
+_NUMBER, _PROCESSOR, _ARGUMENTS = 0, 4, 16  # where a filter finds them; of arguments, the lower half
 _ALLOW, _REFUSE, _KILL = 0x7FFF0000, 0x00050000 | errno.EACCES, 0x80000000
+_NOT_THERE = 0x00050000 | errno.ENOSYS
 _FOREIGN_CALLS = 0x40000000  # of 32-bit programs on x86_64, which have other numbers
-_SOCKET_TYPE = 0xF  # without its flags
 
 _entered = ""
+_demanded = ContextVar("_demanded", default=False)
+_held: list[int] = []
 
 
 def missing() -> str:
@@ -110,10 +107,42 @@ def require() -> str:
     """
     if lacking := missing():
         raise ConfigError(f"the sandbox is not possible on this system: it needs {lacking}")
+    return _words(separate=separable())
+
+
+def _words(*, separate: bool) -> str:
     version = _landlock_version()
     signals = ", signals" if version >= _SCOPED_VERSION else ""
-    refused = "sockets, keys, shared memory, chmod"
-    return f"no_new_privs; Landlock {version}: files{signals}; seccomp: no {refused}"
+    calls = len(allowed_calls(_PROCESSORS[platform.machine()].column))
+    apart = "; namespaces: users, processes, network, shared memory, mounts" if separate else ""
+    return f"no_new_privs; Landlock {version}: files{signals}; seccomp: {calls} system calls{apart}"
+
+
+@cache
+def separable() -> bool:
+    """Whether this system lets a process have namespaces of its own; they are tried out in one."""
+    code = "from ddpc_cosim.processes import sandbox; sandbox.separate()"
+    with start_python(code, subprocess.DEVNULL) as trial:
+        try:
+            return trial.wait(START_SECONDS) == 0
+        except subprocess.TimeoutExpired:
+            trial.kill()
+            return False
+
+
+@contextmanager
+def demanded(wanted: bool) -> Iterator[None]:
+    """Have C sources compiled in a sandbox in this block, if that is wanted there or around it."""
+    before = _demanded.set(_demanded.get() or wanted)
+    try:
+        yield
+    finally:
+        _demanded.reset(before)
+
+
+def is_demanded() -> bool:
+    """Whether what would be run of a stranger's has to be in a sandbox."""
+    return _demanded.get()
 
 
 def entered() -> str:
@@ -134,8 +163,16 @@ class Sandbox(NamedTuple):
     readable: tuple[Path, ...] = ()
 
 
-def enter(sandbox: Sandbox) -> None:
+def enter(sandbox: Sandbox, *, apart: bool) -> None:
     """Put this process, of one thread, and all that it will start into a sandbox, for good.
+
+    Parameters
+    ----------
+    sandbox : Sandbox
+        What it may still do.
+    apart : bool
+        Whether it goes on in namespaces of its own, if this system has them: as another process, whose end
+        this one waits for.
 
     Raises
     ------
@@ -145,15 +182,19 @@ def enter(sandbox: Sandbox) -> None:
         The system refuses it.
     """
     global _entered
-    words = require()
+    if lacking := missing():
+        raise ConfigError(f"the sandbox is not possible on this system: it needs {lacking}")
     if len([*Path("/proc/self/task").iterdir()]) > 1:
         raise RuntimeError("other threads of this process would stay outside of the sandbox")
+    words = _words(separate=apart)
+    if apart:
+        separate()
     libc = _libc()
     _check(libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0), "no_new_privs")
     _restrict_files(libc, sandbox)
-    _filter_calls(libc)
     # Capabilities: version 3, none of the 64.
     _check(libc.capset(struct.pack("=Ii", 0x20080522, 0), bytes(24)), "capabilities")
+    _filter_calls(libc)
     try:
         socket.socket().close()
     except PermissionError:
@@ -168,7 +209,7 @@ def _readable(sandbox: Sandbox) -> list[Path]:
     places = (Path(place).resolve() for place in (sys.prefix, sys.base_prefix, *sys.path) if place)
     installed = [place for place in places if not temporary.is_relative_to(place)]
     own = [place for place in (*installed, *sandbox.readable) if not home.is_relative_to(place.resolve())]
-    return [*map(Path, _INSTALLED), *own]
+    return [*map(Path, _INSTALLED), *(Path("/proc", name) for name in _PROC), *own]
 
 
 def _restrict_files(libc: ctypes.CDLL, sandbox: Sandbox) -> None:
@@ -199,24 +240,93 @@ def _allow(libc: ctypes.CDLL, rules: int, path: Path, rights: int) -> None:
         rule = struct.pack("=Qi", rights if path.is_dir() else rights & _OF_FILES, place)
         _check(libc.syscall(_ADD_RULE, rules, _PATH_BENEATH, rule, 0), f"Landlock: {path}")
     finally:
-        os.close(place)
+        if path.is_relative_to("/proc"):
+            _held.append(place)  # the rule is of what has been found there, which may be made anew otherwise
+        else:
+            os.close(place)
+
+
+def separate() -> None:
+    """Go on as another process, in namespaces of its own; this one waits for its end, and ends alike.
+
+    Raises
+    ------
+    OSError
+        The system refuses it.
+    """
+    libc, user, group = _libc(), os.geteuid(), os.getegid()
+    _check(libc.unshare(_NAMESPACES), "namespaces")
+    itself = {"uid_map": f"{user} {user} 1", "gid_map": f"{group} {group} 1"}
+    for name, line in ({"setgroups": "deny"} | itself).items():
+        Path("/proc/self", name).write_text(line, encoding="ascii")
+    told, telling = os.pipe()
+    first = os.fork()
+    if first != 0:
+        os.close(telling)
+        _end_like(first, told)
+    os.close(told)
+    libc.prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    _check(libc.mount(b"none", b"/", None, ctypes.c_ulong(_PRIVATE), None), "mounts")
+    _check(libc.mount(b"proc", b"/proc", b"proc", ctypes.c_ulong(_HARMLESS), None), "/proc")
+    # With the first process of a namespace all others there end; but it does not end by its own signals, so
+    # that it cannot be the one that runs the FMU.
+    if second := os.fork():
+        _tell_end(libc, second, telling)
+    os.close(telling)
+
+
+def _tell_end(libc: ctypes.CDLL, pid: int, telling: int) -> NoReturn:
+    """Wait for the end of a process, as of all that are left to this one, and write how it ended."""
+    try:
+        libc.syscall(_CLOSE_RANGE, 0, telling - 1, 0)
+        libc.syscall(_CLOSE_RANGE, telling + 1, ctypes.c_uint(_LAST_DESCRIPTOR), 0)
+        ended = status = 0
+        while ended != pid:
+            ended, status = os.wait()
+        os.write(telling, struct.pack("=i", status))
+    finally:
+        os._exit(LEFT_BEHIND)
+
+
+def _end_like(keeper: int, told: int) -> NoReturn:
+    """Wait for the end of the process that tells of another one's, and end as that did.
+
+    What this process has open stays open until then: whoever waits for its end can tell how it ended.
+    """
+    try:
+        content = os.read(told, struct.calcsize("=i"))
+        status = os.waitpid(keeper, 0)[1]
+        code = os.waitstatus_to_exitcode(*(struct.unpack("=i", content) if content else (status,)))
+        if code >= 0:
+            os._exit(code)
+        with suppress(OSError, ValueError):  # one that cannot be handled ends it anyway
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    finally:
+        os._exit(LEFT_BEHIND)
 
 
 def _filter_calls(libc: ctypes.CDLL) -> None:
     processor = _PROCESSORS[platform.machine()]
-    allow, refuse = (_RETURN, 0, 0, _ALLOW), (_RETURN, 0, 0, _REFUSE)
     program = [(_LOAD, 0, 0, _PROCESSOR), (_EQUAL, 1, 0, processor.audit), (_RETURN, 0, 0, _KILL)]
-    program += [(_LOAD, 0, 0, _NUMBER), (_AT_LEAST, 0, 1, _FOREIGN_CALLS), refuse]
-    for number in processor.refused:
-        program += [(_EQUAL, 0, 1, number), refuse]
-    for number in processor.own_only:
-        program += [(_EQUAL, 0, 4, number), (_LOAD, 0, 0, _FIRST_ARGUMENT), (_EQUAL, 0, 1, 0), allow, refuse]
-    program += [(_EQUAL, 0, 7, processor.pair), (_LOAD, 0, 0, _FIRST_ARGUMENT)]
-    program += [(_EQUAL, 0, 4, socket.AF_UNIX), (_LOAD, 0, 0, _SECOND_ARGUMENT), (_AND, 0, 0, _SOCKET_TYPE)]
-    program += [(_EQUAL, 0, 1, socket.SOCK_STREAM), allow, refuse, allow]
+    program += [(_LOAD, 0, 0, _NUMBER), (_AT_LEAST, 0, 1, _FOREIGN_CALLS), (_RETURN, 0, 0, _REFUSE)]
+    for number, conditions in allowed_calls(processor.column).items():
+        decision = _decision(conditions)
+        program += [(_EQUAL, 0, len(decision), number), *decision]
+    program += [(_AT_LEAST, 0, 1, FIRST_NEW), (_RETURN, 0, 0, _NOT_THERE), (_RETURN, 0, 0, _REFUSE)]
     code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *line) for line in program))
     head = ctypes.create_string_buffer(struct.pack("@HP", len(program), ctypes.addressof(code)))
     _check(libc.prctl(_SECCOMP, _FILTER, head, 0, 0), "seccomp")
+
+
+def _decision(conditions: tuple[Condition, ...]) -> list[tuple[int, int, int, int]]:
+    """Return the part of a filter that allows a call if its arguments are as they have to be."""
+    part = list[tuple[int, int, int, int]]()
+    for argument, mask, values in conditions:
+        part += [(_LOAD, 0, 0, _ARGUMENTS + 8 * argument), (_AND, 0, 0, mask)]
+        part += [(_EQUAL, len(values) - i, 0, value) for i, value in enumerate(values)]
+        part += [(_RETURN, 0, 0, _REFUSE)]
+    return [*part, (_RETURN, 0, 0, _ALLOW)]
 
 
 def _landlock_version() -> int:

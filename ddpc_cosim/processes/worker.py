@@ -37,7 +37,7 @@ from ddpc_cosim.processes.fork_server import (
     this_process,
 )
 from ddpc_cosim.processes.limits import default_memory
-from ddpc_cosim.processes.sandbox import Sandbox, enter
+from ddpc_cosim.processes.sandbox import Sandbox, enter, separable
 from ddpc_cosim.texts import recorded
 
 LONGEST_REPLY = 1 << 27
@@ -256,7 +256,8 @@ class Worker:
                 self._process = _start(theirs, preload, default_memory() if memory is None else memory)
             self.channel.limit(START_SECONDS)  # one that is stopped reads nothing
             # Two pickles: the import path has to be there before the target can be found.
-            place = (sys.path, here(), dict(os.environ), str(folder), sandbox)
+            apart = sandbox is not None and separable()
+            place = (sys.path, here(), dict(os.environ), str(folder), sandbox, apart)
             self.channel.send(pickle.dumps(place))
             self.channel.send(pickle.dumps((target, arguments)))
         except OSError as error:
@@ -304,7 +305,7 @@ def run(connection: socket.socket) -> None:
     """Run what the other side says, in its working directory and environment, with its import path."""
     channel = Channel(connection)
     with contextlib.suppress(EOFError, ConnectionError):
-        path, place, environment, folder, sandbox = pickle.loads(channel.receive(sys.maxsize))
+        path, place, environment, folder, sandbox, apart = pickle.loads(channel.receive(sys.maxsize))
         sys.path += [entry or place for entry in path if entry not in sys.path]
         os.environ.clear()
         os.environ.update(environment | ONE_THREAD | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
@@ -312,7 +313,7 @@ def run(connection: socket.socket) -> None:
         with contextlib.suppress(OSError):
             os.chdir(place or folder)
         if sandbox is not None:
-            enter(sandbox)
+            enter(sandbox, apart=apart)
         target, arguments = pickle.loads(channel.receive(sys.maxsize))
         target(channel, *arguments)
 

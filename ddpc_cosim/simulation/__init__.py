@@ -16,6 +16,7 @@ import numpy as np
 from ddpc_cosim.csv_files import CSVFile, split_unit, write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.plant import FMIType, ParameterValue
+from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.safe_calls import DEFAULT_STEP_TIMEOUT
 from ddpc_cosim.signals import values_at
@@ -216,7 +217,9 @@ def simulate(
         step_timeout=step_timeout,
         trace_calls=str(trace_calls or ""),
     )
-    simulation = run(prepare(request), sandboxed=sandbox)
+    with demanded(sandbox):
+        prepared = prepare(request)
+    simulation = run(prepared, sandboxed=sandbox)
     if simulation.interrupted_by is not None:
         raise simulation.interrupted_by
     if not len(simulation.time):

@@ -29,7 +29,7 @@ from ddpc_cosim.plugins import (
 )
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.rows import Call, RowStore
-from ddpc_cosim.processes.sandbox import Sandbox, require as require_sandbox
+from ddpc_cosim.processes.sandbox import Sandbox, demanded, require as require_sandbox
 from ddpc_cosim.processes.scratch import ScratchFolder, remove
 from ddpc_cosim.processes.worker import (
     LONGEST_REPLY,
@@ -71,7 +71,6 @@ from ddpc_cosim.study.results import (
 )
 from ddpc_cosim.study.running.provenance import facts_of_problem, facts_of_run, seed_ranges
 from ddpc_cosim.trace import Outcome
-from fmu_plants.files import cache_dir
 
 if TYPE_CHECKING:
     from ddpc_cosim.study.resolve import ResolvedProblems
@@ -275,7 +274,8 @@ def selected_cases(
     MissingLibraryError
         None that is selected can run without a package that is not installed.
     """
-    plants = built_plants(resolved, progress)
+    with demanded(selection.sandboxed):
+        plants = built_plants(resolved, progress)
     # The only problem, whose name is the study's, is in no case's name.
     own = {one.study.variant_of or name for name, one in resolved.problems.items()} == {resolved.head.name}
     problems = {
@@ -317,7 +317,8 @@ def run_missing(
     missing = {case.id: case for case in cases if selection.fresh or not _is_there(cases_folder / case.id)}
     kept = [case for case in cases if case.id not in missing]
     if selection.executor == "local":
-        _compile_ahead({path: None for case in missing.values() for path in files_read(case)}, progress)
+        with demanded(selection.sandboxed):
+            _compile_ahead({path: None for case in missing.values() for path in files_read(case)}, progress)
     if begin:
         progress.start(len(missing), len(kept))
     for case in kept:
@@ -349,10 +350,25 @@ def built_plants(resolved: "ResolvedProblems", progress: Progress) -> dict[str, 
 def _compile_ahead(paths: Iterable[Path], progress: Progress) -> None:
     """Compile FMUs of C sources, which is part of no call's time, and keep the libraries for the workers."""
     for path in paths:
-        if path.suffix.lower() == ".fmu":
-            from ddpc_cosim.fmu.library import compile_ahead  # with all that runs FMUs
+        _compiled(path, progress.prepare)
 
-            compile_ahead(path, progress.prepare)
+
+def _compiled(path: Path, tell: Callable[[str], object]) -> list[Path]:
+    """Return where the libraries are that an FMU has as C sources only; there are none of other files."""
+    if path.suffix.lower() != ".fmu":
+        return []
+    from ddpc_cosim.fmu.library import compile_ahead  # with all that runs FMUs
+
+    return compile_ahead(path, tell)
+
+
+def _sandboxed_read(around: Surroundings, known: dict[Path, list[Path]]) -> tuple[Path, ...]:
+    """Return what a case reads in a sandbox: files, and the compiled libraries of those that are FMUs."""
+    with demanded(wanted=True):
+        for path in around.read:
+            if path not in known:
+                known[path] = _compiled(path, lambda _: None)
+    return (*around.read, *(folder for path in around.read for folder in known[path]))
 
 
 def _is_there(folder: Path) -> bool:
@@ -403,6 +419,7 @@ def run_cases(
         tables = {"pyarrow.parquet" for case in cases if case.storage == "parquet"}
         preload = [*_PRELOAD, *tables, *_plugin_modules(cases)]
         waiting, running = deque(cases), list[_Run]()
+        compiled = dict[Path, list[Path]]()
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
@@ -414,6 +431,8 @@ def run_cases(
                         continue
                     make = partial(Worker, serve_calls, preload=preload, memory=_memory(case, jobs))
                     around = surroundings or Surroundings.of(case)
+                    if case.sandbox:
+                        around = replace(around, read=_sandboxed_read(around, compiled))
                     with _writable():
                         running.append(_Run(case, make, folder / case.id, staging, temporary, around))
                     if watch is not None:
@@ -443,7 +462,7 @@ def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:
     around = Surroundings.of(case)
     seconds = case.case_timeout or _LONGEST_ANSWER_SECONDS
     with _scratch() as folder:
-        sandbox = Sandbox((folder,), (*around.read, cache_dir())) if case.sandbox else None
+        sandbox = Sandbox((folder,), _sandboxed_read(around, {})) if case.sandbox else None
         preload = [*_PRELOAD, *_plugin_modules([case])]
         memory = _memory(case, 1)
         worker = Worker(serve_calls, folder=folder, preload=preload, memory=memory, sandbox=sandbox)
@@ -536,8 +555,7 @@ class _Run:
         sandbox = None
         if case.sandbox:
             traced = [Path(case.plant.trace_calls)] if case.plant.trace_calls else []
-            written, read = (self._place, self._staged, *traced), (*surroundings.read, cache_dir())
-            sandbox = Sandbox(written, read)
+            sandbox = Sandbox((self._place, self._staged, *traced), surroundings.read)
         self.worker = make(folder=self._place, sandbox=sandbox)
         rows = self._place / "rows"
         self._store = row_store(case, rows, follow=True)

@@ -16,6 +16,7 @@ from ddpc_cosim.fmu.library import compile_ahead
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.inspection import inspect_fmu
 from ddpc_cosim.plant import ParameterValue
+from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.suggestion import design
 from ddpc_cosim.suggestion.choice import MOST_OUTPUTS, Choice
 from ddpc_cosim.suggestion.design import (
@@ -106,9 +107,10 @@ def suggest_study(
         It cannot be loaded, or does not run.
     """
     path = Path(path)
-    system = System(path) if path.suffix.lower() == ".ssp" else None
-    for file in system.files if system else (path,):
-        compile_ahead(file, tell)
+    with demanded(sandbox):
+        system = System(path) if path.suffix.lower() == ".ssp" else None
+        for file in system.files if system else (path,):
+            compile_ahead(file, tell)
     deadline = monotonic() + budget
     tell(f"reading {path.name}")
     description = system.description if system else _runnable(path)

@@ -12,6 +12,7 @@ from time import monotonic
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
+from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.responses import Actuation, Response, Stretch
 from ddpc_cosim.study.case_files import CaseResult, judge_again
@@ -145,7 +146,8 @@ def _attempt(
     resolved = _resolved(attempt, fmu, folder)
     if resolved is None:
         return attempt
-    cases = cases_of(resolved, resolved.plant.built())
+    with demanded(sandboxed):
+        cases = cases_of(resolved, resolved.plant.built())
     done: list[str] = []
 
     def watch(update: Update) -> None:

@@ -19,6 +19,7 @@ import tomli_w
 
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, MissingLibraryError
+from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.safe_calls import settings_of_other
 from ddpc_cosim.study.case_files import CaseResult, load_case, read_run
 from ddpc_cosim.study.cases import Case, cases_of_problem, cases_of_problems, doing_nothing, patterns_of
@@ -200,7 +201,8 @@ def tune_study(
     """
     request = request.on_seeds_of_its_own(resolved.head.seeds)
     searches, kept = _searches(resolved, request)
-    plants = built_plants(resolved, progress)
+    with demanded(selection.sandboxed):
+        plants = built_plants(resolved, progress)
     if request.compares:
         claim_folder(folder / HELD_OUT_FOLDER, resolved.whole)
     patterns = patterns_of(selection.only)

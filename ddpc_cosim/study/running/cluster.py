@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 from ddpc_cosim.controller import Recording
 from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
 from ddpc_cosim.plugins import names_in, origin, own_files, own_folder, plugin_names, values_of
+from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.processes.scratch import ScratchFolder, remove
 from ddpc_cosim.settings import hash_of_file
 from ddpc_cosim.study.case_files import RUN_FILE, accept_case, read_sealed, sealed_json, write_case
@@ -317,7 +318,8 @@ def _run_there(
     if faults := _faults(worker.address, _versions(task.plugins, task.packages), task.versions):
         raise ConfigError(faults)
     try:
-        places = {path: _placed(path, contents[content], content) for path, content in task.files.items()}
+        with demanded(task.sandboxed):
+            places = {path: _placed(path, contents[content], content) for path, content in task.files.items()}
         with ScratchFolder() as scratch:
             modules = _modules(task.modules) if task.modules else scratch
             around = Surroundings(str(modules), task.values, (*map(Path, places.values()), modules))
@@ -339,7 +341,7 @@ def _placed(path: str, content: bytes, expected: str) -> str:
     if placed.suffix.lower() == ".fmu":
         from ddpc_cosim.fmu.library import compile_ahead  # with all that runs FMUs
 
-        compile_ahead(placed, lambda _: None)
+        compile_ahead(placed)
     return str(placed)
 
 
