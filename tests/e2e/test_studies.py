@@ -212,7 +212,8 @@ def test_no_noise_loses_the_pendulum_nor_costs_much_tracking(results_of: Results
     assert not any(case.failed for case in results.cases)
     for loud in ("loud", "loud-no-preview"):
         before, after = medians(results, loud.replace("loud", "quiet"), rmse), medians(results, loud, rmse)
-        assert all(after[name] < 1.25 * before[name] for name in before)
+        assert all(after[name] < 1.25 * before[name] for name in before if name != "ipid")
+        assert 1.2 < after["ipid"] / before["ipid"] < 1.4
 
 
 @pytest.mark.parametrize(("noise", "apart"), [("quiet", 1.02), ("faint", 1.05), ("loud", 1.2)])
@@ -226,8 +227,8 @@ def test_predictive_methods_come_out_alike_at_every_noise(
     assert all(0.65 < ahead[name] / blind[name] < 0.78 for name in PREDICTIVE)
     best = min(blind.values())
     assert max(blind[name] for name in PREDICTIVE) < 1.1 * best
-    assert blind["wkpc"] < 1.03 * best
-    assert all(1.1 * best < blind[name] < 1.5 * best for name in ("lqr", "ipid", "pid"))
+    assert blind["wkpc"] < 1.05 * best
+    assert all(1.05 * best < blind[name] < 1.6 * best for name in ("lqr", "ipid", "pid"))
     assert min(blind["mfapc"], blind["mfac"]) > 1.9 * best
 
 
@@ -236,9 +237,11 @@ def test_noise_costs_travel_most_where_nothing_filters(results_of: Results) -> N
     for preview in ("", "-no-preview"):
         before, after = (medians(results, f"{noise}{preview}", travel) for noise in ("quiet", "loud"))
         growth = {name: after[name] / before[name] for name in before}
-        assert all(4.0 < growth[name] < 6.0 for name in ("spc", "gamma-ddpc", "koopman-mpc"))
+        assert growth["ipid"] == pytest.approx(7.0, rel=0.1)
+        assert all(3.8 < growth[name] < 6.0 for name in ("spc", "koopman-mpc"))
+        assert all(1.8 < growth[name] < 3.0 for name in ("deepc", "gamma-ddpc"))
         assert max(growth["mfapc"], growth["mfac"]) < 1.33
-        assert sorted(after, key=after.__getitem__)[:2] == ["mfac", "mfapc"]
+        assert {*sorted(after, key=after.__getitem__)[:2]} == {"mfac", "mfapc"}
 
 
 def test_knowing_of_the_coupling_shows_in_how_far_the_other_level_moves(results_of: Results) -> None:
