@@ -36,7 +36,7 @@ def test_every_method_meets_the_same_problems_with_the_same_budget_of_tuning() -
         assert set(one.study.controllers) == set(study.problems["pendulum"].study.controllers)
         assert one.study.source
         for name, section in one.study.controllers.items():
-            if name in POINTS:
+            if name == "idle":
                 assert section.tuned is None
                 continue
             assert section.tuned is not None, (one.study.name, name)
@@ -50,11 +50,6 @@ def test_what_is_possible_is_reached_and_nothing_done_is_far_from_it(nominal: St
     assert not any(case.failed for case in nominal.cases if case.controller == "nmpc")
     shares = nominal.shares()
     assert (shares["full"] < 0.1 * shares["zero"]).all()
-
-
-def test_every_recording_is_as_large_as_the_tool_advises(nominal: StudyResults) -> None:
-    warned = {warning for case in nominal.cases for warning in case.warnings}
-    assert not [warning for warning in warned if "larger excitation" in warning]
 
 
 def test_shares_are_those_of_the_samples(nominal: StudyResults) -> None:
