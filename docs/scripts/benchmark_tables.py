@@ -111,6 +111,7 @@ def again(first: dict[tuple[str, str], dict[str, str]], others: Iterable[Path]) 
         second = chosen([path])
         problem = next(iter(second))[0]
         one, two = order(first, problem), order(second, problem)
+        one = {name: value for name, value in one.items() if name in two}  # a reference point is tuned once
         ranks = [[[*sorted(of.values())].index(of[name]) for name in one] for of in (one, two)]
         moved = [
             f"{name} {one[name][1]:.3g}, {two[name][1]:.3g}"
