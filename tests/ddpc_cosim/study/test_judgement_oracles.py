@@ -182,7 +182,7 @@ def scenario(**given: Any) -> ScenarioSection:
 def judge(plant: Plant, controller: Controller, seed: int, reference: Any, **loop: Any) -> CaseResult:
     """Return a run as it is judged beside doing nothing."""
     case, idle = (run(plant, one, seed, reference, **loop) for one in (controller, Idle()))
-    section = scenario(**{key: value for key, value in loop.items() if key in ScenarioSection.model_fields})
+    section = scenario(**{key: loop[key] for key in ("noise", "quantum", "disturbances") if key in loop})
     own, resting = judged({"s": section}, [case, idle], {run_of(idle): idle})
     assert not resting.failure.startswith("worse")
     if isinstance(controller, Perfect | Predicting):
