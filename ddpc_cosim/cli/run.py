@@ -18,7 +18,6 @@ from ddpc_cosim.cli.summary import overall_table, summary_table
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import expand_seeds
-from ddpc_cosim.study.findings import findings_of
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.results import (
     HTML,
@@ -33,6 +32,7 @@ from ddpc_cosim.study.results import (
 )
 from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_cosim.study.running.dry_run import expected
+from ddpc_cosim.study.verdicts.findings import findings_of
 from ddpc_cosim.texts import alike, printable
 from ddpc_cosim.trace import Outcome
 

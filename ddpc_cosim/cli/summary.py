@@ -14,12 +14,12 @@ from ddpc_cosim.cli.output import clipped, fitting, wrapped
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
-from ddpc_cosim.study.findings import Findings, Lead, findings_of
-from ddpc_cosim.study.ranks import ranks_frame
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
-from ddpc_cosim.study.shares import marked
-from ddpc_cosim.study.standings import Standings, known_values, standings, summed
-from ddpc_cosim.study.statistics import LEVEL
+from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of
+from ddpc_cosim.study.verdicts.ranks import ranks_frame
+from ddpc_cosim.study.verdicts.shares import marked
+from ddpc_cosim.study.verdicts.standings import Standings, known_values, standings, summed
+from ddpc_cosim.study.verdicts.statistics import LEVEL
 from ddpc_cosim.texts import printable
 
 _STEP = "solve_time_median [s]"

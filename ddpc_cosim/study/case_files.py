@@ -146,7 +146,7 @@ class CaseResult:
 def load_case(folder: Path, id: str = "") -> CaseResult:
     """Read one case, whose files have to be what was written to the last byte.
 
-    What is concluded of it depends on another run too: :func:`ddpc_cosim.study.judgement.judged`.
+    What is concluded of it depends on another run too: :func:`ddpc_cosim.study.verdicts.judgement.judged`.
 
     Parameters
     ----------

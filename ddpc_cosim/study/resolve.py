@@ -27,11 +27,11 @@ from ddpc_cosim.study.controllers import (
 from ddpc_cosim.study.file_format.sections import BoundsSection, RecordingSection, Study, StudyHead
 from ddpc_cosim.study.file_format.study_files import StudyFile
 from ddpc_cosim.study.file_format.validation_errors import Section, ValidationErrors, independent
-from ddpc_cosim.study.judgement import set_aside
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.scenarios import Scenarios
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters
+from ddpc_cosim.study.verdicts.judgement import set_aside
 from ddpc_cosim.variables import PlantVariables, Variable
 
 _MOST_LISTED = 8

@@ -24,7 +24,7 @@ from ddpc_cosim.study.case_files import (
     sealed_json,
 )
 from ddpc_cosim.study.file_format.sweeps import variant_words
-from ddpc_cosim.study.judgement import Run, judged, run_of
+from ddpc_cosim.study.verdicts.judgement import Run, judged, run_of
 from ddpc_cosim.texts import alike, csv_text, encodable, html_table, printable
 from ddpc_cosim.trace import Trace
 from fmu_plants.files import write_atomically
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from ddpc_cosim.study.file_format.sections import Study
-    from ddpc_cosim.study.findings import Findings
     from ddpc_cosim.study.problems import WholeStudy
+    from ddpc_cosim.study.verdicts.findings import Findings
 
 REPORT_FILE, TRIALS_FILE = "report.html", "trials.csv"
 HTML = "html"
@@ -211,14 +211,15 @@ class StudyResults:
         Returns
         -------
         table : pandas.DataFrame
-            One row per problem and controller: see :func:`ddpc_cosim.study.statistics.compare_frame`.
+            One row per problem and controller:
+            see :func:`ddpc_cosim.study.verdicts.statistics.compare_frame`.
 
         Raises
         ------
         ConfigError
             There is no such metric or controller.
         """
-        from ddpc_cosim.study.statistics import compare_frame
+        from ddpc_cosim.study.verdicts.statistics import compare_frame
 
         keys = list(dict.fromkeys(key for case in self.cases for key in case.metrics))
         chosen = [key for key in keys if metric in (key, key.partition(" [")[0])]
@@ -234,10 +235,10 @@ class StudyResults:
         Returns
         -------
         findings : dict of str to Findings
-            See :class:`ddpc_cosim.study.findings.Findings`: ``lead``, ``leaders``, ``is_sure``, ``failing``,
-            ``remarks``, and ``standings`` with ranks and tests.
+            See :class:`ddpc_cosim.study.verdicts.findings.Findings`: ``lead``, ``leaders``, ``is_sure``,
+            ``failing``, ``remarks``, and ``standings`` with ranks and tests.
         """
-        from ddpc_cosim.study.findings import findings_of
+        from ddpc_cosim.study.verdicts.findings import findings_of
 
         return {one.study.name: findings_of(one.study, one.cases) for one in self.problems()}
 
@@ -271,7 +272,7 @@ class StudyResults:
         ConfigError
             The study names no reference points; there is no such metric, or no value of it is better.
         """
-        from ddpc_cosim.study.shares import share_frame
+        from ddpc_cosim.study.verdicts.shares import share_frame
 
         return share_frame(self.whole, self.cases, metric)
 

@@ -17,12 +17,12 @@ from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.responses import Actuation, Response, Stretch
 from ddpc_cosim.study.case_files import CaseResult, judge_again
 from ddpc_cosim.study.cases import cases_of
-from ddpc_cosim.study.judgement import SETTLED, WHY, all_failed, none_settles, scenario_remarks
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.resolve import ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, load_cases
 from ddpc_cosim.study.runner import Update, run_cases
+from ddpc_cosim.study.verdicts.judgement import SETTLED, WHY, all_failed, none_settles, scenario_remarks
 from ddpc_cosim.suggestion.design import Bounds, Setpoints, clean, rounded
 from ddpc_cosim.suggestion.writing import Proposal, study_text
 from ddpc_cosim.trace import Outcome, Trace

@@ -26,13 +26,13 @@ from ddpc_cosim.study.cases import Case, cases_of_problem, cases_of_problems, do
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.file_format.sections import ControllerSection, Panel, ReportSection, Study, TunedSection
 from ddpc_cosim.study.file_format.study_files import StudyFile
-from ddpc_cosim.study.judgement import judged, run_of
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.reading import resolve_file
 from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, TRIALS_FILE, StudyResults, claim_folder
 from ddpc_cosim.study.runner import Progress, Selection, built_plants, run_missing, run_study
+from ddpc_cosim.study.verdicts.judgement import judged, run_of
 from ddpc_cosim.texts import encodable
 from ddpc_cosim.tuning.objectives import PREDICTION, Objective, Run, reference_spans
 from ddpc_cosim.tuning.search import (

@@ -23,7 +23,7 @@ from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.controller_plugins import controller_class, make_controller
 from ddpc_cosim.study.file_format.sections import ControllerSection
-from ddpc_cosim.study.standings import Relevant
+from ddpc_cosim.study.verdicts.standings import Relevant
 from ddpc_cosim.tuning.objectives import Objective, Run
 
 # From so many on, the best value that a run has had says what can be hoped for: by this part better at most.

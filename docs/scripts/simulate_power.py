@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ddpc_cosim.study.statistics import _signs, step_down
+from ddpc_cosim.study.verdicts.statistics import _signs, step_down
 
 PAIRS = np.array([*combinations(range(14), 2)])
 SCENES = ("all vary alike", "one controller varies 30 times as much", "each level has its noise")

@@ -11,8 +11,8 @@ from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.ranks import AverageRanks, Profile, profile_frame, ranks_frame
-from ddpc_cosim.study.statistics import LEVEL, letters
+from ddpc_cosim.study.verdicts.ranks import AverageRanks, Profile, profile_frame, ranks_frame
+from ddpc_cosim.study.verdicts.statistics import LEVEL, letters
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, conditions
 from ddpc_reports.distances import Distances, distance_columns, distance_statements, distances

@@ -8,9 +8,9 @@ from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_name, metric_of
-from ddpc_cosim.study.findings import Findings, Lead
-from ddpc_cosim.study.standings import Standing, Standings
-from ddpc_cosim.study.statistics import Difference, compare, describe
+from ddpc_cosim.study.verdicts.findings import Findings, Lead
+from ddpc_cosim.study.verdicts.standings import Standing, Standings
+from ddpc_cosim.study.verdicts.statistics import Difference, compare, describe
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
 from ddpc_reports.fairness import told_of_plant

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from ddpc_cosim.metrics import metric_of
-from ddpc_cosim.study.statistics import FEWEST, Difference, Sample, compare, describe
+from ddpc_cosim.study.verdicts.statistics import FEWEST, Difference, Sample, compare, describe
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,

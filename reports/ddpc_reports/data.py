@@ -8,7 +8,7 @@ from typing import Any
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
-from ddpc_cosim.study.findings import findings_of
+from ddpc_cosim.study.verdicts.findings import findings_of
 from ddpc_cosim.texts import encodable, printable, without_folders
 from ddpc_reports.comparison import labels
 from ddpc_reports.sections import StudyPart, gather

@@ -11,8 +11,8 @@ from markupsafe import Markup
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import headline, metric_name, split_key
 from ddpc_cosim.study.file_format.sections import ReferencePoints
-from ddpc_cosim.study.shares import describe_shares, floored, share_runs, shares_of
-from ddpc_cosim.study.statistics import Runs, Sample, compare_all, describe
+from ddpc_cosim.study.verdicts.shares import describe_shares, floored, share_runs, shares_of
+from ddpc_cosim.study.verdicts.statistics import Runs, Sample, compare_all, describe
 from ddpc_reports.comparison import ControllerResults
 from ddpc_reports.numbers import duration, significant, time_scale
 from ddpc_reports.shares import (

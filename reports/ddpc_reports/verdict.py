@@ -10,7 +10,7 @@ from markupsafe import Markup
 from ddpc_cosim import CaseResult
 from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.metrics import metric_name, split_key
-from ddpc_cosim.study.statistics import Difference
+from ddpc_cosim.study.verdicts.statistics import Difference
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,

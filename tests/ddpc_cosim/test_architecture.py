@@ -18,8 +18,8 @@ ROOMS = {
 }
 # Modules that plug-ins may use besides the names of the package.
 PUBLIC_MODULES = {"data_quality", "metrics", "plugins", "responses", "testing", "texts"}
-PUBLIC_MODULES |= {"study.claims", "study.findings", "study.judgement", "study.ranks", "study.shares"}
-PUBLIC_MODULES |= {"study.standings", "study.statistics"}
+VERDICTS = ("claims", "findings", "judgement", "ranks", "shares", "standings", "statistics")
+PUBLIC_MODULES |= {f"study.verdicts.{name}" for name in VERDICTS}
 PUBLIC_MODULES |= {"study.file_format.sections", "study.file_format.sweeps"}
 
 

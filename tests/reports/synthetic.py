@@ -11,9 +11,9 @@ from ddpc_cosim import Bounds, CaseResult, DisplayUnit, Outcome, StudyResults, T
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.study.case_files import load_case, write_case
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.judgement import judged
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_cosim.study.standings import standings
+from ddpc_cosim.study.verdicts.judgement import judged
+from ddpc_cosim.study.verdicts.standings import standings
 from ddpc_reports.comparison import Condition
 from ddpc_reports.tables.ranking import ranking_table
 from ddpc_reports.tables.table import Table

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults, Trace
-from ddpc_cosim.study.findings import findings_of
+from ddpc_cosim.study.verdicts.findings import findings_of
 from ddpc_reports.answer import answer
 from ddpc_reports.comparison import conditions
 

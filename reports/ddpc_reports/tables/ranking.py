@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ddpc_cosim.metrics import metric_name, metric_of, split_key
-from ddpc_cosim.study.standings import Standings
+from ddpc_cosim.study.verdicts.standings import Standings
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,

@@ -10,7 +10,7 @@ import pytest
 from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults, Trace
-from ddpc_cosim.study.standings import standings
+from ddpc_cosim.study.verdicts.standings import standings
 from ddpc_reports.comparison import conditions
 from ddpc_reports.embedding import Drawing
 from ddpc_reports.figures import figure, over_time

@@ -10,7 +10,7 @@ import pytest
 from ddpc_cosim import CaseResult, Outcome
 from ddpc_cosim.responses import EndWindow, Tracking
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.judgement import (
+from ddpc_cosim.study.verdicts.judgement import (
     WHY,
     Remark,
     all_failed,

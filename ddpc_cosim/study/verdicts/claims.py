@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ddpc_cosim.metrics import split_key
 from ddpc_cosim.study.case_files import CaseResult
-from ddpc_cosim.study.judgement import set_aside
+from ddpc_cosim.study.verdicts.judgement import set_aside
 
 if TYPE_CHECKING:
     from ddpc_cosim.study.file_format.sections import ClaimSection, Study

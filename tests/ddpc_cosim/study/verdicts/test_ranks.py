@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from ddpc_cosim import ConfigError
-from ddpc_cosim.study.ranks import (
+from ddpc_cosim.study.verdicts.ranks import (
     average_ranks,
     performance_profile,
     profile_frame,

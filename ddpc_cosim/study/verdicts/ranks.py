@@ -9,7 +9,7 @@ import scipy  # whose parts are imported when they are first used
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import metric_of
-from ddpc_cosim.study.statistics import LEVEL, Better, check_frame, groups
+from ddpc_cosim.study.verdicts.statistics import LEVEL, Better, check_frame, groups
 from ddpc_cosim.variables import FloatArray
 
 if TYPE_CHECKING:
@@ -195,8 +195,8 @@ def profile_frame(frame: "pd.DataFrame", metric: str) -> Profile:
     Parameters
     ----------
     frame : pandas.DataFrame
-        As :func:`ddpc_cosim.study.statistics.compare_frame` takes it. A run of the profile is one problem,
-        scenario, variant and seed that all controllers have run; each problem has the same weight.
+        As :func:`ddpc_cosim.study.verdicts.statistics.compare_frame` takes it. A run of the profile is one
+        problem, scenario, variant and seed that all controllers have run; each problem has the same weight.
     metric : str
         The metric's column.
 
@@ -223,8 +223,8 @@ def ranks_frame(frame: "pd.DataFrame", metric: str) -> AverageRanks:
     Parameters
     ----------
     frame : pandas.DataFrame
-        As :func:`ddpc_cosim.study.statistics.compare_frame` takes it; only runs count that all controllers
-        have.
+        As :func:`ddpc_cosim.study.verdicts.statistics.compare_frame` takes it; only runs count that
+        all controllers have.
     metric : str
         The metric's column.
 

@@ -5,8 +5,8 @@ from itertools import permutations
 from typing import TYPE_CHECKING, NamedTuple
 
 from ddpc_cosim.metrics import metric_of
-from ddpc_cosim.study.standings import Standings
-from ddpc_cosim.study.statistics import Difference, Runs, Sample, compare_pairs, describe
+from ddpc_cosim.study.verdicts.standings import Standings
+from ddpc_cosim.study.verdicts.statistics import Difference, Runs, Sample, compare_pairs, describe
 
 if TYPE_CHECKING:
     from ddpc_cosim.study.file_format.sections import Study

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from ddpc_cosim import CaseResult, ConfigError, Outcome
-from ddpc_cosim.study.claims import CheckedClaim, check_claims
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.verdicts.claims import CheckedClaim, check_claims
 
 TRAVEL = "total_variation.u"
 STUDY: dict[str, Any] = {

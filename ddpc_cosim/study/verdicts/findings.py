@@ -11,9 +11,9 @@ from itertools import combinations
 from ddpc_cosim.metrics import metric_name, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.judgement import Remark, scenario_remarks, unsettled
-from ddpc_cosim.study.previews import WorsePreview, worse_previews
-from ddpc_cosim.study.standings import Standing, Standings, standings
+from ddpc_cosim.study.verdicts.judgement import Remark, scenario_remarks, unsettled
+from ddpc_cosim.study.verdicts.previews import WorsePreview, worse_previews
+from ddpc_cosim.study.verdicts.standings import Standing, Standings, standings
 from ddpc_cosim.texts import printable
 
 _LONGEST_LABEL = 100

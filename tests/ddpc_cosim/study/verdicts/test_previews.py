@@ -7,8 +7,8 @@ import numpy as np
 
 from ddpc_cosim import CaseResult, Outcome
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.previews import WorsePreview, worse_previews
-from ddpc_cosim.study.standings import standings
+from ddpc_cosim.study.verdicts.previews import WorsePreview, worse_previews
+from ddpc_cosim.study.verdicts.standings import standings
 
 KEY = "mean_abs_error.y [K]"
 

@@ -11,8 +11,8 @@ from typing import NamedTuple, cast
 from ddpc_cosim.metrics import headline, metric_of, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.judgement import all_failed, set_aside
-from ddpc_cosim.study.statistics import (
+from ddpc_cosim.study.verdicts.judgement import all_failed, set_aside
+from ddpc_cosim.study.verdicts.statistics import (
     Comparisons,
     Difference,
     Interaction,

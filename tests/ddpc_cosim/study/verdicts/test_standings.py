@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 from reports.synthetic import make_results_in, make_study, make_trace
 
 from ddpc_cosim import Outcome, StudyResults, Trace
-from ddpc_cosim.study.standings import Relevant, Standings, standings, summed
+from ddpc_cosim.study.verdicts.standings import Relevant, Standings, standings, summed
 
 SEEDS = [*range(12)]
 

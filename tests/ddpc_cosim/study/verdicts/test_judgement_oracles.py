@@ -40,8 +40,8 @@ from ddpc_cosim import (
 )
 from ddpc_cosim.signals import GaussianNoise
 from ddpc_cosim.study.file_format.sections import ScenarioSection
-from ddpc_cosim.study.judgement import judged, run_of, scenario_remarks
-from ddpc_cosim.study.standings import standings
+from ddpc_cosim.study.verdicts.judgement import judged, run_of, scenario_remarks
+from ddpc_cosim.study.verdicts.standings import standings
 
 SEEDS = range(30)
 DOWN = Steps((0.0, 50.0), (1.0, 0.0))

@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 from ddpc_cosim import CaseResult, ConfigError, Outcome, StudyResults
 from ddpc_cosim.study.file_format.sections import ReferencePoints, Study, StudyHead
 from ddpc_cosim.study.problems import WholeStudy
-from ddpc_cosim.study.shares import describe_shares, share_runs, shares_of
+from ddpc_cosim.study.verdicts.shares import describe_shares, share_runs, shares_of
 
 POINTS = ReferencePoints(zero="rest", full="possible")
 KEY = "mean_abs_error.angle [deg]"

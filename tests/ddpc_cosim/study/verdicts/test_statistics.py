@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from ddpc_cosim import ConfigError
-from ddpc_cosim.study.statistics import (
+from ddpc_cosim.study.verdicts.statistics import (
     Comparisons,
     Runs,
     compare,
@@ -26,7 +26,7 @@ from ddpc_cosim.study.statistics import (
 )
 
 NAN = math.nan
-DOCS = Path(__file__).parents[3] / "docs"
+DOCS = Path(__file__).parents[4] / "docs"
 VALUES = st.floats(-100, 100).map(lambda value: round(value, 3))
 
 
@@ -198,7 +198,7 @@ def false_positives(seeds: int, levels: list[float], scales: list[float], studie
 def test_equal_controllers_are_told_apart_in_no_more_than_6_percent_of_studies(
     monkeypatch: pytest.MonkeyPatch, seeds: int, levels: list[float], scales: list[float]
 ) -> None:
-    monkeypatch.setattr("ddpc_cosim.study.statistics._DRAWS", 999)
+    monkeypatch.setattr("ddpc_cosim.study.verdicts.statistics._DRAWS", 999)
     assert false_positives(seeds, levels, scales, studies=2000) <= 6.0
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from ddpc_cosim import CaseResult, Outcome
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.findings import Findings, Lead, findings_of
+from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of
 
 KEY = "mean_abs_error.y [K]"
 
