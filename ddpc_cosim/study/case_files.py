@@ -20,6 +20,7 @@ from ddpc_cosim.controller import Bounds
 from ddpc_cosim.csv_files import PARQUET, read_parquet, write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.processes.requests import held
 from ddpc_cosim.responses import Tracking
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome, Trace
@@ -414,16 +415,17 @@ def checksum(content: bytes) -> str:
 def _move_into_place(staged: Path, folder: Path) -> None:
     """Put a completely written folder in its place, while other runs may do the same."""
     older = staged.with_name(f"{staged.name}.older")
-    with suppress(FileNotFoundError):
-        folder.replace(older)  # quicker than removing it: hardly a moment without a case
-    try:
-        staged.replace(folder)
-    except OSError:
-        if not (folder / RUN_FILE).is_file():
-            with suppress(FileNotFoundError):
-                older.replace(folder)
-            raise
-        # Another run has just written the same case, and what decides its result is the same.
+    with held():
+        with suppress(FileNotFoundError):
+            folder.replace(older)  # quicker than removing it: hardly a moment without a case
+        try:
+            staged.replace(folder)
+        except OSError:
+            if not (folder / RUN_FILE).is_file():
+                with suppress(FileNotFoundError):
+                    older.replace(folder)
+                raise
+            # Another run has just written the same case, and what decides its result is the same.
     shutil.rmtree(older, ignore_errors=True)
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.plugins import installed, load_plugin
+from ddpc_cosim.processes.requests import held
 from ddpc_cosim.study.case_files import (
     DAMAGED,
     DOING_NOTHING,
@@ -542,8 +543,9 @@ def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> 
     results = replace(results, whole=_study(content), provenance=provenance)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / STUDY_FILE, content)
-        write_atomically(folder / PROVENANCE_FILE, sealed_json(facts))
+        with held():  # one has the other's checksum
+            write_atomically(folder / STUDY_FILE, content)
+            write_atomically(folder / PROVENANCE_FILE, sealed_json(facts))
         if whole is None:
             write_metrics(results)
     except OSError as error:
