@@ -98,7 +98,7 @@ def recorded(text: object) -> str:
     """Return anyone's text, or the words of an error, as a run keeps them: printable, and not too long."""
     try:
         words = str(text)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         words = f"{type(text).__name__} without words: they raise {type(error).__name__}"
     return printable(encodable(words), _LONGEST_RECORDED, keep="\n")
 

@@ -231,6 +231,8 @@ class Worker:
     memory : int, optional
         Bytes that it may have together with all that it starts, where the system tells them; 0: any; default:
         :func:`default_memory`.
+    alone : bool
+        Whether it shares with no other one the process that starts it, which it could end (POSIX).
 
     Raises
     ------
@@ -246,6 +248,7 @@ class Worker:
         preload: Sequence[str] = (),
         sandbox: Sandbox | None = None,
         memory: int | None = None,
+        alone: bool = False,
     ) -> None:
         ours, theirs = socket.socketpair()
         self.channel = Channel(ours)
@@ -253,12 +256,14 @@ class Worker:
         self._process: Forked | _Shared | None = None
         try:
             with theirs:
-                self._process = _start(theirs, preload, default_memory() if memory is None else memory)
+                memory = default_memory() if memory is None else memory
+                self._process = _start(theirs, preload, memory, alone)
             self.channel.limit(START_SECONDS)  # one that is stopped reads nothing
             # Two pickles: the import path has to be there before the target can be found.
             place = (sys.path, here(), dict(os.environ), str(folder), sandbox)
-            self.channel.send(pickle.dumps(place))
-            self.channel.send(pickle.dumps((target, arguments)))
+            with contextlib.suppress(ConnectionError):  # it has died: whoever waits for its reply learns that
+                self.channel.send(pickle.dumps(place))
+                self.channel.send(pickle.dumps((target, arguments)))
         except OSError as error:
             self.end()
             raise CosimError(f"a worker process cannot be started: {error}") from error
@@ -278,10 +283,10 @@ class Worker:
         return self._ending
 
 
-def _start(connection: socket.socket, preload: Sequence[str], memory: int) -> "Forked | _Shared":
+def _start(connection: socket.socket, preload: Sequence[str], memory: int, alone: bool) -> "Forked | _Shared":
     """Start a process with the far end of a channel."""
     if sys.platform != "win32":
-        return ForkServer.running().fork(connection, preload, memory)
+        return ForkServer.fork(connection, preload, memory, alone=alone)
     return _Shared(connection)
 
 

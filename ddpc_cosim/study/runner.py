@@ -9,7 +9,7 @@ import pickle
 import re
 import sys
 import tempfile
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -402,10 +402,14 @@ def run_cases(
     with _scratch() as temporary, _scratch(folder, _STAGING) as staging:
         tables = {"pyarrow.parquet" for case in cases if case.storage == "parquet"}
         preload = [*_PRELOAD, *tables, *_plugin_modules(cases)]
-        waiting, running = deque(cases), list[_Run]()
+        waiting, running, lost = deque(cases), list[_Run](), Counter[str]()
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
+                    # What ends the process that starts its own takes others along: one at a time it cannot.
+                    alone = lost[waiting[0].id] > 1
+                    if alone and any(run.alone for run in running):
+                        break
                     case = waiting.popleft()
                     if case.late:
                         trace = no_samples(case, Outcome.TIMED_OUT, f"before the first sample: {case.late}")
@@ -415,7 +419,7 @@ def run_cases(
                     make = partial(Worker, serve_calls, preload=preload, memory=_memory(case, jobs))
                     around = surroundings or Surroundings.of(case)
                     with _writable():
-                        running.append(_Run(case, make, folder / case.id, staging, temporary, around))
+                        running.append(_Run(case, make, folder / case.id, staging, temporary, around, alone))
                     if watch is not None:
                         watch(running[-1].progress)
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
@@ -423,6 +427,10 @@ def run_cases(
                     ended = run.has_ended(run.worker.channel.socket in ready)
                     if ended:
                         running.remove(run)
+                    if ended and run.may_be_a_bystander:
+                        lost[run.case.id] += 1
+                        waiting.appendleft(run.case)
+                    elif ended:
                         yield run.case
                     elif watch is not None:
                         watch(run.progress)
@@ -519,6 +527,13 @@ class _Run:
         Where temporary files lie.
     surroundings : Surroundings
         What it finds around it.
+    alone : bool
+        Whether it is to take no other run along, whatever it does.
+
+    Attributes
+    ----------
+    may_be_a_bystander : bool
+        Whether it ended with others, of which another one may be at fault: nothing is written of it.
     """
 
     def __init__(
@@ -529,16 +544,18 @@ class _Run:
         staging: Path,
         temporary: Path,
         surroundings: Surroundings,
+        alone: bool,
     ) -> None:
         self._began = began = monotonic()
         self.case, self._folder, self._staging = case, folder, staging
+        self.alone, self.may_be_a_bystander = alone, False
         self._staged, self._place = (Path(tempfile.mkdtemp(dir=within)) for within in (staging, temporary))
         sandbox = None
         if case.sandbox:
             traced = [Path(case.plant.trace_calls)] if case.plant.trace_calls else []
             written, read = (self._place, self._staged, *traced), (*surroundings.read, cache_dir())
             sandbox = Sandbox(written, read)
-        self.worker = make(folder=self._place, sandbox=sandbox)
+        self.worker = make(folder=self._place, sandbox=sandbox, alone=alone)
         rows = self._place / "rows"
         self._store = row_store(case, rows, follow=True)
         self._call, self._since = 0, monotonic()
@@ -552,7 +569,7 @@ class _Run:
         return Update(self.case.name, self._store.count, len(self._store.y), self._store)
 
     def has_ended(self, has_replied: bool) -> bool:
-        """Whether the case is over, and then all that is known of it written.
+        """Whether the run is over; then all that is known is written, unless another one may have ended it.
 
         Raises
         ------
@@ -614,6 +631,9 @@ class _Run:
         """End a worker that has died or is to die, and write what it has left."""
         call, case, count = self._store.call, self.case, self._store.count
         ending = self.worker.end()
+        if seconds is None and ending.is_one_of_several:
+            self.may_be_a_bystander = True
+            return
         who, time = "the run", math.nan
         if call.who == "plant":
             who, time = case.plant.label, call.time

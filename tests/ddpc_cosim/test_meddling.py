@@ -21,7 +21,7 @@ import os, signal, socket, stat, struct, tempfile
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from ddpc_cosim import Controller
+from ddpc_cosim import Controller, CosimError
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study import case_files
 
@@ -93,6 +93,18 @@ class Forges(Meddles):
         head = Case.head
         Case.head = lambda case: head(case) | {"controller": "mfapc"}
 
+class Hangs(Exception):
+    def __str__(self): signal.pause()
+
+class Mute(Meddles):
+    def meddle(self): raise Hangs
+
+class MuteAtStart(Meddles):
+    def start(self, loop): raise type("Hangs", (Hangs, CosimError), {})
+
+class Blank(Meddles):
+    def step(self, sample): return np.array([type("Hangs", (), {"__repr__": Hangs.__str__})()])
+
 class Stops(Meddles):
     def meddle(self): os.kill(os.getpid(), signal.SIGSTOP)
 
@@ -150,6 +162,18 @@ ENDINGS = {
     "Adds": ("crashed", "its process has left no results: page.html is not a file of its own"),
     "Forges": ("crashed", "its process has left no results: run.json is of controller mfapc"),
     "Stops": ("timed-out", "controller meddling:Stops: no return within 2 s in step at t = 0.3 s"),
+    "Mute": (
+        "timed-out",
+        "controller meddling:Mute: no return within 2 s in step at t = 0.3 s",
+    ),
+    "MuteAtStart": (
+        "timed-out",
+        "before the first sample: controller meddling:MuteAtStart: no return within 2 s in start",
+    ),
+    "Blank": (
+        "timed-out",
+        "controller meddling:Blank: no return within 2 s in step at t = 0 s",
+    ),
     "StopsServer": ("completed", ""),
     "Prints": ("completed", ""),
     "Says": (
@@ -181,6 +205,59 @@ def test_a_worker_that_meddles_costs_its_case_and_no_other(
     )
     assert printed["says"] == "no way out\n"
     assert printed["stopsserver"] == ""
+
+
+KILLING = """
+import os, signal
+from pathlib import Path
+import numpy as np
+from ddpc_cosim import Controller
+
+class Meets(Controller):
+    def start(self, loop):
+        self.attempt = len([*Path("FOLDER").glob(f"{type(self).__name__}-*")]) + 1
+        Path("FOLDER", f"{type(self).__name__}-{self.attempt}").touch()
+    def step(self, sample):
+        if sample.k == 3:
+            self.meet()
+        return np.ones(1)
+
+class Kills(Meets):
+    def meet(self):
+        if self.attempt < 3:
+            Path("FOLDER/fifo").read_bytes()  # until the other one is there
+        os.kill(os.getppid(), signal.SIGKILL)
+        signal.pause()
+
+class Suffers(Meets):
+    def meet(self):
+        if self.attempt < 3:
+            Path("FOLDER/fifo").write_bytes(b"")
+            signal.pause()
+"""
+
+
+@pytest.mark.slow
+def test_what_ends_the_process_that_starts_it_takes_no_other_along(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    """Twice it does; then each of those that it took along runs again alone, and it is found."""
+    (tmp_path / "met").mkdir()
+    os.mkfifo(tmp_path / "met/fifo")
+    code = KILLING.replace("FOLDER", str(tmp_path / "met"))
+    (tmp_path / "killing.py").write_text(code, encoding="utf-8")
+    write_study("killing:Suffers", "killing:Kills")
+    done = run_program("run", "study.toml", "--jobs", "2", "--no-report", "--out", "out")
+    assert done.returncode == 1, done.stderr
+    suffers, kills = load_results(tmp_path / "out").cases
+    assert (suffers.outcome, kills.outcome) == ("completed", "crashed")
+    assert suffers.trace().u.tolist() == [[1.0]] * 11
+    assert kills.reason == (
+        "controller killing:Kills: crashed in step at t = 0.3 s: "
+        "its process has gone, and the one that starts processes with it"
+    )
+    attempts = sorted(path.name for path in (tmp_path / "met").iterdir() if path.name != "fifo")
+    assert attempts == [f"{name}-{n}" for name in ("Kills", "Suffers") for n in (1, 2, 3)]
 
 
 REMEMBERING = """

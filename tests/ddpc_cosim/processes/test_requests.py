@@ -235,7 +235,9 @@ class Silent:
     def finished(self, case: Case, result: CaseResult) -> None: ...
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(200, marks=pytest.mark.slow)])
+# A socket of which nobody knows yet is closed with a warning, and its worker ends with it.
+@pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning")
+@pytest.mark.parametrize("count", [5, pytest.param(200, marks=pytest.mark.slow)])
 def test_no_request_at_a_random_moment_of_a_run_is_lost(
     count: int, write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -287,7 +289,7 @@ if event := int(os.environ.pop("AT_EVENT", "")):
 """
 
 
-@pytest.mark.parametrize("count", [4, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [3, pytest.param(12, marks=pytest.mark.slow)])
 def test_a_request_while_the_program_is_imported(count: int, tmp_path: Path, program: str) -> None:
     """A message, never a traceback, whatever it meets."""
     (tmp_path / "sitecustomize.py").write_text(AT_EVENT, encoding="utf-8")
