@@ -11,7 +11,6 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from click.shell_completion import CompletionItem
 from ddpc_cosim.cli.ending import INTERRUPTED, TERMINATED, told_when_asked_to_end
 from ddpc_cosim.processes.requests import Terminated, orderly_end
 
-_STDOUT, _NOT_WRITTEN = 1, (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EPIPE)
+_STDOUT, _NOT_WRITTEN = 1, (errno.ENOSPC, errno.EFBIG, errno.EIO)
 FAILED, MISUSED = 1, 2
 _LISTED = ("plants", "controllers", "studies", "metrics", "reports")
 _FMI_TYPES = ("auto", "co-simulation", "model-exchange")
@@ -79,8 +78,7 @@ class _Commands(click.Group):
         except OSError as error:
             if error.filename is not None or error.errno not in _NOT_WRITTEN:
                 raise
-            if error.errno != errno.EPIPE:  # whoever reads it, such as `head`, has enough
-                _complain(f"stdout cannot be written: {error.strerror}")
+            _complain(f"stdout cannot be written: {error.strerror}")
             os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)  # for what is left of it
             sys.exit(FAILED)
 
@@ -91,13 +89,10 @@ class _Commands(click.Group):
 
     def invoke(self, context: click.Context) -> object:
         with told_when_asked_to_end():
+            from ddpc_cosim.cli.output import open_streams
             from ddpc_cosim.errors import CosimError, is_of_usage
 
-            for name in ("stdout", "stderr"):
-                if getattr(sys, name) is None:  # closed by whoever started this process
-                    setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - to the end
-                if isinstance(stream := getattr(sys, name), TextIOWrapper):
-                    stream.reconfigure(errors="backslashreplace")  # for what its encoding does not have
+            open_streams()
             try:
                 with told_when_asked_to_end(), _harmless_usage_errors():
                     return super().invoke(context)
