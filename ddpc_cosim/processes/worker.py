@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
@@ -38,6 +39,7 @@ from ddpc_cosim.processes.fork_server import (
 )
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.sandbox import Sandbox, enter
+from ddpc_cosim.processes.scratch import list_shared_memory, remove_shared_memory
 from ddpc_cosim.texts import recorded
 
 LONGEST_REPLY = 1 << 27
@@ -253,6 +255,8 @@ class Worker:
         ours, theirs = socket.socketpair()
         self.channel = Channel(ours)
         self._owner, self._ending = os.getpid(), Ending(None)
+        # In a sandbox none can be made, and what a list there says is not to be believed.
+        self._shared = None if sandbox else folder / f"shared-memory-{uuid.uuid4().hex}"
         self._process: Forked | _Shared | None = None
         try:
             with theirs:
@@ -260,7 +264,7 @@ class Worker:
                 self._process = _start(theirs, preload, memory, alone)
             self.channel.limit(START_SECONDS)  # one that is stopped reads nothing
             # Two pickles: the import path has to be there before the target can be found.
-            place = (sys.path, here(), dict(os.environ), str(folder), sandbox)
+            place = (sys.path, here(), dict(os.environ), str(folder), sandbox, self._shared)
             with contextlib.suppress(ConnectionError):  # it has died: whoever waits for its reply learns that
                 self.channel.send(pickle.dumps(place))
                 self.channel.send(pickle.dumps((target, arguments)))
@@ -279,6 +283,8 @@ class Worker:
         process, self._process = self._process, None
         if process is not None and os.getpid() == self._owner:
             self._ending = process.end()
+            if self._shared is not None:
+                remove_shared_memory(self._shared)
         self.channel.socket.close()
         return self._ending
 
@@ -309,7 +315,7 @@ def run(connection: socket.socket) -> None:
     """Run what the other side says, in its working directory and environment, with its import path."""
     channel = Channel(connection)
     with contextlib.suppress(EOFError, ConnectionError):
-        path, place, environment, folder, sandbox = pickle.loads(channel.receive(sys.maxsize))
+        path, place, environment, folder, sandbox, shared = pickle.loads(channel.receive(sys.maxsize))
         sys.path += [entry or place for entry in path if entry not in sys.path]
         os.environ.clear()
         os.environ.update(environment | ONE_THREAD | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
@@ -318,6 +324,8 @@ def run(connection: socket.socket) -> None:
             os.chdir(place or folder)
         if sandbox is not None:
             enter(sandbox)
+        else:
+            list_shared_memory(shared)
         target, arguments = pickle.loads(channel.receive(sys.maxsize))
         target(channel, *arguments)
 

@@ -4,7 +4,6 @@ import csv
 import io
 import math
 import os
-import tomllib
 import uuid
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,7 +25,7 @@ from ddpc_cosim.study.case_files import (
 )
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.judgement import Run, judged, run_of
-from ddpc_cosim.texts import alike, csv_text, encodable, html_table, printable
+from ddpc_cosim.texts import alike, csv_text, encodable, html_table, printable, toml_tables
 from ddpc_cosim.trace import Trace
 from fmu_plants.files import write_atomically
 from fmu_plants.spelling import did_you_mean
@@ -466,7 +465,7 @@ def claim_folder(folder: Path, study: "WholeStudy") -> None:
         folder.mkdir(parents=True, exist_ok=True)
         if not path.exists():
             _write_first(path, study.toml())
-        there = tomllib.loads(path.read_bytes().decode())
+        there = toml_tables(path.read_bytes().decode())
         others, names = _plants(there), {there.get("name", own["name"]), *there.get("based_on", ())}
     except (ValueError, AttributeError, TypeError):  # damaged: whose it was is not known, and no case is lost
         return
@@ -508,7 +507,7 @@ def _plants(tables: dict[str, Any]) -> set[str]:
 def _study(content: bytes) -> "WholeStudy":
     from ddpc_cosim.study.problems import WholeStudy  # a worker, which writes cases, does without
 
-    return WholeStudy.of_tables(tomllib.loads(content.decode()))
+    return WholeStudy.of_tables(toml_tables(content.decode()))
 
 
 def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> StudyResults:

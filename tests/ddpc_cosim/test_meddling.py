@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 
 import pytest
@@ -205,6 +206,51 @@ def test_a_worker_that_meddles_costs_its_case_and_no_other(
     )
     assert printed["says"] == "no way out\n"
     assert printed["stopsserver"] == ""
+
+
+SHARING = """
+import os
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+import numpy as np
+from ddpc_cosim import Controller
+
+class Shares(Controller):
+    def start(self, loop):
+        self.own, self.other = SharedMemory(create=True, size=100), SharedMemory(os.environ["OTHER"])
+        Path(os.environ["FOLDER"], self.own.name).touch()
+        self.other.buf[0] += 1
+    def step(self, sample):
+        return np.ones(1)
+
+class Dies(Shares):
+    def step(self, sample):
+        os._exit(0)
+"""
+
+
+def test_shared_memory_that_a_controller_has_made_goes_with_its_case(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    """What it has only opened stays."""
+    (tmp_path / "sharing.py").write_text(SHARING, encoding="utf-8")
+    (tmp_path / "made").mkdir()
+    write_study("sharing:Shares", "sharing:Dies")
+    other = SharedMemory(create=True, size=100)
+    try:
+        where = {"OTHER": other.name, "FOLDER": str(tmp_path / "made")}
+        run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out", **where)
+        assert other.buf[0] == 2
+    finally:
+        other.close()
+        other.unlink()
+    outcomes = [case.outcome for case in load_results(tmp_path / "out").cases]
+    assert outcomes == ["completed", "crashed"]
+    made = [path.name for path in (tmp_path / "made").iterdir()]
+    assert len(made) == 2
+    for name in made:
+        with pytest.raises(FileNotFoundError):
+            SharedMemory(name)
 
 
 KILLING = """
