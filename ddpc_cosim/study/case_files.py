@@ -103,6 +103,8 @@ class CaseResult:
         How long its worker took for it [s]; NaN if it was lost.
     simulated_time : float
         From its first sample to its last [s].
+    versions : dict of str to str
+        Of this program, Python and the packages that decide figures, where it ran; empty if it was lost.
     """
 
     id: str
@@ -129,6 +131,7 @@ class CaseResult:
     tasks: dict[str, float] = field(default_factory=dict)
     wall_time: float = field(default=math.nan, compare=False)
     simulated_time: float = 0.0
+    versions: dict[str, str] = field(default_factory=dict)
 
     def trace(self) -> Trace:
         """Read the samples of the run.
@@ -182,6 +185,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             transient=transient,
             wall_time=float(run.get("wall_time", math.nan)),
             simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
+            versions=dict(run.get("versions", {})),
         )
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
@@ -243,7 +247,7 @@ def stage_case(
     """
     settings = settings or MetricSettings(trace.preview)
     run: dict[str, Any] = (
-        {"printed": "", "sandbox": "", "problem": "", "wall_time": math.nan, "storage": "csv"}
+        {"printed": "", "sandbox": "", "problem": "", "wall_time": math.nan, "storage": "csv", "versions": {}}
         | head
         | {
             "outcome": trace.outcome.value,

@@ -49,6 +49,7 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
 )
 _OF_PROBLEM = ": "
 _STUDY_CHECKSUM = "study sha256"
+_RUNS, CASES_RUN = "runs", "cases run"
 _MOST_LISTED = 8
 
 
@@ -65,8 +66,8 @@ class StudyResults:
     cases : tuple of CaseResult
         In the study's order: problems x controllers x scenarios x seeds.
     provenance : dict of str to str
-        Versions, machine, plant, command, date; where there are several problems, what is of one begins with
-        its name.
+        Versions, machine, plant, command, date of the last run; where there are several problems, what is of
+        one begins with its name.
     resting : tuple of CaseResult
         The runs with inputs at rest, one per problem, scenario and seed, by which cases are judged.
     damaged : dict of str to str
@@ -74,6 +75,8 @@ class StudyResults:
     peers : tuple of str
         The controllers that a page shows, those of other problems and studies too, in their order: each looks
         the same wherever it is drawn. Empty: its own.
+    runs : tuple of dict of str to str
+        What is to be said of each run over the folder, the first one first; the last may have run no case.
     """
 
     folder: Path
@@ -83,6 +86,7 @@ class StudyResults:
     resting: tuple[CaseResult, ...] = ()
     damaged: dict[str, str] = field(default_factory=dict)
     peers: tuple[str, ...] = ()
+    runs: tuple[dict[str, str], ...] = ()
 
     @property
     def _own_name(self) -> str:
@@ -394,13 +398,14 @@ def load_results(folder: str | Path) -> StudyResults:
     try:
         provenance = read_sealed(folder / PROVENANCE_FILE)
         case_ids = provenance.pop("cases")
+        runs = tuple(map(dict, provenance.pop(_RUNS, ())))
         content = (folder / STUDY_FILE).read_bytes()
         if provenance[_STUDY_CHECKSUM] != checksum(content):
             raise ValueError(f"{STUDY_FILE} is not what was written: its checksum differs")
         study = _study(content)
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
-    return load_cases(folder, study, case_ids).of(folder, study, provenance)
+    return replace(load_cases(folder, study, case_ids).of(folder, study, provenance), runs=runs)
 
 
 class Loaded(NamedTuple):
@@ -516,7 +521,7 @@ def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> 
     Parameters
     ----------
     results : StudyResults
-        The results.
+        The results; their runs are those that the folder does not tell of yet.
     whole : sequence of str, optional
         The ids of all cases of the study, where the results are of some that were run apart from the others:
         then ``metrics.csv`` is left to who has them all.
@@ -538,8 +543,9 @@ def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> 
         if whole is None
         else [*whole]
     )
-    facts = {**provenance, "cases": ids}
-    results = replace(results, whole=_study(content), provenance=provenance)
+    runs = (*_earlier_runs(folder), *results.runs)
+    facts = {**provenance, _RUNS: runs, "cases": ids}
+    results = replace(results, whole=_study(content), provenance=provenance, runs=runs)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with held():  # one has the other's checksum
@@ -551,6 +557,14 @@ def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> 
         reason = error.strerror or str(error)
         raise CosimError(f"{folder}: results cannot be written: {reason}; finished cases are kept") from error
     return results
+
+
+def _earlier_runs(folder: Path) -> tuple[dict[str, str], ...]:
+    """Return what a folder tells of its runs; nothing if that is not what was written."""
+    try:
+        return tuple(map(dict, read_sealed(folder / PROVENANCE_FILE).get(_RUNS, ())))
+    except DAMAGED:
+        return ()
 
 
 def write_metrics(results: StudyResults) -> None:

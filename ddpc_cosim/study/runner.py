@@ -63,13 +63,14 @@ from ddpc_cosim.study.cases import (
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.results import (
     CASES_FOLDER,
+    CASES_RUN,
     StudyResults,
     claim_folder,
     load_cases,
     provenance_of,
     write_results,
 )
-from ddpc_cosim.study.running.provenance import facts_of_problem, facts_of_run, seed_ranges
+from ddpc_cosim.study.running.provenance import facts_of_problem, facts_of_run, seed_ranges, versions
 from ddpc_cosim.trace import Outcome
 from fmu_plants.files import cache_dir
 
@@ -91,6 +92,7 @@ _PRELOAD = (
     __name__,
     "ddpc_cosim.fmu.plant",
     "ddpc_cosim.plugins:look_up",
+    "ddpc_cosim.study.running.provenance:versions",
     "scipy.linalg",
     "scipy.special",
     "encodings.cp437",  # of zip files
@@ -245,10 +247,10 @@ def run_study(
             provenance_of(name, key) if len(plants) > 1 else key: fact for key, fact in own.items()
         }
     workers = str(selection.jobs) if selection.executor == "local" else selection.executor
-    provenance |= facts_of_run(results, resolved.file, selection.options(), workers, took)
-    provenance |= dict(facts or {})
+    run = facts_of_run(results, resolved.file, selection.options(), workers, took) | dict(facts or {})
     whole = [case.id for case in every] if selection.is_part else None
-    return write_results(loaded.of(folder, study, provenance), whole)
+    written = loaded.of(folder, study, provenance | run)
+    return write_results(replace(written, runs=(run | {CASES_RUN: str(ran)},)), whole)
 
 
 def _done(cases: Sequence[Case], folder: Path, selection: Selection, progress: Progress) -> Iterator[Case]:
@@ -660,4 +662,5 @@ def run_and_stage(case: Case, rows: Path, staged: Path, modules: str, values: by
     """
     _settle(modules, values)
     trace = run_case(case, row_store(case, rows))
-    stage_case(staged, trace, case.head() | {"wall_time": monotonic() - began}, case.metrics)
+    head = case.head() | {"versions": versions(), "wall_time": monotonic() - began}
+    stage_case(staged, trace, head, case.metrics)
