@@ -20,6 +20,7 @@ from ddpc_cosim.controller import Bounds
 from ddpc_cosim.csv_files import PARQUET, read_parquet, write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.processes.requests import held
 from ddpc_cosim.responses import Tracking
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome, Trace
@@ -102,6 +103,8 @@ class CaseResult:
         How long its worker took for it [s]; NaN if it was lost.
     simulated_time : float
         From its first sample to its last [s].
+    versions : dict of str to str
+        Of this program, Python and the packages that decide figures, where it ran; empty if it was lost.
     """
 
     id: str
@@ -128,6 +131,7 @@ class CaseResult:
     tasks: dict[str, float] = field(default_factory=dict)
     wall_time: float = field(default=math.nan, compare=False)
     simulated_time: float = 0.0
+    versions: dict[str, str] = field(default_factory=dict)
 
     def trace(self) -> Trace:
         """Read the samples of the run.
@@ -181,6 +185,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             transient=transient,
             wall_time=float(run.get("wall_time", math.nan)),
             simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
+            versions=dict(run.get("versions", {})),
         )
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
@@ -242,7 +247,7 @@ def stage_case(
     """
     settings = settings or MetricSettings(trace.preview)
     run: dict[str, Any] = (
-        {"printed": "", "sandbox": "", "problem": "", "wall_time": math.nan, "storage": "csv"}
+        {"printed": "", "sandbox": "", "problem": "", "wall_time": math.nan, "storage": "csv", "versions": {}}
         | head
         | {
             "outcome": trace.outcome.value,
@@ -414,16 +419,17 @@ def checksum(content: bytes) -> str:
 def _move_into_place(staged: Path, folder: Path) -> None:
     """Put a completely written folder in its place, while other runs may do the same."""
     older = staged.with_name(f"{staged.name}.older")
-    with suppress(FileNotFoundError):
-        folder.replace(older)  # quicker than removing it: hardly a moment without a case
-    try:
-        staged.replace(folder)
-    except OSError:
-        if not (folder / RUN_FILE).is_file():
-            with suppress(FileNotFoundError):
-                older.replace(folder)
-            raise
-        # Another run has just written the same case, and what decides its result is the same.
+    with held():
+        with suppress(FileNotFoundError):
+            folder.replace(older)  # quicker than removing it: hardly a moment without a case
+        try:
+            staged.replace(folder)
+        except OSError:
+            if not (folder / RUN_FILE).is_file():
+                with suppress(FileNotFoundError):
+                    older.replace(folder)
+                raise
+            # Another run has just written the same case, and what decides its result is the same.
     shutil.rmtree(older, ignore_errors=True)
 
 

@@ -9,7 +9,7 @@ import pickle
 import re
 import sys
 import tempfile
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -63,13 +63,14 @@ from ddpc_cosim.study.cases import (
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.results import (
     CASES_FOLDER,
+    CASES_RUN,
     StudyResults,
     claim_folder,
     load_cases,
     provenance_of,
     write_results,
 )
-from ddpc_cosim.study.running.provenance import facts_of_problem, facts_of_run, seed_ranges
+from ddpc_cosim.study.running.provenance import facts_of_problem, facts_of_run, seed_ranges, versions
 from ddpc_cosim.trace import Outcome
 
 if TYPE_CHECKING:
@@ -90,6 +91,7 @@ _PRELOAD = (
     __name__,
     "ddpc_cosim.fmu.plant",
     "ddpc_cosim.plugins:look_up",
+    "ddpc_cosim.study.running.provenance:versions",
     "scipy.linalg",
     "scipy.special",
     "encodings.cp437",  # of zip files
@@ -244,10 +246,10 @@ def run_study(
             provenance_of(name, key) if len(plants) > 1 else key: fact for key, fact in own.items()
         }
     workers = str(selection.jobs) if selection.executor == "local" else selection.executor
-    provenance |= facts_of_run(results, resolved.file, selection.options(), workers, took)
-    provenance |= dict(facts or {})
+    run = facts_of_run(results, resolved.file, selection.options(), workers, took) | dict(facts or {})
     whole = [case.id for case in every] if selection.is_part else None
-    return write_results(loaded.of(folder, study, provenance), whole)
+    written = loaded.of(folder, study, provenance | run)
+    return write_results(replace(written, runs=(run | {CASES_RUN: str(ran)},)), whole)
 
 
 def _done(cases: Sequence[Case], folder: Path, selection: Selection, progress: Progress) -> Iterator[Case]:
@@ -418,11 +420,15 @@ def run_cases(
     with _scratch() as temporary, _scratch(folder, _STAGING) as staging:
         tables = {"pyarrow.parquet" for case in cases if case.storage == "parquet"}
         preload = [*_PRELOAD, *tables, *_plugin_modules(cases)]
-        waiting, running = deque(cases), list[_Run]()
+        waiting, running, lost = deque(cases), list[_Run](), Counter[str]()
         compiled = dict[Path, list[Path]]()
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
+                    # What ends the process that starts its own takes others along: one at a time it cannot.
+                    alone = lost[waiting[0].id] > 1
+                    if alone and any(run.alone for run in running):
+                        break
                     case = waiting.popleft()
                     if case.late:
                         trace = no_samples(case, Outcome.TIMED_OUT, f"before the first sample: {case.late}")
@@ -434,7 +440,7 @@ def run_cases(
                     if case.sandbox:
                         around = replace(around, read=_sandboxed_read(around, compiled))
                     with _writable():
-                        running.append(_Run(case, make, folder / case.id, staging, temporary, around))
+                        running.append(_Run(case, make, folder / case.id, staging, temporary, around, alone))
                     if watch is not None:
                         watch(running[-1].progress)
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
@@ -442,6 +448,10 @@ def run_cases(
                     ended = run.has_ended(run.worker.channel.socket in ready)
                     if ended:
                         running.remove(run)
+                    if ended and run.may_be_a_bystander:
+                        lost[run.case.id] += 1
+                        waiting.appendleft(run.case)
+                    elif ended:
                         yield run.case
                     elif watch is not None:
                         watch(run.progress)
@@ -538,6 +548,13 @@ class _Run:
         Where temporary files lie.
     surroundings : Surroundings
         What it finds around it.
+    alone : bool
+        Whether it is to take no other run along, whatever it does.
+
+    Attributes
+    ----------
+    may_be_a_bystander : bool
+        Whether it ended with others, of which another one may be at fault: nothing is written of it.
     """
 
     def __init__(
@@ -548,15 +565,17 @@ class _Run:
         staging: Path,
         temporary: Path,
         surroundings: Surroundings,
+        alone: bool,
     ) -> None:
         self._began = began = monotonic()
         self.case, self._folder, self._staging = case, folder, staging
+        self.alone, self.may_be_a_bystander = alone, False
         self._staged, self._place = (Path(tempfile.mkdtemp(dir=within)) for within in (staging, temporary))
         sandbox = None
         if case.sandbox:
             traced = [Path(case.plant.trace_calls)] if case.plant.trace_calls else []
             sandbox = Sandbox((self._place, self._staged, *traced), surroundings.read)
-        self.worker = make(folder=self._place, sandbox=sandbox)
+        self.worker = make(folder=self._place, sandbox=sandbox, alone=alone)
         rows = self._place / "rows"
         self._store = row_store(case, rows, follow=True)
         self._call, self._since = 0, monotonic()
@@ -570,7 +589,7 @@ class _Run:
         return Update(self.case.name, self._store.count, len(self._store.y), self._store)
 
     def has_ended(self, has_replied: bool) -> bool:
-        """Whether the case is over, and then all that is known of it written.
+        """Whether the run is over; then all that is known is written, unless another one may have ended it.
 
         Raises
         ------
@@ -632,6 +651,9 @@ class _Run:
         """End a worker that has died or is to die, and write what it has left."""
         call, case, count = self._store.call, self.case, self._store.count
         ending = self.worker.end()
+        if seconds is None and ending.is_one_of_several:
+            self.may_be_a_bystander = True
+            return
         who, time = "the run", math.nan
         if call.who == "plant":
             who, time = case.plant.label, call.time
@@ -658,4 +680,5 @@ def run_and_stage(case: Case, rows: Path, staged: Path, modules: str, values: by
     """
     _settle(modules, values)
     trace = run_case(case, row_store(case, rows))
-    stage_case(staged, trace, case.head() | {"wall_time": monotonic() - began}, case.metrics)
+    head = case.head() | {"versions": versions(), "wall_time": monotonic() - began}
+    stage_case(staged, trace, head, case.metrics)

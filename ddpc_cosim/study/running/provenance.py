@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
 from itertools import groupby
 from math import fsum, isfinite
@@ -63,10 +64,8 @@ def facts_of_run(
     seconds = fsum(filter(isfinite, (result.wall_time for result in results)))
     facts = {
         "sandbox": _sandboxes(results),
-        "ddpc-cosim version": package_version(),
         "ddpc-cosim commit": commit_of(Path(__file__)),
-        "python version": platform.python_version(),
-        **versions(),
+        **{f"{name} version": version for name, version in versions().items()},
         "plug-ins": ", ".join(_plugins_of(file)),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "cpu": "of dask workers, not recorded" if workers == "dask" else _cpu(),
@@ -126,12 +125,13 @@ def _facts_of_file(file: "StudyFile") -> dict[str, str]:
     return {"study file": file.source, "study file sha256": content, "study file commit": commit_of(path)}
 
 
+@cache  # in the process that workers are forked from
 def versions() -> dict[str, str]:
-    """Return the versions of the packages that decide figures, as far as they are installed."""
-    found = {}
+    """Return the versions of what decides figures: this program, Python, and the packages that there are."""
+    found = {"ddpc-cosim": package_version(), "python": platform.python_version()}
     for name in _VERSIONS_OF:
         with suppress(metadata.PackageNotFoundError):
-            found[f"{name.lower()} version"] = metadata.version(name)
+            found[name.lower()] = metadata.version(name)
     return found
 
 
