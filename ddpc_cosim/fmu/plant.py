@@ -64,6 +64,8 @@ class FMUPlant(Plant):
         Model Exchange is integrated with 1e-6.
     max_unpacked_size, max_files : int
         How large the FMU may get when it is unpacked: bytes, and number of files.
+    max_ratio : float
+        How many times its own size it may get; 10 MB are always allowed.
     trace_calls : str or Path, optional
         File that every FMI call is written to, with arguments, status and results, up to a crash.
 
@@ -107,6 +109,7 @@ class FMUPlant(Plant):
         tolerance: float | None = None,
         max_unpacked_size: int = _DEFAULTS.max_unpacked_size,
         max_files: int = _DEFAULTS.max_files,
+        max_ratio: float = _DEFAULTS.max_ratio,
         trace_calls: str | Path | None = None,
     ) -> None:
         self.path = Path(path)
@@ -135,7 +138,7 @@ class FMUPlant(Plant):
                 fmi_type=fmi_type,
                 start=start,
                 tolerance=tolerance,
-                limits=UnpackLimits(max_unpacked_size, max_files),
+                limits=UnpackLimits(max_unpacked_size, max_files, max_ratio),
                 trace_calls=Path(trace_calls).absolute() if trace_calls else None,
             )
             self.inputs, self.outputs = self._shown_in(display_units or {})
