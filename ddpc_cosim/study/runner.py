@@ -85,7 +85,7 @@ _LONGEST_ANSWER_SECONDS = 3600.0
 # A column's name and unit; a row's status and info; a number.
 _HEADER_BYTES, _ROW_BYTES, _NUMBER_BYTES = 100_000, 10_000, 32
 _STAGING = ".staging-"
-_AT_THE_END = ("diagnostics", "close")
+_AT_THE_END = ("diagnostics", "provenance", "close")
 # What most controllers compute with is not loaded by reading a study.
 _PRELOAD = (
     __name__,
