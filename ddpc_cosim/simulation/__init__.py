@@ -214,7 +214,7 @@ def simulate(
         outputs=outputs,
         fmi_type=fmi_type,
         step_timeout=step_timeout,
-        trace_calls=str(trace_calls or ""),
+        trace_calls=str(Path(trace_calls).absolute()) if trace_calls else "",  # it runs elsewhere
     )
     simulation = run(prepare(request), sandboxed=sandbox)
     if simulation.interrupted_by is not None:
