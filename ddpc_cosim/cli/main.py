@@ -199,6 +199,7 @@ _STEP_TIMEOUT = click.option(
     default="csv",
     help="File of each case's samples [csv]; parquet needs pyarrow.",
 )
+@click.option("--keep-files", is_flag=True, help="Keep what each case leaves in its working directory.")
 @click.option("--dry-run", is_flag=True, help="Run nothing: say how many cases, how long, how many bytes.")
 @_SANDBOX
 @_NO_REPORT
@@ -214,6 +215,7 @@ def run(
     executor: str,
     storage: str,
     scheduler: str,
+    keep_files: bool,
     dry_run: bool,
     sandbox: bool,
     no_report: bool,
@@ -223,7 +225,7 @@ def run(
     from ddpc_cosim.cli.run import run_command
 
     how = {"sandboxed": sandbox, "executor": executor, "scheduler": scheduler, "shard": shard}
-    how |= {"storage": storage}
+    how |= {"storage": storage, "keep_files": keep_files}
     what = {"report": not no_report, "dry_run": dry_run, "browse": browse}
     sys.exit(run_command(study, out, jobs, only, seeds, fresh, how, **what))
 

@@ -9,6 +9,7 @@ import os
 import shutil
 import stat
 import warnings
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -33,6 +34,9 @@ _SIGNALS_FILES = {"csv": "signals.csv", "parquet": f"signals{PARQUET}"}
 # A JSON file ends with the checksum of all that stands before it.
 _SEAL = b',\n "sha256": "%s"\n}\n'
 
+LEFT_FOLDER = "left"
+"""Where in a case's folder stands what it has left in its working directory, if that is kept."""
+_MOST_LEFT, _MOST_LOOKED_AT = 100, 20_000
 DOING_NOTHING = "doing-nothing"
 """The controller of the runs that the tool makes itself, with inputs at rest: no result is one of them."""
 _LONGEST_RUN = 1 << 26
@@ -247,7 +251,8 @@ def stage_case(
     """
     settings = settings or MetricSettings(trace.preview)
     run: dict[str, Any] = (
-        {"printed": "", "sandbox": "", "problem": "", "wall_time": math.nan, "storage": "csv", "versions": {}}
+        {"printed": "", "left": {}, "sandbox": "", "problem": "", "storage": "csv", "versions": {}}
+        | {"wall_time": math.nan}
         | head
         | {
             "outcome": trace.outcome.value,
@@ -280,7 +285,14 @@ def stage_case(
     (staged / RUN_FILE).write_bytes(sealed_json(run | {"signals": signals}))
 
 
-def accept_case(staged: Path, folder: Path, head: dict[str, Any], printed: str, longest: int) -> None:
+def accept_case(
+    staged: Path,
+    folder: Path,
+    head: dict[str, Any],
+    printed: str,
+    longest: int,
+    left: Mapping[str, int] | None = None,
+) -> None:
     """Move what a process that has ended has staged to where its case belongs, if it is that case.
 
     Parameters
@@ -293,6 +305,8 @@ def accept_case(staged: Path, folder: Path, head: dict[str, Any], printed: str, 
         What the process printed last.
     longest : int
         Bytes that its samples can take.
+    left : mapping of str to int, optional
+        What it has left, as of :func:`left_in`; default: what the process says itself.
 
     Raises
     ------
@@ -308,11 +322,51 @@ def accept_case(staged: Path, folder: Path, head: dict[str, Any], printed: str, 
         if run[key] != value:
             raise ConfigError(f"{RUN_FILE} is of {key} {str(run[key])[:100]}")
     try:
-        if printed:
-            (staged / RUN_FILE).write_bytes(sealed_json(run | {"printed": printed}))
+        if printed or left:
+            told = {"printed": printed, "left": run["left"] if left is None else dict(left)}
+            (staged / RUN_FILE).write_bytes(sealed_json(run | told))
         _move_into_place(staged, folder)
     except OSError as error:
         raise _not_written(folder, error) from error
+
+
+def left_in(folder: Path) -> dict[str, int]:
+    """Return the bytes of the files that a case has left in its working directory, by path there.
+
+    Links count as what they are and lead nowhere; beyond 100 files, the rest are one entry.
+    """
+    found = dict[str, int]()
+    for place, _, names in os.walk(folder):
+        for name in names:
+            path = Path(place, name)
+            with suppress(OSError):
+                found[recorded(path.relative_to(folder).as_posix())] = path.lstat().st_size
+        if len(found) > _MOST_LOOKED_AT:
+            break
+    named = dict(sorted(found.items())[:_MOST_LEFT])
+    rest = len(found) - len(named)
+    return named | ({f"and {rest} more": sum(found.values()) - sum(named.values())} if rest else {})
+
+
+def keep_left(work: Path, folder: Path) -> None:
+    """Keep what a case has left in its working directory beside its files: plain files, and no links.
+
+    Raises
+    ------
+    CosimError
+        It cannot be written, and why.
+    """
+    kept = folder / LEFT_FOLDER
+    try:
+        for place, _, names in os.walk(work):
+            for name in names:
+                path = Path(place, name)
+                if stat.S_ISREG(path.lstat().st_mode):
+                    target = kept / path.relative_to(work)
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(path, target, follow_symlinks=False)
+    except OSError as error:
+        raise _not_written(kept, error) from error
 
 
 def _check_staged(staged: Path, longest: dict[str, int]) -> None:

@@ -5,6 +5,7 @@ leaves behind in its process (floating-point errors, random numbers, modules) ch
 """
 
 import math
+import os
 import pickle
 import re
 import sys
@@ -23,9 +24,11 @@ from ddpc_cosim.csv_files import load_pyarrow
 from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import (
+    FOLDER_VARIABLE,
     find_modules_in,
     keep_values,
     load_plugin,
+    study_folder,
 )
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.rows import Call, RowStore
@@ -44,6 +47,8 @@ from ddpc_cosim.study.case_files import (
     CaseResult,
     accept_case,
     judge_again,
+    keep_left,
+    left_in,
     load_case,
     stage_case,
     write_case,
@@ -85,7 +90,7 @@ _LONGEST_ANSWER_SECONDS = 3600.0
 # A column's name and unit; a row's status and info; a number.
 _HEADER_BYTES, _ROW_BYTES, _NUMBER_BYTES = 100_000, 10_000, 32
 _STAGING = ".staging-"
-_AT_THE_END = ("diagnostics", "close")
+_AT_THE_END = ("diagnostics", "provenance", "close")
 # What most controllers compute with is not loaded by reading a study.
 _PRELOAD = (
     __name__,
@@ -151,6 +156,9 @@ class Selection:
         same folder, puts the parts together.
     storage : {"csv", "parquet"}
         The file of the samples of each case that is run; those that already exist are kept as they are.
+    keep_files : bool
+        Keep what each case that is run leaves in its working directory, in ``left`` of its folder; on this
+        machine only.
 
     Raises
     ------
@@ -167,6 +175,7 @@ class Selection:
     scheduler: str = ""
     shard: str = "1/1"
     storage: str = "csv"
+    keep_files: bool = False
 
     def __post_init__(self) -> None:
         faults = []
@@ -180,6 +189,8 @@ class Selection:
         shard = re.fullmatch(r"(\d+)/(\d+)", self.shard, re.ASCII)
         if shard is None or not 1 <= int(shard[1]) <= int(shard[2]):
             faults.append(f"--shard {self.shard}: must be I/N, I from 1 to N, such as 1/2 and 2/2")
+        if self.keep_files and self.executor != "local":
+            faults.append(f"--keep-files: not with --executor {self.executor}: what cases leave stays there")
         if self.storage not in ("csv", "parquet"):
             faults.append(f"--storage {self.storage}: must be csv or parquet")
         if self.storage == "parquet":
@@ -258,7 +269,9 @@ def _done(cases: Sequence[Case], folder: Path, selection: Selection, progress: P
     if not cases:
         return iter(())
     if selection.executor == "local":
-        return run_cases(cases, folder, selection.jobs, progress.update, sandboxed=sandboxed)
+        keep = selection.keep_files
+        watch = progress.update
+        return run_cases(cases, folder, selection.jobs, watch, sandboxed=sandboxed, keep_files=keep)
     from ddpc_cosim.study.running.cluster import run_on_cluster  # which few runs need
 
     return run_on_cluster(cases, folder, selection.scheduler, run_cases, sandboxed=sandboxed)
@@ -389,6 +402,7 @@ def run_cases(
     *,
     sandboxed: bool = False,
     surroundings: Surroundings | None = None,
+    keep_files: bool = False,
 ) -> Iterator[Case]:
     """Run cases in ``jobs`` worker processes and yield each one when its files are written.
 
@@ -406,6 +420,8 @@ def run_cases(
         Whether each case runs in a sandbox, in which it writes nothing but its own files.
     surroundings : Surroundings, optional
         What cases find around them; default: what is around this process.
+    keep_files : bool
+        Whether to keep what each case leaves in its working directory, which is a temporary one of its own.
 
     Raises
     ------
@@ -440,7 +456,9 @@ def run_cases(
                     if case.sandbox:
                         around = replace(around, read=_sandboxed_read(around, compiled))
                     with _writable():
-                        running.append(_Run(case, make, folder / case.id, staging, temporary, around, alone))
+                        places = (folder / case.id, staging, temporary)
+                        run = _Run(case, make, *places, around, alone=alone, keep_files=keep_files)
+                        running.append(run)
                     if watch is not None:
                         watch(running[-1].progress)
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
@@ -477,7 +495,8 @@ def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:
         memory = _memory(case, 1)
         worker = Worker(serve_calls, folder=folder, preload=preload, memory=memory, sandbox=sandbox)
         try:
-            ask(worker.channel, _answer, function, case, around.modules, around.values)
+            work = _working_directory(folder)
+            ask(worker.channel, _answer, function, case, around.modules, around.values, work)
             return result_of(worker.channel.receive(LONGEST_REPLY, seconds=seconds))
         except TimeoutError as error:
             remedy = "raise loop.case_timeout if it needs longer"
@@ -490,15 +509,24 @@ def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:
             worker.end()
 
 
-def _answer(function: Callable[[Case], Any], case: Case, modules: str, values: bytes) -> Any:
-    _settle(modules, values)
+def _answer(function: Callable[[Case], Any], case: Case, modules: str, values: bytes, work: Path) -> Any:
+    _settle(modules, values, work)
     return function(case)
 
 
-def _settle(modules: str, values: bytes) -> None:
-    """Let a worker find what is around the process that it works for."""
+def _working_directory(place: Path) -> Path:
+    """Make an empty folder for a case to run in."""
+    work = place / "work"
+    work.mkdir()
+    return work
+
+
+def _settle(modules: str, values: bytes, work: Path) -> None:
+    """Let a worker find what is around the process that it works for, and go where it may leave files."""
     find_modules_in(modules)
     keep_values(pickle.loads(values))
+    os.environ[FOLDER_VARIABLE] = str(study_folder())
+    os.chdir(work)
 
 
 def _memory(case: Case, workers: int) -> int:
@@ -550,6 +578,8 @@ class _Run:
         What it finds around it.
     alone : bool
         Whether it is to take no other run along, whatever it does.
+    keep_files : bool
+        Whether to keep what it leaves in its working directory.
 
     Attributes
     ----------
@@ -565,12 +595,15 @@ class _Run:
         staging: Path,
         temporary: Path,
         surroundings: Surroundings,
+        *,
         alone: bool,
+        keep_files: bool,
     ) -> None:
         self._began = began = monotonic()
         self.case, self._folder, self._staging = case, folder, staging
         self.alone, self.may_be_a_bystander = alone, False
         self._staged, self._place = (Path(tempfile.mkdtemp(dir=within)) for within in (staging, temporary))
+        self._work, self._keep_files = _working_directory(self._place), keep_files
         sandbox = None
         if case.sandbox:
             traced = [Path(case.plant.trace_calls)] if case.plant.trace_calls else []
@@ -580,7 +613,7 @@ class _Run:
         self._store = row_store(case, rows, follow=True)
         self._call, self._since = 0, monotonic()
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
-            around = (surroundings.modules, surroundings.values)
+            around = (surroundings.modules, surroundings.values, self._work)
             ask(self.worker.channel, run_and_stage, case, rows, self._staged, *around, began)
 
     @property
@@ -613,6 +646,8 @@ class _Run:
             self._give_up(Outcome.TIMED_OUT, f"{reason}; raise loop.case_timeout if it needs longer")
         else:
             return False
+        if self._keep_files:
+            keep_left(self._work, self._folder)
         self.close()
         return True
 
@@ -625,7 +660,8 @@ class _Run:
         """Put what the worker has staged in its place: what it ran has no more to say in that by now."""
         try:
             printed, longest = self.worker.end().output, self._longest_samples()
-            accept_case(self._staged, self._folder, self.case.head(), printed, longest)
+            left = left_in(self._work)
+            accept_case(self._staged, self._folder, self.case.head(), printed, longest, left)
         except ConfigError as error:
             self._give_up(Outcome.CRASHED, f"its process has left no results: {error}")
 
@@ -668,17 +704,19 @@ class _Run:
 
     def _give_up(self, outcome: Outcome, reason: str) -> None:
         """Write a case that its worker has not written, with the rows that it has left."""
-        head = self.case.head() | {"printed": self.worker.end().output}
+        head = self.case.head() | {"printed": self.worker.end().output, "left": left_in(self._work)}
         trace = partial_trace(self.case, self._store, outcome, reason)
         write_case(self._folder, trace, head, self._staging, self.case.metrics)
 
 
-def run_and_stage(case: Case, rows: Path, staged: Path, modules: str, values: bytes, began: float) -> None:
+def run_and_stage(
+    case: Case, rows: Path, staged: Path, modules: str, values: bytes, work: Path, began: float
+) -> None:
     """Run a case, in a worker, and write its files where they do not count yet.
 
     ``began`` is when its worker was asked for, which is part of what it takes.
     """
-    _settle(modules, values)
+    _settle(modules, values, work)
     trace = run_case(case, row_store(case, rows))
     head = case.head() | {"versions": versions(), "wall_time": monotonic() - began}
     stage_case(staged, trace, head, case.metrics)

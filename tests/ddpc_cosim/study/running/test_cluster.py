@@ -127,12 +127,8 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 
 
 @pytest.fixture
-def own_study(
-    write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Callable[..., Path]:
+def own_study(write_study: WriteStudy, tmp_path: Path) -> Callable[..., Path]:
     """Write a study with controllers of a module beside it, which reads a file and imports another."""
-    for name in ("own", "beside"):  # of another test
-        monkeypatch.delitem(sys.modules, name, raising=False)
 
     def write(*controllers: str, seeds: str) -> Path:
         study = write_study(*controllers, seeds=seeds)
