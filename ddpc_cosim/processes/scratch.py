@@ -39,7 +39,14 @@ class ScratchFolder:
         _remove_left_behind_once(parent, prefix)
         while True:
             self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
-            lock = os.open(self.path / _LOCK, os.O_CREAT | os.O_RDWR)
+            try:
+                lock = os.open(self.path / _LOCK, os.O_CREAT | os.O_RDWR)
+            except FileNotFoundError:  # someone has taken it for one left behind
+                continue
+            except OSError:
+                with suppress(OSError):
+                    self.path.rmdir()
+                raise
             if _holds(lock) and (self.path / _LOCK).exists():  # no one has taken it for one left behind
                 break
             os.close(lock)
@@ -74,7 +81,10 @@ def remove_left_behind(parent: Path, prefix: str = "ddpc-cosim-") -> None:
     for folder in folders:
         if not _is_own_folder(folder):
             continue
-        with suppress(OSError):  # just removed, or without a lock
+        with suppress(OSError):  # just removed, or not empty
+            if not (folder / _LOCK).exists():
+                folder.rmdir()  # what was to be removed last could not be
+                continue
             lock = os.open(folder / _LOCK, os.O_RDWR)
             try:
                 if sys.platform != "win32" and _holds(lock):

@@ -26,9 +26,11 @@ from ddpc_cosim.responses import Tracking
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
-from fmu_plants.files import write_atomically
+from fmu_plants.files import write_atomically, write_through
 
 RUN_FILE = "run.json"
+STAGING = ".staging-"
+"""What the names of folders begin with in which files stand until they are complete."""
 # What holds the samples, by how they are stored.
 _SIGNALS_FILES = {"csv": "signals.csv", "parquet": f"signals{PARQUET}"}
 # A JSON file ends with the checksum of all that stands before it.
@@ -169,7 +171,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
         Its files are missing or damaged.
     """
     try:
-        run = read_run(folder)
+        run = _read_run(folder)
         _signals(folder, run)
         if run["id"] != (id or folder.name):
             raise ValueError(f"{RUN_FILE} is of case {run['id']}")
@@ -283,6 +285,8 @@ def stage_case(
     write_table(file, trace.columns(), {"status": trace.status})
     signals = {"rows": len(trace), "sha256": checksum(file.read_bytes())}
     (staged / RUN_FILE).write_bytes(sealed_json(run | {"signals": signals}))
+    for name in (file.name, RUN_FILE):  # by each worker for itself: it waits for the disk
+        write_through(staged / name)
 
 
 def accept_case(
@@ -324,7 +328,7 @@ def accept_case(
     try:
         if printed or left:
             told = {"printed": printed, "left": run["left"] if left is None else dict(left)}
-            (staged / RUN_FILE).write_bytes(sealed_json(run | told))
+            write_atomically(staged / RUN_FILE, sealed_json(run | told))
         _move_into_place(staged, folder)
     except OSError as error:
         raise _not_written(folder, error) from error
@@ -398,7 +402,7 @@ def judge_again(folder: Path, settings: MetricSettings) -> None:
         The case cannot be read or written, and why.
     """
     try:
-        run = read_run(folder)
+        run = _read_run(folder)
         if run["metric_settings"] == asdict(settings):
             return
         run |= _judged(read_trace(folder), settings)
@@ -488,7 +492,20 @@ def _move_into_place(staged: Path, folder: Path) -> None:
 
 
 def read_run(folder: Path) -> dict[str, Any]:
-    """Return ``run.json`` of a case."""
+    """Return ``run.json`` of a case.
+
+    Raises
+    ------
+    ConfigError
+        It is missing or damaged.
+    """
+    try:
+        return _read_run(folder)
+    except DAMAGED as error:
+        raise damaged_files(folder, error) from error
+
+
+def _read_run(folder: Path) -> dict[str, Any]:
     run = read_sealed(folder / RUN_FILE)
     run["metrics"] = {name: float(value) for name, value in run["metrics"].items()}
     run["diagnostics"] = {name: float(value) for name, value in run["diagnostics"].items()}
@@ -497,7 +514,7 @@ def read_run(folder: Path) -> dict[str, Any]:
 
 def read_trace(folder: Path) -> Trace:
     """Return the trace that :func:`write_case` wrote."""
-    run = read_run(folder)
+    run = _read_run(folder)
     inputs, outputs, measurements, changed_inputs = (
         [_variable(v) for v in run[key]] for key in ("inputs", "outputs", "measurements", "changed_inputs")
     )

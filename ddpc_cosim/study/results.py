@@ -4,7 +4,6 @@ import csv
 import io
 import math
 import os
-import uuid
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,9 +12,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.plugins import installed, load_plugin
 from ddpc_cosim.processes.requests import held
+from ddpc_cosim.processes.scratch import ScratchFolder, remove_left_behind
 from ddpc_cosim.study.case_files import (
     DAMAGED,
     DOING_NOTHING,
+    STAGING,
     CaseResult,
     checksum,
     damaged_files,
@@ -27,7 +28,7 @@ from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.judgement import Run, judged, run_of
 from ddpc_cosim.texts import alike, csv_text, encodable, html_table, printable, toml_tables
 from ddpc_cosim.trace import Trace
-from fmu_plants.files import write_atomically
+from fmu_plants.files import write_atomically, write_through
 from fmu_plants.spelling import did_you_mean
 
 if TYPE_CHECKING:
@@ -468,6 +469,7 @@ def claim_folder(folder: Path, study: "WholeStudy") -> None:
     path, own = folder / STUDY_FILE, study.tables()
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        remove_left_behind(folder, STAGING)
         if not path.exists():
             _write_first(path, study.toml())
         there = toml_tables(path.read_bytes().decode())
@@ -490,16 +492,16 @@ def claim_folder(folder: Path, study: "WholeStudy") -> None:
 
 def _write_first(path: Path, content: bytes) -> None:
     """Write a file unless another process is quicker."""
-    staged = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    staged.write_bytes(content)
-    try:
-        os.link(staged, path)  # which fails where the file exists
-    except FileExistsError:
-        return
-    except OSError:  # not every file system has links
-        staged.replace(path)
-    finally:
-        staged.unlink(missing_ok=True)
+    with ScratchFolder(path.parent, STAGING) as staging:
+        staged = staging / path.name
+        staged.write_bytes(content)
+        write_through(staged)
+        try:
+            os.link(staged, path)  # which fails where the file exists
+        except FileExistsError:
+            return
+        except OSError:  # not every file system has links
+            staged.replace(path)
 
 
 def _plants(tables: dict[str, Any]) -> set[str]:

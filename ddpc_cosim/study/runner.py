@@ -33,7 +33,7 @@ from ddpc_cosim.plugins import (
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.rows import Call, RowStore
 from ddpc_cosim.processes.sandbox import Sandbox, demanded, require as require_sandbox
-from ddpc_cosim.processes.scratch import ScratchFolder, remove
+from ddpc_cosim.processes.scratch import ScratchFolder, remove, remove_left_behind
 from ddpc_cosim.processes.worker import (
     LONGEST_REPLY,
     UnexpectedError,
@@ -44,6 +44,7 @@ from ddpc_cosim.processes.worker import (
     serve_calls,
 )
 from ddpc_cosim.study.case_files import (
+    STAGING,
     CaseResult,
     accept_case,
     judge_again,
@@ -89,7 +90,6 @@ _BETWEEN_CALLS_SECONDS = 600.0
 _LONGEST_ANSWER_SECONDS = 3600.0
 # A column's name and unit; a row's status and info; a number.
 _HEADER_BYTES, _ROW_BYTES, _NUMBER_BYTES = 100_000, 10_000, 32
-_STAGING = ".staging-"
 _AT_THE_END = ("diagnostics", "provenance", "close")
 # What most controllers compute with is not loaded by reading a study.
 _PRELOAD = (
@@ -327,6 +327,7 @@ def run_missing(
     cases_folder = folder / CASES_FOLDER
     try:
         cases_folder.mkdir(parents=True, exist_ok=True)
+        remove_left_behind(cases_folder, STAGING)
     except OSError as error:
         raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
     missing = {case.id: case for case in cases if selection.fresh or not _is_there(cases_folder / case.id)}
@@ -433,7 +434,7 @@ def run_cases(
     if sandboxed:
         words = require_sandbox()
         cases = [replace(case, sandbox=words) for case in cases]
-    with _scratch() as temporary, _scratch(folder, _STAGING) as staging:
+    with _scratch() as temporary, _scratch(folder, STAGING) as staging:
         tables = {"pyarrow.parquet" for case in cases if case.storage == "parquet"}
         preload = [*_PRELOAD, *tables, *_plugin_modules(cases)]
         waiting, running, lost = deque(cases), list[_Run](), Counter[str]()
@@ -633,8 +634,8 @@ class _Run:
         if has_replied:
             try:
                 result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=_REPLY_SECONDS))
-            except (CosimError, UnexpectedError) as error:
-                self._give_up(Outcome.CRASHED, str(error))
+            except (CosimError, UnexpectedError) as error:  # what fails in the run itself is in its files
+                self._give_up(Outcome.CRASHED, str(error), of_the_machine=True)
             except (OSError, EOFError, ValueError):
                 self._end_worker()
             else:
@@ -702,10 +703,11 @@ class _Run:
             when = "after the last sample: "
         self._give_up(OUTCOME_OF[error.status], f"{when}{error}")
 
-    def _give_up(self, outcome: Outcome, reason: str) -> None:
+    def _give_up(self, outcome: Outcome, reason: str, *, of_the_machine: bool = False) -> None:
         """Write a case that its worker has not written, with the rows that it has left."""
         head = self.case.head() | {"printed": self.worker.end().output, "left": left_in(self._work)}
         trace = partial_trace(self.case, self._store, outcome, reason)
+        trace = replace(trace, transient=of_the_machine)
         write_case(self._folder, trace, head, self._staging, self.case.metrics)
 
 

@@ -6,7 +6,7 @@ import shlex
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
@@ -16,6 +16,7 @@ from math import fsum, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.plugins import package_of, package_version, types_in
 from ddpc_cosim.study.case_files import CaseResult, checksum, read_run
 from ddpc_cosim.study.plants import PlantSpec
@@ -33,14 +34,22 @@ _RESOLVED = "study.toml"
 def facts_of_problem(results: Sequence[CaseResult], spec: PlantSpec, preview: int) -> dict[str, str]:
     """Return what is to be said of one problem's plant."""
     # A case that failed before its first sample does not know its plant.
-    known: Iterator[dict[str, str]] = (read_run(result.folder)["provenance"] for result in results)
-    plant = next(filter(None, known), {})
+    plant = next(filter(None, map(_plant_of, results)), {})
     facts = {
         **{key.replace("_", " "): value for key, value in plant.items()},
         "plant content": spec.content,
         "largest preview": f"{preview} samples",
     }
     return {name: recorded(fact) for name, fact in facts.items()}
+
+
+def _plant_of(result: CaseResult) -> dict[str, str]:
+    """Return what a case knows of its plant; nothing if it cannot be read any more."""
+    try:
+        known: dict[str, str] = read_run(result.folder)["provenance"]
+    except ConfigError:
+        return {}
+    return known
 
 
 def facts_of_run(
