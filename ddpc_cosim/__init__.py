@@ -4,9 +4,17 @@ The public names stand in ``__init__.pyi``; each is imported when it is first us
 answers at once.
 """
 
-from importlib.metadata import version
+from typing import Any
 
 import lazy_loader
 
-__version__ = version("ddpc-cosim")
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_named, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    """Return what a public name stands for, or the version, which takes longer to look up than the rest."""
+    if name != "__version__":
+        return _named(name)
+    from importlib.metadata import version
+
+    return version("ddpc-cosim")

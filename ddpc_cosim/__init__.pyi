@@ -42,6 +42,7 @@ from .fmu.plant import FMUPlant as FMUPlant
 from .master import cosimulate as cosimulate, record as record
 from .metrics import Metric as Metric, MetricSettings as MetricSettings
 from .plant import ParameterValue as ParameterValue, Plant as Plant
+from .plugins import study_folder as study_folder
 from .settings import (
     Choice as Choice,
     Factor as Factor,

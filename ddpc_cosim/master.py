@@ -207,7 +207,7 @@ def cosimulate(
     horizon = horizon_of(controller)
     loop = setup.loop(CONTROLLER_STREAM, horizon, recording, continues=continue_recording)
     start_controller(controller, loop)
-    settings, provenance = controller_settings(controller), plant_provenance(plant)
+    settings = controller_settings(controller)
     knowledge = controller_knowledge(controller, loop)
     time = start_time + np.arange(steps + 1 + loop.preview, dtype=np.float64) * sampling_time
     table = setup.references(reference, time)
@@ -239,7 +239,7 @@ def cosimulate(
         diagnostics=diagnostics,
         recorded_samples=len(recording) if recording is not None and learns else 0,
         knowledge=knowledge,
-        provenance=provenance,
+        provenance=plant_provenance(plant),  # after the run, of which it may have something to say
         warnings=warnings,
     )
 

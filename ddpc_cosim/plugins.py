@@ -197,6 +197,19 @@ def own_folder() -> str:
     return str(_own_folder or Path.cwd())
 
 
+FOLDER_VARIABLE = "DDPC_COSIM_STUDY_FOLDER"
+"""The environment variable of workers that names that folder."""
+
+
+def study_folder() -> Path:
+    """Return the folder of the study that is read or run, for plug-ins that open files beside it.
+
+    Where a study is not in a file, it is the current folder of whoever runs it. The case itself runs in a
+    temporary folder of its own. An FMU finds it as the environment variable ``DDPC_COSIM_STUDY_FOLDER``.
+    """
+    return Path(own_folder())
+
+
 class _OwnModules(MetaPathFinder):
     """Finds modules of that folder, which is not in the import path: its metadata would install plug-ins.
 

@@ -103,21 +103,21 @@ def reset_plant(plant: Plant, parameters: Mapping[str, ParameterValue] | None, t
     """Reset a plant, which may raise any CosimError itself, and return its outputs, shape (p,)."""
     with _PlantCall(f"{type(plant).__name__}.reset", t0, own=CosimError):
         y = np.asarray(plant.reset(parameters, t0))
-    return plant_outputs(plant, "reset", y, t0)
+        return plant_outputs(plant, "reset", y, t0)
 
 
 def step_plant(plant: Plant, u: FloatArray, h: float, time: float) -> FloatArray:
     """Step a plant by h [s] from ``time`` [s] on and return its outputs, shape (p,)."""
     with _PlantCall(f"{type(plant).__name__}.step", time):
         y = np.asarray(plant.step(u, h))
-    return plant_outputs(plant, "step", y, time + h)
+        return plant_outputs(plant, "step", y, time + h)
 
 
 def outputs_of_plant_at(plant: Plant, u: FloatArray, time: float) -> FloatArray:
     """Return the outputs of a plant, shape (p,), at other inputs at ``time`` [s], which does not pass."""
     with _PlantCall(f"{type(plant).__name__}.outputs_at", time, own=(ConfigError, FMUStepError)):
         y = np.asarray(plant.outputs_at(u))
-    return plant_outputs(plant, "outputs_at", y, time)
+        return plant_outputs(plant, "outputs_at", y, time)
 
 
 def feedthrough_of_plant(plant: Plant, u: FloatArray, time: float) -> FloatArray | None:
@@ -241,19 +241,19 @@ def start_controller(controller: Controller, loop: Loop) -> None:
     horizon = horizon_of(controller)
     with _ControllerCall(controller, "start", own=CosimError):
         controller.start(loop)
-    if horizon_of(controller) != horizon:
+    if (after := horizon_of(controller)) != horizon:
         who = f"{type(controller).__name__}.start"
-        raise ControllerError(f"{who} changed horizon from {horizon} to {controller.horizon}; set it before")
+        raise ControllerError(f"{who} changed horizon from {horizon} to {after}; set it before")
 
 
 def horizon_of(controller: Controller) -> int:
     """Return how many future references a controller wants, an integer >= 0."""
     with _ControllerCall(controller, "horizon", own=CosimError):
         horizon = controller.horizon
-    if not isinstance(horizon, int | np.integer) or isinstance(horizon, bool) or horizon < 0:
-        what = f"{type(controller).__name__}.horizon = {horizon!r}"
-        raise ControllerError(f"{what} is not possible; allowed: an integer >= 0")
-    return int(horizon)
+        if not isinstance(horizon, int | np.integer) or isinstance(horizon, bool) or horizon < 0:
+            what = f"{type(controller).__name__}.horizon = {horizon!r}"
+            raise ControllerError(f"{what} is not possible; allowed: an integer >= 0")
+        return int(horizon)
 
 
 def does_accept_missing(controller: Controller) -> bool:
@@ -273,9 +273,9 @@ def ask_controller(controller: Controller, sample: Sample, inputs: int) -> Decis
             info = {name: _info_value(controller, name, value) for name, value in answer.info.items()}
             status, answer = recorded(answer.status), answer.u
         u = np.asarray(answer)
-    if u.shape != (inputs,) or u.dtype.kind not in _REAL_KINDS or not np.isfinite(u).all():
-        needed = f"needed: finite values, shape ({inputs},)"
-        raise ControllerError(f"{type(controller).__name__}.step {_returned(u)}; {needed}")
+        if u.shape != (inputs,) or u.dtype.kind not in _REAL_KINDS or not np.isfinite(u).all():
+            needed = f"needed: finite values, shape ({inputs},)"
+            raise ControllerError(f"{type(controller).__name__}.step {_returned(u)}; {needed}")
     return Decision(u, status, seconds, info)
 
 
@@ -371,11 +371,18 @@ class _Call(ABC):
             _announce(self._who, self._name, self._time)
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
-        if not self._is_within:
-            _calling.now = False
-            _announce("", "", math.nan)
-        if isinstance(error, _ANY_FAULT) and not isinstance(error, self._own):
-            raise self._fault(error) from error
+        fault = None
+        try:  # the words of an error are theirs too, and so belong to the call
+            if isinstance(error, _ANY_FAULT) and not isinstance(error, self._own):
+                fault = self._fault(error)
+            elif error is not None:
+                recorded(error)
+        finally:
+            if not self._is_within:
+                _calling.now = False
+                _announce("", "", math.nan)
+        if fault is not None:
+            raise fault from error
 
     @abstractmethod
     def _fault(self, error: BaseException) -> CosimError:

@@ -6,6 +6,7 @@ import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 _LONGEST_RECORDED = 2000
 _PATH = re.compile(r"""(?:(?:file://|~)?/|[A-Za-z]:[/\\]|\\\\)(?:(?!\s(?:[/\\~]|[A-Za-z]:))[^\n:;,"'])*""")
@@ -16,6 +17,15 @@ _FOLDERS = re.compile(
 )
 """Folders of an absolute path, up to the name of the file."""
 _FORMULA = re.compile(r"[=@]|[+-](?![\d.]+(?:[eE][+-]?\d+)?$)")
+DEEPEST = 100
+"""How many tables within tables a TOML file may have."""
+# Possessive, and from the beginning of a word only: the time is in proportion to the text.
+_DOTTED = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}")
+# One that is not closed goes on to the end: otherwise it would be tried again from each of its letters.
+_QUOTED = re.compile(
+    r""""{3}(?:[^\\]|\\.)*?(?:"{3}|\\?\Z)|'{3}.*?(?:'{3}|\Z)|"(?:[^"\\\n]|\\.)*+"?|'[^'\n]*+'?|#[^\n]*+""",
+    re.DOTALL,
+)
 NUMBER = re.compile(r"(?<![A-Za-z_\d.])-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 """A number in a text; those in names, such as ``level_1``, are none."""
 
@@ -94,11 +104,35 @@ def encodable(text: str) -> str:
         return text.encode("utf-8", "replace").decode()
 
 
+class DeepTablesError(ValueError):
+    """A TOML file has tables within tables beyond measure."""
+
+    def __init__(self) -> None:
+        super().__init__(f"tables within tables; allowed: {DEEPEST} levels")
+
+
+def toml_tables(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML file of any origin, in a time in proportion to its length.
+
+    Raises
+    ------
+    DeepTablesError
+        A key has more dots than there may be tables within tables: what reads TOML takes their square.
+    ValueError, RecursionError
+        It is not TOML.
+    """
+    import tomllib  # a worker does without
+
+    if _DOTTED.search(_QUOTED.sub("q", text)):
+        raise DeepTablesError
+    return tomllib.loads(text)
+
+
 def recorded(text: object) -> str:
     """Return anyone's text, or the words of an error, as a run keeps them: printable, and not too long."""
     try:
         words = str(text)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         words = f"{type(text).__name__} without words: they raise {type(error).__name__}"
     return printable(encodable(words), _LONGEST_RECORDED, keep="\n")
 

@@ -7,6 +7,7 @@ import sys
 import uuid
 import zipfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
@@ -34,6 +35,8 @@ def zip_bytes(files: Mapping[str, bytes]) -> bytes:
 def write_atomically(path: Path, content: bytes) -> None:
     """Write the file as a whole: a reader, or another writer of the same path, never meets a part of it.
 
+    Nor does who reads it after a power cut.
+
     Raises
     ------
     OSError
@@ -42,9 +45,24 @@ def write_atomically(path: Path, content: bytes) -> None:
     staged = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     try:
         staged.write_bytes(content)
+        write_through(staged)
         staged.replace(path)
-    finally:
-        staged.unlink(missing_ok=True)
+    except BaseException:
+        with suppress(OSError):
+            staged.unlink()
+        raise
+
+
+def write_through(path: Path) -> None:
+    """Have a file's content on its disk before anything is renamed: a power cut would leave it empty.
+
+    Raises
+    ------
+    OSError
+        It cannot be written there.
+    """
+    with path.open("r+b") as file:
+        os.fsync(file.fileno())
 
 
 def cache_dir() -> Path:

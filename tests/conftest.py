@@ -10,6 +10,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from ddpc_cosim.plugins import code_version, source_hash
 from fmu_plants import build_fmu
 from fmu_plants.pendulum import MODEL
 
@@ -34,6 +35,26 @@ def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DDPC_COSIM_CACHE", str(folder / "cache"))
         yield
+
+
+@pytest.fixture(autouse=True)
+def no_modules_of_another_test(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Forget the modules that a test has written and imported: the next may write others of these names."""
+    before, written = set(sys.modules), tmp_path_factory.getbasetemp()
+    yield
+    left = [name for name in sys.modules.keys() - before if _place(name).is_relative_to(written)]
+    for name in left:
+        del sys.modules[name]
+    if left:
+        code_version.cache_clear()
+        source_hash.cache_clear()
+
+
+def _place(module: str) -> Path:
+    """Return where a module is, or the first folder of a package without a file of its own."""
+    spec = getattr(sys.modules[module], "__spec__", None)
+    folders = getattr(spec, "submodule_search_locations", None) or [""]
+    return Path(getattr(sys.modules[module], "__file__", None) or next(iter(folders), ""))
 
 
 @pytest.fixture(scope="session", autouse=True)

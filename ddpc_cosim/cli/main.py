@@ -7,56 +7,23 @@ Exit codes: 0 done; 1 some case failed or a check failed; 2 usage or configurati
 import errno
 import math
 import os
-import signal
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from io import TextIOWrapper
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-_STDOUT, _NOT_WRITTEN = 1, (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EPIPE)
-FAILED, MISUSED, INTERRUPTED, TERMINATED = 1, 2, 130, 143
+from ddpc_cosim.cli.ending import INTERRUPTED, TERMINATED, told_when_asked_to_end
+from ddpc_cosim.processes.requests import Terminated, orderly_end
+
+_STDOUT, _NOT_WRITTEN = 1, (errno.ENOSPC, errno.EFBIG, errno.EIO)
+FAILED, MISUSED = 1, 2
 _LISTED = ("plants", "controllers", "studies", "metrics", "reports")
 _FMI_TYPES = ("auto", "co-simulation", "model-exchange")
-_GOES_ON = "finished cases are kept; the same command goes on from there"
-
-
-_REQUESTS = (signal.SIGINT, signal.SIGTERM)
-
-
-class Terminated(KeyboardInterrupt):
-    """The process was asked to terminate (SIGTERM): by ``kill``, a batch system, or a service manager."""
-
-
-@contextmanager
-def orderly_end() -> Iterator[None]:
-    """Make a request to terminate raise :class:`Terminated`, as Ctrl-C raises ``KeyboardInterrupt``.
-
-    The second request of either kind ends the process at once. What is ignored, as in a background job of a
-    shell, stays ignored. Only for the main thread.
-    """
-    before = {number: signal.getsignal(number) for number in _REQUESTS}
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, _end)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    for request in _REQUESTS:
-        if signal.getsignal(request) is _end:
-            signal.signal(request, signal.SIG_DFL)
-    raise KeyboardInterrupt if number == signal.SIGINT else Terminated
 
 
 def _complain(error: str) -> None:
@@ -103,44 +70,36 @@ class _Commands(click.Group):
         """Run a command, and say if what it prints cannot be written."""
         try:
             try:
-                return super().main(*arguments, **more)
+                with orderly_end():
+                    return super().main(*arguments, **more)
             finally:
                 if sys.stdout is not None:
                     sys.stdout.flush()  # at the end of the process it would be a traceback
         except OSError as error:
             if error.filename is not None or error.errno not in _NOT_WRITTEN:
                 raise
-            if error.errno != errno.EPIPE:  # whoever reads it, such as `head`, has enough
-                _complain(f"stdout cannot be written: {error.strerror}")
+            _complain(f"stdout cannot be written: {error.strerror}")
             os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)  # for what is left of it
             sys.exit(FAILED)
 
     def make_context(self, *arguments: Any, **more: Any) -> click.Context:
         """Parse what stands before the command."""
-        with _harmless_usage_errors():
+        with told_when_asked_to_end(), _harmless_usage_errors():
             return super().make_context(*arguments, **more)
 
     def invoke(self, context: click.Context) -> object:
-        from ddpc_cosim.errors import CosimError, is_of_usage
+        with told_when_asked_to_end():
+            from ddpc_cosim.cli.output import open_streams
+            from ddpc_cosim.errors import CosimError, is_of_usage
 
-        for name in ("stdout", "stderr"):
-            if getattr(sys, name) is None:  # closed by whoever started this process
-                setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - to the end
-            if isinstance(stream := getattr(sys, name), TextIOWrapper):
-                stream.reconfigure(errors="backslashreplace")  # for what its encoding does not have
-        try:
-            with _harmless_usage_errors():
-                return super().invoke(context)
-        except CosimError as error:
-            for fault in getattr(error, "faults", (str(error),)):
-                _complain(fault)
-            sys.exit(MISUSED if is_of_usage(error) else FAILED)
-        except Terminated:
-            click.echo(f"terminated: {_GOES_ON}", err=True)
-            sys.exit(TERMINATED)
-        except KeyboardInterrupt:
-            click.echo(f"interrupted: {_GOES_ON}", err=True)
-            sys.exit(INTERRUPTED)
+            open_streams()
+            try:
+                with told_when_asked_to_end(), _harmless_usage_errors():
+                    return super().invoke(context)
+            except CosimError as error:
+                for fault in getattr(error, "faults", (str(error),)):
+                    _complain(fault)
+                sys.exit(MISUSED if is_of_usage(error) else FAILED)
 
 
 class _Choice(click.Choice[str]):
@@ -240,6 +199,7 @@ _STEP_TIMEOUT = click.option(
     default="csv",
     help="File of each case's samples [csv]; parquet needs pyarrow.",
 )
+@click.option("--keep-files", is_flag=True, help="Keep what each case leaves in its working directory.")
 @click.option("--dry-run", is_flag=True, help="Run nothing: say how many cases, how long, how many bytes.")
 @_SANDBOX
 @_NO_REPORT
@@ -255,19 +215,19 @@ def run(
     executor: str,
     storage: str,
     scheduler: str,
+    keep_files: bool,
     dry_run: bool,
     sandbox: bool,
     no_report: bool,
     browse: bool,
 ) -> None:
     """Run STUDY, a file or the name of a built-in study, and write its report."""
-    with orderly_end():
-        from ddpc_cosim.cli.run import run_command
+    from ddpc_cosim.cli.run import run_command
 
-        how = {"sandboxed": sandbox, "executor": executor, "scheduler": scheduler, "shard": shard}
-        how |= {"storage": storage}
-        what = {"report": not no_report, "dry_run": dry_run, "browse": browse}
-        sys.exit(run_command(study, out, jobs, only, seeds, fresh, how, **what))
+    how = {"sandboxed": sandbox, "executor": executor, "scheduler": scheduler, "shard": shard}
+    how |= {"storage": storage, "keep_files": keep_files}
+    what = {"report": not no_report, "dry_run": dry_run, "browse": browse}
+    sys.exit(run_command(study, out, jobs, only, seeds, fresh, how, **what))
 
 
 @main.command()
@@ -318,13 +278,12 @@ def tune(
     no_report: bool,
 ) -> None:
     """Tune STUDY's controllers, with as many trials for each, and compare with the settings given."""
-    with orderly_end():
-        from ddpc_cosim.cli.tune import tune_command
+    from ddpc_cosim.cli.tune import tune_command
 
-        how = {"only": only, "sandboxed": sandbox, "executor": executor, "scheduler": scheduler}
-        what = {"compares": not no_comparison, "report": not no_report}
-        code = tune_command(study, out, trials, jobs, objectives, seeds, how, sampler_seed, **what)
-        sys.exit(code)
+    how = {"only": only, "sandboxed": sandbox, "executor": executor, "scheduler": scheduler}
+    what = {"compares": not no_comparison, "report": not no_report}
+    code = tune_command(study, out, trials, jobs, objectives, seeds, how, sampler_seed, **what)
+    sys.exit(code)
 
 
 @main.command()
@@ -515,15 +474,14 @@ def init(
 @_SANDBOX
 def simulate(**options: Any) -> None:
     """Simulate an FMU, SSP or PLANT in open loop; exit with 1 if it fails or differs from the golden file."""
-    with orderly_end():
-        from ddpc_cosim.cli.simulate import simulate_command
+    from ddpc_cosim.cli.simulate import simulate_command
 
-        try:
-            sys.exit(simulate_command(**options))
-        except Terminated:
-            sys.exit(TERMINATED)
-        except KeyboardInterrupt:
-            sys.exit(INTERRUPTED)
+    try:
+        sys.exit(simulate_command(**options))
+    except Terminated:
+        sys.exit(TERMINATED)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
 
 
 @main.command()
@@ -587,7 +545,6 @@ def export_controller(
     study: str, controller: str, out: Path | None, fmi: str, platforms: str | None, sandbox: bool, **case: Any
 ) -> None:
     """Export a controller of STUDY, as it is after its experiment, as an FMU in plain C."""
-    with orderly_end():
-        from ddpc_cosim.cli.export import export_controller_command
+    from ddpc_cosim.cli.export import export_controller_command
 
-        export_controller_command(study, controller, out, fmi, platforms, sandboxed=sandbox, **case)
+    export_controller_command(study, controller, out, fmi, platforms, sandboxed=sandbox, **case)

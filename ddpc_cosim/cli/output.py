@@ -1,11 +1,13 @@
-"""What commands print: nothing in it acts on a terminal, and on one no word is broken."""
+"""What commands print: nothing acts on a terminal, where no word is broken; nobody has to read it."""
 
+import io
 import os
 import shutil
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -19,6 +21,33 @@ _WIDE, _UNLIMITED = 1000, 10_000
 _LONGEST = 20_000
 
 Column = TypeVar("Column")
+
+
+class _WhileRead(io.FileIO):
+    """A pipe whose reader may go, as ``head`` does when it has enough: what is written later goes nowhere."""
+
+    def write(self, content: Any) -> int:
+        try:
+            return super().write(content) or 0
+        except BrokenPipeError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self.fileno())
+            os.close(nowhere)
+            return len(content)
+
+
+def open_streams() -> None:
+    """Let this process print whatever, wherever, and whether or not someone reads it."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # closed by whoever started this process
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - to the end
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # for what its encoding does not have
+            if stream is getattr(sys, f"__{name}__") and not stream.isatty():
+                pipe = io.BufferedWriter(_WhileRead(stream.fileno(), "w", closefd=False))
+                how = {"encoding": stream.encoding, "errors": stream.errors}
+                setattr(sys, name, io.TextIOWrapper(pipe, **how, line_buffering=stream.line_buffering))
 
 
 def say(text: str, *, err: bool = False, keep: str = "") -> None:

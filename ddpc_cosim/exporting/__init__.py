@@ -1,6 +1,5 @@
 """A started controller as an FMU for Co-Simulation, in plain C, which needs no Python."""
 
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -10,7 +9,6 @@ import numpy as np
 
 from ddpc_cosim.controller import Controller, Loop
 from ddpc_cosim.errors import ConfigError, CosimError
-from ddpc_cosim.plugins import package_version
 from ddpc_cosim.safe_calls import controller_code, controller_settings, horizon_of, learns_from_recording
 from ddpc_cosim.study.case_files import sealed_json
 from ddpc_cosim.study.running.provenance import versions
@@ -140,11 +138,7 @@ def block_of(
         "inputs": names(loop.inputs),
         "recording": recording and {"sha256": recording.digest, "samples": len(recording)},
         "status": {str(bit): text for bit, text in code.statuses.items()},
-        "versions": {
-            "ddpc-cosim version": package_version(),
-            "python version": platform.python_version(),
-            **versions(),
-        },
+        "versions": {f"{name} version": version for name, version in versions().items()},
     }
     learned = f", from the recording {recording.digest[:16]}" if recording else ""
     where = "".join(

@@ -45,6 +45,22 @@ _LARGEST_XML = 400_000_000  # bytes
 _MOST_MARKUP = 14_000_000  # tags and attributes
 _BEYOND_LIMITS = re.compile("PARSE_HUGE|too big|too long")  # what libxml2 says of its own limits
 _ENCRYPTED = 0x1
+# What zipfile decompresses besides what FMI allows, and some of it in one go, however large that gets.
+_COMPRESSIONS = {12: "bzip2", 14: "lzma", 93: "zstandard"}
+_ALWAYS_ALLOWED = 10_000_000  # bytes
+# What arrives in place of a file, by how it begins; and what to do about it.
+_STAND_INS = {
+    re.compile(rb"version https://git-lfs\.github\.com/spec/"): (
+        "a Git LFS pointer, which stands for the file; get the file itself with: git lfs pull"
+    ),
+    re.compile(
+        rb"(?:\xef\xbb\xbf)?(?:\s++|<\?.*?\?>|<!--.*?-->)*+<(?:!doctype\s+)?html\b", re.I | re.DOTALL
+    ): (
+        "a web page (HTML), as downloads from where one must log in or accept something give it; "
+        "download the file itself"
+    ),
+}
+_HEAD = 4096  # bytes
 _UNIX, _DARWIN = 3, 19
 _READABLE, _EXECUTABLE = 0o666, 0o111
 _DEVICE_NAME = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
@@ -70,10 +86,22 @@ class UnpackLimits:
         Bytes of all files together, measured while unpacking.
     max_files : int
         Entries of the archive.
+    max_ratio : float
+        How many times its own size an archive may unpack to; 10 MB are always allowed.
     """
 
     max_unpacked_size: int = 2 * 1024**3
     max_files: int = 20_000
+    max_ratio: float = 100.0
+
+    def room_of(self, size: int, label: str) -> tuple[int, FMUImportError]:
+        """Return how many bytes an archive of a size may unpack to, and the error beyond that."""
+        room, limit = self.max_unpacked_size, "max_unpacked_size"
+        by_ratio = max(int(self.max_ratio * size), _ALWAYS_ALLOWED)
+        if by_ratio < room:
+            room, limit = by_ratio, f"max_ratio: {self.max_ratio:g} times its size"
+        words = f"{label}: unpacks to more than {room} bytes ({limit}); raise it if you trust the FMU"
+        return room, FMUImportError(words)
 
 
 def unpack(
@@ -111,10 +139,11 @@ def unpack(
         _check_directory(path, limits)
         archive = zipfile.ZipFile(path)
     except (*_DAMAGED, OSError) as error:
-        raise FMUImportError(f"{path.name}: not an {kind}: {_reason(error)}") from error
+        reason = _stand_in(path) or _reason(error)
+        raise FMUImportError(f"{path.name}: not an {kind}: {reason}") from error
     try:
         with archive:
-            _unpack_entries(archive, folder, limits, path.name, needed, kind)
+            _unpack_entries(archive, folder, limits, path, needed, kind)
     except _DAMAGED as error:
         raise FMUImportError(f"{path.name}: damaged archive: {_reason(error)}") from error
     except OSError as error:
@@ -270,18 +299,14 @@ def _check_count(count: int, limits: UnpackLimits, label: str) -> None:
 
 
 def _unpack_entries(
-    archive: zipfile.ZipFile, folder: Path, limits: UnpackLimits, label: str, needed: str, kind: str
+    archive: zipfile.ZipFile, folder: Path, limits: UnpackLimits, path: Path, needed: str, kind: str
 ) -> None:
-    entries = archive.infolist()
+    label, entries = path.name, archive.infolist()
     _check_count(len(entries), limits, label)
     files = _checked(entries, label)
     if needed not in files:
         raise FMUImportError(f"{label}: not an {kind}: the archive has no {needed}{_hint(files, needed)}")
-    too_large = FMUImportError(
-        f"{label}: unpacks to more than {limits.max_unpacked_size} bytes (max_unpacked_size); "
-        "raise it if you trust the FMU"
-    )
-    remaining = limits.max_unpacked_size
+    remaining, too_large = limits.room_of(path.stat().st_size, label)
     if sum(entry.file_size for entry in files.values()) > remaining:  # what the archive itself admits
         raise too_large
     # FMUs look into folders, empty or not; and all of them are told of one for resources.
@@ -353,6 +378,10 @@ def _kind_fault(entry: zipfile.ZipInfo) -> str:
     """Return why an entry is nothing to unpack; empty if it is."""
     if entry.flag_bits & _ENCRYPTED:
         return "it is encrypted"
+    if method := _COMPRESSIONS.get(entry.compress_type):
+        return (
+            f"it is compressed with {method}; allowed: deflate, or none; archive it again with one of these"
+        )
     kind = stat.S_IFMT(entry.external_attr >> 16)
     if kind == stat.S_IFLNK:
         return "a symbolic link; archive the file that it points to"
@@ -366,6 +395,16 @@ def _execution(entry: zipfile.ZipInfo, name: str) -> int:
     if name.startswith("binaries/"):
         return _EXECUTABLE
     return (entry.external_attr >> 16) & _EXECUTABLE if entry.create_system in (_UNIX, _DARWIN) else 0
+
+
+def _stand_in(path: Path) -> str:
+    """Return what a file is that came in place of another one, and what to do; empty: nothing known."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError:
+        return ""
+    return next((words for begins, words in _STAND_INS.items() if begins.match(head)), "")
 
 
 def _reason(error: Exception) -> str:

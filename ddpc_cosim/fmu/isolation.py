@@ -6,6 +6,7 @@ A step is one message of a fixed size each way, numbers only: a mark, step size 
 import itertools
 import pickle
 import sys
+import warnings
 import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ddpc_cosim.errors import ConfigError, CosimError, FMUStepError, StepStatus
+from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUStepError, StepStatus
 from ddpc_cosim.fmu.linearisation import LinearModel
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU
 from ddpc_cosim.processes.fork_server import Ending
@@ -29,10 +30,12 @@ from ddpc_cosim.processes.worker import (
     reply_error,
     result_of,
 )
+from ddpc_cosim.texts import recorded
 from ddpc_cosim.variables import FloatArray
 
 T = TypeVar("T")
 _STEP = -1  # where a message has its length
+_LONGEST_REMARK = 300
 # What NumPy and zipfile would import when they are first used there.
 _PRELOAD = (__name__, "encodings.cp437", "numpy.ctypeslib")
 
@@ -100,7 +103,7 @@ class IsolatedSession:
         self._sandbox = Sandbox((folder, *([traced] if traced else []))) if sandboxed else None
         self._request, self._reply = Frame(len(fmu.inputs)), Frame(len(fmu.outputs))
         self._freed_states: list[int] = []
-        self.time = 0.0
+        self.time, self.remark = 0.0, ""
         self._worker: Worker | None = self._start()
 
     def reset(self, *arguments: Any) -> FloatArray:
@@ -204,7 +207,7 @@ class IsolatedSession:
         """Return what a call returned, or raise what it raised; ValueError: it cannot be read."""
         content = worker.channel.receive(LONGEST_REPLY, beginning, self._timeout)
         try:
-            told, time = result_of(content)
+            told, time, remark = result_of(content)
             result, self.time = read(told), float(time)
         except UnexpectedError as error:
             raise FMUStepError(f"{self.fmu.label}: {error}", StepStatus.ERROR, self.time) from error
@@ -213,6 +216,9 @@ class IsolatedSession:
             raise
         except (ArithmeticError, LookupError, TypeError) as error:
             raise ValueError("the reply cannot be read") from error
+        if remark and not self.remark:
+            self.remark = recorded(str(remark))[:_LONGEST_REMARK]
+            warnings.warn(f"{self.fmu.label}: {self.remark}", CosimWarning, stacklevel=5)
         return result
 
     def _end_unless_told(self, method: str, error: BaseException) -> None:
@@ -255,12 +261,15 @@ def serve_session(channel: Channel, fmu: UnpackedFMU) -> None:
         received = request.receive(channel)
         if received < request.size or request.mark[0] != _STEP:
             method, arguments = pickle.loads(channel.receive(sys.maxsize, bytes(request.memory[:received])))
-            reply(channel, lambda: [getattr(session, method)(*arguments), session.time])  # noqa: B023 - at once
+            reply(channel, lambda: session.told(getattr(session, method)(*arguments)))  # noqa: B023 - at once
             continue
         try:
             answer.values[:] = session.step(request.values, request.scalars[1])
         except Exception as error:
             reply_error(channel, error)
+            continue
+        if session.remark and not session.has_told:
+            reply(channel, lambda: session.told(answer.values))
         else:
             answer.scalars[1] = session.time
             channel.socket.sendall(answer.memory)
@@ -273,6 +282,15 @@ class _Service(FMUSession):
         super().__init__(fmu)
         self._states: dict[int, object] = {}
         self._numbers = itertools.count()
+        self.has_told = False
+
+    def told(self, result: object) -> list[object]:
+        """Return what is told of a call: its result, the time of the run, and what is to be said of it."""
+        self.has_told = bool(self.remark)
+        return [result, self.time, self.remark]
+
+    def _warn(self) -> None:
+        """Whoever asks does."""
 
     def save_state(self, freed: Sequence[int] = ()) -> int:
         """Keep a copy of the state, free others, and return its number."""

@@ -64,6 +64,8 @@ class FMUPlant(Plant):
         Model Exchange is integrated with 1e-6.
     max_unpacked_size, max_files : int
         How large the FMU may get when it is unpacked: bytes, and number of files.
+    max_ratio : float
+        How many times its own size it may get; 10 MB are always allowed.
     trace_calls : str or Path, optional
         File that every FMI call is written to, with arguments, status and results, up to a crash.
 
@@ -71,8 +73,6 @@ class FMUPlant(Plant):
     ----------
     dependencies : mapping of str to frozenset of str
         For each output the inputs that it depends on directly; all, where the FMU does not say.
-    warnings : tuple of str
-        What is wrong with the FMU but does not keep it from running.
 
     Raises
     ------
@@ -107,6 +107,7 @@ class FMUPlant(Plant):
         tolerance: float | None = None,
         max_unpacked_size: int = _DEFAULTS.max_unpacked_size,
         max_files: int = _DEFAULTS.max_files,
+        max_ratio: float = _DEFAULTS.max_ratio,
         trace_calls: str | Path | None = None,
     ) -> None:
         self.path = Path(path)
@@ -137,14 +138,14 @@ class FMUPlant(Plant):
                     fmi_type=fmi_type,
                     start=start,
                     tolerance=tolerance,
-                    limits=UnpackLimits(max_unpacked_size, max_files),
+                    limits=UnpackLimits(max_unpacked_size, max_files, max_ratio),
                     trace_calls=Path(trace_calls).absolute() if trace_calls else None,
                 )
             self.inputs, self.outputs = self._shown_in(display_units or {})
             self.dependencies = direct_dependencies(self.description, self._fmu.inputs, self._fmu.outputs)
             self.is_sampled = is_sampled(self._fmu.inputs)
-            self.warnings = self._fmu.warnings
-            for warning in self.warnings:  # where warnings are errors, they end it here
+            self._warnings = self._fmu.warnings
+            for warning in self._warnings:  # where warnings are errors, they end it here
                 warnings.warn(f"{self.path.name}: {warning}", CosimWarning, stacklevel=2)
         except BaseException:
             self._scratch.remove()
@@ -191,7 +192,7 @@ class FMUPlant(Plant):
         """Tell the FMU's stop time, and warn of a sampling time that does not suit its step size."""
         remark = self._fmu.remark_on_steps(sampling_time)
         if remark and remark not in self.warnings:
-            self.warnings += (remark,)
+            self._warnings += (remark,)
         # A little later than the last sample: rounding must not make the last step an illegal one.
         self._stop_time = stop_time + _STOP_MARGIN * sampling_time
 
@@ -212,7 +213,8 @@ class FMUPlant(Plant):
             self._session.close()
             with demanded(self._sandboxed):
                 self._fmu = for_model_exchange(fmu)
-            self.warnings += (f"runs for Model Exchange: {str(error).removeprefix(f'{fmu.label}: ')}",)
+            reason = str(error).removeprefix(f"{fmu.label}: ")
+            self._warnings = (*self.warnings, f"runs for Model Exchange: {reason}")
             self._session = self._open(self._fmu)
             self._step = self._session.step
             return self._session.reset(*arguments)
@@ -278,7 +280,7 @@ class FMUPlant(Plant):
         model = self._session.linearise(held, derivatives)
         for warning in model.warnings:
             if warning not in self.warnings:
-                self.warnings += (warning,)
+                self._warnings += (warning,)
                 warnings.warn(f"{self.path.name}: {warning}", CosimWarning, stacklevel=2)
         return model
 
@@ -306,6 +308,11 @@ class FMUPlant(Plant):
     def description(self) -> FMUDescription:
         """What the FMU says about itself."""
         return self._fmu.description
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the FMU but does not keep it from running, as far as that is known by now."""
+        return tuple(filter(None, dict.fromkeys((*self._warnings, self._session.remark))))
 
     @property
     def time(self) -> float:

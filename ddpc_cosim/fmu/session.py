@@ -4,17 +4,21 @@ Call order: ``reset`` once per run, then ``step`` with ``set_parameters``, ``sav
 ``restore_state`` between two steps, and ``close`` at the end.
 """
 
+import warnings
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import wraps
 from pathlib import Path
+from typing import Any, TypeVar, cast
 from weakref import WeakValueDictionary
 
 import numpy as np
 
-from ddpc_cosim.errors import ConfigError, FMUImportError, FMUStepError
+from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
+from ddpc_cosim.fmu.arithmetic import KeptArithmetic, is_usual, unusual_state
 from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues
 from ddpc_cosim.fmu.co_simulation import CoSimulationRun, StepSizes
 from ddpc_cosim.fmu.description import FMUDescription, Interface, Signal, choose_interface, choose_signals
@@ -183,6 +187,23 @@ def _starting_at(start: Mapping[str, float], signal: Signal) -> Signal:
     return replace(signal, variable=replace(variable, start=start.get(variable.name, variable.start)))
 
 
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+def _keeps_arithmetic(method: _Method) -> _Method:
+    """Have this process compute after a method as it did before it, whatever the FMU does to that."""
+
+    @wraps(method)
+    def kept(self: "FMUSession", *args: Any) -> Any:
+        try:
+            with self._arithmetic:
+                return method(self, *args)
+        finally:
+            self._tell_change()
+
+    return cast("_Method", kept)
+
+
 class FMUSession:
     """One FMU in this process: what is behind the methods of :class:`FMUPlant`, which say what they raise.
 
@@ -190,6 +211,11 @@ class FMUSession:
     ----------
     fmu : UnpackedFMU
         The FMU.
+
+    Attributes
+    ----------
+    remark : str
+        What is to be said of how the FMU has run so far; empty for nothing. It is a warning, given once.
     """
 
     def __init__(self, fmu: UnpackedFMU) -> None:
@@ -200,7 +226,9 @@ class FMUSession:
         self._may_terminate = False
         self._time = 0.0
         self._ending: CallError | None = None
+        self._arithmetic, self.remark = KeptArithmetic(), ""
 
+    @_keeps_arithmetic
     def reset(
         self, parameters: Mapping[str, ParameterValue], t0: float, stop_time: float | None
     ) -> FloatArray:
@@ -239,6 +267,7 @@ class FMUSession:
         run = self._run
         if run is None or self._ending is not None:
             run = self._started("step")
+        before = unusual_state()  # as every other method, with two calls less
         try:
             return run.step(u, h)
         except CallError as error:
@@ -248,7 +277,12 @@ class FMUSession:
                     self._time, self._ending = run.end_of_sample, error
                     return last
             raise self._failure(error) from error
+        finally:
+            if before is not None or not is_usual():
+                self._arithmetic.put_back(before)
+                self._tell_change()
 
+    @_keeps_arithmetic
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, and inputs that are not driven, from the next step on."""
         run, fmu = self._started("set_parameters"), self.fmu
@@ -256,6 +290,7 @@ class FMUSession:
         with self._told():
             run.change(values.set_during_run)
 
+    @_keeps_arithmetic
     def linearise(self, u: FloatArray | None, derivatives: Derivatives) -> LinearModel:
         """Return the linear model about where the run is, with the inputs u, shape (m,), held from now on."""
         run, fmu = self._started("linearise"), self.fmu
@@ -283,6 +318,7 @@ class FMUSession:
                 directional=told and derivatives != "differences",
             )
 
+    @_keeps_arithmetic
     def outputs_at(self, u: FloatArray) -> FloatArray:
         """Return the outputs now with other inputs u, shape (m,)."""
         run = self._started("outputs_at")
@@ -291,6 +327,7 @@ class FMUSession:
         except CallError as error:
             raise self._failure(error) from error
 
+    @_keeps_arithmetic
     def feedthrough(self, u: FloatArray) -> FloatArray | None:
         """Return the derivatives of the outputs by the inputs, shape (p, m), at u; None: not known."""
         run, fmu = self._started("feedthrough"), self.fmu
@@ -306,6 +343,7 @@ class FMUSession:
                 raise self._failure(error) from error
             return None
 
+    @_keeps_arithmetic
     def save_state(self) -> object:
         """Return a copy of the FMU's state, for :meth:`restore_state` of the same run."""
         run = self._started("save_state")
@@ -315,6 +353,7 @@ class FMUSession:
         with self._told():
             return run.save_state()
 
+    @_keeps_arithmetic
     def restore_state(self, state: object) -> None:
         """Go back to a saved state of this run."""
         self._ending = None  # back to before it
@@ -332,6 +371,7 @@ class FMUSession:
         """What the FMU has logged last."""
         return tuple(self._instance.log.lines) if self._instance is not None else ()
 
+    @_keeps_arithmetic
     def close(self) -> None:
         """Terminate and free the FMU."""
         run, instance = self._run, self._instance
@@ -344,6 +384,15 @@ class FMUSession:
                     instance.terminate()
             self._finalizer()
         self._may_terminate = False
+
+    def _tell_change(self) -> None:
+        """Warn, once, of an FMU that changes how this process computes."""
+        if self._arithmetic.change and not self.remark:
+            self.remark = self._arithmetic.change
+            self._warn()
+
+    def _warn(self) -> None:
+        warnings.warn(f"{self.fmu.label}: {self.remark}", CosimWarning, stacklevel=5)
 
     def _started(self, what: str) -> Run:
         if self._ending is not None:
@@ -362,7 +411,7 @@ class FMUSession:
             needs = f"; it needs {tool} on this machine" if fmu.interface.needs_execution_tool else ""
             raise FMUImportError(f"{fmu.label}: cannot be instantiated: {_one_line(error)}{needs}") from error
         self._instance = instance
-        self._finalizer = weakref.finalize(self, instance.free)
+        self._finalizer = weakref.finalize(self, _free, instance)
         return instance
 
     @contextmanager
@@ -392,6 +441,12 @@ class FMUSession:
             self._instance.abandon()
             self._finalizer.detach()
         self._run = self._instance = None
+
+
+def _free(instance: Instance) -> None:
+    """Free an instance, whenever that is."""
+    with KeptArithmetic():
+        instance.free()
 
 
 def _make_instance(fmu: UnpackedFMU) -> Instance:

@@ -49,12 +49,14 @@ ONE_THREAD = dict.fromkeys((f"{library}_NUM_THREADS" for library in ("OMP", "OPE
 class Ending(NamedTuple):
     """How a worker ended: exit code, negative for a signal, None if unknown; what it printed last.
 
-    And what it had too much of, if it was ended for that.
+    And what it had too much of, if it was ended for that; and whether it has gone with its server and other
+    workers, any of which may be at fault.
     """
 
     code: int | None
     output: str = ""
     excess: str = ""
+    is_one_of_several: bool = False
 
     def __str__(self) -> str:
         code, printed = self.code, " ".join(self.output.split())[-_OUTPUT_SHOWN:]
@@ -63,7 +65,7 @@ class Ending(NamedTuple):
             remedy = "; raise memory_limit if it needs more" if "memory" in self.excess else ""
             return f"{self.excess}, so it was ended{remedy}{words}"
         if code is None:
-            return f"its process has gone{words}"
+            return f"its process has gone, and the one that starts processes with it{words}"
         if code >= _FIRST_WINDOWS_FAULT:
             return f"its process ended with exception {code:#x}{words}"
         if code >= 0:
@@ -128,6 +130,7 @@ class ForkServer:
         self._numbers = itertools.count(1)
         self._received = b""
         self._answers: dict[int, dict[str, Any]] = {}
+        self.workers: set[int] = set()
         self._socket, other = socket.socketpair()
         with other:
             descriptor = other.fileno()
@@ -147,10 +150,23 @@ class ForkServer:
                 server = cls._current = ForkServer()
             return server
 
-    def fork(self, connection: socket.socket, preload: Sequence[str], memory: int) -> "Forked":
-        """Fork a worker; raises OSError."""
+    @classmethod
+    def fork(cls, connection: socket.socket, preload: Sequence[str], memory: int, *, alone: bool) -> "Forked":
+        """Fork a worker from the server of this process, or from one that has no other; raises OSError."""
         request = {"preload": [*preload], "memory": memory}
-        return Forked(self, self.ask(request, connection.fileno())["pid"])
+        for is_last in (False, False, True):
+            server = ForkServer() if alone else cls.running()
+            try:
+                pid = server.ask(request, connection.fileno())["pid"]
+            except ConnectionError:  # one of its workers has just ended it
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    server._process.wait(_LOOK_SECONDS)  # so that another one is started
+                if is_last:
+                    raise
+            else:
+                server.workers.add(pid)
+                break
+        return Forked(server, pid, alone)
 
     def ask(self, request: dict[str, Any], *descriptors: int) -> dict[str, Any]:
         """Have the server answer a request; raises OSError."""
@@ -179,6 +195,7 @@ class ForkServer:
         return answer
 
     def _stop(self) -> None:
+        atexit.unregister(self._stop)
         if os.getpid() == self._owner:
             self._socket.close()  # which is what it waits for
             self._process.send_signal(signal.SIGCONT)
@@ -190,17 +207,22 @@ class ForkServer:
 
 
 class Forked(NamedTuple):
-    """A process that a server has forked."""
+    """A process that a server has forked, which may have been started for it alone."""
 
     server: ForkServer
     pid: int
+    is_alone: bool
 
     def end(self) -> Ending:
         """End it and all that it has started; return how it ended."""
         try:
             answer = self.server.ask({"end": self.pid})
         except OSError:  # the server has gone, and its workers with it
-            return Ending(None)
+            return Ending(None, is_one_of_several=len(self.server.workers) > 1)
+        finally:
+            if self.is_alone:
+                self.server._stop()
+        self.server.workers.discard(self.pid)
         return Ending(answer["code"], answer["output"], answer["excess"])
 
 

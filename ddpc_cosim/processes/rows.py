@@ -243,9 +243,19 @@ def info_path(path: Path) -> Path:
 
 
 def _made(path: Path, size: int) -> int:
-    """Make a file of zeros and return its descriptor."""
+    """Make a file of zeros and return its descriptor.
+
+    They are written, so that there is room for them on the disk: where a file only has its length, whoever
+    fills it by its mapped memory dies of a bus error when the disk is full.
+    """
     made = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o600)
-    os.ftruncate(made, size)
+    zeros = memoryview(bytes(min(size, _CHUNK)))
+    try:
+        while size > 0:
+            size -= os.write(made, zeros[:size])
+    except OSError as error:
+        os.close(made)
+        raise OSError(error.errno, error.strerror, str(path)) from error
     return made
 
 

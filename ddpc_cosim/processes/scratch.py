@@ -39,7 +39,14 @@ class ScratchFolder:
         _remove_left_behind_once(parent, prefix)
         while True:
             self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
-            lock = os.open(self.path / _LOCK, os.O_CREAT | os.O_RDWR)
+            try:
+                lock = os.open(self.path / _LOCK, os.O_CREAT | os.O_RDWR)
+            except FileNotFoundError:  # someone has taken it for one left behind
+                continue
+            except OSError:
+                with suppress(OSError):
+                    self.path.rmdir()
+                raise
             if _holds(lock) and (self.path / _LOCK).exists():  # no one has taken it for one left behind
                 break
             os.close(lock)
@@ -74,7 +81,10 @@ def remove_left_behind(parent: Path, prefix: str = "ddpc-cosim-") -> None:
     for folder in folders:
         if not _is_own_folder(folder):
             continue
-        with suppress(OSError):  # just removed, or without a lock
+        with suppress(OSError):  # just removed, or not empty
+            if not (folder / _LOCK).exists():
+                folder.rmdir()  # what was to be removed last could not be
+                continue
             lock = os.open(folder / _LOCK, os.O_RDWR)
             try:
                 if sys.platform != "win32" and _holds(lock):
@@ -136,3 +146,35 @@ def remove(path: Path) -> None:
     shutil.rmtree(path, ignore_errors=True)
     with suppress(OSError):
         path.unlink()
+
+
+def list_shared_memory(path: Path) -> None:
+    """List in a file the shared memory that Python makes in this process and its copies from now on (POSIX).
+
+    Python's own tracker, which would remove it, does not outlive a process that is ended with all it started;
+    and it takes for made by it what was only opened.
+    """
+    if sys.platform != "win32":
+        import _posixshmem
+
+        shm_open = _posixshmem.shm_open
+
+        def listed(name: str, flags: int, mode: int = 0o777) -> int:
+            descriptor: int = shm_open(name, flags, mode=mode)
+            if flags & os.O_CREAT and flags & os.O_EXCL:  # else it may have been there
+                with suppress(OSError), path.open("a", encoding="utf-8") as file:
+                    file.write(f"{name}\0")
+            return descriptor
+
+        _posixshmem.shm_open = listed
+
+
+def remove_shared_memory(path: Path) -> None:
+    """Remove the shared memory that a file lists, as far as it is still there (POSIX)."""
+    if sys.platform != "win32":
+        import _posixshmem
+
+        with suppress(OSError, UnicodeDecodeError):
+            for name in path.read_text(encoding="utf-8").split("\0")[:-1]:
+                with suppress(OSError):
+                    _posixshmem.shm_unlink(name)

@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
@@ -38,6 +39,7 @@ from ddpc_cosim.processes.fork_server import (
 )
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.sandbox import Sandbox, enter, separable
+from ddpc_cosim.processes.scratch import list_shared_memory, remove_shared_memory
 from ddpc_cosim.texts import recorded
 
 LONGEST_REPLY = 1 << 27
@@ -231,6 +233,8 @@ class Worker:
     memory : int, optional
         Bytes that it may have together with all that it starts, where the system tells them; 0: any; default:
         :func:`default_memory`.
+    alone : bool
+        Whether it shares with no other one the process that starts it, which it could end (POSIX).
 
     Raises
     ------
@@ -246,20 +250,25 @@ class Worker:
         preload: Sequence[str] = (),
         sandbox: Sandbox | None = None,
         memory: int | None = None,
+        alone: bool = False,
     ) -> None:
         ours, theirs = socket.socketpair()
         self.channel = Channel(ours)
         self._owner, self._ending = os.getpid(), Ending(None)
+        # In a sandbox none can be made, and what a list there says is not to be believed.
+        self._shared = None if sandbox else folder / f"shared-memory-{uuid.uuid4().hex}"
         self._process: Forked | _Shared | None = None
         try:
             with theirs:
-                self._process = _start(theirs, preload, default_memory() if memory is None else memory)
+                memory = default_memory() if memory is None else memory
+                self._process = _start(theirs, preload, memory, alone)
             self.channel.limit(START_SECONDS)  # one that is stopped reads nothing
             # Two pickles: the import path has to be there before the target can be found.
             apart = sandbox is not None and separable()
-            place = (sys.path, here(), dict(os.environ), str(folder), sandbox, apart)
-            self.channel.send(pickle.dumps(place))
-            self.channel.send(pickle.dumps((target, arguments)))
+            place = (sys.path, here(), dict(os.environ), str(folder), sandbox, apart, self._shared)
+            with contextlib.suppress(ConnectionError):  # it has died: whoever waits for its reply learns that
+                self.channel.send(pickle.dumps(place))
+                self.channel.send(pickle.dumps((target, arguments)))
         except OSError as error:
             self.end()
             raise CosimError(f"a worker process cannot be started: {error}") from error
@@ -275,14 +284,16 @@ class Worker:
         process, self._process = self._process, None
         if process is not None and os.getpid() == self._owner:
             self._ending = process.end()
+            if self._shared is not None:
+                remove_shared_memory(self._shared)
         self.channel.socket.close()
         return self._ending
 
 
-def _start(connection: socket.socket, preload: Sequence[str], memory: int) -> "Forked | _Shared":
+def _start(connection: socket.socket, preload: Sequence[str], memory: int, alone: bool) -> "Forked | _Shared":
     """Start a process with the far end of a channel."""
     if sys.platform != "win32":
-        return ForkServer.running().fork(connection, preload, memory)
+        return ForkServer.fork(connection, preload, memory, alone=alone)
     return _Shared(connection)
 
 
@@ -305,7 +316,7 @@ def run(connection: socket.socket) -> None:
     """Run what the other side says, in its working directory and environment, with its import path."""
     channel = Channel(connection)
     with contextlib.suppress(EOFError, ConnectionError):
-        path, place, environment, folder, sandbox, apart = pickle.loads(channel.receive(sys.maxsize))
+        path, place, environment, folder, sandbox, apart, shared = pickle.loads(channel.receive(sys.maxsize))
         sys.path += [entry or place for entry in path if entry not in sys.path]
         os.environ.clear()
         os.environ.update(environment | ONE_THREAD | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
@@ -314,6 +325,8 @@ def run(connection: socket.socket) -> None:
             os.chdir(place or folder)
         if sandbox is not None:
             enter(sandbox, apart=apart)
+        else:
+            list_shared_memory(shared)
         target, arguments = pickle.loads(channel.receive(sys.maxsize))
         target(channel, *arguments)
 

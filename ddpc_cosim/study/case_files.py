@@ -9,6 +9,7 @@ import os
 import shutil
 import stat
 import warnings
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -20,18 +21,24 @@ from ddpc_cosim.controller import Bounds
 from ddpc_cosim.csv_files import PARQUET, read_parquet, write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.processes.requests import held
 from ddpc_cosim.responses import Tracking
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
-from fmu_plants.files import write_atomically
+from fmu_plants.files import write_atomically, write_through
 
 RUN_FILE = "run.json"
+STAGING = ".staging-"
+"""What the names of folders begin with in which files stand until they are complete."""
 # What holds the samples, by how they are stored.
 _SIGNALS_FILES = {"csv": "signals.csv", "parquet": f"signals{PARQUET}"}
 # A JSON file ends with the checksum of all that stands before it.
 _SEAL = b',\n "sha256": "%s"\n}\n'
 
+LEFT_FOLDER = "left"
+"""Where in a case's folder stands what it has left in its working directory, if that is kept."""
+_MOST_LEFT, _MOST_LOOKED_AT = 100, 20_000
 DOING_NOTHING = "doing-nothing"
 """The controller of the runs that the tool makes itself, with inputs at rest: no result is one of them."""
 _LONGEST_RUN = 1 << 26
@@ -102,6 +109,8 @@ class CaseResult:
         How long its worker took for it [s]; NaN if it was lost.
     simulated_time : float
         From its first sample to its last [s].
+    versions : dict of str to str
+        Of this program, Python and the packages that decide figures, where it ran; empty if it was lost.
     """
 
     id: str
@@ -128,6 +137,7 @@ class CaseResult:
     tasks: dict[str, float] = field(default_factory=dict)
     wall_time: float = field(default=math.nan, compare=False)
     simulated_time: float = 0.0
+    versions: dict[str, str] = field(default_factory=dict)
 
     def trace(self) -> Trace:
         """Read the samples of the run.
@@ -161,7 +171,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
         Its files are missing or damaged.
     """
     try:
-        run = read_run(folder)
+        run = _read_run(folder)
         _signals(folder, run)
         if run["id"] != (id or folder.name):
             raise ValueError(f"{RUN_FILE} is of case {run['id']}")
@@ -181,6 +191,7 @@ def load_case(folder: Path, id: str = "") -> CaseResult:
             transient=transient,
             wall_time=float(run.get("wall_time", math.nan)),
             simulated_time=max(run["signals"]["rows"] - 1, 0) * run["sampling_time"],
+            versions=dict(run.get("versions", {})),
         )
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
@@ -242,7 +253,8 @@ def stage_case(
     """
     settings = settings or MetricSettings(trace.preview)
     run: dict[str, Any] = (
-        {"printed": "", "sandbox": "", "problem": "", "wall_time": math.nan, "storage": "csv"}
+        {"printed": "", "left": {}, "sandbox": "", "problem": "", "storage": "csv", "versions": {}}
+        | {"wall_time": math.nan}
         | head
         | {
             "outcome": trace.outcome.value,
@@ -273,9 +285,18 @@ def stage_case(
     write_table(file, trace.columns(), {"status": trace.status})
     signals = {"rows": len(trace), "sha256": checksum(file.read_bytes())}
     (staged / RUN_FILE).write_bytes(sealed_json(run | {"signals": signals}))
+    for name in (file.name, RUN_FILE):  # by each worker for itself: it waits for the disk
+        write_through(staged / name)
 
 
-def accept_case(staged: Path, folder: Path, head: dict[str, Any], printed: str, longest: int) -> None:
+def accept_case(
+    staged: Path,
+    folder: Path,
+    head: dict[str, Any],
+    printed: str,
+    longest: int,
+    left: Mapping[str, int] | None = None,
+) -> None:
     """Move what a process that has ended has staged to where its case belongs, if it is that case.
 
     Parameters
@@ -288,6 +309,8 @@ def accept_case(staged: Path, folder: Path, head: dict[str, Any], printed: str, 
         What the process printed last.
     longest : int
         Bytes that its samples can take.
+    left : mapping of str to int, optional
+        What it has left, as of :func:`left_in`; default: what the process says itself.
 
     Raises
     ------
@@ -303,11 +326,51 @@ def accept_case(staged: Path, folder: Path, head: dict[str, Any], printed: str, 
         if run[key] != value:
             raise ConfigError(f"{RUN_FILE} is of {key} {str(run[key])[:100]}")
     try:
-        if printed:
-            (staged / RUN_FILE).write_bytes(sealed_json(run | {"printed": printed}))
+        if printed or left:
+            told = {"printed": printed, "left": run["left"] if left is None else dict(left)}
+            write_atomically(staged / RUN_FILE, sealed_json(run | told))
         _move_into_place(staged, folder)
     except OSError as error:
         raise _not_written(folder, error) from error
+
+
+def left_in(folder: Path) -> dict[str, int]:
+    """Return the bytes of the files that a case has left in its working directory, by path there.
+
+    Links count as what they are and lead nowhere; beyond 100 files, the rest are one entry.
+    """
+    found = dict[str, int]()
+    for place, _, names in os.walk(folder):
+        for name in names:
+            path = Path(place, name)
+            with suppress(OSError):
+                found[recorded(path.relative_to(folder).as_posix())] = path.lstat().st_size
+        if len(found) > _MOST_LOOKED_AT:
+            break
+    named = dict(sorted(found.items())[:_MOST_LEFT])
+    rest = len(found) - len(named)
+    return named | ({f"and {rest} more": sum(found.values()) - sum(named.values())} if rest else {})
+
+
+def keep_left(work: Path, folder: Path) -> None:
+    """Keep what a case has left in its working directory beside its files: plain files, and no links.
+
+    Raises
+    ------
+    CosimError
+        It cannot be written, and why.
+    """
+    kept = folder / LEFT_FOLDER
+    try:
+        for place, _, names in os.walk(work):
+            for name in names:
+                path = Path(place, name)
+                if stat.S_ISREG(path.lstat().st_mode):
+                    target = kept / path.relative_to(work)
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(path, target, follow_symlinks=False)
+    except OSError as error:
+        raise _not_written(kept, error) from error
 
 
 def _check_staged(staged: Path, longest: dict[str, int]) -> None:
@@ -339,7 +402,7 @@ def judge_again(folder: Path, settings: MetricSettings) -> None:
         The case cannot be read or written, and why.
     """
     try:
-        run = read_run(folder)
+        run = _read_run(folder)
         if run["metric_settings"] == asdict(settings):
             return
         run |= _judged(read_trace(folder), settings)
@@ -414,21 +477,35 @@ def checksum(content: bytes) -> str:
 def _move_into_place(staged: Path, folder: Path) -> None:
     """Put a completely written folder in its place, while other runs may do the same."""
     older = staged.with_name(f"{staged.name}.older")
-    with suppress(FileNotFoundError):
-        folder.replace(older)  # quicker than removing it: hardly a moment without a case
-    try:
-        staged.replace(folder)
-    except OSError:
-        if not (folder / RUN_FILE).is_file():
-            with suppress(FileNotFoundError):
-                older.replace(folder)
-            raise
-        # Another run has just written the same case, and what decides its result is the same.
+    with held():
+        with suppress(FileNotFoundError):
+            folder.replace(older)  # quicker than removing it: hardly a moment without a case
+        try:
+            staged.replace(folder)
+        except OSError:
+            if not (folder / RUN_FILE).is_file():
+                with suppress(FileNotFoundError):
+                    older.replace(folder)
+                raise
+            # Another run has just written the same case, and what decides its result is the same.
     shutil.rmtree(older, ignore_errors=True)
 
 
 def read_run(folder: Path) -> dict[str, Any]:
-    """Return ``run.json`` of a case."""
+    """Return ``run.json`` of a case.
+
+    Raises
+    ------
+    ConfigError
+        It is missing or damaged.
+    """
+    try:
+        return _read_run(folder)
+    except DAMAGED as error:
+        raise damaged_files(folder, error) from error
+
+
+def _read_run(folder: Path) -> dict[str, Any]:
     run = read_sealed(folder / RUN_FILE)
     run["metrics"] = {name: float(value) for name, value in run["metrics"].items()}
     run["diagnostics"] = {name: float(value) for name, value in run["diagnostics"].items()}
@@ -437,7 +514,7 @@ def read_run(folder: Path) -> dict[str, Any]:
 
 def read_trace(folder: Path) -> Trace:
     """Return the trace that :func:`write_case` wrote."""
-    run = read_run(folder)
+    run = _read_run(folder)
     inputs, outputs, measurements, changed_inputs = (
         [_variable(v) for v in run[key]] for key in ("inputs", "outputs", "measurements", "changed_inputs")
     )

@@ -477,6 +477,7 @@ class Study:
         scheduler: str = "",
         shard: str = "1/1",
         storage: str = "csv",
+        keep_files: bool = False,
     ) -> StudyResults:
         """Run all cases that are not there yet, and return the results.
 
@@ -488,7 +489,7 @@ class Study:
             Number of worker processes.
         progress : bool or Progress
             Whether to show how far it is, or what follows it instead.
-        only, seeds, fresh, sandbox, executor, scheduler, shard, storage
+        only, seeds, fresh, sandbox, executor, scheduler, shard, storage, keep_files
             As the options of ``ddpc-cosim run``.
 
         Raises
@@ -505,7 +506,8 @@ class Study:
             except OSError as error:
                 raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from error
             file = replace(file, folder=folder.resolve())
-        selection = Selection(jobs, list(seeds), only, fresh, sandbox, executor, scheduler, shard, storage)
+        where = (executor, scheduler, shard, storage, keep_files)
+        selection = Selection(jobs, list(seeds), only, fresh, sandbox, *where)
         if progress is not True:
             return run_study(resolve_file(file), folder, selection, progress or _Silent())
         from ddpc_cosim.cli.progress import display

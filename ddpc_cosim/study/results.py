@@ -4,8 +4,6 @@ import csv
 import io
 import math
 import os
-import tomllib
-import uuid
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,9 +11,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.plugins import installed, load_plugin
+from ddpc_cosim.processes.requests import held
+from ddpc_cosim.processes.scratch import ScratchFolder, remove_left_behind
 from ddpc_cosim.study.case_files import (
     DAMAGED,
     DOING_NOTHING,
+    STAGING,
     CaseResult,
     checksum,
     damaged_files,
@@ -25,9 +26,9 @@ from ddpc_cosim.study.case_files import (
 )
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.verdicts.judgement import Run, judged, run_of
-from ddpc_cosim.texts import alike, csv_text, encodable, html_table, printable
+from ddpc_cosim.texts import alike, csv_text, encodable, html_table, printable, toml_tables
 from ddpc_cosim.trace import Trace
-from fmu_plants.files import write_atomically
+from fmu_plants.files import write_atomically, write_through
 from fmu_plants.spelling import did_you_mean
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ STUDY_FILE, PROVENANCE_FILE, METRICS_FILE, CASES_FOLDER = (
 )
 _OF_PROBLEM = ": "
 _STUDY_CHECKSUM = "study sha256"
+_RUNS, CASES_RUN = "runs", "cases run"
 _MOST_LISTED = 8
 
 
@@ -65,8 +67,8 @@ class StudyResults:
     cases : tuple of CaseResult
         In the study's order: problems x controllers x scenarios x seeds.
     provenance : dict of str to str
-        Versions, machine, plant, command, date; where there are several problems, what is of one begins with
-        its name.
+        Versions, machine, plant, command, date of the last run; where there are several problems, what is of
+        one begins with its name.
     resting : tuple of CaseResult
         The runs with inputs at rest, one per problem, scenario and seed, by which cases are judged.
     damaged : dict of str to str
@@ -74,6 +76,8 @@ class StudyResults:
     peers : tuple of str
         The controllers that a page shows, those of other problems and studies too, in their order: each looks
         the same wherever it is drawn. Empty: its own.
+    runs : tuple of dict of str to str
+        What is to be said of each run over the folder, the first one first; the last may have run no case.
     """
 
     folder: Path
@@ -83,6 +87,7 @@ class StudyResults:
     resting: tuple[CaseResult, ...] = ()
     damaged: dict[str, str] = field(default_factory=dict)
     peers: tuple[str, ...] = ()
+    runs: tuple[dict[str, str], ...] = ()
 
     @property
     def _own_name(self) -> str:
@@ -395,13 +400,14 @@ def load_results(folder: str | Path) -> StudyResults:
     try:
         provenance = read_sealed(folder / PROVENANCE_FILE)
         case_ids = provenance.pop("cases")
+        runs = tuple(map(dict, provenance.pop(_RUNS, ())))
         content = (folder / STUDY_FILE).read_bytes()
         if provenance[_STUDY_CHECKSUM] != checksum(content):
             raise ValueError(f"{STUDY_FILE} is not what was written: its checksum differs")
         study = _study(content)
     except DAMAGED as error:
         raise damaged_files(folder, error) from error
-    return load_cases(folder, study, case_ids).of(folder, study, provenance)
+    return replace(load_cases(folder, study, case_ids).of(folder, study, provenance), runs=runs)
 
 
 class Loaded(NamedTuple):
@@ -464,9 +470,10 @@ def claim_folder(folder: Path, study: "WholeStudy") -> None:
     path, own = folder / STUDY_FILE, study.tables()
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        remove_left_behind(folder, STAGING)
         if not path.exists():
             _write_first(path, study.toml())
-        there = tomllib.loads(path.read_bytes().decode())
+        there = toml_tables(path.read_bytes().decode())
         others, names = _plants(there), {there.get("name", own["name"]), *there.get("based_on", ())}
     except (ValueError, AttributeError, TypeError):  # damaged: whose it was is not known, and no case is lost
         return
@@ -486,16 +493,16 @@ def claim_folder(folder: Path, study: "WholeStudy") -> None:
 
 def _write_first(path: Path, content: bytes) -> None:
     """Write a file unless another process is quicker."""
-    staged = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    staged.write_bytes(content)
-    try:
-        os.link(staged, path)  # which fails where the file exists
-    except FileExistsError:
-        return
-    except OSError:  # not every file system has links
-        staged.replace(path)
-    finally:
-        staged.unlink(missing_ok=True)
+    with ScratchFolder(path.parent, STAGING) as staging:
+        staged = staging / path.name
+        staged.write_bytes(content)
+        write_through(staged)
+        try:
+            os.link(staged, path)  # which fails where the file exists
+        except FileExistsError:
+            return
+        except OSError:  # not every file system has links
+            staged.replace(path)
 
 
 def _plants(tables: dict[str, Any]) -> set[str]:
@@ -508,7 +515,7 @@ def _plants(tables: dict[str, Any]) -> set[str]:
 def _study(content: bytes) -> "WholeStudy":
     from ddpc_cosim.study.problems import WholeStudy  # a worker, which writes cases, does without
 
-    return WholeStudy.of_tables(tomllib.loads(content.decode()))
+    return WholeStudy.of_tables(toml_tables(content.decode()))
 
 
 def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> StudyResults:
@@ -517,7 +524,7 @@ def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> 
     Parameters
     ----------
     results : StudyResults
-        The results.
+        The results; their runs are those that the folder does not tell of yet.
     whole : sequence of str, optional
         The ids of all cases of the study, where the results are of some that were run apart from the others:
         then ``metrics.csv`` is left to who has them all.
@@ -539,18 +546,28 @@ def write_results(results: StudyResults, whole: Sequence[str] | None = None) -> 
         if whole is None
         else [*whole]
     )
-    facts = {**provenance, "cases": ids}
-    results = replace(results, whole=_study(content), provenance=provenance)
+    runs = (*_earlier_runs(folder), *results.runs)
+    facts = {**provenance, _RUNS: runs, "cases": ids}
+    results = replace(results, whole=_study(content), provenance=provenance, runs=runs)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / STUDY_FILE, content)
-        write_atomically(folder / PROVENANCE_FILE, sealed_json(facts))
+        with held():  # one has the other's checksum
+            write_atomically(folder / STUDY_FILE, content)
+            write_atomically(folder / PROVENANCE_FILE, sealed_json(facts))
         if whole is None:
             write_metrics(results)
     except OSError as error:
         reason = error.strerror or str(error)
         raise CosimError(f"{folder}: results cannot be written: {reason}; finished cases are kept") from error
     return results
+
+
+def _earlier_runs(folder: Path) -> tuple[dict[str, str], ...]:
+    """Return what a folder tells of its runs; nothing if that is not what was written."""
+    try:
+        return tuple(map(dict, read_sealed(folder / PROVENANCE_FILE).get(_RUNS, ())))
+    except DAMAGED:
+        return ()
 
 
 def write_metrics(results: StudyResults) -> None:

@@ -5,11 +5,12 @@ leaves behind in its process (floating-point errors, random numbers, modules) ch
 """
 
 import math
+import os
 import pickle
 import re
 import sys
 import tempfile
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -23,14 +24,16 @@ from ddpc_cosim.csv_files import load_pyarrow
 from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
 from ddpc_cosim.master import OUTCOME_OF
 from ddpc_cosim.plugins import (
+    FOLDER_VARIABLE,
     find_modules_in,
     keep_values,
     load_plugin,
+    study_folder,
 )
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.rows import Call, RowStore
 from ddpc_cosim.processes.sandbox import Sandbox, demanded, require as require_sandbox
-from ddpc_cosim.processes.scratch import ScratchFolder, remove
+from ddpc_cosim.processes.scratch import ScratchFolder, remove, remove_left_behind
 from ddpc_cosim.processes.worker import (
     LONGEST_REPLY,
     UnexpectedError,
@@ -41,9 +44,12 @@ from ddpc_cosim.processes.worker import (
     serve_calls,
 )
 from ddpc_cosim.study.case_files import (
+    STAGING,
     CaseResult,
     accept_case,
     judge_again,
+    keep_left,
+    left_in,
     load_case,
     stage_case,
     write_case,
@@ -63,13 +69,14 @@ from ddpc_cosim.study.cases import (
 from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.study.results import (
     CASES_FOLDER,
+    CASES_RUN,
     StudyResults,
     claim_folder,
     load_cases,
     provenance_of,
     write_results,
 )
-from ddpc_cosim.study.running.provenance import facts_of_problem, facts_of_run, seed_ranges
+from ddpc_cosim.study.running.provenance import facts_of_problem, facts_of_run, seed_ranges, versions
 from ddpc_cosim.trace import Outcome
 
 if TYPE_CHECKING:
@@ -83,13 +90,13 @@ _BETWEEN_CALLS_SECONDS = 600.0
 _LONGEST_ANSWER_SECONDS = 3600.0
 # A column's name and unit; a row's status and info; a number.
 _HEADER_BYTES, _ROW_BYTES, _NUMBER_BYTES = 100_000, 10_000, 32
-_STAGING = ".staging-"
-_AT_THE_END = ("diagnostics", "close")
+_AT_THE_END = ("diagnostics", "provenance", "close")
 # What most controllers compute with is not loaded by reading a study.
 _PRELOAD = (
     __name__,
     "ddpc_cosim.fmu.plant",
     "ddpc_cosim.plugins:look_up",
+    "ddpc_cosim.study.running.provenance:versions",
     "scipy.linalg",
     "scipy.special",
     "encodings.cp437",  # of zip files
@@ -149,6 +156,9 @@ class Selection:
         same folder, puts the parts together.
     storage : {"csv", "parquet"}
         The file of the samples of each case that is run; those that already exist are kept as they are.
+    keep_files : bool
+        Keep what each case that is run leaves in its working directory, in ``left`` of its folder; on this
+        machine only.
 
     Raises
     ------
@@ -165,6 +175,7 @@ class Selection:
     scheduler: str = ""
     shard: str = "1/1"
     storage: str = "csv"
+    keep_files: bool = False
 
     def __post_init__(self) -> None:
         faults = []
@@ -178,6 +189,8 @@ class Selection:
         shard = re.fullmatch(r"(\d+)/(\d+)", self.shard, re.ASCII)
         if shard is None or not 1 <= int(shard[1]) <= int(shard[2]):
             faults.append(f"--shard {self.shard}: must be I/N, I from 1 to N, such as 1/2 and 2/2")
+        if self.keep_files and self.executor != "local":
+            faults.append(f"--keep-files: not with --executor {self.executor}: what cases leave stays there")
         if self.storage not in ("csv", "parquet"):
             faults.append(f"--storage {self.storage}: must be csv or parquet")
         if self.storage == "parquet":
@@ -244,10 +257,10 @@ def run_study(
             provenance_of(name, key) if len(plants) > 1 else key: fact for key, fact in own.items()
         }
     workers = str(selection.jobs) if selection.executor == "local" else selection.executor
-    provenance |= facts_of_run(results, resolved.file, selection.options(), workers, took)
-    provenance |= dict(facts or {})
+    run = facts_of_run(results, resolved.file, selection.options(), workers, took) | dict(facts or {})
     whole = [case.id for case in every] if selection.is_part else None
-    return write_results(loaded.of(folder, study, provenance), whole)
+    written = loaded.of(folder, study, provenance | run)
+    return write_results(replace(written, runs=(run | {CASES_RUN: str(ran)},)), whole)
 
 
 def _done(cases: Sequence[Case], folder: Path, selection: Selection, progress: Progress) -> Iterator[Case]:
@@ -256,7 +269,9 @@ def _done(cases: Sequence[Case], folder: Path, selection: Selection, progress: P
     if not cases:
         return iter(())
     if selection.executor == "local":
-        return run_cases(cases, folder, selection.jobs, progress.update, sandboxed=sandboxed)
+        keep = selection.keep_files
+        watch = progress.update
+        return run_cases(cases, folder, selection.jobs, watch, sandboxed=sandboxed, keep_files=keep)
     from ddpc_cosim.study.running.cluster import run_on_cluster  # which few runs need
 
     return run_on_cluster(cases, folder, selection.scheduler, run_cases, sandboxed=sandboxed)
@@ -312,6 +327,7 @@ def run_missing(
     cases_folder = folder / CASES_FOLDER
     try:
         cases_folder.mkdir(parents=True, exist_ok=True)
+        remove_left_behind(cases_folder, STAGING)
     except OSError as error:
         raise ConfigError(f"{folder}: results cannot be written there: {error.strerror}") from error
     missing = {case.id: case for case in cases if selection.fresh or not _is_there(cases_folder / case.id)}
@@ -387,6 +403,7 @@ def run_cases(
     *,
     sandboxed: bool = False,
     surroundings: Surroundings | None = None,
+    keep_files: bool = False,
 ) -> Iterator[Case]:
     """Run cases in ``jobs`` worker processes and yield each one when its files are written.
 
@@ -404,6 +421,8 @@ def run_cases(
         Whether each case runs in a sandbox, in which it writes nothing but its own files.
     surroundings : Surroundings, optional
         What cases find around them; default: what is around this process.
+    keep_files : bool
+        Whether to keep what each case leaves in its working directory, which is a temporary one of its own.
 
     Raises
     ------
@@ -415,14 +434,18 @@ def run_cases(
     if sandboxed:
         words = require_sandbox()
         cases = [replace(case, sandbox=words) for case in cases]
-    with _scratch() as temporary, _scratch(folder, _STAGING) as staging:
+    with _scratch() as temporary, _scratch(folder, STAGING) as staging:
         tables = {"pyarrow.parquet" for case in cases if case.storage == "parquet"}
         preload = [*_PRELOAD, *tables, *_plugin_modules(cases)]
-        waiting, running = deque(cases), list[_Run]()
+        waiting, running, lost = deque(cases), list[_Run](), Counter[str]()
         compiled = dict[Path, list[Path]]()
         try:
             while waiting or running:
                 while waiting and len(running) < jobs:
+                    # What ends the process that starts its own takes others along: one at a time it cannot.
+                    alone = lost[waiting[0].id] > 1
+                    if alone and any(run.alone for run in running):
+                        break
                     case = waiting.popleft()
                     if case.late:
                         trace = no_samples(case, Outcome.TIMED_OUT, f"before the first sample: {case.late}")
@@ -434,7 +457,9 @@ def run_cases(
                     if case.sandbox:
                         around = replace(around, read=_sandboxed_read(around, compiled))
                     with _writable():
-                        running.append(_Run(case, make, folder / case.id, staging, temporary, around))
+                        places = (folder / case.id, staging, temporary)
+                        run = _Run(case, make, *places, around, alone=alone, keep_files=keep_files)
+                        running.append(run)
                     if watch is not None:
                         watch(running[-1].progress)
                 ready = wait([run.worker.channel.socket for run in running], _POLL_SECONDS)
@@ -442,6 +467,10 @@ def run_cases(
                     ended = run.has_ended(run.worker.channel.socket in ready)
                     if ended:
                         running.remove(run)
+                    if ended and run.may_be_a_bystander:
+                        lost[run.case.id] += 1
+                        waiting.appendleft(run.case)
+                    elif ended:
                         yield run.case
                     elif watch is not None:
                         watch(run.progress)
@@ -467,7 +496,8 @@ def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:
         memory = _memory(case, 1)
         worker = Worker(serve_calls, folder=folder, preload=preload, memory=memory, sandbox=sandbox)
         try:
-            ask(worker.channel, _answer, function, case, around.modules, around.values)
+            work = _working_directory(folder)
+            ask(worker.channel, _answer, function, case, around.modules, around.values, work)
             return result_of(worker.channel.receive(LONGEST_REPLY, seconds=seconds))
         except TimeoutError as error:
             remedy = "raise loop.case_timeout if it needs longer"
@@ -480,15 +510,24 @@ def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:
             worker.end()
 
 
-def _answer(function: Callable[[Case], Any], case: Case, modules: str, values: bytes) -> Any:
-    _settle(modules, values)
+def _answer(function: Callable[[Case], Any], case: Case, modules: str, values: bytes, work: Path) -> Any:
+    _settle(modules, values, work)
     return function(case)
 
 
-def _settle(modules: str, values: bytes) -> None:
-    """Let a worker find what is around the process that it works for."""
+def _working_directory(place: Path) -> Path:
+    """Make an empty folder for a case to run in."""
+    work = place / "work"
+    work.mkdir()
+    return work
+
+
+def _settle(modules: str, values: bytes, work: Path) -> None:
+    """Let a worker find what is around the process that it works for, and go where it may leave files."""
     find_modules_in(modules)
     keep_values(pickle.loads(values))
+    os.environ[FOLDER_VARIABLE] = str(study_folder())
+    os.chdir(work)
 
 
 def _memory(case: Case, workers: int) -> int:
@@ -538,6 +577,15 @@ class _Run:
         Where temporary files lie.
     surroundings : Surroundings
         What it finds around it.
+    alone : bool
+        Whether it is to take no other run along, whatever it does.
+    keep_files : bool
+        Whether to keep what it leaves in its working directory.
+
+    Attributes
+    ----------
+    may_be_a_bystander : bool
+        Whether it ended with others, of which another one may be at fault: nothing is written of it.
     """
 
     def __init__(
@@ -548,20 +596,25 @@ class _Run:
         staging: Path,
         temporary: Path,
         surroundings: Surroundings,
+        *,
+        alone: bool,
+        keep_files: bool,
     ) -> None:
         self._began = began = monotonic()
         self.case, self._folder, self._staging = case, folder, staging
+        self.alone, self.may_be_a_bystander = alone, False
         self._staged, self._place = (Path(tempfile.mkdtemp(dir=within)) for within in (staging, temporary))
+        self._work, self._keep_files = _working_directory(self._place), keep_files
         sandbox = None
         if case.sandbox:
             traced = [Path(case.plant.trace_calls)] if case.plant.trace_calls else []
             sandbox = Sandbox((self._place, self._staged, *traced), surroundings.read)
-        self.worker = make(folder=self._place, sandbox=sandbox)
+        self.worker = make(folder=self._place, sandbox=sandbox, alone=alone)
         rows = self._place / "rows"
         self._store = row_store(case, rows, follow=True)
         self._call, self._since = 0, monotonic()
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
-            around = (surroundings.modules, surroundings.values)
+            around = (surroundings.modules, surroundings.values, self._work)
             ask(self.worker.channel, run_and_stage, case, rows, self._staged, *around, began)
 
     @property
@@ -570,7 +623,7 @@ class _Run:
         return Update(self.case.name, self._store.count, len(self._store.y), self._store)
 
     def has_ended(self, has_replied: bool) -> bool:
-        """Whether the case is over, and then all that is known of it written.
+        """Whether the run is over; then all that is known is written, unless another one may have ended it.
 
         Raises
         ------
@@ -581,8 +634,8 @@ class _Run:
         if has_replied:
             try:
                 result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=_REPLY_SECONDS))
-            except (CosimError, UnexpectedError) as error:
-                self._give_up(Outcome.CRASHED, str(error))
+            except (CosimError, UnexpectedError) as error:  # what fails in the run itself is in its files
+                self._give_up(Outcome.CRASHED, str(error), of_the_machine=True)
             except (OSError, EOFError, ValueError):
                 self._end_worker()
             else:
@@ -594,6 +647,8 @@ class _Run:
             self._give_up(Outcome.TIMED_OUT, f"{reason}; raise loop.case_timeout if it needs longer")
         else:
             return False
+        if self._keep_files:
+            keep_left(self._work, self._folder)
         self.close()
         return True
 
@@ -606,7 +661,8 @@ class _Run:
         """Put what the worker has staged in its place: what it ran has no more to say in that by now."""
         try:
             printed, longest = self.worker.end().output, self._longest_samples()
-            accept_case(self._staged, self._folder, self.case.head(), printed, longest)
+            left = left_in(self._work)
+            accept_case(self._staged, self._folder, self.case.head(), printed, longest, left)
         except ConfigError as error:
             self._give_up(Outcome.CRASHED, f"its process has left no results: {error}")
 
@@ -632,6 +688,9 @@ class _Run:
         """End a worker that has died or is to die, and write what it has left."""
         call, case, count = self._store.call, self.case, self._store.count
         ending = self.worker.end()
+        if seconds is None and ending.is_one_of_several:
+            self.may_be_a_bystander = True
+            return
         who, time = "the run", math.nan
         if call.who == "plant":
             who, time = case.plant.label, call.time
@@ -644,18 +703,22 @@ class _Run:
             when = "after the last sample: "
         self._give_up(OUTCOME_OF[error.status], f"{when}{error}")
 
-    def _give_up(self, outcome: Outcome, reason: str) -> None:
+    def _give_up(self, outcome: Outcome, reason: str, *, of_the_machine: bool = False) -> None:
         """Write a case that its worker has not written, with the rows that it has left."""
-        head = self.case.head() | {"printed": self.worker.end().output}
+        head = self.case.head() | {"printed": self.worker.end().output, "left": left_in(self._work)}
         trace = partial_trace(self.case, self._store, outcome, reason)
+        trace = replace(trace, transient=of_the_machine)
         write_case(self._folder, trace, head, self._staging, self.case.metrics)
 
 
-def run_and_stage(case: Case, rows: Path, staged: Path, modules: str, values: bytes, began: float) -> None:
+def run_and_stage(
+    case: Case, rows: Path, staged: Path, modules: str, values: bytes, work: Path, began: float
+) -> None:
     """Run a case, in a worker, and write its files where they do not count yet.
 
     ``began`` is when its worker was asked for, which is part of what it takes.
     """
-    _settle(modules, values)
+    _settle(modules, values, work)
     trace = run_case(case, row_store(case, rows))
-    stage_case(staged, trace, case.head() | {"wall_time": monotonic() - began}, case.metrics)
+    head = case.head() | {"versions": versions(), "wall_time": monotonic() - began}
+    stage_case(staged, trace, head, case.metrics)

@@ -3,6 +3,7 @@
 import io
 import subprocess
 import sys
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -242,6 +243,7 @@ def test_without_casadi_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
 def test_what_is_large_is_imported_once_for_all_workers_and_not_to_list_it() -> None:
     program = """
 import sys
+import zipfile
 from ddpc_controllers.nmpc import NMPC, preload
 assert not {"casadi", "sympy"} & set(sys.modules)
 preload()
@@ -262,6 +264,10 @@ def test_the_plant_is_found_by_name_or_by_its_fmu(tmp_path: Any) -> None:
     (tmp_path / "no.fmu").write_text("")
     with pytest.raises(ConfigError, match="is not an FMU that can be read"):
         find_model("", str(tmp_path / "no.fmu"))
+    with zipfile.ZipFile(tmp_path / "bomb.fmu", "w", zipfile.ZIP_BZIP2) as archive:
+        archive.writestr("modelDescription.xml", bytes(10**7))
+    with pytest.raises(ConfigError, match="it is compressed with bzip2"):
+        find_model("", str(tmp_path / "bomb.fmu"))
     with pytest.raises(ConfigError, match="has no equations"):
         find_model("ddpc_cosim:Plant", "{plant}")
 

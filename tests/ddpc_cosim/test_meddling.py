@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ import os, signal, socket, stat, struct, tempfile
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from ddpc_cosim import Controller
+from ddpc_cosim import Controller, CosimError
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study import case_files
 
@@ -93,6 +94,18 @@ class Forges(Meddles):
         head = Case.head
         Case.head = lambda case: head(case) | {"controller": "mfapc"}
 
+class Hangs(Exception):
+    def __str__(self): signal.pause()
+
+class Mute(Meddles):
+    def meddle(self): raise Hangs
+
+class MuteAtStart(Meddles):
+    def start(self, loop): raise type("Hangs", (Hangs, CosimError), {})
+
+class Blank(Meddles):
+    def step(self, sample): return np.array([type("Hangs", (), {"__repr__": Hangs.__str__})()])
+
 class Stops(Meddles):
     def meddle(self): os.kill(os.getpid(), signal.SIGSTOP)
 
@@ -150,6 +163,18 @@ ENDINGS = {
     "Adds": ("crashed", "its process has left no results: page.html is not a file of its own"),
     "Forges": ("crashed", "its process has left no results: run.json is of controller mfapc"),
     "Stops": ("timed-out", "controller meddling:Stops: no return within 2 s in step at t = 0.3 s"),
+    "Mute": (
+        "timed-out",
+        "controller meddling:Mute: no return within 2 s in step at t = 0.3 s",
+    ),
+    "MuteAtStart": (
+        "timed-out",
+        "before the first sample: controller meddling:MuteAtStart: no return within 2 s in start",
+    ),
+    "Blank": (
+        "timed-out",
+        "controller meddling:Blank: no return within 2 s in step at t = 0 s",
+    ),
     "StopsServer": ("completed", ""),
     "Prints": ("completed", ""),
     "Says": (
@@ -181,6 +206,104 @@ def test_a_worker_that_meddles_costs_its_case_and_no_other(
     )
     assert printed["says"] == "no way out\n"
     assert printed["stopsserver"] == ""
+
+
+SHARING = """
+import os
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+import numpy as np
+from ddpc_cosim import Controller
+
+class Shares(Controller):
+    def start(self, loop):
+        self.own, self.other = SharedMemory(create=True, size=100), SharedMemory(os.environ["OTHER"])
+        Path(os.environ["FOLDER"], self.own.name).touch()
+        self.other.buf[0] += 1
+    def step(self, sample):
+        return np.ones(1)
+
+class Dies(Shares):
+    def step(self, sample):
+        os._exit(0)
+"""
+
+
+def test_shared_memory_that_a_controller_has_made_goes_with_its_case(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    """What it has only opened stays."""
+    (tmp_path / "sharing.py").write_text(SHARING, encoding="utf-8")
+    (tmp_path / "made").mkdir()
+    write_study("sharing:Shares", "sharing:Dies")
+    other = SharedMemory(create=True, size=100)
+    try:
+        where = {"OTHER": other.name, "FOLDER": str(tmp_path / "made")}
+        run_program("run", "study.toml", "--jobs", "1", "--no-report", "--out", "out", **where)
+        assert other.buf[0] == 2
+    finally:
+        other.close()
+        other.unlink()
+    outcomes = [case.outcome for case in load_results(tmp_path / "out").cases]
+    assert outcomes == ["completed", "crashed"]
+    made = [path.name for path in (tmp_path / "made").iterdir()]
+    assert len(made) == 2
+    for name in made:
+        with pytest.raises(FileNotFoundError):
+            SharedMemory(name)
+
+
+KILLING = """
+import os, signal
+from pathlib import Path
+import numpy as np
+from ddpc_cosim import Controller
+
+class Meets(Controller):
+    def start(self, loop):
+        self.attempt = len([*Path("FOLDER").glob(f"{type(self).__name__}-*")]) + 1
+        Path("FOLDER", f"{type(self).__name__}-{self.attempt}").touch()
+    def step(self, sample):
+        if sample.k == 3:
+            self.meet()
+        return np.ones(1)
+
+class Kills(Meets):
+    def meet(self):
+        if self.attempt < 3:
+            Path("FOLDER/fifo").read_bytes()  # until the other one is there
+        os.kill(os.getppid(), signal.SIGKILL)
+        signal.pause()
+
+class Suffers(Meets):
+    def meet(self):
+        if self.attempt < 3:
+            Path("FOLDER/fifo").write_bytes(b"")
+            signal.pause()
+"""
+
+
+@pytest.mark.slow
+def test_what_ends_the_process_that_starts_it_takes_no_other_along(
+    write_study: WriteStudy, tmp_path: Path, run_program: Run
+) -> None:
+    """Twice it does; then each of those that it took along runs again alone, and it is found."""
+    (tmp_path / "met").mkdir()
+    os.mkfifo(tmp_path / "met/fifo")
+    code = KILLING.replace("FOLDER", str(tmp_path / "met"))
+    (tmp_path / "killing.py").write_text(code, encoding="utf-8")
+    write_study("killing:Suffers", "killing:Kills")
+    done = run_program("run", "study.toml", "--jobs", "2", "--no-report", "--out", "out")
+    assert done.returncode == 1, done.stderr
+    suffers, kills = load_results(tmp_path / "out").cases
+    assert (suffers.outcome, kills.outcome) == ("completed", "crashed")
+    assert suffers.trace().u.tolist() == [[1.0]] * 11
+    assert kills.reason == (
+        "controller killing:Kills: crashed in step at t = 0.3 s: "
+        "its process has gone, and the one that starts processes with it"
+    )
+    attempts = sorted(path.name for path in (tmp_path / "met").iterdir() if path.name != "fifo")
+    assert attempts == [f"{name}-{n}" for name in ("Kills", "Suffers") for n in (1, 2, 3)]
 
 
 REMEMBERING = """

@@ -1,8 +1,6 @@
 """Plug-ins of third parties: by entry point, or as ``module:Class``."""
 
 import importlib
-import sys
-from collections.abc import Iterator
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
@@ -11,7 +9,15 @@ from click.testing import CliRunner
 
 from ddpc_cosim import ConfigError, PluginError
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.plugins import code_version, installed, load_plugin, plugin_names, source_hash, types_in
+from ddpc_cosim.plugins import (
+    code_version,
+    installed,
+    load_plugin,
+    load_target,
+    plugin_names,
+    source_hash,
+    types_in,
+)
 from ddpc_cosim.study.cases import Case, cases_of
 from ddpc_cosim.study.reading import read_study
 
@@ -88,8 +94,6 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "thirdparty.py").write_text(MODULE, encoding="utf-8")
     (tmp_path / "lag.toml").write_text(STUDY, encoding="utf-8")
     (tmp_path / "exits.py").write_text("raise SystemExit('bye')", encoding="utf-8")
-    for module in ("thirdparty", "exits"):
-        monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("COLUMNS", "200")
     return tmp_path
@@ -119,6 +123,19 @@ def test_plug_ins_of_third_parties_are_found(site: Path) -> None:
     (plugin,) = (plugin for plugin in installed("controllers") if plugin.name == "proportional")
     assert (plugin.target, plugin.package, plugin.error) == ("thirdparty:Proportional", "thirdparty 1.2", "")
     assert load_plugin("controllers", "proportional") is load_plugin("controllers", "thirdparty:Proportional")
+
+
+@pytest.mark.xdist_group("modules of one name")
+@pytest.mark.parametrize("value", [1, 2])
+def test_modules_of_one_name_in_two_tests_are_two(
+    value: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for path in ("own.py", "own_package/__init__.py", "own_parts/part.py"):
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text(f"VALUE = {value}", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    for module in ("own", "own_package", "own_parts.part"):
+        assert load_target(f"{module}:VALUE", "plant") == value
 
 
 def test_a_study_of_third_party_plug_ins_runs(site: Path) -> None:
@@ -300,21 +317,15 @@ settings = {{ gain = {{ type = "{gain}" }} }}
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a plant and a controller in modules of their own."""
     for name, text in FILES.items():
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
         path.write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    modules = ("lag", "tools", "limits", "gains", "gains.table", "other")
-    for module in modules:
-        monkeypatch.delitem(sys.modules, module, raising=False)
     importlib.invalidate_caches()
-    yield tmp_path
-    for module in modules:
-        sys.modules.pop(module, None)
-    forget_versions()
+    return tmp_path
 
 
 def forget_versions() -> None:

@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from fmus.builder import Fault
 
 from .cli.test_progress import LOUD
@@ -77,3 +78,24 @@ def test_a_stdout_that_is_full_is_told_in_one_line(program: str) -> None:
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == "error: stdout cannot be written: No space left on device"
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("streams", [["stdout"], ["stdout", "stderr"]], ids=["|", "2>&1 |"])
+def test_what_nobody_reads_any_more_does_not_end_a_run(
+    streams: list[str], program: str, write_study: WriteStudy, tmp_path: Path
+) -> None:
+    """As with `run | head -1`: the report is written all the same."""
+    write_study("mfapc")
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [program, "run", "study.toml", "--jobs", "1", "--out", "out"],
+        cwd=tmp_path,
+        timeout=120,
+        text=True,
+        **({"stderr": subprocess.PIPE} | dict.fromkeys(streams, writer)),
+    )
+    os.close(writer)
+    assert done.returncode == 0, done.stderr
+    assert "</html>" in (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    assert "Error" not in (done.stderr or "")

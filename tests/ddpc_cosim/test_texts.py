@@ -5,7 +5,15 @@ import unicodedata
 import pytest
 from hypothesis import given, strategies as st
 
-from ddpc_cosim.texts import clipped, encodable, printable, recorded, without_folders
+from ddpc_cosim.texts import (
+    DeepTablesError,
+    clipped,
+    encodable,
+    printable,
+    recorded,
+    toml_tables,
+    without_folders,
+)
 
 
 @pytest.mark.parametrize(
@@ -98,3 +106,43 @@ def test_a_long_name_keeps_both_ends_and_knows_all_of_it() -> None:
     assert (short[:5], short[-4:], "…" in short) == ("first", "last", True)
     assert getattr(short, "full", "") == name
     assert clipped("short") == "short"
+
+
+DOTS = ".".join(101 * "a")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ".".join(20_000 * "a") + " = 1",
+        f"b = 1\n[{DOTS}]",
+        f"b = {{ {DOTS} = 1 }}",
+        " . ".join(101 * ["a"]) + " = 1",
+        ".".join(101 * ['"a b"']) + " = 1",
+        ".".join(101 * ["'a.b'"]) + " = 1",
+        f'b = "\\""\n{DOTS} = 1',
+    ],
+    ids=lambda text: text[-30:],
+)
+def test_a_key_of_very_many_parts_is_refused_before_it_is_read(
+    text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What reads it takes the square of their number."""
+    monkeypatch.delattr("tomllib.loads")
+    with pytest.raises(DeepTablesError, match="tables within tables; allowed: 100 levels"):
+        toml_tables(text)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        f'"{DOTS}"',
+        f"'{DOTS}'",
+        f'"""\n"{DOTS}\\""""',
+        f"'''\n{DOTS}'''",
+        f'"\\"{DOTS}"  # {DOTS}',
+        f"1  # '{DOTS}'",
+    ],
+)
+def test_texts_and_comments_may_have_dots(value: str) -> None:
+    assert toml_tables(f"# it's\na.b = {value}\n")["a"].keys() == {"b"}

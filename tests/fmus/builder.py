@@ -62,6 +62,9 @@ class Fault(IntEnum):
     MINUS_ONE_IN_INITIALIZATION = auto()
     MINUS_ONE_WHEN_READ = auto()
     MINUS_ONE_WHEN_SET = auto()
+    ROUND_UP = auto()
+    ROUND_TO_ZERO = auto()
+    FLUSH_DENORMALS = auto()
     FORGETS_IN_SET_UP = auto()
 
 
@@ -186,15 +189,19 @@ def _describe_3(token: str, variables: list[V], interfaces: str, indicators: int
 
 
 @cache
-def model_library(version: str, *, complete: bool = False, telling: bool = False) -> bytes:
+def model_library(
+    version: str, *, complete: bool = False, telling: bool = False, fast_math: bool = False
+) -> bytes:
     """Return the library for an FMI version.
 
-    It has no more functions than runs need, or is complete, or tells directional derivatives (FMI 2.0).
+    It has no more functions than runs need, or is complete, or tells directional derivatives (FMI 2.0), or
+    does when it is loaded what compilers link in for fast-math.
     """
     names = ("models.h", "models.c", f"front{version[0]}.c")
     sources = {name: (HERE / name).read_text(encoding="utf-8") for name in names}
     required = {"1": "models_fmiDoStep", "2": "fmi2DoStep", "3": "fmi3DoStep"}[version[0]]
-    switches = [*(["-DCOMPLETE"] if complete else []), *(["-DTELLING"] if telling else [])]
+    asked = {"COMPLETE": complete, "TELLING": telling, "FAST_MATH": fast_math}
+    switches = [f"-D{name}" for name, wanted in asked.items() if wanted]
     return compile_library(find_compiler(), sources, [required], switches)
 
 

@@ -1,6 +1,7 @@
 #define _GNU_SOURCE
 #include "models.h"
 
+#include <fenv.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -171,6 +172,34 @@ static int connect_somewhere(const Model *m)
     return close(descriptor) ? ERROR : OK;
 }
 
+static void flush_denormals(void)
+{
+#if defined __x86_64__
+    uint32_t mode;
+    __asm__ volatile("stmxcsr %0" : "=m"(mode));
+    mode |= 0x8040; /* results, and operands */
+    __asm__ volatile("ldmxcsr %0" : : "m"(mode));
+#elif defined __aarch64__
+    uint64_t mode;
+    __asm__ volatile("mrs %0, fpcr" : "=r"(mode));
+    __asm__ volatile("msr fpcr, %0" : : "r"(mode | 1u << 24));
+#endif
+}
+
+#ifdef FAST_MATH
+__attribute__((constructor)) static void when_loaded(void) { flush_denormals(); }
+#endif
+
+static void change_arithmetic(const Model *m)
+{
+    switch ((Fault)m->values[FAULT]) {
+    case ROUND_UP: fesetround(FE_UPWARD); break;
+    case ROUND_TO_ZERO: fesetround(FE_TOWARDZERO); break;
+    case FLUSH_DENORMALS: flush_denormals(); break;
+    default: break;
+    }
+}
+
 static int misbehave_in_step(Model *m)
 {
     switch ((Fault)m->values[FAULT]) {
@@ -296,6 +325,8 @@ int step(Model *m, double time, double h)
     }
     while (m->kind == STAIR && !m->terminate && m->time >= m->next_event)
         handle_event(m);
+    if (m->time > v[FAULT_TIME] - 1e-9)
+        change_arithmetic(m);
     return m->terminate ? DISCARD : v[FAULT] == RETURN_WARNING ? WARNING : OK;
 }
 
@@ -312,6 +343,8 @@ int derivatives(Model *m, double dx[])
     case RELAY: v[DX] = v[RATE]; break;
     default: return OK;
     }
+    if (m->time > v[FAULT_TIME] - 1e-9)
+        change_arithmetic(m);
     dx[0] = v[DX];
     if (m->kind == BALL)
         dx[1] = v[DV];

@@ -63,6 +63,9 @@ typedef enum {
     MINUS_ONE_IN_INITIALIZATION,
     MINUS_ONE_WHEN_READ,
     MINUS_ONE_WHEN_SET,
+    ROUND_UP,
+    ROUND_TO_ZERO,
+    FLUSH_DENORMALS, /* of Model Exchange, these three: when derivatives are asked for */
     FORGETS_IN_SET_UP, /* fmi2SetupExperiment sets everything to its start value, as that of 20-sim's FMUs */
 } Fault;
 

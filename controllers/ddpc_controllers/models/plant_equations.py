@@ -6,17 +6,24 @@ The equations are those of a `PlantModel` of :mod:`fmu_plants`, found as a plug-
 disturbance d; where they outnumber the outputs, the outputs do.
 """
 
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from importlib import import_module
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
+from warnings import catch_warnings
 
 import numpy as np
 
-from ddpc_cosim import ConfigError, FloatArray, Loop, MissingLibraryError, Variable
+from ddpc_cosim import (
+    ConfigError,
+    FloatArray,
+    FMUImportError,
+    FMUPlant,
+    Loop,
+    MissingLibraryError,
+    Variable,
+)
 from ddpc_cosim.plugins import installed, load_plugin
 
 _STEP_TIMES_POLE = 2.0
@@ -67,9 +74,12 @@ def find_model(model: str, fmu: str) -> Any:
 
 def _model_name(fmu: str) -> str:
     try:
-        with zipfile.ZipFile(fmu) as archive:
-            return ElementTree.fromstring(archive.read("modelDescription.xml")).get("modelName", "")
-    except (OSError, KeyError, zipfile.BadZipFile, ElementTree.ParseError) as error:
+        with (
+            catch_warnings(action="ignore"),
+            FMUPlant(fmu) as plant,
+        ):  # the plant's own are told where it runs
+            return plant.description.model_name
+    except FMUImportError as error:
         raise ConfigError(f"NMPC: {fmu} is not an FMU that can be read: {error}") from error
 
 

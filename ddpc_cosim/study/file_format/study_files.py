@@ -28,9 +28,9 @@ from ddpc_cosim.study.file_format.replacing import (
 )
 from ddpc_cosim.study.file_format.sweeps import path_of
 from ddpc_cosim.study.file_format.validation_errors import in_folder, plant_in_folder
+from ddpc_cosim.texts import DEEPEST, DeepTablesError, toml_tables
 from fmu_plants.files import is_file
 
-_DEEPEST = 100
 _MAY_END = re.compile(r"""[\]}]|"{3}|'{3}""")  # a value over several lines
 
 
@@ -122,17 +122,19 @@ class StudyFile:
         try:
             # Some editors put a byte order mark in front, which TOML does not know.
             text = path.read_text(encoding="utf-8-sig")
-            tables = tomllib.loads(text)
+            tables = toml_tables(text)
+        except DeepTablesError as error:
+            raise ConfigError(f"{label}: {error}") from error
         except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are no TOML errors
             raise ConfigError(f"{label}: not a TOML file: {error}") from error
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
         level: list[Any] = [tables]
-        for _ in range(_DEEPEST):
+        for _ in range(DEEPEST):
             entries = (entry for one in level for entry in (one.values() if isinstance(one, dict) else one))
             level = [entry for entry in entries if isinstance(entry, dict | list)]
         if level:
-            raise ConfigError(f"{label}: tables within tables; allowed: {_DEEPEST} levels")
+            raise ConfigError(f"{label}: {DeepTablesError()}")
         tables.setdefault("name", _as_name(path.stem))
         return cls(label, path.parent, tables, text)
 

@@ -2,7 +2,6 @@
 
 import math
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim.errors import Place
+from ddpc_cosim.texts import toml_tables
 
 ZIP = "zip"
 MOST_VARIANTS = 1000
@@ -48,8 +48,8 @@ def swept_values(value: Any) -> Any:
 def path_of(key: str) -> Place | None:
     """Return the place that a path names: ``scenarios.windy.events[0].time``; None if it is not one."""
     try:
-        tables: Any = tomllib.loads(re.sub(r"\[(\d+)\]", r".\1", key) + " = 0")
-    except tomllib.TOMLDecodeError:
+        tables: Any = toml_tables(re.sub(r"\[(\d+)\]", r".\1", key) + " = 0")
+    except ValueError:
         return None
     path: Place = ()
     while isinstance(tables, dict):

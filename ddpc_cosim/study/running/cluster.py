@@ -2,33 +2,42 @@
 
 A task takes along by content what its case reads, and brings back the case's files, which are accepted as
 those of a local worker are. Nothing of the other machine is taken for granted: no path, and not that it has
-the same code. Dask starts elsewhere what a dead worker was running, and gives up on what several died of.
+the same code: only workers that have been compared with this machine are given cases. What a machine fails is
+tried on others. Dask starts elsewhere what a dead worker was running, and gives up on what several died of.
 """
 
 import hashlib
 import json
 import logging
+import pickle
 import platform
 import tempfile
 import uuid
 import warnings
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import urlsplit
 
 from ddpc_cosim.controller import Recording
-from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
+from ddpc_cosim.errors import (
+    ConfigError,
+    CosimError,
+    CosimWarning,
+    MissingLibraryError,
+    is_of_the_machine,
+)
 from ddpc_cosim.plugins import names_in, origin, own_files, own_folder, plugin_names, values_of
 from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.processes.scratch import ScratchFolder, remove
 from ddpc_cosim.settings import hash_of_file
-from ddpc_cosim.study.case_files import RUN_FILE, accept_case, read_sealed, sealed_json, write_case
+from ddpc_cosim.study.case_files import RUN_FILE, STAGING, accept_case, read_sealed, sealed_json, write_case
 from ddpc_cosim.study.cases import Case, Surroundings, data_files, no_samples, plants_in, plugins_in
 from ddpc_cosim.trace import Outcome
 from fmu_plants.files import cache_dir, cached
@@ -39,9 +48,28 @@ if TYPE_CHECKING:
 _CONNECT_SECONDS, _WORKERS_SECONDS, _LOOK_SECONDS = 10, 60, 5
 # With so many for each of its threads, a worker never waits, and a study of any length fits in memory.
 _TASKS_PER_THREAD = 2
+# Machines that a case is tried on before their failing it is its own fault; cases that one may fail.
+_MOST_TRIES, _MOST_FAILED = 3, 3
+# How often all workers that have a case may go.
+_MOST_LOST = 4
 _COMPARED = ("ddpc-cosim", "numpy", "scipy", "FMPy", "piqp")
 
 RunCases = Callable[..., Iterator[Case]]
+
+
+class _Reply(NamedTuple):
+    """What has become of a case on a worker: its files, and what the machine may be at fault for."""
+
+    worker: str
+    files: dict[str, bytes]
+    fault: str
+
+
+class _Sent(NamedTuple):
+    """A case on its way, and the workers that may run it."""
+
+    case: Case
+    workers: frozenset[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,22 +127,33 @@ def run_on_cluster(
     Raises
     ------
     ConfigError
-        The scheduler cannot be reached, or workers have other code than this machine.
+        The scheduler cannot be reached, or all its workers have other code than this machine.
     CosimError
-        There are no workers, or a case cannot be written.
+        There are no workers, none of those that have tried a case can write it, or it cannot be written here.
+
+    Warns
+    -----
+    CosimWarning
+        A worker is left out, and why.
     """
-    with _connected(scheduler) as client, ScratchFolder(folder, ".staging-") as staging:
+    with _connected(scheduler) as client, ScratchFolder(folder, STAGING) as staging:
         yield from _Run(client, cases, folder, staging, run_cases, sandboxed).finished()
 
 
 @contextmanager
 def _connected(scheduler: str) -> "Iterator[Client]":
     try:
-        from distributed import Client
+        from distributed import Client, Security
+        from distributed.versions import VersionMismatchWarning
     except ModuleNotFoundError as error:
         raise MissingLibraryError.of("--executor dask", "dask.distributed", "cluster") from error
+    if scheduler.startswith("tls:") and not Security().get_connection_args("client")["ssl_context"]:
+        remedy = "give distributed.comm.tls.client.cert, .client.key and .ca-file in dask's configuration"
+        raise ConfigError(f"--scheduler {scheduler}: there are no certificates for it; {remedy}")
     try:
-        client = Client(scheduler, timeout=_CONNECT_SECONDS, set_as_default=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", VersionMismatchWarning)  # what decides results is compared here
+            client = Client(scheduler, timeout=_CONNECT_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:
         remedy = "give the address that `dask scheduler` prints, such as tcp://host:8786"
         message = f"--scheduler {scheduler}: no dask scheduler answers ({type(error).__name__}: {error})"
@@ -143,7 +182,10 @@ class _Run:
     ) -> None:
         self._client, self._folder, self._staging = client, folder, staging
         self._run_cases, self._sandboxed = run_cases, sandboxed
-        self._waiting, self._running = deque(cases), dict["Future", Case]()
+        self._waiting, self._running = deque(cases), dict["Future", _Sent]()
+        self._compared = dict[str, list[str]]()  # what workers have otherwise
+        self._failed_on, self._lost = dict[str, list[str]](), Counter[str]()  # by the case's id
+        self._left_out = set[str]()
         self._modules = dict[tuple[str, ...], dict[str, bytes]]()
         self._contents = dict[str, "Future"]()
         self._recordings = dict[int, tuple[Recording, "Future"]]()
@@ -158,21 +200,23 @@ class _Run:
         from distributed.comm import CommClosedError
 
         try:
-            self._check_workers()
             while self._waiting or self._running:
-                room = _TASKS_PER_THREAD * self._threads() - len(self._running)
+                workers = self._workers()
+                yield from self._recall(workers)
+                room = _TASKS_PER_THREAD * sum(workers.values()) - len(self._running)
                 for _ in range(min(room, len(self._waiting))):
-                    self._submit(self._waiting.popleft())
-                running = list(self._running)
+                    self._submit(self._waiting.popleft(), workers)
+                if not (running := list(self._running)):
+                    continue
                 try:
                     with self._client.as_current():
                         done = wait(running, timeout=_LOOK_SECONDS, return_when="FIRST_COMPLETED").done
                 except TimeoutError:  # there may be more workers by now, or none
                     continue
                 for future in done:
-                    case = self._running.pop(future)
-                    self._finish(case, future)
-                    yield case
+                    case = self._running.pop(future).case
+                    if self._is_finished(case, future, workers):
+                        yield case
         except (CancelledError, CommClosedError) as error:
             remedy = "finished cases are kept; start one, and the same command goes on from there"
             raise CosimError(f"the dask scheduler has gone; {remedy}") from error
@@ -180,8 +224,29 @@ class _Run:
             with suppress(CommClosedError):
                 self._client.cancel(list(self._running), force=True)
 
-    def _threads(self) -> int:
-        """Return how many threads the workers have, of which there is one at least."""
+    def _workers(self) -> dict[str, int]:
+        """Return the threads of each worker that has what is here, of which there is one at least."""
+        while True:
+            threads = self._threads()
+            for gone in self._compared.keys() - threads.keys():  # another one may have its address later
+                del self._compared[gone]
+            if new := [worker for worker in threads if worker not in self._compared]:
+                asked = (self._plugins, self._packages)
+                there = self._client.run(_versions, *asked, workers=new, on_error="return")
+                for worker, found in there.items():
+                    if not isinstance(found, OSError):  # it has gone meanwhile
+                        self._compared[worker] = _faults(worker, found, self._versions)
+            fit = {worker: n for worker, n in threads.items() if self._compared.get(worker) == []}
+            faults = {worker: found for worker in threads if (found := self._compared.get(worker))}
+            if len(faults) == len(threads):
+                raise ConfigError([fault for found in faults.values() for fault in found])
+            for worker in faults.keys() - self._left_out:
+                self._leave_out(worker, faults[worker])
+            if fit:
+                return fit
+
+    def _threads(self) -> dict[str, int]:
+        """Return how many threads each worker has, of which there is one at least."""
         if not (threads := self._client.nthreads()):
             try:
                 self._client.wait_for_workers(1, timeout=_WORKERS_SECONDS)
@@ -191,20 +256,45 @@ class _Run:
                 remedy = f"start some with `dask worker {address}`; finished cases are kept"
                 raise CosimError(f"{where}; {remedy}") from error
             threads = self._client.nthreads()
-        return sum(threads.values())
+        return dict(threads)
 
-    def _check_workers(self) -> None:
-        """Compare what the workers have with what is here: whichever joins later is asked with its cases."""
-        self._threads()
-        there = self._client.run(_versions, self._plugins, self._packages, on_error="return")
-        faults = [
-            fault for worker, found in there.items() for fault in _faults(worker, found, self._versions)
-        ]
-        if faults:
-            raise ConfigError(faults)
+    def _leave_out(self, worker: str, faults: Sequence[str]) -> None:
+        """Name a worker that gets no more cases."""
+        self._left_out.add(worker)
+        for fault in faults:
+            warnings.warn(f"{fault}; its cases are run on others", CosimWarning, stacklevel=2)
 
-    def _submit(self, case: Case) -> None:
+    def _recall(self, workers: Collection[str]) -> Iterator[Case]:
+        """Have cases whose workers have all gone wait again, and yield those that are given up."""
+        for future, (case, those) in list(self._running.items()):
+            if not those.isdisjoint(workers):
+                continue
+            del self._running[future]
+            self._client.cancel([future], force=True)
+            self._lost[case.id] += 1
+            if self._lost[case.id] < _MOST_LOST:
+                self._waiting.appendleft(case)
+            else:
+                self._give_up(case, f"{_MOST_LOST} times all dask workers that had it have gone")
+                yield case
+
+    def _places(self, case: Case, workers: Collection[str]) -> frozenset[str]:
+        """Return the workers to try a case on: none that failed it, of another machine where there is one."""
+        failed_on = self._failed_on.get(case.id, [])
+        untried = frozenset(workers).difference(failed_on)
+        hosts = {urlsplit(worker).hostname for worker in failed_on}
+        elsewhere = frozenset(worker for worker in untried if urlsplit(worker).hostname not in hosts)
+        trusted = (elsewhere - self._distrusted(), untried - self._distrusted())
+        return next(filter(None, trusted), untried)
+
+    def _distrusted(self) -> set[str]:
+        """Return the workers that have failed too many cases; one whose own fault it was does not count."""
+        count = Counter(worker for failed_on in self._failed_on.values() for worker in failed_on)
+        return {worker for worker, cases in count.items() if cases >= _MOST_FAILED}
+
+    def _submit(self, case: Case, workers: Collection[str]) -> None:
         """Send a case; what several have in common is sent once."""
+        places = self._places(case, workers)
         names = tuple(plugins_in(case))
         if names not in self._modules:
             self._modules[names] = {name: path.read_bytes() for name, path in own_files(names).items()}
@@ -215,7 +305,8 @@ class _Run:
         recording = None
         if case.recording is not None:
             if id(case.recording) not in self._recordings:
-                self._recordings[id(case.recording)] = (case.recording, self._send(case.recording))
+                sent = self._send(pickle.dumps(case.recording))
+                self._recordings[id(case.recording)] = (case.recording, sent)
             recording = self._recordings[id(case.recording)][1]
         bare = _moved(case, names_in(own_folder(), names), None)  # where its modules will be
         values = Surroundings.of(case).values
@@ -223,22 +314,31 @@ class _Run:
         task = _Task(bare, *carried, self._sandboxed, self._versions, self._plugins, self._packages)
         needed = {file: self._contents[file] for file in files.values()}
         key = f"{case.id}-{uuid.uuid4().hex}"
-        future = self._client.submit(_run_there, task, recording, needed, self._run_cases, key=key)
-        self._running[future] = case
+        task_and_data = (task, recording, needed, self._run_cases)
+        future = self._client.submit(_run_there, *task_and_data, key=key, workers=[*places])
+        self._running[future] = _Sent(case, places)
 
-    def _send(self, content: Any) -> "Future":
-        """Send what workers pass on to each other; as a task, so that it outlives a worker that has it."""
+    def _send(self, content: bytes) -> "Future":
+        """Send what workers pass on to each other; as a task, so that it outlives a worker that has it.
+
+        Any worker may have it, left out or not: it needs nothing of this project for that.
+        """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # it is large
-            return self._client.submit(_itself, content, key=f"ddpc-cosim-{uuid.uuid4().hex}")
+            return self._client.submit(bytes, content, key=f"ddpc-cosim-{uuid.uuid4().hex}")
 
-    def _finish(self, case: Case, future: "Future") -> None:
-        """Write what is known of a case that is over."""
+    def _is_finished(self, case: Case, future: "Future", workers: Collection[str]) -> bool:
+        """Whether a case is over, and then all that is known of it written; else it is tried elsewhere."""
         from distributed import KilledWorker
 
         error = future.exception()
         if error is None:
-            self._accept(case, future.result())
+            reply: _Reply = future.result()
+            if reply.fault and self._is_tried_again(case, reply, workers):
+                return False
+            if not reply.files:
+                raise CosimError(f"worker {reply.worker}: {reply.fault}")
+            self._accept(case, reply.files)
         elif isinstance(error, KilledWorker):
             died, last = error.allowed_failures + 1, error.last_worker.address
             self._give_up(case, f"{died} dask workers died while they ran it, the last of them {last}")
@@ -246,6 +346,20 @@ class _Run:
             raise error
         else:
             raise CosimError(f"{case.name}: on a dask worker: {type(error).__name__}: {error}") from error
+        return True
+
+    def _is_tried_again(self, case: Case, reply: _Reply, workers: Collection[str]) -> bool:
+        """Whether a case that a machine has failed waits for another one."""
+        failed_on = self._failed_on.setdefault(case.id, [])
+        failed_on.append(reply.worker)
+        if len(failed_on) >= _MOST_TRIES or not self._places(case, workers):
+            del self._failed_on[case.id]  # it is its own fault
+            return False
+        self._waiting.appendleft(case)
+        for worker in self._distrusted() - self._left_out:
+            failed = f"worker {worker}: {_MOST_FAILED} cases have failed there"
+            self._leave_out(worker, [f"{failed}, the last of them: {reply.fault}"])
+        return True
 
     def _accept(self, case: Case, files: Mapping[str, bytes]) -> None:
         staged = Path(tempfile.mkdtemp(dir=self._staging))
@@ -293,8 +407,6 @@ def _versions(plugins: tuple[tuple[str, str], ...], packages: tuple[str, ...]) -
 
 def _faults(worker: str, there: Any, here: Mapping[str, str]) -> list[str]:
     """Return in words what a worker has otherwise."""
-    if isinstance(there, OSError):  # it has gone meanwhile
-        return []
     if not isinstance(there, dict):
         return [f"worker {worker}: ddpc-cosim cannot be asked for its version there: {there}"]
     return [
@@ -304,31 +416,29 @@ def _faults(worker: str, there: Any, here: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _itself(content: Any) -> Any:
-    return content
-
-
 def _run_there(
-    task: _Task, recording: Recording | None, contents: Mapping[str, bytes], run_cases: RunCases
-) -> dict[str, bytes]:
+    task: _Task, recording: bytes | None, contents: Mapping[str, bytes], run_cases: RunCases
+) -> _Reply:
     """Run a case, on a dask worker, in a process of its own; return its files by name."""
     from distributed import get_worker
 
     worker = get_worker()
     if faults := _faults(worker.address, _versions(task.plugins, task.packages), task.versions):
-        raise ConfigError(faults)
+        return _Reply(worker.address, {}, "; ".join(faults))
     try:
         with demanded(task.sandboxed):
             places = {path: _placed(path, contents[content], content) for path, content in task.files.items()}
         with ScratchFolder() as scratch:
             modules = _modules(task.modules) if task.modules else scratch
             around = Surroundings(str(modules), task.values, (*map(Path, places.values()), modules))
-            case = _moved(task.case, places, recording)
+            case = _moved(task.case, places, None if recording is None else pickle.loads(recording))
             threads = worker.state.nthreads
             for _ in run_cases([case], scratch, threads, sandboxed=task.sandboxed, surroundings=around):
                 pass
-            return _files(scratch / case.id, places)
-    except (CosimError, OSError) as error:
+            return _reply(worker.address, scratch / case.id, places)
+    except (CosimError, OSError, MemoryError) as error:
+        if is_of_the_machine(error):
+            return _Reply(worker.address, {}, str(error))
         raise CosimError(f"worker {worker.address}: {error}") from error
 
 
@@ -367,11 +477,12 @@ def _moved(case: Case, places: Mapping[str, str], recording: Recording | None) -
     return replace(case, plant=case.plant.moved(moved), recording=recording, **sections)
 
 
-def _files(folder: Path, places: Mapping[str, str]) -> dict[str, bytes]:
+def _reply(worker: str, folder: Path, places: Mapping[str, str]) -> _Reply:
     """Return the files of a case with the paths that they have where its study is."""
     files = {path.name: path.read_bytes() for path in folder.iterdir()}
     run = read_sealed(folder / RUN_FILE)
     text = json.dumps(run)
     for path, place in places.items():
         text = text.replace(json.dumps(place)[1:-1], json.dumps(path)[1:-1])
-    return files | {RUN_FILE: sealed_json(json.loads(text))}
+    fault = run["reason"] if run["transient"] else ""
+    return _Reply(worker, files | {RUN_FILE: sealed_json(json.loads(text))}, fault)

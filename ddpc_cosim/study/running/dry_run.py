@@ -8,6 +8,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
 
+from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.study.case_files import DAMAGED, DOING_NOTHING, RUN_FILE, read_run
 from ddpc_cosim.study.results import CASES_FOLDER
 
@@ -84,7 +85,7 @@ def _time(
         try:
             run = read_run(folder / name)
             problem, controller, seconds = run["problem"], run["controller"], float(run["wall_time"])
-        except DAMAGED:
+        except (ConfigError, *DAMAGED):
             continue
         if math.isfinite(seconds):
             times.setdefault((problem, base.get((problem, controller), controller)), []).append(seconds)

@@ -6,15 +6,17 @@ import shlex
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
 from itertools import groupby
 from math import fsum, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.plugins import package_of, package_version, types_in
 from ddpc_cosim.study.case_files import CaseResult, checksum, read_run
 from ddpc_cosim.study.plants import PlantSpec
@@ -32,14 +34,22 @@ _RESOLVED = "study.toml"
 def facts_of_problem(results: Sequence[CaseResult], spec: PlantSpec, preview: int) -> dict[str, str]:
     """Return what is to be said of one problem's plant."""
     # A case that failed before its first sample does not know its plant.
-    known: Iterator[dict[str, str]] = (read_run(result.folder)["provenance"] for result in results)
-    plant = next(filter(None, known), {})
+    plant = next(filter(None, map(_plant_of, results)), {})
     facts = {
         **{key.replace("_", " "): value for key, value in plant.items()},
         "plant content": spec.content,
         "largest preview": f"{preview} samples",
     }
     return {name: recorded(fact) for name, fact in facts.items()}
+
+
+def _plant_of(result: CaseResult) -> dict[str, str]:
+    """Return what a case knows of its plant; nothing if it cannot be read any more."""
+    try:
+        known: dict[str, str] = read_run(result.folder)["provenance"]
+    except ConfigError:
+        return {}
+    return known
 
 
 def facts_of_run(
@@ -63,10 +73,8 @@ def facts_of_run(
     seconds = fsum(filter(isfinite, (result.wall_time for result in results)))
     facts = {
         "sandbox": _sandboxes(results),
-        "ddpc-cosim version": package_version(),
         "ddpc-cosim commit": commit_of(Path(__file__)),
-        "python version": platform.python_version(),
-        **versions(),
+        **{f"{name} version": version for name, version in versions().items()},
         "plug-ins": ", ".join(_plugins_of(file)),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "cpu": "of dask workers, not recorded" if workers == "dask" else _cpu(),
@@ -126,12 +134,13 @@ def _facts_of_file(file: "StudyFile") -> dict[str, str]:
     return {"study file": file.source, "study file sha256": content, "study file commit": commit_of(path)}
 
 
+@cache  # in the process that workers are forked from
 def versions() -> dict[str, str]:
-    """Return the versions of the packages that decide figures, as far as they are installed."""
-    found = {}
+    """Return the versions of what decides figures: this program, Python, and the packages that there are."""
+    found = {"ddpc-cosim": package_version(), "python": platform.python_version()}
     for name in _VERSIONS_OF:
         with suppress(metadata.PackageNotFoundError):
-            found[f"{name.lower()} version"] = metadata.version(name)
+            found[name.lower()] = metadata.version(name)
     return found
 
 

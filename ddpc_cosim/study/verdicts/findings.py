@@ -3,6 +3,7 @@
 Page, terminal, files and Python ask here, and put it into their own words.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -99,6 +100,20 @@ def _remarks(study: Study, cases: Sequence[CaseResult], worse: Iterable[WorsePre
         more, less = scenarios[one.more], scenarios[one.less]
         text = f'{labels[one.controller]} is worse in "{more}" than in "{less}", where it sees less ahead'
         yield Remark(f"{text}: {what} {values}", is_failure=False)
+    yield from (Remark(text, is_failure=False) for text in _mixed_versions(cases))
+
+
+def _mixed_versions(cases: Iterable[CaseResult]) -> Iterator[str]:
+    """Yield of what cases had different versions, which may tell in their figures."""
+    counts: dict[str, Counter[str]] = {}
+    for case in cases:
+        for name, version in case.versions.items():
+            counts.setdefault(name, Counter())[version] += 1
+    for name, found in counts.items():
+        if len(found) > 1:
+            told = ", ".join(f"{printable(version)} ({count})" for version, count in found.most_common())
+            different = f"Cases ran with different versions of {printable(name)}: {told}"
+            yield f"{different}; a run with --fresh has one"
 
 
 def _lead(found: Standings) -> Lead:

@@ -8,7 +8,7 @@ from ddpc_reports.numbers import MISSING
 from ddpc_reports.tables.settings import compact_seeds, facts_table
 from ddpc_reports.tables.table import Cell, Row, Table, text_headings
 
-_VERSION = " version"
+_VERSION, _CASES_RUN = " version", "cases run"
 _SAID = {"run again", "command", "system", "cpu", "date", "ddpc-cosim commit"}
 _SAID |= {"study", "study file", "study file sha256", "study file commit", "study sha256"}
 _OF_PLANT = ("fmu", "fmi version", "plant content", "parts", "coupling")
@@ -36,7 +36,7 @@ def reproduce_tables(results: StudyResults, prefix: str) -> list[Table]:
             for name, fact in told.items()
             if (name not in results.provenance if several else _is_of_plant(name))
         }
-        common = {name: fact for name, fact in told.items() if name not in own}
+        common = {name: fact for name, fact in told.items() if name not in own} | _of_last_with_cases(results)
         plants.setdefault(tuple(own.items()), []).append(part.study.title or part.study.name)
     facts = dict(_facts(results, common))
     if not several and any(plants):
@@ -44,7 +44,31 @@ def reproduce_tables(results: StudyResults, prefix: str) -> list[Table]:
         facts = {**facts, "plant": _plant_words(told), "plant SHA-256": _content(told)}
     date = {"date": common["date"]} if "date" in common else {}
     run = facts_table(f"{prefix}run", "What was run", (facts | date).items(), "run.csv")
-    return [run, *([_plants_table(plants, prefix)] if several else [])]
+    runs = [_runs_table(results, prefix)] if len(results.runs) > 1 else []
+    return [run, *runs, *([_plants_table(plants, prefix)] if several else [])]
+
+
+def _of_last_with_cases(results: StudyResults) -> dict[str, str]:
+    """Return what is told of the last run that ran cases: one that did not has no part in the figures."""
+    told = (run for run in reversed(results.runs) if run.get(_CASES_RUN) != "0")
+    found = next(told, {})
+    return {name: without_folders(fact) for name, fact in found.items() if name != _CASES_RUN}
+
+
+def _runs_table(results: StudyResults, prefix: str) -> Table:
+    """Return every run over the folder: its figures may be of several."""
+    rows = tuple(
+        Row(
+            run.get("date", MISSING),
+            tuple(
+                Cell(without_folders(run.get(name, "")) or MISSING)
+                for name in ("run again", _CASES_RUN, "wall time", "ddpc-cosim version", "system")
+            ),
+        )
+        for run in results.runs
+    )
+    headings = text_headings("Date", "Command", "Cases run", "Wall time", "ddpc-cosim", "Machine")
+    return Table(f"{prefix}runs", "All runs over the folder", headings, rows, download="runs.csv")
 
 
 def _is_of_plant(name: str) -> bool:

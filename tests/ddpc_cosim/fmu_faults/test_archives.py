@@ -3,6 +3,7 @@
 import os
 import stat
 import struct
+import tracemalloc
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -72,6 +73,24 @@ def unknown_method(path: Path) -> Path:
     return path
 
 
+def compressed(path: Path, method: int) -> Path:
+    """Thirty million zeros, in less than 30 kB."""
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("modelDescription.xml", DESCRIPTION["modelDescription.xml"], zipfile.ZIP_STORED)
+        archive.writestr("zeros", bytes(30_000_000))
+    return path
+
+
+def written(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
+
+
+LFS_POINTER = b"""version https://git-lfs.github.com/spec/v1
+oid sha256:4d7a214614ab2935c943f9e0ff69d22eadbb8f32b1258daaa5e2ca24d17e2393
+size 12345
+"""
+
 HOSTILE: dict[str, tuple[Callable[[Path], Path], str]] = {
     "traversal": (lambda p: archive_with(p, ("../../evil", b"x")), r'illegal entry "\.\./\.\./evil": a path'),
     "inner traversal": (lambda p: archive_with(p, ("a/../../evil", b"x")), "a path that leaves the archive"),
@@ -112,6 +131,30 @@ HOSTILE: dict[str, tuple[Callable[[Path], Path], str]] = {
     "empty": (lambda p: cut(p, 0.0), "not an FMU: File is not a zip file"),
     "corrupted": (corrupted, "damaged archive: Bad CRC-32"),
     "unknown compression": (unknown_method, "damaged archive: That compression method is not supported"),
+    **{
+        f"compressed with {method}": (
+            lambda p, number=number: compressed(p, number),  # type: ignore[misc]
+            rf'illegal entry "zeros": it is compressed with {method}; allowed: deflate, or none',
+        )
+        for method, number in (("bzip2", zipfile.ZIP_BZIP2), ("lzma", zipfile.ZIP_LZMA))
+    },
+    "zeros in the place of an FMU": (
+        lambda p: compressed(p, zipfile.ZIP_DEFLATED),
+        r"unpacks to more than 10000000 bytes \(max_ratio: 100 times its size\)",
+    ),
+    "a Git LFS pointer": (
+        lambda p: written(p, LFS_POINTER),
+        "not an FMU: a Git LFS pointer, which .* git lfs pull",
+    ),
+    "a web page": (
+        lambda p: written(p, b"<!DOCTYPE html>\n<html lang='en'>"),
+        r"not an FMU: a web page \(HTML\)",
+    ),
+    "a web page after a comment": (
+        lambda p: written(p, b"\xef\xbb\xbf\n<?xml version='1.0'?><!-- < --><HTML>" + bytes(5000)),
+        r"not an FMU: a web page \(HTML\), .*; download the file itself",
+    ),
+    "a page that never begins": (lambda p: written(p, b"<!--" * 5000), "not an FMU: File is not a zip file"),
     "no description": (
         lambda p: write_archive(p, {"readme.txt": b"hello"}),
         r"not an FMU: the archive has no modelDescription\.xml$",
@@ -165,6 +208,45 @@ class TestLimits:
             unpack(bomb, folder, UnpackLimits(max_unpacked_size=10**6))
         assert sum(path.stat().st_size for path in folder.iterdir()) < 10**6
 
+    @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, zipfile.ZIP_DEFLATED])
+    def test_memory_is_not_what_a_bomb_costs(self, method: int, tmp_path: Path) -> None:
+        path, folder = compressed(tmp_path / "bomb.fmu", method), tmp_path / "folder"
+        folder.mkdir()
+        tracemalloc.start()
+        try:
+            with pytest.raises(FMUImportError):
+                unpack(path, folder)
+            _, most = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert most < 5_000_000
+        assert not any(folder.iterdir())
+
+    def test_a_ratio_that_is_denied(self, tmp_path: Path) -> None:
+        """It is measured while unpacking too."""
+        path = compressed(tmp_path / "bomb.fmu", zipfile.ZIP_DEFLATED)
+        size = struct.pack("<I", 30_000_000)
+        assert path.read_bytes().count(size) == 2
+        renamed(path, size, struct.pack("<I", 10**5))
+        folder = tmp_path / "folder"
+        folder.mkdir()
+        with pytest.raises(FMUImportError, match="damaged archive: Bad CRC-32"):
+            unpack(path, folder)
+        assert (folder / "zeros").stat().st_size <= 10**5
+
+    def test_the_ratio_can_be_raised(self, tmp_path: Path) -> None:
+        path, folder = compressed(tmp_path / "zeros.fmu", zipfile.ZIP_DEFLATED), tmp_path / "folder"
+        folder.mkdir()
+        unpack(path, folder, UnpackLimits(max_ratio=2000.0))
+        assert (folder / "zeros").stat().st_size == 30_000_000
+
+    def test_what_is_large_by_itself_has_no_ratio(self, tmp_path: Path) -> None:
+        """Thirty million bytes that say nothing, in an archive that is no smaller."""
+        path, folder = compressed(tmp_path / "zeros.fmu", zipfile.ZIP_STORED), tmp_path / "folder"
+        folder.mkdir()
+        unpack(path, folder)
+        assert (folder / "zeros").stat().st_size == 30_000_000
+
     def test_too_many_files(self, tmp_path: Path) -> None:
         path = write_archive(tmp_path / "many.fmu", {**DESCRIPTION, **{f"f{i}": b"" for i in range(100)}})
         with pytest.raises(FMUImportError, match=r"many\.fmu: 101 files; allowed: 100 \(max_files\)"):
@@ -208,7 +290,7 @@ class TestLimits:
             FMUPlant(faulty_fmus[2], max_unpacked_size=1000)
         with pytest.raises(FMUImportError, match="max_files"):
             FMUPlant(faulty_fmus[2], max_files=1)
-        FMUPlant(faulty_fmus[2], max_files=2, max_unpacked_size=10**6).close()
+        FMUPlant(faulty_fmus[2], max_files=2, max_unpacked_size=10**6, max_ratio=1.0).close()
 
 
 BOMB = b"".join(

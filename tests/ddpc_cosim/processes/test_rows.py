@@ -117,6 +117,14 @@ def test_provenance_is_a_call_too(announced: RowStore) -> None:
     assert safe_calls.plant_provenance(plant) == {"announced": "provenance"}
 
 
+def test_a_file_that_another_process_fills_has_its_room_on_the_disk(tmp_path: Path) -> None:
+    """Else whoever fills it dies of a bus error when the disk is full."""
+    RowStore(100_000, 2, 1, 1, tmp_path / "rows", follow=True)
+    status = (tmp_path / "rows").stat()
+    assert status.st_size > 8 * 100_000 * 8
+    assert status.st_blocks * 512 >= status.st_size
+
+
 @pytest.mark.parametrize(("written", "count"), [(-1, 0), (1 << 60, 4)])
 def test_a_damaged_file_has_no_more_rows_than_it_can_have(written: int, count: int, tmp_path: Path) -> None:
     """An FMU that writes where it should not costs its case; the process that reads its rows goes on."""

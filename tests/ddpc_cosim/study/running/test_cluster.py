@@ -10,12 +10,14 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import dask
 import pytest
 
-from ddpc_cosim import ConfigError, CosimError
+from ddpc_cosim import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.study.case_files import read_run
 from ddpc_cosim.study.reading import read_study
@@ -28,17 +30,20 @@ pytestmark = pytest.mark.xdist_group("cluster")
 WriteStudy = Callable[..., Path]
 
 SCHEDULER = """
-import asyncio
+import asyncio, os
 from distributed import Scheduler
 async def serve():
-    async with Scheduler(host="127.0.0.1", port=0, dashboard=False) as scheduler:
+    protocol = os.environ.get("PROTOCOL", "tcp")
+    async with Scheduler(host="127.0.0.1", port=0, protocol=protocol, dashboard=False) as scheduler:
         print(scheduler.address, flush=True)
         await scheduler.finished()
 asyncio.run(serve())
 """
 WORKER = """
-import asyncio, sys
+import asyncio, os, resource, sys
 from distributed import Worker
+if largest := int(os.environ.get("LARGEST_FILE", 0)):  # as if the disk were full
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
 async def serve():
     async with Worker(sys.argv[1], nthreads=1, dashboard=False) as worker:
         print(worker.address, flush=True)
@@ -60,6 +65,10 @@ class Own(Controller):
         self.offset = float(Path(self.offsets).read_text())
     def step(self, sample):
         return GAIN * (sample.setpoint - sample.y) + self.offset
+
+class Lacks(Own):
+    def start(self, loop):
+        import a_library_of_nowhere
 
 class Segfaults(Own):
     def step(self, sample):
@@ -89,8 +98,8 @@ class Waits(Own):
 class Cluster:
     """A scheduler and its workers, each with a cache and a working directory of its own."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, environment: Mapping[str, str] | None = None) -> None:
+        self.folder, self._environment = folder, environment or {}
         self.processes: dict[str, subprocess.Popen[str]] = {}
         often = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
         self.address = self._start("scheduler", SCHEDULER, often)
@@ -99,14 +108,18 @@ class Cluster:
         return self._start(name, WORKER, {"WORKER_NAME": name, **(environment or {})}, self.address)
 
     def _start(self, name: str, code: str, environment: Mapping[str, str], *arguments: str) -> str:
-        (place := self._folder / name).mkdir()
-        env = {**os.environ, "DDPC_COSIM_CACHE": str(place / "cache"), **environment}
+        (place := self.folder / name).mkdir()
+        env = {**os.environ, "DDPC_COSIM_CACHE": str(place / "cache"), **self._environment, **environment}
         command = [sys.executable, "-P", "-c", code, *arguments]
         process = self.processes[name] = subprocess.Popen(
             command, cwd=place, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )
         assert process.stdout is not None
         return process.stdout.readline().strip()
+
+    def stop_all(self) -> None:
+        for name in reversed(self.processes.copy()):
+            self.stop(name)
 
     def stop(self, name: str, number: int = signal.SIGTERM) -> None:
         process = self.processes.pop(name)
@@ -122,17 +135,12 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
             cluster.start_worker(name)
         yield cluster
     finally:
-        for name in reversed(cluster.processes.copy()):
-            cluster.stop(name)
+        cluster.stop_all()
 
 
 @pytest.fixture
-def own_study(
-    write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Callable[..., Path]:
+def own_study(write_study: WriteStudy, tmp_path: Path) -> Callable[..., Path]:
     """Write a study with controllers of a module beside it, which reads a file and imports another."""
-    for name in ("own", "beside"):  # of another test
-        monkeypatch.delitem(sys.modules, name, raising=False)
 
     def write(*controllers: str, seeds: str) -> Path:
         study = write_study(*controllers, seeds=seeds)
@@ -221,14 +229,16 @@ class Lag(Plant):
 """
 
 
-def test_a_plant_in_a_file_travels_with_what_it_imports(
-    cluster: Cluster, write_study: WriteStudy, tmp_path: Path
-) -> None:
-    study = write_study("mfapc")
-    (tmp_path / "lag_of_a_file.py").write_text(PLANT_IN_A_FILE)
-    (tmp_path / "pole_of_a_file.py").write_text("POLE = 2.0")
+def with_plant_in_a_file(study: Path) -> Path:
+    (study.parent / "lag_of_a_file.py").write_text(PLANT_IN_A_FILE)
+    (study.parent / "pole_of_a_file.py").write_text("POLE = 2.0")
     fmu = next(line for line in study.read_text().splitlines() if line.startswith("fmu = "))
     study.write_text(study.read_text().replace(fmu, 'name = "lag_of_a_file.py:Lag"'))
+    return study
+
+
+def test_a_plant_in_a_file_travels_with_what_it_imports(cluster: Cluster, write_study: WriteStudy) -> None:
+    study = with_plant_in_a_file(write_study("mfapc"))
     there, here = run(study, "there", **on(cluster)), run(study, "here", jobs=1)
     assert [case.reason for case in there.cases if case.outcome != "completed"] == []
     assert told(there) == told(here)
@@ -263,6 +273,98 @@ def test_a_worker_that_is_killed_costs_no_case(
     assert len([*results.folder.glob("cases/*/signals.parquet")]) == 9
     assert select.select([case], [], [], 60)[0], "the case's process has outlived its worker"
     os.close(case)
+
+
+def test_a_worker_whose_disk_is_full_costs_no_case_and_is_left_out(
+    cluster: Cluster, write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It fails its cases at once, and so would get the most of them."""
+    full = cluster.start_worker("full", {"LARGEST_FILE": "20000"})
+    failed, tried = [], executor._Run._is_tried_again
+
+    def counting(self: Any, case: Any, reply: Any, workers: Any) -> bool:
+        failed.append(reply.worker)
+        return tried(self, case, reply, workers)
+
+    monkeypatch.setattr(executor._Run, "_is_tried_again", counting)
+    study = with_plant_in_a_file(write_study("mfapc", seeds="[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]"))
+    told = f"worker {full}: 3 cases have failed there, .*rows: cannot be written: File too large"
+    try:
+        with pytest.warns(CosimWarning, match=told) as caught:
+            results = run(study, "out", **on(cluster))
+    finally:
+        cluster.stop("full")
+    assert len(caught) == 1
+    assert [case.outcome for case in results.cases] == ["completed"] * 12
+    at_a_time = 2 * (len(cluster.processes) - 1) + 2
+    assert set(failed) == {full}
+    assert 3 <= len(failed) < 3 + at_a_time
+
+
+def test_what_fails_on_every_machine_is_held_against_none(
+    cluster: Cluster, own_study: Callable[..., Path]
+) -> None:
+    results = run(own_study("own:Own", "own:Lacks", seeds="[0, 1, 2, 3]"), "out", **on(cluster))
+    assert [case.outcome for case in results.cases] == ["completed"] * 4 + ["controller-error"] * 4
+    assert "No module named 'a_library_of_nowhere'" in results.cases[-1].reason
+
+
+def test_an_fmu_that_has_gone_here_is_named(
+    cluster: Cluster, write_study: WriteStudy, tmp_path: Path
+) -> None:
+    resolved = read_study(str(write_study("mfapc")))
+    (fmu,) = tmp_path.glob("*.fmu")
+    fmu.unlink()
+    with (tmp_path / "log").open("w") as log, pytest.raises(CosimError, match=rf"{fmu.name}: no such file"):
+        run_study(resolved, tmp_path / "out", Selection(**on(cluster)), LineProgress(log))
+
+
+def test_an_fmu_that_has_gone_from_the_caches_of_the_workers_is_placed_there_again(
+    cluster: Cluster, write_study: WriteStudy
+) -> None:
+    study = write_study("mfapc")
+    run(study, "out", **on(cluster))
+    placed = [*cluster.folder.glob("*/cache/cluster/**/*.fmu")]
+    assert placed
+    for path in placed:
+        path.unlink()
+    results = run(study, "out", fresh=True, **on(cluster))
+    assert [case.outcome for case in results.cases] == ["completed"]
+
+
+def test_a_worker_that_joins_late_with_another_numpy_is_left_out(
+    cluster: Cluster, own_study: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    leave_out = executor._Run._leave_out
+
+    def leave_out_and_go_on(self: Any, worker: str, faults: list[str]) -> None:
+        leave_out(self, worker, faults)
+        (tmp_path / "never").write_text("now")  # the case that waited goes on
+
+    monkeypatch.setattr(executor._Run, "_leave_out", leave_out_and_go_on)
+    monkeypatch.setattr(executor, "_LOOK_SECONDS", 0.2)
+    info = tmp_path / "installed" / "numpy-9.9.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 9.9\n")
+    study = own_study("own:Own", "own:Waits", seeds="[0, 1, 2]")
+    for name in ("told", "never"):
+        os.mkfifo(tmp_path / name)
+
+    def run_while_one_joins() -> tuple[StudyResults, str]:
+        with ThreadPoolExecutor(1) as pool:
+            running = pool.submit(run, study, "out", **on(cluster))
+            read_from(tmp_path / "told")
+            late = cluster.start_worker("late", {"PYTHONPATH": str(tmp_path / "installed")})
+            try:
+                return running.result(timeout=120), late
+            finally:
+                cluster.stop("late")
+
+    with pytest.warns(CosimWarning) as caught:
+        results, late = run_while_one_joins()
+    told = f"worker {late}: numpy: 9.9 there, {metadata.version('numpy')} here; install the same there; its "
+    assert [str(one.message).startswith(told) for one in caught] == [True]
+    assert [case.outcome for case in results.cases] == ["completed"] * 6
 
 
 def test_a_case_that_kills_one_worker_after_the_other_has_failed_and_the_others_complete(
@@ -316,20 +418,25 @@ def test_without_the_extra_the_remedy_is_told(
         run(write_study("mfapc"), "out", executor="dask", scheduler="tcp://127.0.0.1:1")
 
 
-def test_a_worker_without_the_plug_in_or_with_another_version_is_named(
-    cluster: Cluster, write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for version in ("1.0", "2.0"):
-        info = tmp_path / version / "demo_control.dist-info"
+def write_plug_in(folder: Path, *versions: str) -> None:
+    """Write versions of an installed package with a controller."""
+    for version in versions:
+        info = folder / version / "demo_control.dist-info"
         info.mkdir(parents=True)
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: demo-control\nVersion: {version}\n")
         (info / "entry_points.txt").write_text("[ddpc_cosim.controllers]\ndemo = demo_control:Demo\n")
-        (tmp_path / version / "demo_control.py").write_text(
+        (folder / version / "demo_control.py").write_text(
             "from ddpc_cosim import Controller\n"
             "class Demo(Controller):\n"
             "    def start(self, loop): pass\n"
             "    def step(self, sample): return sample.setpoint\n"
         )
+
+
+def test_a_worker_without_the_plug_in_or_with_another_version_is_named(
+    cluster: Cluster, write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_plug_in(tmp_path, "1.0", "2.0")
     monkeypatch.syspath_prepend(str(tmp_path / "1.0"))
     other = cluster.start_worker("other", {"PYTHONPATH": str(tmp_path / "2.0")})
     try:
@@ -342,6 +449,50 @@ def test_a_worker_without_the_plug_in_or_with_another_version_is_named(
     assert "there, demo-control 1.0, code " in versions
     without = [fault for fault in caught.value.faults if 'missing (no controller "demo"' in fault]
     assert len(without) == len(caught.value.faults) - 1 >= 1
+
+
+def test_workers_without_a_plug_in_are_left_out_where_others_have_it(
+    cluster: Cluster, write_study: WriteStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_plug_in(tmp_path, "1.0")
+    monkeypatch.syspath_prepend(str(tmp_path / "1.0"))
+    has_it = cluster.start_worker("has-it", {"PYTHONPATH": str(tmp_path / "1.0")})
+    try:
+        with pytest.warns(CosimWarning, match='missing .no controller "demo"') as caught:
+            results = run(write_study("demo", seeds="[0, 1]"), "out", **on(cluster))
+    finally:
+        cluster.stop("has-it")
+    assert len(caught) == len(cluster.processes) - 1  # the scheduler
+    assert not [one for one in caught if has_it in str(one.message)]
+    assert [case.outcome for case in results.cases] == ["completed"] * 2
+
+
+def test_over_tls(write_study: WriteStudy, tmp_path: Path) -> None:
+    """The certificates are those of dask's configuration, and who has none is told so."""
+    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+    make = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=cluster"]
+    files = ["-keyout", str(key), "-out", str(certificate)]
+    subprocess.run([*make, *files], check=True, capture_output=True)
+    settings = {"require-encryption": "True", "tls.ca-file": str(certificate)}
+    for role in ("scheduler", "worker", "client"):
+        settings |= {f"tls.{role}.cert": str(certificate), f"tls.{role}.key": str(key)}
+    environment = {
+        "DASK_DISTRIBUTED__COMM__" + name.replace("-", "_").replace(".", "__").upper(): value
+        for name, value in settings.items()
+    }
+    (tmp_path / "cluster").mkdir()
+    cluster = Cluster(tmp_path / "cluster", {"PROTOCOL": "tls", **environment})
+    study = write_study("mfapc")
+    try:
+        assert cluster.address.startswith("tls://127.0.0.1:")
+        assert cluster.start_worker("one").startswith("tls://")
+        with dask.config.set({f"distributed.comm.{name}": value for name, value in settings.items()}):
+            there = run(study, "there", **on(cluster))
+        assert told(there) == told(run(study, "here"))
+        with pytest.raises(ConfigError, match=f"--scheduler {cluster.address}: there are no certificates"):
+            run(study, "without", **on(cluster))
+    finally:
+        cluster.stop_all()
 
 
 def test_a_scheduler_that_does_not_answer_is_an_error(

@@ -4,19 +4,23 @@ import hashlib
 import io
 import json
 import subprocess
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 from hypothesis import given, strategies as st
 
-from ddpc_cosim import StudyResults
+from ddpc_cosim import StudyResults, load_results
 from ddpc_cosim.cli.progress import LineProgress
 from ddpc_cosim.plugins import package_version
+from ddpc_cosim.study.case_files import read_sealed, sealed_json
 from ddpc_cosim.study.file_format.sections import expand_seeds
 from ddpc_cosim.study.file_format.study_files import StudyFile
+from ddpc_cosim.study.findings import remarks
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_cosim.study.running.provenance import commit_of, facts_of_run, seed_ranges
+from ddpc_reports.tables.reproduce import reproduce_tables
 
 STUDY = """
 plant = { name = "pendulum", inputs = ["torque"], outputs = ["angle"] }
@@ -52,6 +56,51 @@ def test_a_run_records_how_to_have_it_again(tmp_path: Path) -> None:
     again = run().provenance
     assert again["wall time"].endswith(" s for 0 cases, 4 kept from an earlier run")
     assert again["time of all cases"] == facts["time of all cases"]
+
+
+def test_every_run_over_a_folder_is_told(tmp_path: Path) -> None:
+    """One that had nothing to do takes nothing away from those that the figures are of."""
+    path = tmp_path / "own.toml"
+    path.write_text(STUDY, encoding="utf-8")
+
+    def run(only: str) -> StudyResults:
+        selection = Selection(jobs=1, seeds=[4], only=only)
+        return run_study(read_study(str(path)), tmp_path / "out", selection, LineProgress(io.StringIO()))
+
+    first, *_ = told = [run(only).runs[-1] for only in ("mfapc*", "mfapc*", "other*")]
+    results = load_results(tmp_path / "out")
+    assert list(results.runs) == told
+    assert [one["cases run"] for one in told] == ["2", "0", "1"]
+    assert first["run again"] == "ddpc-cosim run own.toml --seeds 4 --only 'mfapc*'"
+
+    run("mfapc*")
+    results = load_results(tmp_path / "out")
+    (table, runs) = reproduce_tables(results, "")
+    shown = {row.header: row.cells[0].text for row in table.rows}
+    assert shown["command"] == "ddpc-cosim run own.toml --seeds 4 --only 'other*'"
+    assert shown["date"] == told[-1]["date"]
+    assert [row.header for row in runs.rows] == [one["date"] for one in results.runs]
+
+
+def test_cases_say_which_versions_they_ran_with_and_a_mixture_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    selection = Selection(jobs=1, seeds=[4, 5, 6], only="mfapc*")
+    results = run_study(read_study(str(path)), tmp_path / "out", selection, LineProgress(io.StringIO()))
+    here = metadata.version("numpy")
+    for case in results.cases:
+        assert case.versions["numpy"] == here
+        assert case.versions["ddpc-cosim"] == package_version()
+    assert not [one for one in remarks(results.study, results.cases) if "versions" in one.text]
+
+    run_file = results.cases[0].folder / "run.json"
+    older = read_sealed(run_file)
+    older.pop("sha256", None)
+    older["versions"] |= {"numpy": "1.0"}
+    run_file.write_bytes(sealed_json(older))
+    results = load_results(tmp_path / "out")
+    told = f"Cases ran with different versions of numpy: {here} (2), 1.0 (1); a run with --fresh has one"
+    assert told in [one.text for one in remarks(results.study, results.cases)]
 
 
 def test_studies_without_a_file_of_their_own_are_run_by_name_or_from_the_results() -> None:

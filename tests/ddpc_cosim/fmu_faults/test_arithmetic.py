@@ -1,0 +1,187 @@
+"""FMUs that change how the process computes: no figure of a controller or a metric is another one for it."""
+
+import ctypes
+import io
+import platform
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from fmus.builder import Fault, library_name, model_fmu, model_library, write_archive
+
+from ddpc_cosim import Action, Constant, Controller, CosimWarning, FMUPlant, Loop, Sample, Trace, cosimulate
+from ddpc_cosim.cli.progress import LineProgress
+from ddpc_cosim.fmu.arithmetic import KeptArithmetic, departures
+from ddpc_cosim.study.case_files import read_run, read_trace
+from ddpc_cosim.study.reading import read_study
+from ddpc_cosim.study.runner import Selection, run_study
+
+from .loop import FAULT_TIME, H
+
+WORDS = {
+    Fault.ROUND_UP: "this process now rounds up",
+    Fault.ROUND_TO_ZERO: "this process now rounds towards zero",
+    Fault.FLUSH_DENORMALS: "this process now takes denormal numbers for zero",
+}
+_UPWARD = MappingProxyType({"x86_64": 0x800, "AMD64": 0x800, "aarch64": 0x400000, "arm64": 0x400000})
+
+
+@dataclass(kw_only=True)
+class Computes(Controller):
+    """Tells what it computes: a tenth and a third, which are rounded, and a denormal number."""
+
+    one: float = 1.0
+    smallest: float = 1e-310
+
+    def start(self, loop: Loop) -> None:
+        pass
+
+    def step(self, sample: Sample) -> Action:
+        rounded = self.one / 10.0, self.one / 3.0
+        info = {"tenth": rounded[0], "third": rounded[1], "denormal": 0.5 * self.smallest}
+        return Action(np.array([1.0 - sample.y[0] * rounded[1]]), info=info)
+
+
+def run(plant: FMUPlant, **parameters: float) -> Trace:
+    return cosimulate(
+        plant,
+        Computes(),
+        sampling_time=H,
+        duration=1.0,
+        reference=Constant(1.0),
+        outputs=["y"] if "y" in {one.name for one in plant.outputs} else None,
+        parameters=parameters,
+    )
+
+
+def assert_same_figures(trace: Trace, undisturbed: Trace) -> None:
+    assert trace.outcome == undisturbed.outcome == "completed"
+    np.testing.assert_array_equal(trace.u, undisturbed.u)
+    np.testing.assert_array_equal(trace.y, undisturbed.y)
+    for name, values in undisturbed.info.items():
+        np.testing.assert_array_equal(trace.info[name], values)
+    for name, value in undisturbed.metrics().items():
+        assert "solve_time" in name or trace.metrics()[name] == value or np.isnan(value), name
+
+
+@pytest.fixture(autouse=True)
+def as_usual() -> Iterator[None]:
+    """No test begins or ends with another arithmetic."""
+    assert departures() == ""
+    yield
+    assert departures() == ""
+
+
+@pytest.mark.parametrize(("version", "isolated"), [(2, False), (3, True)])
+@pytest.mark.parametrize("fault", WORDS, ids=lambda fault: fault.name)
+def test_co_simulation(fault: Fault, version: int, isolated: bool, faulty_fmus: dict[int, Path]) -> None:
+    with FMUPlant(faulty_fmus[version], isolated=isolated) as plant:
+        undisturbed = run(plant)
+        assert plant.warnings == ()
+        with pytest.warns(CosimWarning) as told:
+            trace = run(plant, fault=int(fault), fault_time=FAULT_TIME)
+        (warning,) = told
+        told_of = (
+            f"faulty{version}.fmu: its library changes how numbers are computed: {WORDS[fault]}; it was put"
+        )
+        assert told_of in str(warning.message)
+        assert WORDS[fault] in trace.provenance["fmu_warnings"]
+        assert len(plant.warnings) == 1
+        assert_same_figures(trace, undisturbed)
+
+
+@pytest.mark.parametrize("fault", WORDS, ids=lambda fault: fault.name)
+def test_model_exchange(fault: Fault, tmp_path: Path) -> None:
+    """What CVode computes between two calls of the FMU within a step is the plant's own."""
+    (tmp_path / "faulty").mkdir()
+    only = '<ModelExchange modelIdentifier="models"/>'
+    with (
+        FMUPlant(model_fmu(tmp_path, "2.0", "lag", interfaces=only), outputs=["x"]) as plant,
+        FMUPlant(
+            model_fmu(tmp_path / "faulty", "2.0", "lag", fault, interfaces=only), outputs=["x"]
+        ) as faulty,
+    ):
+        undisturbed = run(plant)
+        with pytest.warns(CosimWarning, match=WORDS[fault]) as told:
+            trace = run(faulty)
+        assert len(told) == 1
+    for name, values in undisturbed.info.items():
+        np.testing.assert_array_equal(trace.info[name], values)
+    np.testing.assert_allclose(trace.y, undisturbed.y, rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def fast_math_fmu(files: dict[str, bytes], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An FMU whose library flushes denormal numbers to zero as soon as it is loaded."""
+    library = model_library("2.0", complete=True, fast_math=True)
+    return write_archive(
+        tmp_path_factory.mktemp("fast") / "fast.fmu", {**files, library_name("2.0"): library}
+    )
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+def test_fast_math(isolated: bool, fast_math_fmu: Path, faulty_fmus: dict[int, Path]) -> None:
+    """It is told at the first reset, and once, however often it is loaded."""
+    with FMUPlant(faulty_fmus[2], isolated=isolated) as plant:
+        undisturbed = run(plant)
+    with FMUPlant(fast_math_fmu, isolated=isolated) as plant:
+        with pytest.warns(CosimWarning, match="takes denormal numbers for zero; it was put back") as told:
+            plant.reset()
+        assert len(told) == 1
+        assert_same_figures(run(plant), undisturbed)
+        assert_same_figures(run(plant), undisturbed)
+
+
+def test_in_a_study(fast_math_fmu: Path, faulty_fmus: dict[int, Path], tmp_path: Path) -> None:
+    """In the workers that run it: the same figures, and a warning in what is known of the plant."""
+    text = """
+[plant]
+fmu = "{}"
+outputs = ["y"]
+[loop]
+sampling_time = 0.1
+duration = 1.0
+[reference]
+y = {{ kind = "constant", value = 1e-310 }}
+[controllers.pid]
+type = "pid"
+settings = {{ proportional = 0.3 }}
+"""
+    traces = {}
+    for path in (fast_math_fmu, faulty_fmus[2]):
+        study = tmp_path / f"{path.stem}.toml"
+        study.write_text(text.format(path.as_posix()), encoding="utf-8")
+        results = run_study(
+            read_study(str(study)), tmp_path / path.stem, Selection(), LineProgress(io.StringIO())
+        )
+        (case,) = results.cases
+        traces[path.stem] = read_trace(case.folder)
+        told = read_run(case.folder)["provenance"].get("fmu_warnings", "")
+        assert ("takes denormal numbers for zero" in told) is (path == fast_math_fmu)
+        assert ("takes denormal numbers for zero" in str(results.provenance)) is (path == fast_math_fmu)
+    assert np.any(traces["faulty2"].u != 0.0)
+    assert_same_figures(traces["fast"], traces["faulty2"])
+
+
+@pytest.mark.skipif(platform.machine() not in _UPWARD, reason="C's number for it is not known")
+def test_whoever_computes_otherwise_goes_on_so(faulty_fmus: dict[int, Path]) -> None:
+    """What is put back is what was there before, the caller's own included; that is not the FMU's fault."""
+    own = ctypes.PyDLL(None)
+    with FMUPlant(faulty_fmus[2]) as plant, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plant.reset()
+        try:
+            own.fesetround(_UPWARD[platform.machine()])
+            plant.step(np.ones(1), H)
+            after_a_step = departures()
+            with KeptArithmetic():
+                own.fesetround(0)
+            after_another = departures()
+        finally:
+            own.fesetround(0)
+        assert plant.warnings == ()
+    assert (after_a_step, after_another) == ("rounds up", "rounds up")
