@@ -16,10 +16,10 @@ from ddpc_cosim.plugins import package_version
 from ddpc_cosim.study.case_files import read_sealed, sealed_json
 from ddpc_cosim.study.file_format.sections import expand_seeds
 from ddpc_cosim.study.file_format.study_files import StudyFile
-from ddpc_cosim.study.findings import remarks
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_cosim.study.running.provenance import commit_of, facts_of_run, seed_ranges
+from ddpc_cosim.study.verdicts.findings import remarks
 from ddpc_reports.tables.reproduce import reproduce_tables
 
 STUDY = """
