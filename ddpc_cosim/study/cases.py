@@ -250,8 +250,14 @@ def _at_rest(driven: Mapping[int, Case]) -> Iterator[Case]:
     """Yield the runs of one scenario with inputs at rest, by seed."""
     first = next(iter(driven.values()))
     section = {"type": _RESTING, "settings": {}}
-    case = replace(first, controller=DOING_NOTHING, label=DOING_NOTHING, section=section, late="")
-    case = replace(case, bounds=first.shared_bounds)  # of whichever controller comes first
+    case = replace(
+        first,
+        controller=DOING_NOTHING,
+        label=DOING_NOTHING,
+        section=section,
+        late="",
+        bounds=first.shared_bounds,  # its own would be those of whichever controller comes first
+    )
     if not case.continue_recording:
         case = replace(case, excitation=None, recording=None, stabiliser=None)
     digest = case.recording.digest if case.recording else None

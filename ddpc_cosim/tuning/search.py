@@ -1,9 +1,11 @@
 """The search for a controller's settings: where it looks, what it tries next, which trial is best."""
 
 import math
+import operator
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from statistics import fmean
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -209,11 +211,10 @@ class SettingsSearch:
 
         Of these as many fail as of other trials: those that fail most come first, and tell nothing of others.
         """
-        own, foremost = (np.array([of[run].values for run in runs]) for of in (runs, self._best_yet))
-        finite = np.isfinite(own) & np.isfinite(foremost)
-        worse = np.subtract(own, foremost, out=np.where(np.isfinite(own), 0.0, np.inf), where=finite).mean(0)
+        behind = [map(_behind, own.values, self._best_yet[run].values) for run, own in runs.items()]
+        worse = [fmean(values) for values in zip(*behind, strict=True)]
         left = {
-            run: Figures(failed=False, values=tuple(figures.values + worse))
+            run: Figures(failed=False, values=tuple(map(operator.add, figures.values, worse)))
             for run, figures in self._best_yet.items()
             if run not in runs
         }
@@ -277,6 +278,13 @@ def _param(space: Search, value: Any, given: Any) -> Any:
         factor = float(one[of != 0][0] / of[of != 0][0])
         return factor if np.allclose(one, of * factor, rtol=10.0**-_DIGITS) else None
     return value if isinstance(value, int | float) else None
+
+
+def _behind(value: float, best: float) -> float:
+    """Return by how much a value is worse than the best; where nobody has one yet, it is as good as that."""
+    if not math.isfinite(value):
+        return math.inf
+    return value - best if math.isfinite(best) else 0.0
 
 
 def _on_scale(space: Linear, value: float) -> float:

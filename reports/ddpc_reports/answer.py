@@ -105,7 +105,7 @@ def _by_scenario(
     parts = []
     for leaders, scenarios in where.items():
         bold = [Markup("<b>{}</b>").format(who[name].label) for name in leaders]
-        lead = "leads" if len(bold) == 1 else "lead and are not told apart"
+        lead = "leads" if len(bold) == 1 else "lead together"
         if not bold:
             bold, lead = [Markup("no controller")], "is without a failed run"
         parts.append(Markup("{} {} in {}").format(some_of(bold), lead, some_of(scenarios)))
@@ -125,7 +125,7 @@ def _elsewhere(found: Standings, who: dict[str, ControllerResults], counting: Se
     """Say in how many scenarios others are ahead of the leaders, and who; nothing where none is."""
     others: dict[str, int] = {}
     led = 0
-    for here in (found.leaders_by_scenario or {"": found.leaders}).values():
+    for here in found.leaders_by_scenario.values():
         led += bool({*here} & {*found.leaders})
         for name in here if not {*here} & {*found.leaders} else ():
             others[name] = others.get(name, 0) + 1
@@ -137,7 +137,7 @@ def _elsewhere(found: Standings, who: dict[str, ControllerResults], counting: Se
     do = "does" if len(named) == 1 else "do"
     together = ", some together" if sum(others.values()) > len(counting) - led else ""
     text = "Scenario by scenario {} in {} of {}; in the others {} {}{}."
-    return Markup(text).format(it, led, len(counting), some_of(named), do, together)
+    return Markup(text).format(it, led or "none", len(counting), some_of(named), do, together)
 
 
 def _level(told: Findings, leaders: Sequence[ControllerResults], over: str) -> Markup:
@@ -170,9 +170,7 @@ def _level(told: Findings, leaders: Sequence[ControllerResults], over: str) -> M
         for one in (found.difference(key, *pair) for pair in combinations(told.leaders, 2))
     )
     how = "none of them is told to be better by enough to matter" if told_apart else "are not told apart"
-    text = Markup("{} lead {}{} {}: {} {}").format(
-        who, over, "," if told_apart else " and", how, metric_name(key), medians
-    )
+    text = Markup("{} lead {} and {}: {} {}").format(who, over, how, metric_name(key), medians)
     words = join_words([_interval(one, key) + _why_alike(one) for one in apart])
     return text + Markup(", paired {} from the first {}.").format(
         "differences" if len(apart) > 1 else "difference", words

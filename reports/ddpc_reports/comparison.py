@@ -196,8 +196,8 @@ class Condition:
 
     @cached_property
     def all_failed(self) -> str:
-        """Say that every run of every controller failed; empty where one did not."""
-        return all_failed(case for one in (*self.controllers, *self.variants) for case in one.cases)
+        """Say that every run of those that compete failed; empty where one did not."""
+        return all_failed(case for one in self.contenders for case in one.cases)
 
     def may_win(self, one: ControllerResults) -> bool:
         """Whether a controller may be the best: it competes, and none of its runs failed."""

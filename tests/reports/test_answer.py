@@ -250,6 +250,68 @@ def test_where_scenarios_disagree_it_is_told_who_leads_where(make_results: MakeR
     assert said(results).startswith("a is ahead over 3 scenarios")
 
 
+def test_of_scenarios_that_disagree_one_may_have_several_that_lead_and_one_nobody(
+    make_results: MakeResults,
+) -> None:
+    scenarios = {"calm": {}, "turned": {}, "alike": {}, "wild": {"label": "Wild"}}
+    results = study(make_results, lag({"a": 0.3, "b": 0.5, "c": 0.9}), "a", "b", "c", scenarios=scenarios)
+
+    errors = {
+        "a": {"calm": 1.0, "turned": 5.0, "alike": 2.0},
+        "b": {"calm": 5.0, "turned": 1.0, "alike": 2.0},
+    }
+    figures = having(
+        results,
+        {name: lambda s, n, of=of: of.get(s, 0.0) for name, of in errors.items()}
+        | {"c": lambda s, n: math.nan if n == 3 else 9.0},
+    )
+    cases = tuple(case for case in figures.cases if (case.controller == "c") == (case.scenario == "wild"))
+    assert said(replace(figures, cases=cases)).startswith(
+        "The scenarios disagree, so there is no overall rank: a leads in calm; b leads in turned; "
+        "a and b lead together in alike; no controller is without a failed run in Wild."
+    )
+
+
+def test_leaders_that_are_told_apart_by_too_little_are_told_to_be_no_better_by_enough(
+    make_results: MakeResults,
+) -> None:
+    results = study(
+        make_results, lag({"a": 0.3, "b": 0.5}), "a", "b", metrics={"relevant": {"absolute": 0.5}}
+    )
+    told = said(having(results, {"a": lambda s, n: 2.0, "b": lambda s, n: 2.1 + 0.05 * n}))
+    assert told.startswith(
+        "a and b lead over 12 seeds and none of them is told to be better by enough to matter: "
+        "mean abs error 2.00° and 2.38°, paired difference from the first +0.375° ["
+    )
+
+
+def test_a_leader_that_shares_no_seed_with_one_behind_is_not_told_to_be_ahead_of_all(
+    make_results: MakeResults,
+) -> None:
+    """`a` is better than `c`, and `c` than `b`; `a` and `b` have no seed in common."""
+    results = study(make_results, lag({"a": 0.3, "b": 0.5, "c": 0.4}), "a", "b", "c", seeds=[*range(24)])
+    figures = having(
+        results, {"a": lambda s, n: 1 + n / 100, "b": lambda s, n: 9 + n / 100, "c": lambda s, n: 5 + n / 100}
+    )
+    cases = tuple(
+        case
+        for case in figures.cases
+        if case.controller == "c" or (case.controller == "a") == (case.seed < 12)
+    )
+    told = said(replace(figures, cases=cases))
+    assert told.startswith("No controller is significantly better than a over 24 seeds: a 1.06°.")
+
+
+def test_what_differences_matter_is_that_of_the_scenario_alone(make_results: MakeResults) -> None:
+    results = study(make_results, lag({"a": 0.3, "b": 0.5}), "a", "b", scenarios={"one": {}, "two": {}})
+    for condition in conditions(results):
+        alone = findings_of(
+            results.study, [case for case in results.cases if case.scenario == condition.scenario]
+        )
+        assert condition.standings.relevant_differences == alone.standings.relevant_differences
+        assert set(alone.standings.relevant_differences) == {KEY}
+
+
 def test_of_several_outputs_each_has_its_value(make_results: MakeResults) -> None:
     def trace_of(key: str, seed: int) -> Trace:
         return make_trace(0.3 if key == "a" else 0.9, outputs=(ANGLE, SPEED), noise_seed=seed)

@@ -12,12 +12,16 @@ from itertools import combinations
 from ddpc_cosim.metrics import metric_name, split_key
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.verdicts.judgement import Remark, scenario_remarks, unsettled
+from ddpc_cosim.study.verdicts.judgement import (
+    LONGEST_LABEL,
+    Remark,
+    scenario_labels,
+    scenario_remarks,
+    unsettled,
+)
 from ddpc_cosim.study.verdicts.previews import WorsePreview, worse_previews
 from ddpc_cosim.study.verdicts.standings import Standing, Standings, standings
 from ddpc_cosim.texts import printable
-
-_LONGEST_LABEL = 100
 
 
 class Lead(StrEnum):
@@ -91,8 +95,8 @@ def _remarks(study: Study, cases: Sequence[CaseResult], worse: Iterable[WorsePre
     yield from scenario_remarks(study, cases)
     if text := unsettled(study, cases):
         yield Remark(text, is_failure=False)
-    labels = {case.controller: printable(case.label, _LONGEST_LABEL) for case in cases}
-    scenarios = {name: printable(one.label or name, _LONGEST_LABEL) for name, one in study.scenarios.items()}
+    labels = {case.controller: printable(case.label, LONGEST_LABEL) for case in cases}
+    scenarios = scenario_labels(study)
     for one in worse:
         name, signal, unit = split_key(one.key)
         what = " of ".join(filter(None, (metric_name(name), printable(signal))))

@@ -50,7 +50,8 @@ _SPREAD_OF_MAGNITUDE = math.sqrt(1.0 - 2.0 / math.pi)
 _STANDARD_ERRORS = 4.0
 _SMALLEST_STEP = 0.01
 """Of how far a reference travels: a smaller step is not what a run is judged by."""
-_LONGEST_LABEL = 100
+LONGEST_LABEL = 100
+"""Characters of a label that a sentence has room for."""
 _STUCK = 0.5  # share of the time from which on inputs at their limits are a likely reason
 
 Run = tuple[str, str, int]
@@ -271,7 +272,7 @@ def unsettled(study: "Study", cases: Iterable[CaseResult]) -> str:
             own.setdefault(case.controller, []).append(case)
     counts = {key: sum(not one.failed and one.settles is False for one in runs) for key, runs in own.items()}
     parts = [
-        f"{printable(own[key][0].label, _LONGEST_LABEL)} in {count} of {len(own[key])} runs"
+        f"{printable(own[key][0].label, LONGEST_LABEL)} in {count} of {len(own[key])} runs"
         for key, count in counts.items()
         if count
     ]
@@ -293,6 +294,11 @@ class Remark(NamedTuple):
     is_failure: bool
 
 
+def scenario_labels(study: "Study") -> dict[str, str]:
+    """Return what the scenarios of a study are called in sentences, by name."""
+    return {name: printable(one.label or name, LONGEST_LABEL) for name, one in study.scenarios.items()}
+
+
 def scenario_remarks(study: "Study", cases: Iterable[CaseResult]) -> list[Remark]:
     """Return a remark for each scenario of a study in which every run fails, or no controller settles.
 
@@ -302,7 +308,7 @@ def scenario_remarks(study: "Study", cases: Iterable[CaseResult]) -> list[Remark
     by_scenario: dict[str, list[CaseResult]] = {}
     for case in cases:
         by_scenario.setdefault(case.scenario, []).append(case)
-    labels = {name: printable(one.label or name, _LONGEST_LABEL) for name, one in study.scenarios.items()}
+    labels = scenario_labels(study)
     where = "{}: " if len(by_scenario) > 1 else ""
     found = []
     for name, own in by_scenario.items():

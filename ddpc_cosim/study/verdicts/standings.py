@@ -114,7 +114,7 @@ class Standings:
     runs : dict of str to dict of str to Runs
         By key and controller, the runs in the scenarios that count, NaN of those that failed.
     left_out : tuple of str
-        Scenarios in which no controller follows its reference: they do not count.
+        Scenarios in which every controller fails: they do not count.
     relevant : Relevant
         The smallest difference that matters.
     tasks : mapping of str to mapping of str to float

@@ -30,8 +30,11 @@ def claims_table(results: StudyResults, prefix: str) -> Table | None:
         *(Heading(title, "runs" if len(ran) > 1 else "") for title in titles),
     )
     source = f"What is claimed in {study.source}" if study.source else "What is claimed"
-    note = "A claim is checked on each seed of a scenario, unless a controller that it is about failed there."
-    return Table(f"{prefix}claims", source, headings, tuple(rows), (note,), download="claims.csv")
+    notes = (
+        "A claim is checked on each seed of a scenario. It is not so where a controller that it is of "
+        "failed, and cannot be judged where only another failed, or has no such figure.",
+    )
+    return Table(f"{prefix}claims", source, headings, tuple(rows), notes, download="claims.csv")
 
 
 def _checked_by(claim: ClaimSection, results: StudyResults) -> str:

@@ -12,7 +12,7 @@ from ddpc_cosim import CaseResult, Outcome, StudyResults
 from ddpc_cosim.cli.run import show_results
 from ddpc_cosim.cli.summary import overall_table, summary_table
 from ddpc_cosim.metrics import METRICS
-from ddpc_cosim.study.file_format.sections import ReferencePoints, ReportSection, Study
+from ddpc_cosim.study.file_format.sections import ReferencePoints, RelevantSection, ReportSection, Study
 from ddpc_cosim.study.problems import WholeStudy
 
 COST = "mean_abs_error.angle [deg]"
@@ -213,6 +213,20 @@ def test_reference_points_are_marked_and_have_no_rank() -> None:
 )
 def test_where_the_seeds_tell_none_apart_a_line_says_so(seeds: int, words: str) -> None:
     assert words in [line.strip() for line in printed(seeded(seeds, worse=0.0))]
+
+
+@pytest.mark.parametrize(
+    ("absolute", "line"),
+    [
+        (20.0, "no difference between controllers matters"),
+        (9.1, "12 seeds tell no controller to be better by enough to matter"),
+    ],
+)
+def test_where_no_difference_matters_a_line_says_so(absolute: float, line: str) -> None:
+    some = seeded(12, worse=9.0)
+    metrics = some.study.metrics.model_copy(update={"relevant": RelevantSection(absolute=absolute)})
+    whole = WholeStudy.of(some.study.model_copy(update={"metrics": metrics}))
+    assert line in [one.strip() for one in printed(replace(some, whole=whole))]
 
 
 def test_the_best_settings_of_a_sweep_follow_from_the_direction_of_the_metric(
