@@ -215,7 +215,7 @@ def simulate(
         outputs=outputs,
         fmi_type=fmi_type,
         step_timeout=step_timeout,
-        trace_calls=str(Path(trace_calls).absolute()) if trace_calls else "",  # it runs elsewhere
+        trace_calls=str(trace_calls or ""),
     )
     with demanded(sandbox):
         prepared = prepare(request)

@@ -245,8 +245,9 @@ def prepare(request: Request) -> Prepared:
         faults.collect(_check_writable, request)
     if faults or times is None:
         raise ConfigError(faults)
-    if request.trace_calls:
-        Path(request.trace_calls).write_bytes(b"")
+    traced = Path(request.trace_calls).absolute() if request.trace_calls else None  # the case runs elsewhere
+    if traced is not None:
+        traced.write_bytes(b"")
     at_start = {name: float(values_at(s, name, np.array([start]))[0]) for name, s in driven.items()}
     case = Case(
         controller=subject.label,
@@ -254,7 +255,7 @@ def prepare(request: Request) -> Prepared:
         seed=0,
         label=subject.label,
         section={"type": "", "settings": {}},
-        plant=replace(subject.spec.starting_at(at_start), trace_calls=request.trace_calls),
+        plant=replace(subject.spec.starting_at(at_start), trace_calls=str(traced or "")),
         inputs=(),
         outputs=(),
         measurements=tuple(outputs),

@@ -419,7 +419,7 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from ddpc_cosim import Action, Controller
+from ddpc_cosim import Action, Controller, study_folder
 
 @dataclass(kw_only=True)
 class Hangs(Controller):
@@ -438,7 +438,7 @@ class HangsAtOnce(Hangs):
 @dataclass(kw_only=True)
 class HangsWhenItIsBuiltToRun(Hangs):
     def __post_init__(self):
-        checked = Path("checked")
+        checked = Path(study_folder(), "checked")
         if checked.exists():
             threading.Event().wait()
         checked.touch()

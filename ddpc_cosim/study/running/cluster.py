@@ -15,7 +15,7 @@ import tempfile
 import uuid
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -185,7 +185,8 @@ class _Run:
         self._waiting, self._running = deque(cases), dict["Future", _Sent]()
         self._compared = dict[str, list[str]]()  # what workers have otherwise
         self._failed_on, self._lost = dict[str, list[str]](), Counter[str]()  # by the case's id
-        self._left_out = set[str]()
+        self._failures = Counter[str]()  # of a worker, with cases that another one has run
+        self._last_faults, self._left_out = dict[str, str](), set[str]()
         self._modules = dict[tuple[str, ...], dict[str, bytes]]()
         self._contents = dict[str, "Future"]()
         self._recordings = dict[int, tuple[Recording, "Future"]]()
@@ -288,9 +289,9 @@ class _Run:
         return next(filter(None, trusted), untried)
 
     def _distrusted(self) -> set[str]:
-        """Return the workers that have failed too many cases; one whose own fault it was does not count."""
+        """Return the workers that may have failed too many cases; some may be their own fault yet."""
         count = Counter(worker for failed_on in self._failed_on.values() for worker in failed_on)
-        return {worker for worker, cases in count.items() if cases >= _MOST_FAILED}
+        return {worker for worker, cases in (count + self._failures).items() if cases >= _MOST_FAILED}
 
     def _submit(self, case: Case, workers: Collection[str]) -> None:
         """Send a case; what several have in common is sent once."""
@@ -339,6 +340,7 @@ class _Run:
             if not reply.files:
                 raise CosimError(f"worker {reply.worker}: {reply.fault}")
             self._accept(case, reply.files)
+            self._hold_against(self._failed_on.pop(case.id, []))
         elif isinstance(error, KilledWorker):
             died, last = error.allowed_failures + 1, error.last_worker.address
             self._give_up(case, f"{died} dask workers died while they ran it, the last of them {last}")
@@ -356,10 +358,16 @@ class _Run:
             del self._failed_on[case.id]  # it is its own fault
             return False
         self._waiting.appendleft(case)
-        for worker in self._distrusted() - self._left_out:
-            failed = f"worker {worker}: {_MOST_FAILED} cases have failed there"
-            self._leave_out(worker, [f"{failed}, the last of them: {reply.fault}"])
+        self._last_faults[reply.worker] = reply.fault
         return True
+
+    def _hold_against(self, workers: Iterable[str]) -> None:
+        """Count a case that has been run against the workers that have failed it before."""
+        for worker in workers:
+            self._failures[worker] += 1
+            if self._failures[worker] >= _MOST_FAILED and worker not in self._left_out:
+                failed = f"worker {worker}: {_MOST_FAILED} cases have failed there that others have run"
+                self._leave_out(worker, [f"{failed}, the last of them: {self._last_faults[worker]}"])
 
     def _accept(self, case: Case, files: Mapping[str, bytes]) -> None:
         staged = Path(tempfile.mkdtemp(dir=self._staging))

@@ -279,7 +279,10 @@ def test_a_worker_whose_disk_is_full_costs_no_case_and_is_left_out(
     cluster: Cluster, write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It fails its cases at once, and so would get the most of them."""
-    full = cluster.start_worker("full", {"LARGEST_FILE": "20000"})
+    full = cluster.start_worker("full", {"LARGEST_FILE": "70000"})
+    # All workers have started what they run cases in.
+    warm = run(write_study("mfapc", seeds="[0, 1, 2, 3, 4, 5]"), "warm", **on(cluster))
+    assert [case.outcome for case in warm.cases] == ["completed"] * 6
     failed, tried = [], executor._Run._is_tried_again
 
     def counting(self: Any, case: Any, reply: Any, workers: Any) -> bool:
@@ -287,8 +290,11 @@ def test_a_worker_whose_disk_is_full_costs_no_case_and_is_left_out(
         return tried(self, case, reply, workers)
 
     monkeypatch.setattr(executor._Run, "_is_tried_again", counting)
-    study = with_plant_in_a_file(write_study("mfapc", seeds="[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]"))
-    told = f"worker {full}: 3 cases have failed there, .*rows: cannot be written: File too large"
+    seeds = "[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]"
+    study = with_plant_in_a_file(write_study("mfapc", seeds=seeds, duration=20.0))
+    told = (
+        f"worker {full}: 3 cases have failed there that others have run, .*cannot be written: File too large"
+    )
     try:
         with pytest.warns(CosimWarning, match=told) as caught:
             results = run(study, "out", **on(cluster))

@@ -19,7 +19,7 @@ from ddpc_cosim.study.file_format.study_files import StudyFile
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.study.runner import Selection, run_study
 from ddpc_cosim.study.running.provenance import commit_of, facts_of_run, seed_ranges
-from ddpc_cosim.study.verdicts.findings import remarks
+from ddpc_cosim.study.verdicts.findings import findings_of
 from ddpc_reports.tables.reproduce import reproduce_tables
 
 STUDY = """
@@ -91,7 +91,7 @@ def test_cases_say_which_versions_they_ran_with_and_a_mixture_is_told(tmp_path: 
     for case in results.cases:
         assert case.versions["numpy"] == here
         assert case.versions["ddpc-cosim"] == package_version()
-    assert not [one for one in remarks(results.study, results.cases) if "versions" in one.text]
+    assert not [one for one in findings_of(results.study, results.cases).remarks if "versions" in one.text]
 
     run_file = results.cases[0].folder / "run.json"
     older = read_sealed(run_file)
@@ -100,7 +100,7 @@ def test_cases_say_which_versions_they_ran_with_and_a_mixture_is_told(tmp_path: 
     run_file.write_bytes(sealed_json(older))
     results = load_results(tmp_path / "out")
     told = f"Cases ran with different versions of numpy: {here} (2), 1.0 (1); a run with --fresh has one"
-    assert told in [one.text for one in remarks(results.study, results.cases)]
+    assert told in [one.text for one in findings_of(results.study, results.cases).remarks]
 
 
 def test_studies_without_a_file_of_their_own_are_run_by_name_or_from_the_results() -> None:
