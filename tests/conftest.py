@@ -23,7 +23,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # The cores belong to the workers of the run, started after this, not to threads of BLAS.
     for library in ("OMP", "OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    config.addinivalue_line("markers", "slow: takes half a minute; `-m 'not slow'` leaves it out")
+    config.addinivalue_line("markers", "slow: takes half a minute; only run by `-m slow`")
 
 
 @pytest.fixture(scope="session", autouse=True)

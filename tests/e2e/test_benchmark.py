@@ -45,6 +45,7 @@ def test_every_method_meets_the_same_problems_with_the_same_budget_of_tuning() -
     assert len(budgets) == 1
 
 
+@pytest.mark.slow
 def test_what_is_possible_is_reached_and_nothing_done_is_far_from_it(nominal: StudyResults) -> None:
     assert all(case.outcome is Outcome.COMPLETED for case in nominal.cases)
     assert not any(case.failed for case in nominal.cases if case.controller == "nmpc")
@@ -52,6 +53,7 @@ def test_what_is_possible_is_reached_and_nothing_done_is_far_from_it(nominal: St
     assert (shares["full"] < 0.1 * shares["zero"]).all()
 
 
+@pytest.mark.slow
 def test_shares_are_those_of_the_samples(nominal: StudyResults) -> None:
     """By the mean of |reference - output| over the samples, from the files of the cases."""
     errors = {}
@@ -69,12 +71,14 @@ def test_shares_are_those_of_the_samples(nominal: StudyResults) -> None:
         assert row.share == pytest.approx((zero - own) / (zero - full), rel=1e-9) or row.failed
 
 
+@pytest.mark.slow
 def test_every_method_has_a_figure_for_every_problem(nominal: StudyResults) -> None:
     study = read_study("benchmark").problems
     asked = set(product(study, study["pendulum"].study.controllers))
     assert {(case.problem, case.controller) for case in nominal.cases} == asked
 
 
+@pytest.mark.slow
 def test_what_the_summary_says_holds_without_noise_too(nominal: StudyResults) -> None:
     """It says it of all scenarios and seeds; here are one of each."""
     shares = nominal.shares().groupby(["controller", "problem"])["share"].median().groupby("controller")

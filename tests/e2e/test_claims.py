@@ -20,7 +20,7 @@ from .recomputed import figures_of, read_case, verdict
 from .test_studies import STUDIES, Silent
 
 # What its fixtures run is run in one process.
-pytestmark = pytest.mark.xdist_group("claims")
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("claims")]
 
 METHODS = ("mfapc", "deepc", "wkpc")
 HORIZON = 5

@@ -22,8 +22,12 @@ pytestmark = pytest.mark.xdist_group("studies")
 STUDIES = Path(__file__).parents[2] / "ddpc_cosim" / "studies"
 COMPARATIVE = ("direction-change", "mimo", "noise", "reactor", "time-varying", "unstable")
 ELSEWHERE = ("benchmark", "paper")  # have tests of their own
-BUILT_IN = sorted(path.stem for path in STUDIES.glob("*.toml") if path.stem not in ELSEWHERE)
-
+LONG = ("noise", "time-varying")
+BUILT_IN = [
+    pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
+    for name in sorted(path.stem for path in STUDIES.glob("*.toml"))
+    if name not in ELSEWHERE
+]
 
 PREDICTIVE = ("deepc", "spc", "gamma-ddpc", "koopman-mpc", "mpc")
 
@@ -176,6 +180,7 @@ def test_data_that_fade_recover(controller: str, results_of: Results) -> None:
 DRIFTS = [f"{drift}{preview}" for drift in ("slow", "fast") for preview in ("", "-no-preview")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift", DRIFTS)
 def test_frozen_data_age_and_data_that_fade_do_not(drift: str, results_of: Results) -> None:
     results = results_of("time-varying")
@@ -197,6 +202,7 @@ def test_frozen_data_age_and_data_that_fade_do_not(drift: str, results_of: Resul
     assert not any(case.failed for case in cases_of(results, drift) if case.controller not in frozen)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift", DRIFTS)
 def test_integrating_stands_the_drift_without_learning_on(drift: str, results_of: Results) -> None:
     results = results_of("time-varying")
@@ -207,6 +213,7 @@ def test_integrating_stands_the_drift_without_learning_on(drift: str, results_of
     assert results.study.controllers["deepc-online"].settings["online_data"] == "forgetting"
 
 
+@pytest.mark.slow
 def test_no_noise_loses_the_pendulum_nor_costs_much_tracking(results_of: Results) -> None:
     results = results_of("noise")
     assert not any(case.failed for case in results.cases)
@@ -216,6 +223,7 @@ def test_no_noise_loses_the_pendulum_nor_costs_much_tracking(results_of: Results
         assert 1.2 < after["ipid"] / before["ipid"] < 1.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "apart"), [("quiet", 1.02), ("faint", 1.05), ("loud", 1.2)])
 def test_predictive_methods_come_out_alike_at_every_noise(
     noise: str, apart: float, results_of: Results
@@ -232,6 +240,7 @@ def test_predictive_methods_come_out_alike_at_every_noise(
     assert min(blind["mfapc"], blind["mfac"]) > 1.9 * best
 
 
+@pytest.mark.slow
 def test_noise_costs_travel_most_where_nothing_filters(results_of: Results) -> None:
     results = results_of("noise")
     for preview in ("", "-no-preview"):
