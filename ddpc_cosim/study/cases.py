@@ -28,7 +28,7 @@ from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.master import EARLY, OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.plugins import code_version, folders_of, own_folder, types_in, values_of
+from ddpc_cosim.plugins import code_version, folders_of, is_own, own_folder, types_in, values_of
 from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files, map_plants, plants_of
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference
@@ -344,6 +344,19 @@ def plants_in(case: Case) -> Iterator[str]:
     """Yield those of plants: of the case's own, and of those that its controllers look at."""
     yield from case.plant.plugins
     yield from filter(None, (name or case.plant.name for name in _plants(case)))
+
+
+def leaves_nothing_behind(case: Case) -> bool:
+    """Whether the process of a case is as good as new afterwards, unless something goes wrong.
+
+    That is where it runs nothing that can crash, an FMU that was supplied, and no one else's code, which may
+    keep what it likes in its modules.
+    """
+    if case.plant.isolated or not all(
+        is_own("controllers", name) for name in types_in(_sections(case)) if name
+    ):
+        return False
+    return not any(_files(case)) and all(is_own("plants", name) for name in plants_in(case))
 
 
 def _hash_of(case: Case, content: Mapping[str, Any]) -> "hashlib._Hash":
