@@ -55,6 +55,8 @@ _NAMES, _SURROUNDINGS = (
     ("step_timeout", "case_timeout", "memory_limit", "sandbox", "storage"),
 )
 _NOT_DECISIVE = (*_NAMES, *_SURROUNDINGS, "late", "metrics", "seed", "shared_bounds")
+_LONGEST_NAME = 80
+"""Of a case, in the name of its folder: on Windows a path has 259 characters."""
 _RESTING = "idle"
 """The controller, by entry point, that leaves the inputs at rest."""
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
@@ -642,7 +644,15 @@ def cases_of_problem(
 def _with_seed(case: Case, seed: int, called: str, shared: "hashlib._Hash") -> Case:
     whole = shared.copy()
     whole.update(str(seed).encode())
-    return replace(case, seed=seed, id=f"{called}_{whole.hexdigest()[:10]}")
+    return replace(case, seed=seed, id=f"{_as_file_name(called)}_{whole.hexdigest()[:10]}")
+
+
+def _as_file_name(called: str) -> str:
+    """Return a case's name; the beginning of one that is long, and a hash of all of it."""
+    if len(called) <= _LONGEST_NAME:
+        return called
+    digest = hashlib.sha256(called.encode()).hexdigest()[:10]
+    return f"{called[: _LONGEST_NAME - len(digest) - 1]}-{digest}"
 
 
 def _type_and_settings(section: "ControllerSection | StabiliserSection") -> dict[str, Any]:

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from ddpc_cosim.csv_files import load_pyarrow
 from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
 from ddpc_cosim.master import OUTCOME_OF
+from ddpc_cosim.path_lengths import ALLOW_MORE, are_limited, longest_excess
 from ddpc_cosim.plugins import (
     FOLDER_VARIABLE,
     find_modules_in,
@@ -57,6 +58,7 @@ from ddpc_cosim.study.case_files import (
     keep_left,
     left_in,
     load_case,
+    longest_files,
     stage_case,
     write_case,
 )
@@ -332,6 +334,7 @@ def run_missing(
         Whether these are all cases; otherwise each counts as one of those that the progress knows of.
     """
     cases_folder = folder / CASES_FOLDER
+    _require_short_paths(folder, [case.id for case in cases])
     try:
         cases_folder.mkdir(parents=True, exist_ok=True)
         remove_left_behind(cases_folder, STAGING)
@@ -352,6 +355,17 @@ def run_missing(
     for case in _done(to_run, cases_folder, selection, progress):
         progress.finished(case, load_case(cases_folder / case.id))
     return len(to_run)
+
+
+def _require_short_paths(folder: Path, case_ids: Iterable[str]) -> None:
+    """Check, before the first case, that the files of cases can have their places in a folder of results."""
+    files = longest_files(folder.absolute() / CASES_FOLDER, case_ids)
+    if are_limited() and (excess := longest_excess(files)):
+        raise ConfigError(
+            f"{folder}: results cannot be written there: paths of files would be {excess.characters} "
+            f"characters longer than Windows allows; give a folder whose path is that much shorter (--out), "
+            f"or {ALLOW_MORE}"
+        )
 
 
 def built_plants(resolved: "ResolvedProblems", progress: Progress) -> dict[str, PlantSpec]:
