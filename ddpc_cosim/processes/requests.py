@@ -75,7 +75,11 @@ def orderly_end(*, process_ends: bool = False) -> Iterator[None]:
             _handle(_ends_anyway)
         sys.unraisablehook, _state.is_entered = hook, False
         _state.commits -= 1
-        _raise_if_held()
+        request, is_held, _state.is_held = _state.request, _state.is_held, False
+        if not process_ends:
+            _state.request = None  # and all that its traceback holds
+        if is_held and request is not None:
+            raise request
 
 
 def made() -> KeyboardInterrupt | None:

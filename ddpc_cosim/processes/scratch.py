@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 
 from ddpc_cosim.path_lengths import RANDOM
+from ddpc_cosim.processes.requests import held
 
 _LOCK = ".lock"
 
@@ -39,20 +40,9 @@ class ScratchFolder:
     def __init__(self, within: Path | None = None, prefix: str = "ddpc-cosim-") -> None:
         parent = Path(within or tempfile.gettempdir()).resolve()
         _remove_left_behind_once(parent, prefix)
-        while True:
-            self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
-            try:
-                lock = os.open(self.path / _LOCK, os.O_CREAT | os.O_RDWR)
-            except FileNotFoundError:  # someone has taken it for one left behind
-                continue
-            except OSError:
-                with suppress(OSError):
-                    self.path.rmdir()
-                raise
-            if _holds(lock) and (self.path / _LOCK).exists():  # no one has taken it for one left behind
-                break
-            os.close(lock)
-        self._finalizer = weakref.finalize(self, _remove, self.path, lock, os.getpid())
+        with held():  # from the first moment on it is known who removes it
+            self.path, lock = _locked_folder(parent, prefix)
+            self._finalizer = weakref.finalize(self, _remove, self.path, lock, os.getpid())
 
     def remove_after_death(self) -> None:
         """Have the folder removed as soon as this process has gone, however it went (POSIX)."""
@@ -74,6 +64,23 @@ class ScratchFolder:
     def remove(self) -> None:
         """Remove the folder and all that is in it; nothing happens the second time."""
         self._finalizer()
+
+
+def _locked_folder(parent: Path, prefix: str) -> tuple[Path, int]:
+    """Make a folder, and return it with the lock that is held on it."""
+    while True:
+        path = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+        try:
+            lock = os.open(path / _LOCK, os.O_CREAT | os.O_RDWR)
+        except FileNotFoundError:  # someone has taken it for one left behind
+            continue
+        except OSError:
+            with suppress(OSError):
+                path.rmdir()
+            raise
+        if _holds(lock) and (path / _LOCK).exists():  # no one has taken it for one left behind
+            return path, lock
+        os.close(lock)
 
 
 def scratch_of_cases() -> Path:
