@@ -236,9 +236,8 @@ class Silent:
     def finished(self, case: Case, result: CaseResult) -> None: ...
 
 
-# A socket, or a process, of which nobody knows yet goes with a warning; what is at the other end goes with it.
+# A socket or process of which nobody knows yet goes with a warning, and with it what is at the other end.
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("count", [5, pytest.param(200, marks=pytest.mark.slow)])
 def test_no_request_at_a_random_moment_of_a_run_is_lost(
     count: int, write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
