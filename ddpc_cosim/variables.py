@@ -9,53 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.texts import encodable, printable
+from fmu_plants.model import Variable as Variable
 from fmu_plants.spelling import did_you_mean
 from fmu_plants.units import DisplayUnit as DisplayUnit, display_unit, usual_display_units
 
 FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Variable:
-    """One input, output or parameter of a plant.
-
-    Parameters
-    ----------
-    name : str
-        Name in the plant.
-    unit : str
-        Unit of every value that is exchanged; empty if dimensionless or unknown.
-    min, max : float
-        Range that the plant declares; infinite where it declares none.
-    nominal : float
-        Typical magnitude.
-    start : float
-        Value before the first step; for an input its value at rest.
-    description : str
-        One line for people.
-    display_unit : DisplayUnit or None
-        Unit in which reports and metrics show the variable; None shows ``unit``.
-    """
-
-    name: str
-    unit: str = ""
-    min: float = -np.inf
-    max: float = np.inf
-    nominal: float = 1.0
-    start: float = 0.0
-    description: str = ""
-    display_unit: DisplayUnit | None = None
-
-    @property
-    def shown_in(self) -> DisplayUnit:
-        """The unit for people: the display unit, or the variable's own."""
-        return self.display_unit or DisplayUnit(self.unit)
-
-    @property
-    def header(self) -> str:
-        """The variable's column header in files: name and unit."""
-        return printable(encodable(f"{self.name} [{self.unit or '1'}]"))
 
 
 def names(variables: Sequence[Variable]) -> tuple[str, ...]:

@@ -25,7 +25,6 @@ from ddpc_cosim.safe_calls import (
     step_plant,
 )
 from ddpc_cosim.variables import (
-    DisplayUnit,
     FloatArray,
     PlantVariables,
     Variable,
@@ -403,25 +402,10 @@ def _fmu_variables(description: "FMUDescription", label: str, fmi_type: FMIType)
 
 def _model_variables(model: Any) -> PlantVariables:
     return PlantVariables(
-        {v.name: _variable(v) for v in model.inputs},
-        {v.name: _variable(v) for v in model.outputs},
-        {v.name: _variable(v) for v in model.parameters},
+        {v.name: v for v in model.inputs},
+        {v.name: v for v in model.outputs},
+        {v.name: v for v in model.parameters},
         frozenset(v.name for v in model.parameters if v.variability == "tunable"),
-    )
-
-
-def _variable(variable: Any) -> Variable:
-    """Return a variable of a plant model as a variable of the contracts."""
-    shown = variable.display_unit
-    return Variable(
-        name=variable.name,
-        unit=variable.unit,
-        min=variable.min,
-        max=variable.max,
-        nominal=variable.nominal,
-        start=variable.start,
-        description=variable.description,
-        display_unit=DisplayUnit(shown.name, shown.factor, shown.offset) if shown else None,
     )
 
 
