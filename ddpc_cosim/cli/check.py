@@ -212,11 +212,9 @@ def _natural_step(subject: Subject) -> float:
         return 0.1
     from ddpc_cosim.inspection import inspect_fmu
 
-    description = inspect_fmu(subject.path).description
-    if description is None:
-        return 0.1
-    experiment, interface = description.default_experiment, next(iter(description.interfaces.values()), None)
-    fixed = interface.fixed_step if interface is not None else None
+    declared = inspect_fmu(subject.path).declared
+    experiment = declared.default_experiment
+    fixed = next((interface.fixed_step for interface in declared.interfaces.values()), None)
     return fixed or experiment.step_size or (experiment.stop_time or 50.0) / 500
 
 

@@ -15,12 +15,13 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from ddpc_cosim.description import Signal, choose_signals
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, is_usual, unusual_state
 from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues
 from ddpc_cosim.fmu.co_simulation import CoSimulationRun, StepSizes
-from ddpc_cosim.fmu.description import FMUDescription, Interface, Signal, choose_interface, choose_signals
+from ddpc_cosim.fmu.description import FMUDescription, Interface, choose_interface
 from ddpc_cosim.fmu.description.reader import read_description
 from ddpc_cosim.fmu.fmi1 import Fmi1Model, Fmi1Slave
 from ddpc_cosim.fmu.fmi2 import Fmi2Model, Fmi2Slave
