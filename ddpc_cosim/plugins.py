@@ -153,6 +153,16 @@ def package_of(kind: str, name: str) -> str:
     return packages.pop() if len(packages) == 1 else ""
 
 
+def is_own(kind: str, name: str) -> bool:
+    """Whether a plug-in, or what is named as ``module:attribute``, is of this project and not anyone's."""
+    own = f"ddpc-cosim {package_version()}"
+    entries = [entry for entry in _entry_points(kind) if _package(entry) == own]
+    if ":" not in name:
+        return any(entry.name == name for entry in entries)
+    packages = {_top_module(entry.value) for entry in entries}
+    return not is_in_file(name) and name not in _by_value and _top_module(name) in packages
+
+
 def look_up() -> None:
     """Find what is installed, which takes a while: the workers that are forked from here know it then."""
     for kind in KINDS:

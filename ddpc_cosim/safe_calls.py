@@ -71,8 +71,11 @@ def _announce_to_no_one(who: str, call: str, time: float) -> None:
 _announce: Announce = _announce_to_no_one
 
 
-def announce_calls(announce: Announce) -> None:
-    """Have all calls of this process announced: a process that watches it sees which one does not return."""
+def announce_calls(announce: Announce = _announce_to_no_one) -> None:
+    """Have all calls of this process announced: a process that watches it sees which one does not return.
+
+    By default no one is told any more.
+    """
     global _announce
     _announce = announce
 

@@ -83,7 +83,8 @@ def toml_tables(text: str) -> dict[str, Any]:
     Raises
     ------
     DeepTablesError
-        A key has more dots than there may be tables within tables: what reads TOML takes their square.
+        There are more tables within tables than there may be, or a key has more dots than that: what reads
+        TOML takes their square.
     ValueError, RecursionError
         It is not TOML.
     """
@@ -91,7 +92,14 @@ def toml_tables(text: str) -> dict[str, Any]:
 
     if _DOTTED.search(_QUOTED.sub("q", text)):
         raise DeepTablesError
-    return tomllib.loads(text)
+    tables = tomllib.loads(text)
+    level: list[Any] = [tables]
+    for _ in range(DEEPEST):
+        entries = (entry for one in level for entry in (one.values() if isinstance(one, dict) else one))
+        level = [entry for entry in entries if isinstance(entry, dict | list)]
+    if level:
+        raise DeepTablesError
+    return tables
 
 
 def recorded(text: object) -> str:

@@ -42,7 +42,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     OSError
         The folder does not exist or cannot be written to.
     """
-    staged = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    staged = path.with_name(temporary_name(path.name))
     try:
         staged.write_bytes(content)
         write_through(staged)
@@ -51,6 +51,11 @@ def write_atomically(path: Path, content: bytes) -> None:
         with suppress(OSError):
             staged.unlink()
         raise
+
+
+def temporary_name(name: str) -> str:
+    """Return the name of a file that is to be called so when it is complete."""
+    return f".{name}.{uuid.uuid4().hex}"
 
 
 def write_through(path: Path) -> None:

@@ -3,7 +3,6 @@
 Every check runs in a worker process, so that a subject that crashes or hangs fails one check and no more.
 """
 
-import tomllib
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -29,7 +28,7 @@ from ddpc_cosim.safe_calls import CallsInTime
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
 from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
-from ddpc_cosim.texts import printable
+from ddpc_cosim.texts import DeepTablesError, printable, toml_tables
 from fmu_plants.spelling import did_you_mean
 
 _PRELOAD = (__name__,)
@@ -164,8 +163,10 @@ def _plant(name: str) -> Subject:
 
 def _parse(settings: Sequence[str]) -> dict[str, Any]:
     try:
-        return tomllib.loads("\n".join(settings))
-    except tomllib.TOMLDecodeError as error:
+        return toml_tables("\n".join(settings))
+    except DeepTablesError as error:
+        raise ConfigError(f"--setting: {error}") from error
+    except (ValueError, RecursionError) as error:  # numbers or nesting beyond measure are no TOML errors
         raise ConfigError(f"--setting: not TOML: {error}; write text in quotes: 'name = \"text\"'") from error
 
 

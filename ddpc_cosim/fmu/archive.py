@@ -8,7 +8,7 @@ import struct
 import sys
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from xml.etree.ElementTree import Element
 from lxml import etree  # type: ignore[import-untyped]
 
 from ddpc_cosim.errors import FMUImportError
+from ddpc_cosim.path_lengths import ALLOW_MORE, are_limited, longest_excess
 from ddpc_cosim.texts import printable
 
 MODEL_DESCRIPTION = "modelDescription.xml"
@@ -291,6 +292,37 @@ def _check_directory(path: Path, limits: UnpackLimits) -> None:
             raise FMUImportError(f"{path.name}: its list of files has {size} bytes; allowed: {longest}")
 
 
+def require_short_paths(path: Path, folder: Path, names: Iterable[str] | None = None) -> None:
+    """Check that files of an archive can have their places in a folder, or in one whose path is as long.
+
+    Parameters
+    ----------
+    path : Path
+        The archive.
+    folder : Path
+        The folder, which need not be there.
+    names : iterable of str, optional
+        The files' paths in the archive; default: of all of them, of an archive that has been unpacked before.
+
+    Raises
+    ------
+    FMUImportError
+        Windows has no such long paths.
+    """
+    if not are_limited():
+        return
+    if names is None:
+        with zipfile.ZipFile(path) as archive:
+            names = _checked(archive.infolist(), path.name)
+    if excess := longest_excess(folder / name for name in names):
+        name = printable(excess.path.relative_to(folder).as_posix(), _LONGEST_SHOWN)
+        raise FMUImportError(
+            f'{path.name}: cannot be unpacked: the path of "{name}" among temporary files is '
+            f"{excess.characters} characters longer than Windows allows; set TEMP to a folder whose path is "
+            f"that much shorter, such as C:\\T, or {ALLOW_MORE}"
+        )
+
+
 def _check_count(count: int, limits: UnpackLimits, label: str) -> None:
     if count > limits.max_files:
         raise FMUImportError(
@@ -306,6 +338,7 @@ def _unpack_entries(
     files = _checked(entries, label)
     if needed not in files:
         raise FMUImportError(f"{label}: not an {kind}: the archive has no {needed}{_hint(files, needed)}")
+    require_short_paths(path, folder, files)
     remaining, too_large = limits.room_of(path.stat().st_size, label)
     if sum(entry.file_size for entry in files.values()) > remaining:  # what the archive itself admits
         raise too_large

@@ -19,6 +19,7 @@ from ddpc_cosim.fmu.isolation import IsolatedSession
 from ddpc_cosim.fmu.linearisation import Derivatives, LinearModel, linearisation_faults
 from ddpc_cosim.fmu.session import FMUSession, UnpackedFMU, for_model_exchange, unpack_fmu
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
+from ddpc_cosim.processes.limits import told_of_limits
 from ddpc_cosim.processes.sandbox import demanded, entered, require
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.texts import html_table, printable
@@ -124,6 +125,8 @@ class FMUPlant(Plant):
             faults.append("sandbox = True needs isolated = True: a process of its own enters it")
         if faults:
             raise ConfigError(faults)
+        if isolated and (told := told_of_limits([] if memory_limit is None else [memory_limit])):
+            warnings.warn(f"{self.path.name}: {told}", CosimWarning, stacklevel=2)
         self._sandbox = require() if sandbox else entered()
         self._sha256 = hashlib.sha256(self.path.read_bytes()).hexdigest()
         self._scratch = ScratchFolder()

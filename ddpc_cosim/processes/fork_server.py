@@ -1,7 +1,8 @@
 """Where workers come from: a process without threads, in which what they need is imported already.
 
 It collects what workers print, ends what has too much memory or too many processes, and all that a worker
-leaves behind; and ends them all when the process that it serves is gone. Windows starts each process anew.
+leaves behind; and ends them all when the process that it serves is gone. Where that was not tested, processes
+are started anew: see ``spawning``.
 """
 
 import atexit
@@ -34,7 +35,7 @@ if sys.platform != "win32":
 
 START_SECONDS = 120.0
 _LOOK_SECONDS, _LIMIT_SECONDS = 1.0, 0.1
-_OUTPUT_KEPT, _OUTPUT_SHOWN = 4000, 300
+OUTPUT_KEPT, _OUTPUT_SHOWN = 4000, 300
 _CHUNK, _CHUNKS = 1 << 16, 16
 LEFT_BEHIND = 70
 _FIRST_WINDOWS_FAULT = 0xC0000000
@@ -77,8 +78,10 @@ class Ending(NamedTuple):
         return f"{number.name} ({signal.strsignal(number) or 'unknown'}){words}"
 
 
-def start_python(code: str, stdin: int, pass_fds: Sequence[int] = ()) -> "subprocess.Popen[bytes]":
-    """Start this Python away from the terminal and its Ctrl-C.
+def start_python(
+    code: str, stdin: int, pass_fds: Sequence[int] = (), *, output: int = subprocess.DEVNULL
+) -> "subprocess.Popen[bytes]":
+    """Start this Python away from the terminal and its Ctrl-C; all that it prints goes one way.
 
     Nothing beside a study or a script shadows a library: what this process finds beyond what is installed
     comes last.
@@ -91,16 +94,15 @@ def start_python(code: str, stdin: int, pass_fds: Sequence[int] = ()) -> "subpro
         flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
     find = "import sys; sys.path += [p for p in sys.argv[1:] if p not in sys.path]"
     command += [
-        f"{find}; from ddpc_cosim.processes import fork_server, worker; {code}",
+        f"{find}; from ddpc_cosim.processes import fork_server, spawning, worker; {code}",
         *(entry or here() for entry in sys.path),
     ]
-    null = subprocess.DEVNULL
     return subprocess.Popen(
         command,
         bufsize=0,
         stdin=stdin,
-        stdout=null,
-        stderr=null,
+        stdout=output,
+        stderr=subprocess.STDOUT,
         env=os.environ | ONE_THREAD,
         start_new_session=True,
         creationflags=flags,
@@ -343,7 +345,7 @@ class Server:
                 if not (chunk := os.read(child.output, _CHUNK)):
                     self._selector.unregister(child.output)
                     break
-                child.printed = (child.printed + chunk)[-_OUTPUT_KEPT:]
+                child.printed = (child.printed + chunk)[-OUTPUT_KEPT:]
 
     def _end(self, pid: int) -> dict[str, Any]:
         _kill(pid)
@@ -423,10 +425,15 @@ def _adopt_orphans() -> None:
         this_process().prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
-def _die_with(server: int) -> None:
-    """End with the server and be limited, as far as the kernel does it; no core dump, no Ctrl-C."""
+def undisturbed() -> None:
+    """Dump no core, heed no Ctrl-C (POSIX)."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _die_with(server: int) -> None:
+    """End with the server and be limited, as far as the kernel does it."""
+    undisturbed()
     if sys.platform == "linux":
         limit_tasks()
         this_process().prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)

@@ -5,7 +5,9 @@ itself are other ones: of address space, not memory; of each process alone; of a
 """
 
 import os
+import platform
 import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -14,6 +16,7 @@ if sys.platform != "win32":  # here, so that it is there before workers are fork
     import resource
 
 _MOST_TASKS = 500
+_IS_LOOKED_AT = sys.platform == "linux"
 
 
 def excess_of(pid: int, memory: int) -> str:
@@ -74,13 +77,24 @@ def _proportional(pid: int) -> int:
         return _resident(pid)
 
 
+def told_of_limits(gigabytes: Iterable[float]) -> str:
+    """Return what there is to say of limits of memory [GB] on this system; empty: they hold."""
+    if _IS_LOOKED_AT or not (given := sorted(set(gigabytes))):
+        return ""
+    limits = ", ".join(f"{one:g}" for one in given)
+    return (
+        f"memory_limit = {limits} GB does nothing on this system ({platform.system()}): "
+        "what a process has is looked at on Linux only"
+    )
+
+
 @cache  # of each case it would be read again
 def default_memory(workers: int = 1) -> int:
     """Return how many bytes each of some workers may have: all have a share, and so has everything else.
 
     It is 0, for no limit, where the memory of a process is not told as on Linux.
     """
-    if sys.platform != "linux":
+    if not _IS_LOOKED_AT:
         return 0
     sizes = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
     for limit in ("memory.max", "memory/memory.limit_in_bytes"):  # of a container

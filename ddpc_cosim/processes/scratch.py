@@ -15,6 +15,8 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
+from ddpc_cosim.path_lengths import RANDOM
+
 _LOCK = ".lock"
 
 
@@ -72,6 +74,12 @@ class ScratchFolder:
     def remove(self) -> None:
         """Remove the folder and all that is in it; nothing happens the second time."""
         self._finalizer()
+
+
+def scratch_of_cases() -> Path:
+    """Return a path as long as that of the folder in which a case has what it unpacks."""
+    name = f"ddpc-cosim-{RANDOM}"
+    return Path(tempfile.gettempdir()).resolve() / name / f"tmp{RANDOM}" / name
 
 
 def remove_left_behind(parent: Path, prefix: str = "ddpc-cosim-") -> None:

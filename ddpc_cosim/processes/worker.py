@@ -13,10 +13,8 @@ import os
 import pickle
 import socket
 import struct
-import subprocess
 import sys
 import tempfile
-import threading
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, is_dataclass
@@ -26,15 +24,14 @@ from typing import Any
 
 from ddpc_cosim import errors
 from ddpc_cosim.errors import ConfigError, CosimError, DataError, FMUStepError, StepStatus
+from ddpc_cosim.processes import spawning
 from ddpc_cosim.processes.fork_server import (
-    LEFT_BEHIND,
     ONE_THREAD,
     START_SECONDS,
     Ending,
     Forked,
     ForkServer,
     here,
-    start_python,
     this_process,
 )
 from ddpc_cosim.processes.limits import default_memory
@@ -227,14 +224,15 @@ class Worker:
     folder : Path
         Where temporary files of the worker go.
     preload : sequence of str
-        Modules to be imported, and functions (``module:function``) to be called, before workers are forked.
+        Modules to be imported, and functions (``module:function``) to be called, before workers are forked,
+        where they are.
     sandbox : Sandbox, optional
         What it enters before it runs anything; default: none, it has the user's rights.
     memory : int, optional
         Bytes that it may have together with all that it starts, where the system tells them; 0: any; default:
         :func:`default_memory`.
     alone : bool
-        Whether it shares with no other one the process that starts it, which it could end (POSIX).
+        Whether it shares with no other one the process that forks it, which it could end.
 
     Raises
     ------
@@ -257,7 +255,7 @@ class Worker:
         self._owner, self._ending = os.getpid(), Ending(None)
         # In a sandbox none can be made, and what a list there says is not to be believed.
         self._shared = None if sandbox else folder / f"shared-memory-{uuid.uuid4().hex}"
-        self._process: Forked | _Shared | None = None
+        self._process: Forked | spawning.Spawned | None = None
         try:
             with theirs:
                 memory = default_memory() if memory is None else memory
@@ -290,26 +288,13 @@ class Worker:
         return self._ending
 
 
-def _start(connection: socket.socket, preload: Sequence[str], memory: int, alone: bool) -> "Forked | _Shared":
+def _start(
+    connection: socket.socket, preload: Sequence[str], memory: int, alone: bool
+) -> Forked | spawning.Spawned:
     """Start a process with the far end of a channel."""
-    if sys.platform != "win32":
+    if spawning.forks():
         return ForkServer.fork(connection, preload, memory, alone=alone)
-    return _Shared(connection)
-
-
-class _Shared:
-    """A process of its own with the far end of a channel (Windows)."""
-
-    def __init__(self, connection: socket.socket) -> None:
-        self._process = start_python("worker.run_shared()", stdin=subprocess.PIPE)
-        assert self._process.stdin is not None
-        if sys.platform == "win32":
-            with self._process.stdin as pipe:
-                pipe.write(connection.share(self._process.pid))
-
-    def end(self) -> Ending:
-        self._process.kill()
-        return Ending(self._process.wait())
+    return spawning.Spawned(connection)
 
 
 def run(connection: socket.socket) -> None:
@@ -319,8 +304,8 @@ def run(connection: socket.socket) -> None:
         path, place, environment, folder, sandbox, apart, shared = pickle.loads(channel.receive(sys.maxsize))
         sys.path += [entry or place for entry in path if entry not in sys.path]
         os.environ.clear()
-        os.environ.update(environment | ONE_THREAD | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
-        tempfile.tempdir = folder
+        os.environ.update(environment | ONE_THREAD)
+        keep_temporary_files_in(folder)
         with contextlib.suppress(OSError):
             os.chdir(place or folder)
         if sandbox is not None:
@@ -331,22 +316,10 @@ def run(connection: socket.socket) -> None:
         target(channel, *arguments)
 
 
-def run_shared() -> None:
-    """Run as a process of its own (Windows), which ends with whoever started it."""
-    if sys.platform == "win32":
-        threading.Thread(target=_leave_with_parent, daemon=True).start()
-        run(socket.fromshare(sys.stdin.buffer.read()))
-
-
-def _leave_with_parent() -> None:
-    """Wait for the parent's end, which a closed socket does not tell while an FMU is busy (Windows)."""
-    if sys.platform == "win32":
-        import _winapi
-
-        synchronize = 0x00100000
-        parent = _winapi.OpenProcess(synchronize, False, os.getppid())
-        _winapi.WaitForSingleObject(parent, _winapi.INFINITE)
-        os._exit(LEFT_BEHIND)
+def keep_temporary_files_in(folder: str) -> None:
+    """Have temporary files of this process, and of what it starts, made in a folder."""
+    os.environ.update(dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
+    tempfile.tempdir = folder
 
 
 def serve_calls(channel: Channel) -> None:

@@ -9,10 +9,10 @@ import os
 import shutil
 import stat
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -21,12 +21,13 @@ from ddpc_cosim.controller import Bounds
 from ddpc_cosim.csv_files import PARQUET, read_parquet, write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.path_lengths import RANDOM
 from ddpc_cosim.processes.requests import held
 from ddpc_cosim.responses import Tracking
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
-from fmu_plants.files import write_atomically, write_through
+from fmu_plants.files import temporary_name, write_atomically, write_through
 
 RUN_FILE = "run.json"
 STAGING = ".staging-"
@@ -287,6 +288,14 @@ def stage_case(
     (staged / RUN_FILE).write_bytes(sealed_json(run | {"signals": signals}))
     for name in (file.name, RUN_FILE):  # by each worker for itself: it waits for the disk
         write_through(staged / name)
+
+
+def longest_files(folder: PurePath, case_ids: Iterable[str]) -> Iterator[PurePath]:
+    """Yield the longest path of each case that is run into a folder, and that of those not complete yet."""
+    written = temporary_name(RUN_FILE)
+    yield folder / f"{STAGING}{RANDOM}" / f"tmp{RANDOM}.older" / written
+    for case_id in case_ids:
+        yield folder / case_id / written
 
 
 def accept_case(

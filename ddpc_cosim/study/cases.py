@@ -28,7 +28,7 @@ from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.master import EARLY, OUTCOME_OF, cosimulate
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.plugins import code_version, folders_of, own_folder, types_in, values_of
+from ddpc_cosim.plugins import code_version, folders_of, is_own, own_folder, types_in, values_of
 from ddpc_cosim.processes.rows import RowStore
 from ddpc_cosim.settings import PLANT, files_of, hash_of_file, map_files, map_plants, plants_of
 from ddpc_cosim.signals import GaussianNoise, ParameterChange, Ramp, Reference
@@ -55,6 +55,8 @@ _NAMES, _SURROUNDINGS = (
     ("step_timeout", "case_timeout", "memory_limit", "sandbox", "storage"),
 )
 _NOT_DECISIVE = (*_NAMES, *_SURROUNDINGS, "late", "metrics", "seed", "shared_bounds")
+_LONGEST_NAME = 80
+"""Of a case, in the name of its folder: on Windows a path has 259 characters."""
 _RESTING = "idle"
 """The controller, by entry point, that leaves the inputs at rest."""
 _TRIED_AGAIN = "; the machine may be at fault: when this is run again, it is tried again"
@@ -352,6 +354,19 @@ def plants_in(case: Case) -> Iterator[str]:
     yield from filter(None, (name or case.plant.name for name in _plants(case)))
 
 
+def leaves_nothing_behind(case: Case) -> bool:
+    """Whether the process of a case is as good as new afterwards, unless something goes wrong.
+
+    That is where it runs nothing that can crash, an FMU that was supplied, and no one else's code, which may
+    keep what it likes in its modules.
+    """
+    if case.plant.isolated or not all(
+        is_own("controllers", name) for name in types_in(_sections(case)) if name
+    ):
+        return False
+    return not any(_files(case)) and all(is_own("plants", name) for name in plants_in(case))
+
+
 def _hash_of(case: Case, content: Mapping[str, Any]) -> "hashlib._Hash":
     """Return a hash of everything that decides a case's result, but for its seed."""
     decisive = {one.name: getattr(case, one.name) for one in fields(case)}
@@ -635,7 +650,15 @@ def cases_of_problem(
 def _with_seed(case: Case, seed: int, called: str, shared: "hashlib._Hash") -> Case:
     whole = shared.copy()
     whole.update(str(seed).encode())
-    return replace(case, seed=seed, id=f"{called}_{whole.hexdigest()[:10]}")
+    return replace(case, seed=seed, id=f"{_as_file_name(called)}_{whole.hexdigest()[:10]}")
+
+
+def _as_file_name(called: str) -> str:
+    """Return a case's name; the beginning of one that is long, and a hash of all of it."""
+    if len(called) <= _LONGEST_NAME:
+        return called
+    digest = hashlib.sha256(called.encode()).hexdigest()[:10]
+    return f"{called[: _LONGEST_NAME - len(digest) - 1]}-{digest}"
 
 
 def _type_and_settings(section: "ControllerSection | StabiliserSection") -> dict[str, Any]:

@@ -15,6 +15,7 @@ from ddpc_cosim.description import DefaultExperiment, PlantDescription, describe
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.plugins import hash_of_code, is_in_file, load_plugin, shown_name
+from ddpc_cosim.processes.scratch import scratch_of_cases
 from ddpc_cosim.safe_calls import (
     close_plant,
     feedthrough_of_plant,
@@ -237,13 +238,18 @@ class PlantSpec:
         return replace(self, fmu=str(fmu), content=content)
 
     def _check_library(self) -> None:
-        """Check that a supplied FMU has a library for this platform; nothing of it is loaded."""
+        """Check that a supplied FMU has a library for this platform, and can be unpacked by a case.
+
+        Nothing of it is loaded.
+        """
+        from ddpc_cosim.fmu.archive import require_short_paths
         from ddpc_cosim.fmu.plant import FMUPlant
 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", CosimWarning)
             with FMUPlant(self.fmu, fmi_type=self.fmi_type) as plant:
                 library_warnings = [text for text in plant.warnings if text not in plant.description.warnings]
+        require_short_paths(Path(self.fmu), scratch_of_cases())
         for text in library_warnings:  # the others were told when the study was read
             warnings.warn(f"{Path(self.fmu).name}: {text}", CosimWarning, stacklevel=3)
 

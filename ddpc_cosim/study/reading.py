@@ -10,6 +10,7 @@ import numpy as np
 from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.errors import ConfigError, CosimWarning
 from ddpc_cosim.plugins import find_modules_in
+from ddpc_cosim.processes.limits import told_of_limits
 from ddpc_cosim.signals import values_at
 from ddpc_cosim.study.file_format.replacing import PROBLEMS, SWEEP
 from ddpc_cosim.study.file_format.sections import Study, StudyHead
@@ -97,6 +98,9 @@ def resolve_file(file: StudyFile) -> ResolvedProblems:
         )
     _warn_of_references(problems)
     _warn_of_missing_libraries(problems)
+    limits = (one.study.loop.memory_limit for one in problems.values())
+    if told := told_of_limits(limit for limit in limits if limit is not None):
+        warnings.warn(told, CosimWarning, stacklevel=2)
     return ResolvedProblems(head or first, problems, file)
 
 

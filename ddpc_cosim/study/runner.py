@@ -1,9 +1,12 @@
 """Running a study: prepare the plant, run what is not there yet, write what is known of all cases.
 
 Each case runs in a worker of its own: a crash or a hang costs that case and nothing else, and what a plug-in
-leaves behind in its process (floating-point errors, random numbers, modules) changes no other case.
+leaves behind in its process (floating-point errors, random numbers, modules) changes no other case. Where a
+worker is not forked but started anew, which takes longer than most cases, the next case may have it too, if
+nothing of the one before can be left in it.
 """
 
+import gc
 import math
 import os
 import pickle
@@ -23,6 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from ddpc_cosim.csv_files import load_pyarrow
 from ddpc_cosim.errors import ConfigError, CosimError, MissingLibraryError
 from ddpc_cosim.master import OUTCOME_OF
+from ddpc_cosim.path_lengths import ALLOW_MORE, are_limited, longest_excess
 from ddpc_cosim.plugins import (
     FOLDER_VARIABLE,
     find_modules_in,
@@ -30,6 +34,7 @@ from ddpc_cosim.plugins import (
     load_plugin,
     study_folder,
 )
+from ddpc_cosim.processes import spawning
 from ddpc_cosim.processes.limits import default_memory
 from ddpc_cosim.processes.rows import Call, RowStore
 from ddpc_cosim.processes.sandbox import Sandbox, demanded, require as require_sandbox
@@ -39,10 +44,12 @@ from ddpc_cosim.processes.worker import (
     UnexpectedError,
     Worker,
     ask,
+    keep_temporary_files_in,
     lost,
     result_of,
     serve_calls,
 )
+from ddpc_cosim.safe_calls import announce_calls
 from ddpc_cosim.study.case_files import (
     STAGING,
     CaseResult,
@@ -51,6 +58,7 @@ from ddpc_cosim.study.case_files import (
     keep_left,
     left_in,
     load_case,
+    longest_files,
     stage_case,
     write_case,
 )
@@ -60,6 +68,7 @@ from ddpc_cosim.study.cases import (
     cases_of_problems,
     doing_nothing,
     files_read,
+    leaves_nothing_behind,
     no_samples,
     partial_trace,
     patterns_of,
@@ -325,6 +334,7 @@ def run_missing(
         Whether these are all cases; otherwise each counts as one of those that the progress knows of.
     """
     cases_folder = folder / CASES_FOLDER
+    _require_short_paths(folder, [case.id for case in cases])
     try:
         cases_folder.mkdir(parents=True, exist_ok=True)
         remove_left_behind(cases_folder, STAGING)
@@ -345,6 +355,17 @@ def run_missing(
     for case in _done(to_run, cases_folder, selection, progress):
         progress.finished(case, load_case(cases_folder / case.id))
     return len(to_run)
+
+
+def _require_short_paths(folder: Path, case_ids: Iterable[str]) -> None:
+    """Check, before the first case, that the files of cases can have their places in a folder of results."""
+    files = longest_files(folder.absolute() / CASES_FOLDER, case_ids)
+    if are_limited() and (excess := longest_excess(files)):
+        raise ConfigError(
+            f"{folder}: results cannot be written there: paths of files would be {excess.characters} "
+            f"characters longer than Windows allows; give a folder whose path is that much shorter (--out), "
+            f"or {ALLOW_MORE}"
+        )
 
 
 def built_plants(resolved: "ResolvedProblems", progress: Progress) -> dict[str, PlantSpec]:
@@ -438,6 +459,7 @@ def run_cases(
         tables = {"pyarrow.parquet" for case in cases if case.storage == "parquet"}
         preload = [*_PRELOAD, *tables, *_plugin_modules(cases)]
         waiting, running, lost = deque(cases), list[_Run](), Counter[str]()
+        workers = _Workers(preload, temporary)
         compiled = dict[Path, list[Path]]()
         try:
             while waiting or running:
@@ -452,13 +474,21 @@ def run_cases(
                         write_case(folder / case.id, trace, case.head(), staging, case.metrics)
                         yield case
                         continue
-                    make = partial(Worker, serve_calls, preload=preload, memory=_memory(case, jobs))
                     around = surroundings or Surroundings.of(case)
                     if case.sandbox:
                         around = replace(around, read=_sandboxed_read(around, compiled))
                     with _writable():
                         places = (folder / case.id, staging, temporary)
-                        run = _Run(case, make, *places, around, alone=alone, keep_files=keep_files)
+                        make = workers.maker_for(case, jobs)
+                        run = _Run(
+                            case,
+                            make,
+                            *places,
+                            around,
+                            alone=alone,
+                            keep_files=keep_files,
+                            may_go_on=workers.may_go_on(case),
+                        )
                         running.append(run)
                     if watch is not None:
                         watch(running[-1].progress)
@@ -467,6 +497,7 @@ def run_cases(
                     ended = run.has_ended(run.worker.channel.socket in ready)
                     if ended:
                         running.remove(run)
+                        workers.take_back(run)
                     if ended and run.may_be_a_bystander:
                         lost[run.case.id] += 1
                         waiting.appendleft(run.case)
@@ -478,6 +509,7 @@ def run_cases(
             for run in running:
                 run.worker.end()
                 run.close()
+            workers.end()
 
 
 def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:
@@ -527,7 +559,13 @@ def _settle(modules: str, values: bytes, work: Path) -> None:
     find_modules_in(modules)
     keep_values(pickle.loads(values))
     os.environ[FOLDER_VARIABLE] = str(study_folder())
-    os.chdir(work)
+    _go_to(work, temporary=work.parent)
+
+
+def _go_to(folder: Path, *, temporary: Path) -> None:
+    """Have this process be in a folder, and make its temporary files in another one."""
+    os.chdir(folder)
+    keep_temporary_files_in(str(temporary))
 
 
 def _memory(case: Case, workers: int) -> int:
@@ -562,6 +600,52 @@ def _plugin_modules(cases: Sequence[Case]) -> list[str]:
     return [f"{name}:preload" if hasattr(sys.modules[name], "preload") else name for name in modules]
 
 
+class _Workers:
+    """Makes the workers of cases; where they are not forked, one that is as good as new is used again.
+
+    Parameters
+    ----------
+    preload : sequence of str
+        What is imported before workers are forked.
+    temporary : Path
+        Where temporary files lie.
+    """
+
+    def __init__(self, preload: Sequence[str], temporary: Path) -> None:
+        self._preload, self._temporary, self._reuse = preload, temporary, not spawning.forks()
+        self._idle: list[Worker] = []
+
+    def maker_for(self, case: Case, jobs: int) -> Callable[..., Worker]:
+        """Return what makes, or has, the worker of a case."""
+        make = partial(Worker, serve_calls, preload=self._preload, memory=_memory(case, jobs))
+        if not self.may_go_on(case):
+            return make
+
+        def make_or_take(*, folder: Path, **how: Any) -> Worker:
+            while self._idle:
+                worker = self._idle.pop()
+                if not wait([worker.channel.socket], 0):  # else it has died: it has nothing to say
+                    return worker
+                worker.end()
+            return make(folder=self._temporary, **how)
+
+        return make_or_take
+
+    def take_back(self, run: "_Run") -> None:
+        """Keep the worker of a run that has ended for another one, unless it has ended too."""
+        if run.worker_goes_on:
+            self._idle.append(run.worker)
+
+    def end(self) -> None:
+        """End those that no one has."""
+        while self._idle:
+            self._idle.pop().end()
+
+    def may_go_on(self, case: Case) -> bool:
+        """Whether the worker of a case that completes may have another one."""
+        return self._reuse and not case.sandbox and leaves_nothing_behind(case)
+
+
 class _Run:
     """A case in a worker.
 
@@ -581,9 +665,13 @@ class _Run:
         Whether it is to take no other run along, whatever it does.
     keep_files : bool
         Whether to keep what it leaves in its working directory.
+    may_go_on : bool
+        Whether its worker need not end if it completes.
 
     Attributes
     ----------
+    worker_goes_on : bool
+        Whether its worker has not ended with it.
     may_be_a_bystander : bool
         Whether it ended with others, of which another one may be at fault: nothing is written of it.
     """
@@ -599,10 +687,12 @@ class _Run:
         *,
         alone: bool,
         keep_files: bool,
+        may_go_on: bool,
     ) -> None:
         self._began = began = monotonic()
         self.case, self._folder, self._staging = case, folder, staging
         self.alone, self.may_be_a_bystander = alone, False
+        self._may_go_on, self.worker_goes_on = may_go_on, False
         self._staged, self._place = (Path(tempfile.mkdtemp(dir=within)) for within in (staging, temporary))
         self._work, self._keep_files = _working_directory(self._place), keep_files
         sandbox = None
@@ -615,7 +705,8 @@ class _Run:
         self._call, self._since = 0, monotonic()
         with suppress(OSError):  # it has died meanwhile, which the next look at it will show
             around = (surroundings.modules, surroundings.values, self._work)
-            ask(self.worker.channel, run_and_stage, case, rows, self._staged, *around, began)
+            run = run_and_leave if may_go_on else run_and_stage
+            ask(self.worker.channel, run, case, rows, self._staged, *around, began)
 
     @property
     def progress(self) -> Update:
@@ -633,13 +724,13 @@ class _Run:
         self._store.look()
         if has_replied:
             try:
-                result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=_REPLY_SECONDS))
+                outcome = result_of(self.worker.channel.receive(LONGEST_REPLY, seconds=_REPLY_SECONDS))
             except (CosimError, UnexpectedError) as error:  # what fails in the run itself is in its files
                 self._give_up(Outcome.CRASHED, str(error), of_the_machine=True)
             except (OSError, EOFError, ValueError):
                 self._end_worker()
             else:
-                self._accept()
+                self._accept(goes_on=self._may_go_on and outcome == Outcome.COMPLETED)
         elif self._hangs():
             self._end_worker(self._limit(self._store.call))
         elif (most := self.case.case_timeout) is not None and monotonic() - self._began > most:
@@ -657,12 +748,13 @@ class _Run:
         remove(self._place)
         remove(self._staged)
 
-    def _accept(self) -> None:
+    def _accept(self, *, goes_on: bool) -> None:
         """Put what the worker has staged in its place: what it ran has no more to say in that by now."""
         try:
-            printed, longest = self.worker.end().output, self._longest_samples()
+            printed, longest = "" if goes_on else self.worker.end().output, self._longest_samples()
             left = left_in(self._work)
             accept_case(self._staged, self._folder, self.case.head(), printed, longest, left)
+            self.worker_goes_on = goes_on
         except ConfigError as error:
             self._give_up(Outcome.CRASHED, f"its process has left no results: {error}")
 
@@ -713,8 +805,8 @@ class _Run:
 
 def run_and_stage(
     case: Case, rows: Path, staged: Path, modules: str, values: bytes, work: Path, began: float
-) -> None:
-    """Run a case, in a worker, and write its files where they do not count yet.
+) -> str:
+    """Run a case, in a worker, write its files where they do not count yet, and return its outcome.
 
     ``began`` is when its worker was asked for, which is part of what it takes.
     """
@@ -722,3 +814,15 @@ def run_and_stage(
     trace = run_case(case, row_store(case, rows))
     head = case.head() | {"versions": versions(), "wall_time": monotonic() - began}
     stage_case(staged, trace, head, case.metrics)
+    return trace.outcome
+
+
+def run_and_leave(
+    case: Case, rows: Path, staged: Path, modules: str, values: bytes, work: Path, began: float
+) -> str:
+    """Do the same in a worker that may have another case: nothing of the places of this one is held."""
+    outcome = run_and_stage(case, rows, staged, modules, values, work, began)
+    announce_calls()
+    gc.collect()  # mapped rows, in cycles of what was called
+    _go_to(work.parent.parent, temporary=work.parent.parent)
+    return outcome

@@ -4,6 +4,7 @@ import os
 import select
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -35,6 +36,14 @@ class Blocked(Controller):
 """
 
 
+SPAWNING = """
+from ddpc_cosim.processes import spawning
+spawning.forks = lambda: False
+from ddpc_cosim.cli.program import main
+main()
+"""
+
+
 def start_and_wait(folder: Path, command: list[str], environment: dict[str, str]) -> "subprocess.Popen[str]":
     """Start a command in a session of its own and wait until a controller blocks it."""
     os.mkfifo(folder / "fifo")
@@ -58,21 +67,24 @@ def start_and_wait(folder: Path, command: list[str], environment: dict[str, str]
 
 
 @pytest.mark.parametrize(
-    ("request_to_end", "to_the_group", "exit_code", "told"),
+    ("request_to_end", "to_the_group", "exit_code", "told", "spawns"),
     [
-        (signal.SIGINT, True, 130, "interrupted"),
-        (signal.SIGINT, False, 130, "interrupted"),
-        (signal.SIGTERM, True, 143, "terminated"),
-        (signal.SIGTERM, False, 143, "terminated"),
-        (signal.SIGKILL, False, -9, None),
+        (signal.SIGINT, True, 130, "interrupted", False),
+        (signal.SIGINT, False, 130, "interrupted", False),
+        (signal.SIGTERM, True, 143, "terminated", False),
+        (signal.SIGTERM, False, 143, "terminated", False),
+        (signal.SIGKILL, False, -9, None, False),
+        (signal.SIGINT, True, 130, "interrupted", True),
+        (signal.SIGKILL, False, -9, None, True),
     ],
-    ids=["Ctrl-C", "kill -INT", "service manager", "kill", "kill -9"],
+    ids=["Ctrl-C", "kill -INT", "service manager", "kill", "kill -9", "Ctrl-C, spawned", "kill -9, spawned"],
 )
 def test_an_interrupted_run_goes_on(
     request_to_end: signal.Signals,
     to_the_group: bool,
     exit_code: int,
     told: str | None,
+    spawns: bool,
     write_study: WriteStudy,
     tmp_path: Path,
     program: str,
@@ -85,7 +97,8 @@ def test_an_interrupted_run_goes_on(
     arguments = ["run", "study.toml", "--jobs", "1", "--no-report", "--out", "out"]
     paths = [str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {"PYTHONPATH": os.pathsep.join(paths), "TMPDIR": str(tmp_path / "scratch")}
-    process = start_and_wait(tmp_path, [program, *arguments], environment)
+    command = [sys.executable, "-c", SPAWNING] if spawns else [program]
+    process = start_and_wait(tmp_path, [*command, *arguments], environment)
     family = Watch(descendants(process.pid))
     (os.killpg if to_the_group else os.kill)(process.pid, request_to_end)
     # The pipe ends when the last process that holds it has ended: no worker is left behind.

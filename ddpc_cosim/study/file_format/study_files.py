@@ -28,7 +28,7 @@ from ddpc_cosim.study.file_format.replacing import (
 )
 from ddpc_cosim.study.file_format.sweeps import path_of
 from ddpc_cosim.study.file_format.validation_errors import in_folder, plant_in_folder
-from ddpc_cosim.texts import DEEPEST, DeepTablesError, toml_tables
+from ddpc_cosim.texts import DeepTablesError, toml_tables
 from fmu_plants.files import is_file
 
 _MAY_END = re.compile(r"""[\]}]|"{3}|'{3}""")  # a value over several lines
@@ -129,12 +129,6 @@ class StudyFile:
             raise ConfigError(f"{label}: not a TOML file: {error}") from error
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-        level: list[Any] = [tables]
-        for _ in range(DEEPEST):
-            entries = (entry for one in level for entry in (one.values() if isinstance(one, dict) else one))
-            level = [entry for entry in entries if isinstance(entry, dict | list)]
-        if level:
-            raise ConfigError(f"{label}: {DeepTablesError()}")
         tables.setdefault("name", _as_name(path.stem))
         return cls(label, path.parent, tables, text)
 

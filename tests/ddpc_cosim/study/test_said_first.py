@@ -1,5 +1,7 @@
 """What is known of a study before its first case is said when it is read, or keeps it from being run."""
 
+import platform
+import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -8,8 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from ddpc_controllers import PID
-from ddpc_cosim import ConfigError, CosimWarning, MissingLibraryError, Problem, Steps, Study
+from ddpc_cosim import ConfigError, CosimWarning, FMUPlant, MissingLibraryError, Problem, Steps, Study
 from ddpc_cosim.cli.main import main
+from ddpc_cosim.processes import limits
 from ddpc_cosim.study.reading import read_study
 
 PENDULUM = """
@@ -145,6 +148,23 @@ def test_where_nobody_can_run_without_it_nothing_is_run(
         assert result.exit_code == 2
         assert f"error: {REMEDY}" in result.stderr
         assert not Path("out").exists()
+
+
+def test_a_limit_of_memory_that_is_not_looked_at_is_told(
+    write: Callable[[str], str], pendulum_fmu: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limited = study().replace("[loop]", "[loop]\nmemory_limit = 1.5")
+    assert not said(write(limited))
+    monkeypatch.setattr(limits, "_IS_LOOKED_AT", False)
+    monkeypatch.setattr(platform, "system", lambda: "Darwin")
+    told = "memory_limit = 1.5 GB does nothing on this system (Darwin): "
+    told += "what a process has is looked at on Linux only"
+    assert said(write(limited)) == [told]
+    assert not said(write(study()))
+    result = CliRunner().invoke(main, ["run", write(limited), "--out", "out", "--dry-run"])
+    assert result.stderr.splitlines()[0] == f"warning: {told}"
+    with pytest.warns(CosimWarning, match=rf"pendulum.*\.fmu: {re.escape(told)}"):
+        FMUPlant(pendulum_fmu, isolated=True, memory_limit=1.5).close()
 
 
 def test_a_stabiliser_that_lacks_a_package_is_an_error(write: Callable[[str], str]) -> None:

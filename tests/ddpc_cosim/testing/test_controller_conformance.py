@@ -279,6 +279,12 @@ def test_settings_on_the_command_line_are_those_of_a_study() -> None:
     assert "--setting" in missing.stderr
     assert check("scaled", "--setting", 'controller = { type = "pid" }').exit_code == 0
     assert "not TOML" in check("pid", "--setting", "tuning = step-test").stderr
+    assert "not TOML" in check("pid", "--setting", f"tuning = {5000 * '['}").stderr
+    # The first would take a minute to read.
+    for deep in (".".join(20_000 * "a"), f"[{'.'.join(60 * 'a')}]\n{'.'.join(60 * 'b')}"):
+        refused = check("pid", "--setting", f"{deep} = 1")
+        assert refused.exit_code == 2
+        assert "error: --setting: tables within tables; allowed: 100 levels" in refused.stderr
 
 
 def test_a_constructor_that_never_returns_is_an_error(
