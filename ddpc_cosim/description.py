@@ -202,16 +202,18 @@ def describe(
 ) -> PlantDescription:
     """Return what a plant is whose variables are scalars: one of equations, or a Python class."""
     driven, read, given = ({v.name: v for v in variables} for variables in (inputs, outputs, parameters))
+    kinds = {name: ("parameter", "tunable" if name in tunable else "fixed") for name in given}
+    kinds |= dict.fromkeys(read, ("output", "continuous")) | dict.fromkeys(driven, ("input", "continuous"))
+    variables = {
+        name: DescribedVariable(variable, causality=kinds[name][0], variability=kinds[name][1])
+        for name, variable in {**given, **read, **driven}.items()
+    }
     return PlantDescription(
         driven,
         read,
         given,
         tunable,
-        variables={
-            name: DescribedVariable(variable, causality=causality)
-            for causality, variables in (("parameter", given), ("output", read), ("input", driven))
-            for name, variable in variables.items()
-        },
+        variables=variables,
         default_experiment=experiment or DefaultExperiment(),
     )
 

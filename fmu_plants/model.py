@@ -77,7 +77,7 @@ class Variable:
     Parameters
     ----------
     name : str
-        Name in the plant; in a :class:`PlantModel` an identifier, unique there.
+        Name in the plant; in a `PlantModel` an identifier, unique there.
     unit : str
         Unit of every value that is exchanged, for example ``"N.m"`` or ``"m/s2"``; empty if dimensionless or
         unknown.
@@ -85,7 +85,7 @@ class Variable:
         Range that the plant declares, in which it is meant to work; infinite where it declares none. Nothing
         is saturated.
     nominal : float
-        Typical magnitude, > 0; the absolute tolerance of a state of a :class:`PlantModel` is in units of it.
+        Typical magnitude, > 0; the absolute tolerance of a state of a `PlantModel` is in units of it.
     start : float
         Value before the first step; for an input its value at rest. An output that is computed has none,
         whatever stands here.

@@ -83,6 +83,8 @@ class CoupledSpec:
         Values that differ from the parts' own, as ``part.name``.
     experiment : DefaultExperiment
         What its author had in mind.
+    warnings : tuple of str
+        What is wrong with what describes it but was understood.
     exchanged : mapping of str to (tuple of str, tuple of str)
         By part the inputs that connections feed and the outputs that they start from; empty until
         :meth:`built`.
@@ -94,6 +96,7 @@ class CoupledSpec:
     options: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
     experiment: DefaultExperiment = field(default_factory=DefaultExperiment)
+    warnings: tuple[str, ...] = ()
     exchanged: Mapping[str, Exchanged] = field(default_factory=dict)
 
     @property
@@ -150,6 +153,7 @@ class CoupledSpec:
             default_experiment=self.experiment,
             variable_step=all(part.variable_step for part in known.values()),
             fixed_step=max((part.fixed_step for part in known.values() if part.fixed_step), default=None),
+            warnings=self.warnings,
         )
 
     def _declared(

@@ -301,7 +301,7 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
     parameters = dict[str, ParameterValue]()
     connections = [one.connection for one in section.connections]
     connectors: tuple[Variable, ...] = ()
-    experiment = DefaultExperiment()
+    experiment, understood = DefaultExperiment(), tuple[str, ...]()
     if section.ssp:
         from ddpc_cosim.coupling.ssp import read_ssp
 
@@ -309,7 +309,8 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
         connections = [one.connection for one in system.connections]
         connectors = (*system.inputs, *system.outputs)
         experiment = DefaultExperiment(system.start_time, system.stop_time, None, system.step_size)
-        for warning in system.warnings:
+        understood = system.warnings
+        for warning in understood:
             warnings.warn(warning, CosimWarning, stacklevel=3)
         for one in system.parts:
             parts[one.name] = PlantSpec("", one.fmu, fmi_type=one.fmi_type, start=one.start)
@@ -335,7 +336,7 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
     for name, own in given.items():
         parameters |= {f"{name}.{key}": value for key, value in own.parameters.items()}
     options |= {"steps": steps} if steps else {}
-    return CoupledSpec(parts, tuple(connections), connectors, options, parameters, experiment)
+    return CoupledSpec(parts, tuple(connections), connectors, options, parameters, experiment, understood)
 
 
 def content_of_plant(name: str) -> str:

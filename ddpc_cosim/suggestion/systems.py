@@ -8,7 +8,6 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from ddpc_cosim.coupling.ssp import read_ssp
 from ddpc_cosim.errors import ConfigError, FMUStepError
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.study.file_format.sections import PlantSection
@@ -67,15 +66,13 @@ class System:
     """
 
     def __init__(self, path: Path) -> None:
-        system = read_ssp(path)
-        self.warnings = system.warnings
         self._spec = PlantSpec.of(
             PlantSection.model_validate({"ssp": str(path.resolve()), "coupling": _COUPLING}), Path()
         )
         self.files = tuple(Path(file) for file in self._spec.files)
         self._spec = self._spec.built()
         self.description = self._spec.variables()
-        self.exchange = system.step_size or math.inf
+        self.exchange = self.description.default_experiment.step_size or math.inf
         self.remarks: tuple[str, ...] = ()
 
     def refine(self, open_plant: Callable[..., Any], found: Found, sampling_time: float) -> bool:
@@ -149,7 +146,7 @@ class OpenSystem(Plant):
 
     def __init__(self, plant: Plant, system: System) -> None:
         self.inputs, self.outputs, self._plant = plant.inputs, plant.outputs, plant
-        self.description, self.warnings = system.description, system.warnings
+        self.description, self.warnings = system.description, system.description.warnings
         self._count = system._count
 
     def plan(self, sampling_time: float, stop_time: float) -> None:

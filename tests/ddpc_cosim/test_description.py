@@ -46,6 +46,9 @@ def test_equations_and_a_class_have_the_variables_that_they_declare(tmp_path: Pa
         **dict.fromkeys(equations.outputs, "output"),
         **dict.fromkeys(equations.inputs, "input"),
     }
+    assert {
+        name for name, variable in equations.variables.items() if variable.is_tunable
+    } == equations.tunable
     assert equations.default_experiment.stop_time is not None
     (tmp_path / "own.py").write_text(CLASS, encoding="utf-8")
     own = PlantSpec(f"{tmp_path / 'own.py'}:Lag", "").variables()
