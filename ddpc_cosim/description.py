@@ -5,10 +5,10 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice, product
-from typing import Literal
+from typing import Literal, Self
 
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.variables import PlantVariables, Variable
+from ddpc_cosim.variables import DisplayUnit, Variable, with_display_units, with_nominal, with_start
 from fmu_plants.spelling import did_you_mean
 
 Values = Literal["real", "integer", "boolean", "text", "none"]
@@ -169,11 +169,19 @@ class Declarations:
 
 
 @dataclass(frozen=True, slots=True)
-class PlantDescription(PlantVariables, Declarations):
+class PlantDescription(Declarations):
     """What a plant says about itself, with what a study may use of it.
 
     Parameters
     ----------
+    inputs, outputs, parameters : mapping of str to Variable
+        What can be driven, read and set; some may be several of these.
+    tunable : frozenset of str
+        The parameters that can change during a run.
+    default_inputs, default_outputs : tuple of str
+        What takes part if a study names none; empty: all.
+    display_units : mapping of str to tuple of DisplayUnit
+        The display units that the plant defines for each unit.
     variables : mapping of str to DescribedVariable
         All that it declares, in its order; of a system of several those of its parts as ``part.variable``.
     default_experiment : DefaultExperiment
@@ -186,11 +194,38 @@ class PlantDescription(PlantVariables, Declarations):
         What is wrong with what it says but was understood.
     """
 
+    inputs: Mapping[str, Variable]
+    outputs: Mapping[str, Variable]
+    parameters: Mapping[str, Variable]
+    tunable: frozenset[str] = field(default_factory=frozenset)
+    default_inputs: tuple[str, ...] = ()
+    default_outputs: tuple[str, ...] = ()
+    display_units: Mapping[str, tuple[DisplayUnit, ...]] = field(default_factory=dict)
     variables: Mapping[str, DescribedVariable] = field(default_factory=dict)
     default_experiment: DefaultExperiment = field(default_factory=DefaultExperiment)
     variable_step: bool = True
     fixed_step: float | None = None
     warnings: tuple[str, ...] = ()
+
+    def shown(
+        self, display_units: Mapping[str, str], nominal: Mapping[str, float], start: Mapping[str, float]
+    ) -> Self:
+        """Return the variables with a study's display units, nominal values and start values of inputs.
+
+        Raises
+        ------
+        ConfigError
+            There is no conversion to such a display unit; all of them at once.
+        """
+        inputs, outputs = (
+            with_display_units(group.values(), display_units, self.display_units)
+            for group in (self.inputs, self.outputs)
+        )
+        return replace(
+            self,
+            inputs={v.name: v for v in with_start(with_nominal(inputs, nominal), start)},
+            outputs={v.name: v for v in with_nominal(outputs, nominal)},
+        )
 
 
 def describe(

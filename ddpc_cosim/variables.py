@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,48 +117,3 @@ def with_nominal(variables: Iterable[Variable], nominal: Mapping[str, float]) ->
 def with_start(variables: Iterable[Variable], start: Mapping[str, float]) -> tuple[Variable, ...]:
     """Return variables with other start values, by name."""
     return tuple(replace(v, start=start.get(v.name, v.start)) for v in variables)
-
-
-@dataclass(frozen=True, slots=True)
-class PlantVariables:
-    """The variables of a plant by name, as a study may use them.
-
-    Parameters
-    ----------
-    inputs, outputs, parameters : mapping of str to Variable
-        What can be driven, read and set; some may be several of these.
-    tunable : frozenset of str
-        The parameters that can change during a run.
-    default_inputs, default_outputs : tuple of str
-        What takes part if a study names none; empty: all.
-    display_units : mapping of str to tuple of DisplayUnit
-        The display units that the plant defines for each unit.
-    """
-
-    inputs: Mapping[str, Variable]
-    outputs: Mapping[str, Variable]
-    parameters: Mapping[str, Variable]
-    tunable: frozenset[str] = field(default_factory=frozenset)
-    default_inputs: tuple[str, ...] = ()
-    default_outputs: tuple[str, ...] = ()
-    display_units: Mapping[str, tuple[DisplayUnit, ...]] = field(default_factory=dict)
-
-    def shown(
-        self, display_units: Mapping[str, str], nominal: Mapping[str, float], start: Mapping[str, float]
-    ) -> Self:
-        """Return the variables with a study's display units, nominal values and start values of inputs.
-
-        Raises
-        ------
-        ConfigError
-            There is no conversion to such a display unit; all of them at once.
-        """
-        inputs, outputs = (
-            with_display_units(group.values(), display_units, self.display_units)
-            for group in (self.inputs, self.outputs)
-        )
-        return replace(
-            self,
-            inputs={v.name: v for v in with_start(with_nominal(inputs, nominal), start)},
-            outputs={v.name: v for v in with_nominal(outputs, nominal)},
-        )
