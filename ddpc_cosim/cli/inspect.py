@@ -17,7 +17,7 @@ from rich.text import Text
 
 from ddpc_cosim.cli.output import fitting
 from ddpc_cosim.coupling.ssp import SSPConnection
-from ddpc_cosim.description import DescribedVariable
+from ddpc_cosim.description import DefaultExperiment, DescribedVariable
 from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Severity
 from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu, systems
@@ -173,8 +173,7 @@ def _system_facts(inspection: SystemInspection) -> Iterator[tuple[str, str]]:
     system = inspection.system
     if system is not None:
         yield "system", _joined((system.name, f"SSP {system.version}"))
-        times = (("start", system.start_time), ("stop", system.stop_time), ("step", system.step_size))
-        yield "experiment", _joined(f"{k} {t:g} s" for k, t in times if t is not None) or "none given"
+        yield "experiment", _in_words(system.default_experiment)
         yield "order", _joined(inspection.order, " -> ")
         for loop in inspection.loops:
             yield "algebraic loop", _joined(loop, " -> ")
@@ -221,7 +220,6 @@ def _scale(factor: float, offset: float) -> str:
 
 
 def _model_facts(description: FMUDescription) -> Iterator[tuple[str, str]]:
-    experiment = description.default_experiment
     yield "model", _joined((description.model_name, description.version), " ")
     interfaces = description.interfaces
     yield "fmi", f"{description.fmi_version} {' and '.join(sorted(interfaces)) or 'no interface'}"
@@ -239,19 +237,18 @@ def _model_facts(description: FMUDescription) -> Iterator[tuple[str, str]]:
     )
     for kind in sorted(interfaces):
         yield f"{kind} can", _joined(_capabilities(interfaces[kind])) or "nothing beyond the minimum"
-    yield (
-        "experiment",
-        _joined(
-            f"{what} {value:g}{unit}"
-            for what, value, unit in (
-                ("start", experiment.start_time, " s"),
-                ("stop", experiment.stop_time, " s"),
-                ("step", experiment.step_size, " s"),
-                ("tolerance", experiment.tolerance, ""),
-            )
-            if value is not None
-        )
-        or "none given",
+    yield "experiment", _in_words(description.default_experiment)
+
+
+def _in_words(experiment: DefaultExperiment) -> str:
+    facts = (
+        ("start", experiment.start_time, " s"),
+        ("stop", experiment.stop_time, " s"),
+        ("step", experiment.step_size, " s"),
+        ("tolerance", experiment.tolerance, ""),
+    )
+    return (
+        _joined(f"{what} {value:g}{unit}" for what, value, unit in facts if value is not None) or "none given"
     )
 
 

@@ -308,7 +308,7 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
         system = read_ssp(Path(section.ssp))
         connections = [one.connection for one in system.connections]
         connectors = (*system.inputs, *system.outputs)
-        experiment = DefaultExperiment(system.start_time, system.stop_time, None, system.step_size)
+        experiment = system.default_experiment
         understood = system.warnings
         for warning in understood:
             warnings.warn(warning, CosimWarning, stacklevel=3)

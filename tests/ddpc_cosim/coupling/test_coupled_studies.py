@@ -6,7 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
-from fmus.builder import GAINED, Fault, V, describe, integrator_files, model_library, write_archive, write_fmu
+from fmus.builder import (
+    GAINED,
+    Fault,
+    V,
+    describe,
+    integrator_files,
+    model_library,
+    with_time,
+    write_archive,
+    write_fmu,
+)
 
 from ddpc_cosim import (
     ConfigError,
@@ -366,9 +376,10 @@ def test_an_archive_is_simulated_in_open_loop(tmp_path: Path) -> None:
         simulate(path, trace_calls=tmp_path / "calls.txt")
 
 
-def one_part(folder: Path, *variables: V) -> Path:
+def one_part(folder: Path, *variables: V, version: str = "2.0", **settings: str) -> Path:
     """An archive of one FMU with these variables, whose gain the system gives."""
-    fmu = write_fmu(folder / "a.fmu", describe("2.0", "integrator", variables), model_library("2.0"))
+    text = describe(version, "integrator", with_time(version, variables), **settings)
+    fmu = write_fmu(folder / "a.fmu", text, model_library(version))
     part = component("a", "resources/a.fmu", "input u, output y", binding(ssv({"gain": 3.0})))
     described = ssd(system("s", part), more='<ssd:DefaultExperiment startTime="0" stopTime="2"/>')
     return write_ssp(folder / "one.ssp", described, {"resources/a.fmu": fmu.read_bytes()})
@@ -398,3 +409,11 @@ def test_inputs_of_a_part_that_are_not_continuous_hold_their_last_value(tmp_path
     found = simulate(path, inputs=tmp_path / "in.csv", step=0.5)
     assert found["a.u [1]"].tolist() == [1.0, 1.0, 2.0, 2.0, 2.0]
     np.testing.assert_allclose(found["a.y [1]"], [0.0, 1.5, 3.0, 6.0, 9.0])
+
+
+def test_steps_that_nobody_asks_for_fit_those_of_the_parts(tmp_path: Path) -> None:
+    fixed = '<CoSimulation modelIdentifier="models" fixedInternalStepSize="0.25"/>'
+    reals = [variable for variable in GAINED if variable.type == "Real"]
+    found = simulate(one_part(tmp_path, *reals, version="3.0", interfaces=fixed))
+    np.testing.assert_allclose(found["time [s]"], 0.25 * np.arange(9))
+    assert found.attrs["notes"] == ["step = 0.25 s, as the plant does not say"]
