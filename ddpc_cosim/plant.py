@@ -2,8 +2,8 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Literal
+from types import MappingProxyType, TracebackType
+from typing import Literal, Self
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.variables import FloatArray, Variable
@@ -175,7 +175,15 @@ class Plant(ABC):
         raise ConfigError(f"{type(self).__name__}: the state cannot be restored")
 
     def close(self) -> None:  # noqa: B027 - most plants hold nothing
-        """Release everything; the plant is not used afterwards."""
+        """Release everything; the plant is not used afterwards. The end of a ``with`` block does it."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     def provenance(self) -> Mapping[str, str]:
         """Return the identifiers of this plant in a report: file, hash, version."""

@@ -3,10 +3,11 @@
 import html
 import math
 import re
-import unicodedata
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
+
+from fmu_plants.texts import encodable as encodable, printable as printable
 
 _LONGEST_RECORDED = 2000
 _PATH = re.compile(r"""(?:(?:file://|~)?/|[A-Za-z]:[/\\]|\\\\)(?:(?!\s(?:[/\\~]|[A-Za-z]:))[^\n:;,"'])*""")
@@ -28,30 +29,6 @@ _QUOTED = re.compile(
 )
 NUMBER = re.compile(r"(?<![A-Za-z_\d.])-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 """A number in a text; those in names, such as ``level_1``, are none."""
-
-
-def printable(text: str, longest: int | None = None, *, keep: str = "") -> str:
-    """Return a text in which nothing acts on what shows it.
-
-    Control characters (escape sequences, U+009B, line breaks), direction controls and other invisible
-    letters, lone surrogates and what is not assigned are written out as Python does; blanks are left.
-
-    Parameters
-    ----------
-    text : str
-        Of any origin.
-    longest : int, optional
-        How many characters are looked at; what is cut says at its end how many there were.
-    keep : str
-        Characters to be left as they are, for example line breaks.
-    """
-    if longest is not None and len(text) > longest:
-        cut = f" ... ({len(text)} characters)"
-        text = text[: max(longest - len(cut), 0)] + cut
-    if text.isprintable():  # as nearly all are, and a page has half a million of them
-        return text
-    acting = {ord(c): repr(c)[1:-1] for c in set(text) if c not in keep and not _is_seen(c)}
-    return text.translate(acting) if acting else text
 
 
 def csv_text(text: str) -> str:
@@ -91,17 +68,6 @@ def without_folders(text: str) -> str:
 def alike(text: str) -> str:
     """Return what is the same for texts that differ in their numbers only."""
     return NUMBER.sub("#", text)
-
-
-def encodable(text: str) -> str:
-    """Return a text that a file can hold.
-
-    Bytes of file names that the locale cannot say are taken for UTF-8; other lone surrogates are replaced.
-    """
-    try:
-        return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
-    except UnicodeEncodeError:
-        return text.encode("utf-8", "replace").decode()
 
 
 class DeepTablesError(ValueError):
@@ -159,7 +125,3 @@ def html_table(caption: str, header: Sequence[str], rows: Iterable[Sequence[obje
     body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
     head = f"<caption>{html.escape(recorded(caption))}</caption><tr>{cells(header, 'th')}</tr>"
     return f"<table>{head}{body}</table>"
-
-
-def _is_seen(letter: str) -> bool:
-    return letter.isprintable() or unicodedata.category(letter) == "Zs"

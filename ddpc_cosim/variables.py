@@ -2,60 +2,18 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.texts import encodable, printable
+from fmu_plants.model import Variable as Variable
 from fmu_plants.spelling import did_you_mean
 from fmu_plants.units import DisplayUnit as DisplayUnit, display_unit, usual_display_units
 
 FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Variable:
-    """One input, output or parameter of a plant.
-
-    Parameters
-    ----------
-    name : str
-        Name in the plant.
-    unit : str
-        Unit of every value that is exchanged; empty if dimensionless or unknown.
-    min, max : float
-        Range that the plant declares; infinite where it declares none.
-    nominal : float
-        Typical magnitude.
-    start : float
-        Value before the first step; for an input its value at rest.
-    description : str
-        One line for people.
-    display_unit : DisplayUnit or None
-        Unit in which reports and metrics show the variable; None shows ``unit``.
-    """
-
-    name: str
-    unit: str = ""
-    min: float = -np.inf
-    max: float = np.inf
-    nominal: float = 1.0
-    start: float = 0.0
-    description: str = ""
-    display_unit: DisplayUnit | None = None
-
-    @property
-    def shown_in(self) -> DisplayUnit:
-        """The unit for people: the display unit, or the variable's own."""
-        return self.display_unit or DisplayUnit(self.unit)
-
-    @property
-    def header(self) -> str:
-        """The variable's column header in files: name and unit."""
-        return printable(encodable(f"{self.name} [{self.unit or '1'}]"))
 
 
 def names(variables: Sequence[Variable]) -> tuple[str, ...]:
@@ -159,48 +117,3 @@ def with_nominal(variables: Iterable[Variable], nominal: Mapping[str, float]) ->
 def with_start(variables: Iterable[Variable], start: Mapping[str, float]) -> tuple[Variable, ...]:
     """Return variables with other start values, by name."""
     return tuple(replace(v, start=start.get(v.name, v.start)) for v in variables)
-
-
-@dataclass(frozen=True, slots=True)
-class PlantVariables:
-    """The variables of a plant by name, as a study may use them.
-
-    Parameters
-    ----------
-    inputs, outputs, parameters : mapping of str to Variable
-        What can be driven, read and set; some may be several of these.
-    tunable : frozenset of str
-        The parameters that can change during a run.
-    default_inputs, default_outputs : tuple of str
-        What takes part if a study names none; empty: all.
-    display_units : mapping of str to tuple of DisplayUnit
-        The display units that the plant defines for each unit.
-    """
-
-    inputs: Mapping[str, Variable]
-    outputs: Mapping[str, Variable]
-    parameters: Mapping[str, Variable]
-    tunable: frozenset[str] = field(default_factory=frozenset)
-    default_inputs: tuple[str, ...] = ()
-    default_outputs: tuple[str, ...] = ()
-    display_units: Mapping[str, tuple[DisplayUnit, ...]] = field(default_factory=dict)
-
-    def shown(
-        self, display_units: Mapping[str, str], nominal: Mapping[str, float], start: Mapping[str, float]
-    ) -> Self:
-        """Return the variables with a study's display units, nominal values and start values of inputs.
-
-        Raises
-        ------
-        ConfigError
-            There is no conversion to such a display unit; all of them at once.
-        """
-        inputs, outputs = (
-            with_display_units(group.values(), display_units, self.display_units)
-            for group in (self.inputs, self.outputs)
-        )
-        return replace(
-            self,
-            inputs={v.name: v for v in with_start(with_nominal(inputs, nominal), start)},
-            outputs={v.name: v for v in with_nominal(outputs, nominal)},
-        )

@@ -11,6 +11,7 @@ from functools import partial
 from math import inf, isfinite, isnan
 from typing import Any, Literal, Protocol
 
+from fmu_plants.texts import encodable, printable
 from fmu_plants.units import DisplayUnit, parse_unit
 
 TIME = "time"
@@ -71,24 +72,27 @@ class Equations:
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A state, input or output.
+    """A state, input, output or parameter of a plant.
 
     Parameters
     ----------
     name : str
-        An identifier, unique in the model.
+        Name in the plant; in a `PlantModel` an identifier, unique there.
     unit : str
-        Unit of every value, for example ``"N.m"`` or ``"m/s2"``; empty if dimensionless.
+        Unit of every value that is exchanged, for example ``"N.m"`` or ``"m/s2"``; empty if dimensionless or
+        unknown.
     min, max : float
-        Range in which the plant is meant to work; infinite if there is no limit. Nothing is saturated.
+        Range that the plant declares, in which it is meant to work; infinite where it declares none. Nothing
+        is saturated.
     nominal : float
-        Typical magnitude, > 0; the absolute tolerance of a state is in units of it.
+        Typical magnitude, > 0; the absolute tolerance of a state of a `PlantModel` is in units of it.
     start : float
-        Value before the first step. An output that is computed has none, whatever stands here.
+        Value before the first step; for an input its value at rest. An output that is computed has none,
+        whatever stands here.
     description : str
         One line for people.
     display_unit : DisplayUnit or None
-        The unit people are shown; None shows `unit`.
+        Unit in which people are shown the variable; None shows ``unit``.
     """
 
     name: str
@@ -99,6 +103,16 @@ class Variable:
     start: float = 0.0
     description: str = ""
     display_unit: DisplayUnit | None = None
+
+    @property
+    def shown_in(self) -> DisplayUnit:
+        """The unit for people: the display unit, or the variable's own."""
+        return self.display_unit or DisplayUnit(self.unit)
+
+    @property
+    def header(self) -> str:
+        """The variable's column header in files: name and unit."""
+        return printable(encodable(f"{self.name} [{self.unit or '1'}]"))
 
 
 @dataclass(frozen=True, slots=True)

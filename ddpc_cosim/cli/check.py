@@ -23,7 +23,7 @@ from ddpc_cosim.plugins import find_modules_in, load_plugin, load_target, plugin
 from ddpc_cosim.processes.fork_server import Ending
 from ddpc_cosim.processes.sandbox import Sandbox, demanded, require
 from ddpc_cosim.processes.scratch import ScratchFolder
-from ddpc_cosim.processes.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, result_of, serve_calls
+from ddpc_cosim.processes.worker import LostWorkerError, UnexpectedError, Worker, serve_calls
 from ddpc_cosim.safe_calls import CallsInTime
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
@@ -213,11 +213,9 @@ def _natural_step(subject: Subject) -> float:
         return 0.1
     from ddpc_cosim.inspection import inspect_fmu
 
-    description = inspect_fmu(subject.path).description
-    if description is None:
-        return 0.1
-    experiment, interface = description.default_experiment, next(iter(description.interfaces.values()), None)
-    fixed = interface.fixed_step if interface is not None else None
+    declared = inspect_fmu(subject.path).declared
+    experiment = declared.default_experiment
+    fixed = next((interface.fixed_step for interface in declared.interfaces.values()), None)
     return fixed or experiment.step_size or (experiment.stop_time or 50.0) / 500
 
 
@@ -247,13 +245,12 @@ class _CheckWorker:
         if self._worker is None:
             self._worker = Worker(serve_calls, folder=self._folder, preload=_PRELOAD, sandbox=self._sandbox)
         try:
-            ask(self._worker.channel, _run, subject, name, sampling_time)
-            status, reason = result_of(self._worker.channel.receive(LONGEST_REPLY, seconds=timeout))
+            status, reason = self._worker.call(_run, subject, name, sampling_time, seconds=timeout)
             return CheckResult(name, CheckStatus(status), reason)
-        except TimeoutError:
+        except LostWorkerError as error:
             self._end()
-            reason = f"did not end within {timeout:g} s"
-        except (OSError, EOFError, ValueError, TypeError):
+            reason = f"did not end within {timeout:g} s" if error.ending is None else f"crashed: {error}"
+        except (ValueError, TypeError):
             reason = f"crashed: {self._end()}"
         except UnexpectedError as error:
             reason = f"the check cannot be run: {error}"

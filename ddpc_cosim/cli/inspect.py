@@ -17,7 +17,8 @@ from rich.text import Text
 
 from ddpc_cosim.cli.output import fitting
 from ddpc_cosim.coupling.ssp import SSPConnection
-from ddpc_cosim.fmu.description import Clock, FMUDescription, FMUVariable, Interface, is_sampled
+from ddpc_cosim.description import DefaultExperiment, DescribedVariable
+from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Severity
 from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu, systems
 from ddpc_cosim.inspection.systems import SystemInspection, inspect_ssp
@@ -145,8 +146,7 @@ def _next_step(inspection: Inspected) -> str:
     if not inspection.inputs or not inspection.outputs:
         return f"open loop: ddpc-cosim simulate {path}"
     study = f"ddpc-cosim init {path} && ddpc-cosim run study.toml"
-    description = inspection.description if isinstance(inspection, Inspection) else None
-    if description is not None and is_sampled([*description.signals("input")]):
+    if isinstance(inspection, Inspection) and inspection.is_sampled:
         return f'a controller in a study: type = "fmu", settings.file = "{path}"; a plant: {study}'
     return f"suggested study: {study}"
 
@@ -173,8 +173,7 @@ def _system_facts(inspection: SystemInspection) -> Iterator[tuple[str, str]]:
     system = inspection.system
     if system is not None:
         yield "system", _joined((system.name, f"SSP {system.version}"))
-        times = (("start", system.start_time), ("stop", system.stop_time), ("step", system.step_size))
-        yield "experiment", _joined(f"{k} {t:g} s" for k, t in times if t is not None) or "none given"
+        yield "experiment", _in_words(system.default_experiment)
         yield "order", _joined(inspection.order, " -> ")
         for loop in inspection.loops:
             yield "algebraic loop", _joined(loop, " -> ")
@@ -221,7 +220,6 @@ def _scale(factor: float, offset: float) -> str:
 
 
 def _model_facts(description: FMUDescription) -> Iterator[tuple[str, str]]:
-    experiment = description.default_experiment
     yield "model", _joined((description.model_name, description.version), " ")
     interfaces = description.interfaces
     yield "fmi", f"{description.fmi_version} {' and '.join(sorted(interfaces)) or 'no interface'}"
@@ -239,19 +237,18 @@ def _model_facts(description: FMUDescription) -> Iterator[tuple[str, str]]:
     )
     for kind in sorted(interfaces):
         yield f"{kind} can", _joined(_capabilities(interfaces[kind])) or "nothing beyond the minimum"
-    yield (
-        "experiment",
-        _joined(
-            f"{what} {value:g}{unit}"
-            for what, value, unit in (
-                ("start", experiment.start_time, " s"),
-                ("stop", experiment.stop_time, " s"),
-                ("step", experiment.step_size, " s"),
-                ("tolerance", experiment.tolerance, ""),
-            )
-            if value is not None
-        )
-        or "none given",
+    yield "experiment", _in_words(description.default_experiment)
+
+
+def _in_words(experiment: DefaultExperiment) -> str:
+    facts = (
+        ("start", experiment.start_time, " s"),
+        ("stop", experiment.stop_time, " s"),
+        ("step", experiment.step_size, " s"),
+        ("tolerance", experiment.tolerance, ""),
+    )
+    return (
+        _joined(f"{what} {value:g}{unit}" for what, value, unit in facts if value is not None) or "none given"
     )
 
 
@@ -287,18 +284,15 @@ def _sections(inspection: Inspected) -> Iterator[_Section]:
     parameters = [_row(p.variable, _on_parameter(p), p.start_text) for p in inspection.parameters]
     yield _Section("Parameters", "parameter", _HEADINGS, parameters)
     yield _Section("States", "state", _HEADINGS, [_row(v) for v in inspection.states])
-    description = inspection.description
-    rows = [_clock_row(description, clock) for clock in description.clocks] if description else []
+    rows = [_clock_row(clock, ticks=ticks) for clock, ticks in inspection.clocks.items()]
     yield _Section("Clocks", "clock", ("name", "kind", "more"), rows)
 
 
-def _clock_row(description: FMUDescription, clock: Clock) -> Row:
-    preferred, ticks = description.preferred, ""
-    if preferred and clock in description.ticking_clocks(preferred):
-        ticks = f"ticks every {clock.interval:g} s from {clock.shift:g} s on"
-    elif clock.causality == "input":
-        ticks = "does not tick here"
-    return clock.name, f"{clock.causality}, {clock.variability}", ticks
+def _clock_row(clock: Clock, *, ticks: bool) -> Row:
+    words = "does not tick here" if clock.causality == "input" else ""
+    if ticks:
+        words = f"ticks every {clock.interval:g} s from {clock.shift:g} s on"
+    return clock.name, f"{clock.causality}, {clock.variability}", words
 
 
 def _on_feedthrough(feedthrough: dict[str, tuple[str, ...] | None], output: str) -> str:
@@ -308,7 +302,7 @@ def _on_feedthrough(feedthrough: dict[str, tuple[str, ...] | None], output: str)
     return f"follows at once: {', '.join(names)}" if names else "no direct feedthrough"
 
 
-def _on_parameter(parameter: FMUVariable) -> str:
+def _on_parameter(parameter: DescribedVariable) -> str:
     kind = "structural" if parameter.is_structural else "tunable" if parameter.is_tunable else "fixed"
     size = f"[{','.join(map(str, parameter.shape))}]" if parameter.shape else ""
     return f"{kind} {parameter.type}{size}"

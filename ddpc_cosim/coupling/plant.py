@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Literal, NamedTuple, Self, get_args
 
 import numpy as np
@@ -346,14 +345,6 @@ class CoupledPlant(Plant):
         for name, part in self._parts.items():
             told |= {f"{name}.{key}": value for key, value in plant_provenance(part.plant).items()}
         return told
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _outlet(self) -> FloatArray:
         sources, factor, offset = self._wiring.outlet

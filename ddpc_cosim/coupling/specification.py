@@ -2,22 +2,20 @@
 
 import hashlib
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, Self
 
 from ddpc_cosim.coupling.wiring import Connection, Wiring
+from ddpc_cosim.description import DefaultExperiment, DescribedVariable, PlantDescription
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError, FMUStepError
 from ddpc_cosim.plant import ParameterValue, Plant
-from ddpc_cosim.variables import PlantVariables, Variable, with_start
+from ddpc_cosim.variables import Variable, with_start
 
 Exchanged = tuple[tuple[str, ...], tuple[str, ...]]
 """The inputs of a part that connections feed, and its outputs that they start from."""
-
-
-Experiment = tuple[float | None, float | None, float | None]
 
 
 class PartSpec(Protocol):
@@ -39,8 +37,8 @@ class PartSpec(Protocol):
     def plugins(self) -> tuple[str, ...]:
         """Names of the plug-ins that it is made of."""
 
-    def variables(self) -> PlantVariables:
-        """Return its variables."""
+    def variables(self) -> PlantDescription:
+        """Return what it says about itself."""
 
     def built(self) -> Self:
         """Return it ready to run."""
@@ -83,8 +81,10 @@ class CoupledSpec:
         Further arguments of :class:`CoupledPlant`.
     parameters : mapping of str to float, int, bool or str
         Values that differ from the parts' own, as ``part.name``.
-    experiment : (float or None, float or None, float or None)
-        Start time, stop time and step size that its author had in mind [s].
+    experiment : DefaultExperiment
+        What its author had in mind.
+    warnings : tuple of str
+        What is wrong with what describes it but was understood.
     exchanged : mapping of str to (tuple of str, tuple of str)
         By part the inputs that connections feed and the outputs that they start from; empty until
         :meth:`built`.
@@ -95,7 +95,8 @@ class CoupledSpec:
     connectors: tuple[Variable, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
-    experiment: Experiment = (None, None, None)
+    experiment: DefaultExperiment = field(default_factory=DefaultExperiment)
+    warnings: tuple[str, ...] = ()
     exchanged: Mapping[str, Exchanged] = field(default_factory=dict)
 
     @property
@@ -106,8 +107,8 @@ class CoupledSpec:
         settings = [f"{k}={v!r}" for k, v in sorted({**self.options, **self.parameters}.items())]
         return "coupled " + hashlib.sha256("\n".join((*parts, *how, *settings)).encode()).hexdigest()
 
-    def variables(self) -> PlantVariables:
-        """Return the variables of the whole, those of the parts as ``part.variable``.
+    def variables(self) -> PlantDescription:
+        """Return what the whole says about itself, variables of the parts as ``part.variable``.
 
         Raises
         ------
@@ -125,25 +126,69 @@ class CoupledSpec:
         tunable = {f"{part}.{name}" for part, one in known.items() for name in one.tunable}
         fed = {f"{part}.{name}" for part, (fed, _) in self._exchanged(known, ()).items() for name in fed}
 
-        def usual(every: Mapping[str, Variable], of: Callable[[PlantVariables], Iterable[str]]) -> Any:
+        def usual(every: Mapping[str, Variable], of: Callable[[PlantDescription], Iterable[str]]) -> Any:
             """Return the system's own signals; of a system without any, those of its parts."""
             of_parts = [f"{part}.{name}" for part, one in known.items() for name in of(one)]
             return tuple(name for name in every if "." not in name) or tuple(
                 name for name in of_parts if name in every
             )
 
-        return PlantVariables(
+        usual_inputs = usual(inputs, lambda one: one.default_inputs or one.inputs)
+        usual_outputs = usual(outputs, lambda one: one.default_outputs or one.outputs)
+        connectors = {
+            name: DescribedVariable(variable, causality=causality, start_text=repr(variable.start))
+            for causality, variables in (("input", inputs), ("output", outputs))
+            for name, variable in variables.items()
+            if "." not in name
+        }
+        return PlantDescription(
             inputs,
             outputs,
             {name: variable for name, variable in parameters.items() if name not in fed},
             frozenset(tunable - fed),
-            usual(inputs, lambda one: one.default_inputs or one.inputs),
-            usual(outputs, lambda one: one.default_outputs or one.outputs),
+            usual_inputs,
+            usual_outputs,
             {unit: shown for one in known.values() for unit, shown in one.display_units.items()},
+            variables=connectors | dict(self._declared(known, {*usual_inputs, *usual_outputs})),
+            default_experiment=self.experiment,
+            variable_step=all(part.variable_step for part in known.values()),
+            fixed_step=max((part.fixed_step for part in known.values() if part.fixed_step), default=None),
+            warnings=self.warnings,
         )
 
-    def _variables_of_parts(self) -> dict[str, PlantVariables]:
-        found, faults = dict[str, PlantVariables](), list[str]()
+    def _declared(
+        self, known: Mapping[str, PlantDescription], usual: Set[str]
+    ) -> Iterator[tuple[str, DescribedVariable]]:
+        """Yield the variables of parts by their full names, with the values that the system gives them.
+
+        Inputs and outputs of the whole are those that take part if none are named.
+        """
+        for part, described in known.items():
+            for variable in described.variables.values():
+                full = f"{part}.{variable.name}"
+                given, text, causality = self.parameters.get(full), variable.start_text, variable.causality
+                own = replace(variable.variable, name=full)
+                if isinstance(given, int | float):
+                    own, text = replace(own, start=float(given)), repr(given)
+                if causality in ("input", "output") and full not in usual:
+                    causality = "local"
+                alias, state = (
+                    f"{part}.{name}" if name else "" for name in (variable.alias_of, variable.derivative_of)
+                )
+                yield (
+                    full,
+                    replace(
+                        variable,
+                        variable=own,
+                        start_text=text,
+                        causality=causality,
+                        alias_of=alias,
+                        derivative_of=state,
+                    ),
+                )
+
+    def _variables_of_parts(self) -> dict[str, PlantDescription]:
+        found, faults = dict[str, PlantDescription](), list[str]()
         for name, part in self.parts.items():
             try:
                 found[name] = part.variables()
@@ -153,14 +198,16 @@ class CoupledSpec:
             raise ConfigError(faults)
         return found
 
-    def _wiring(self, known: Mapping[str, PlantVariables], outputs: Sequence[str] | None = None) -> Wiring:
+    def _wiring(self, known: Mapping[str, PlantDescription], outputs: Sequence[str] | None = None) -> Wiring:
         signals = {
             name: Signals(tuple(one.inputs.values()), tuple(one.outputs.values()))
             for name, one in known.items()
         }
         return Wiring(signals, self.connections, outputs=outputs, connectors=self.connectors)
 
-    def _exchanged(self, known: Mapping[str, PlantVariables], outputs: Sequence[str]) -> dict[str, Exchanged]:
+    def _exchanged(
+        self, known: Mapping[str, PlantDescription], outputs: Sequence[str]
+    ) -> dict[str, Exchanged]:
         """Return by part the inputs that connections feed, and the outputs that they start from."""
         wiring = self._wiring(known, outputs)
         sources = {part: wiring.intakes[part].sources.tolist() for part in known}

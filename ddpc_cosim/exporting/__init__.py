@@ -1,7 +1,7 @@
 """A started controller as an FMU for Co-Simulation, in plain C, which needs no Python."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,12 @@ from ddpc_cosim.safe_calls import controller_code, controller_settings, horizon_
 from ddpc_cosim.study.case_files import sealed_json
 from ddpc_cosim.study.running.provenance import versions
 from ddpc_cosim.variables import Variable, names
-from fmu_plants import Variable as ScalarVariable
 from fmu_plants.export import Progress, export_block
 from fmu_plants.export.sampled_block import SampledBlock
 from fmu_plants.model import ExportError, ExportUsageError, identifier
 
 _RESOURCE = "controller.json"
 _AHEAD = ("now", "at the next sample")
-_OF_SCALAR = tuple(one.name for one in fields(ScalarVariable))
 
 
 def export_controller(
@@ -174,8 +172,7 @@ def write_block(
         raise CosimError(str(error)) from error
 
 
-def _scalar(variable: Variable, **changes: Any) -> ScalarVariable:
+def _scalar(variable: Variable, **changes: Any) -> Variable:
     """Return a signal as a variable of the FMU, which starts within its range."""
-    told = {name: getattr(variable, name) for name in _OF_SCALAR} | changes
-    start = float(np.clip(np.nan_to_num(told["start"]), told["min"], told["max"]))
-    return ScalarVariable(**told | {"start": start})
+    changed = replace(variable, **changes)
+    return replace(changed, start=float(np.clip(np.nan_to_num(changed.start), changed.min, changed.max)))

@@ -17,15 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ddpc_cosim.description import Declarations, DescribedVariable, Signal, Values, elements_of, flat_index
 from ddpc_cosim.errors import ConfigError
-from ddpc_cosim.fmu.description import (
-    FMUDescription,
-    FMUVariable,
-    Signal,
-    elements_of,
-    flat_index,
-)
-from ddpc_cosim.fmu.description.variable_types import Values, integer_range
+from ddpc_cosim.fmu.description.variable_types import integer_range
 from ddpc_cosim.fmu.instance import Instance, ValueType, reference_array
 from ddpc_cosim.fmu.status import SUCCESS, CallError, failed_call
 from ddpc_cosim.plant import ParameterValue as Value
@@ -244,10 +238,10 @@ class StartValues:
 
     Parameters
     ----------
-    description : FMUDescription
-        The FMU.
+    description : Declarations
+        The FMU, or another plant.
     label : str
-        The FMU's file name, for errors.
+        What it is called, for errors.
     values : mapping of str to number or str
         By name; elements of arrays as ``x[2]``.
     driven : sequence of Signal
@@ -263,7 +257,7 @@ class StartValues:
 
     def __init__(
         self,
-        description: FMUDescription,
+        description: Declarations,
         label: str,
         values: Mapping[str, Value],
         driven: Sequence[Signal],
@@ -333,7 +327,7 @@ class StartValues:
             raise ValueError(f"parameter {name} = {value!r} must be a text")
         return signal, value
 
-    def _fault(self, variable: FMUVariable) -> str:
+    def _fault(self, variable: DescribedVariable) -> str:
         """Return why a variable cannot be given a value now; empty if it can."""
         if not variable.is_settable:
             why = "it is constant" if variable.variability == "constant" else "the FMU calculates it"
@@ -402,7 +396,7 @@ class StartValues:
         return float(block.numbers()[0])
 
 
-def _number(variable: FMUVariable, value: Value) -> float:
+def _number(variable: DescribedVariable, value: Value) -> float:
     """Return a value as a number; values of enumerations by their name too."""
     if not isinstance(value, str):
         with suppress(TypeError, OverflowError):  # it is anything but a number, or one too large

@@ -17,7 +17,7 @@ from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.processes.rows import content_of
 from ddpc_cosim.processes.sandbox import Sandbox, entered, is_demanded, require
 from ddpc_cosim.processes.scratch import ScratchFolder
-from ddpc_cosim.processes.worker import LONGEST_REPLY, UnexpectedError, Worker, ask, result_of, serve_calls
+from ddpc_cosim.processes.worker import LostWorkerError, UnexpectedError, Worker, serve_calls
 
 if TYPE_CHECKING:
     from fmu_plants.export.compiler import Compiler
@@ -205,21 +205,22 @@ def _built_in_sandbox(compiler: "Compiler", sources: Path, sets: Sequence[Source
         read = (sources, *_places(Path(compiler.command[0])))
         worker = Worker(serve_calls, folder=folder, sandbox=Sandbox((folder,), read))
         try:
-            ask(worker.channel, _build_alone, compiler, sources, sets, folder / name)
-            fault = result_of(worker.channel.receive(LONGEST_REPLY, seconds=_LONGEST_SECONDS))
-        except TimeoutError as error:
-            raise ExportError(f"it did not end within {_LONGEST_SECONDS:g} s and was ended") from error
+            target = folder / name
+            fault = worker.call(_build_alone, compiler, sources, sets, target, seconds=_LONGEST_SECONDS)
         except UnexpectedError as error:
             raise ExportError(str(error)) from error
-        except (OSError, EOFError, ValueError) as error:
-            ending = worker.end()
-            reason = f"{ending.excess}, so it was ended" if ending.excess else str(ending)
+        except LostWorkerError as error:
+            reason = str(error)
+            if error.ending is None:
+                reason = f"it did not end within {_LONGEST_SECONDS:g} s and was ended"
+            elif error.ending.excess:
+                reason = f"{error.ending.excess}, so it was ended"
             raise ExportError(reason) from error
         finally:
             worker.end()
         if fault:
             raise ExportError(str(fault))
-        library = content_of(folder / name, _LARGEST_FILE)
+        library = content_of(target, _LARGEST_FILE)
         if not library:
             raise ExportError("it wrote no library")
         return library

@@ -9,9 +9,10 @@ import sys
 import warnings
 import weakref
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from threading import TIMEOUT_MAX
-from typing import Any, TypeVar
+from typing import Any, TypeVar, TypeVarTuple
 
 import numpy as np
 
@@ -34,6 +35,7 @@ from ddpc_cosim.texts import recorded
 from ddpc_cosim.variables import FloatArray
 
 T = TypeVar("T")
+Arguments = TypeVarTuple("Arguments")
 _STEP = -1  # where a message has its length
 _LONGEST_REMARK = 300
 # What NumPy and zipfile would import when they are first used there.
@@ -66,7 +68,7 @@ class Frame:
 
 
 class IsolatedSession:
-    """The methods of :class:`FMUSession`, called in a worker.
+    """An :class:`FMUSession` in a worker, in which its methods are called.
 
     A crash, or a call that does not return in time, ends the worker and raises :class:`FMUStepError`; the
     next ``reset`` starts another.
@@ -106,15 +108,25 @@ class IsolatedSession:
         self.time, self.remark = 0.0, ""
         self._worker: Worker | None = self._start()
 
-    def reset(self, *arguments: Any) -> FloatArray:
-        """Initialise the FMU anew, in another process if it has brought down the last one."""
-        if self._worker is None:
+    def call(self, method: Callable[[FMUSession, *Arguments], T], *arguments: *Arguments) -> T:
+        """Call a method of the session; ``reset`` in another process if it has brought down the last one."""
+        name, sent = method.__name__, list[Any](arguments)
+        if name == "reset" and self._worker is None:
             self._worker = self._start()
-        return self._call(self._outputs, "reset", *arguments)
-
-    def set_parameters(self, *arguments: Any) -> None:
-        """Change parameters: as :meth:`FMUSession.set_parameters`."""
-        self._call(_nothing, "set_parameters", *arguments)
+        if name == "save_state":
+            sent = [[self._freed_states.pop() for _ in range(len(self._freed_states))]]
+        if name == "restore_state":
+            sent = [self._number_of(*sent)]
+        worker = self._worker
+        if worker is None:
+            raise ConfigError(f"{self.fmu.label}: {name} before reset")
+        try:
+            worker.channel.send(pickle.dumps((name, sent)))
+            result: T = self._received(name, worker, b"")
+        except BaseException as error:
+            self._end_unless_told(name, error)
+            raise
+        return result
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
@@ -130,39 +142,17 @@ class IsolatedSession:
             if received == answer.size and answer.mark[0] == _STEP:
                 self.time = answer.scalars[1]
                 return answer.values.copy()
-            return self._received(self._outputs, worker, bytes(answer.memory[:received]))
+            outputs: FloatArray = self._received("step", worker, bytes(answer.memory[:received]))
         except BaseException as error:
             self._end_unless_told("step", error)
             raise
+        return outputs
 
-    def outputs_at(self, *arguments: Any) -> FloatArray:
-        """Return the outputs with other inputs: as :meth:`FMUSession.outputs_at`."""
-        return self._call(self._outputs, "outputs_at", *arguments)
-
-    def feedthrough(self, *arguments: Any) -> FloatArray | None:
-        """Return the derivatives of outputs by inputs: as :meth:`FMUSession.feedthrough`."""
-        return self._call(self._derivatives, "feedthrough", *arguments)
-
-    def linearise(self, *arguments: Any) -> LinearModel:
-        """Return the linear model about where the run is: as :meth:`FMUSession.linearise`."""
-        return self._call(_linear_model, "linearise", *arguments)
-
-    def save_state(self) -> object:
-        """Return a handle to a copy of the FMU's state, which stays in the worker."""
-        freed = [self._freed_states.pop() for _ in range(len(self._freed_states))]
-        return _SavedState(self._call(int, "save_state", freed), self._worker, self._freed_states)
-
-    def restore_state(self, state: object) -> None:
-        """Go back to a saved state of this run."""
-        if not isinstance(state, _SavedState) or state.worker is not self._worker:
-            raise ConfigError(f"{self.fmu.label}: the state to restore was not saved in this run")
-        self._call(_nothing, "restore_state", state.number)
-
-    def close(self) -> None:
+    def end(self) -> None:
         """Terminate and free the FMU, and end its process, also if the FMU crashes or does not return."""
         if self._worker is not None:
             try:
-                self._call(_nothing, "close")
+                self.call(FMUSession.close)
             finally:
                 self._end()
 
@@ -180,35 +170,12 @@ class IsolatedSession:
         self._freed_states = []  # those of an earlier worker went with it
         return worker
 
-    def _outputs(self, told: Any) -> FloatArray:
-        if not isinstance(told, np.ndarray) or told.shape != self._reply.values.shape:
-            raise ValueError("it has other outputs")
-        return told
-
-    def _derivatives(self, told: Any) -> FloatArray | None:
-        shape = (len(self.fmu.outputs), len(self.fmu.inputs))
-        if told is not None and (not isinstance(told, np.ndarray) or told.shape != shape):
-            raise ValueError("they are of other outputs")
-        return told
-
-    def _call(self, read: Callable[[Any], T], method: str, *arguments: Any) -> T:
-        """Call a method of the session in the worker; return its result as it is read here."""
-        worker = self._worker
-        if worker is None:
-            raise ConfigError(f"{self.fmu.label}: {method} before reset")
-        try:
-            worker.channel.send(pickle.dumps((method, arguments)))
-            return self._received(read, worker, b"")
-        except BaseException as error:
-            self._end_unless_told(method, error)
-            raise
-
-    def _received(self, read: Callable[[Any], T], worker: Worker, beginning: bytes) -> T:
+    def _received(self, method: str, worker: Worker, beginning: bytes) -> Any:
         """Return what a call returned, or raise what it raised; ValueError: it cannot be read."""
         content = worker.channel.receive(LONGEST_REPLY, beginning, self._timeout)
         try:
             told, time, remark = result_of(content)
-            result, self.time = read(told), float(time)
+            result, self.time = self._read(method, told), float(time)
         except UnexpectedError as error:
             raise FMUStepError(f"{self.fmu.label}: {error}", StepStatus.ERROR, self.time) from error
         except FMUStepError as error:
@@ -218,8 +185,30 @@ class IsolatedSession:
             raise ValueError("the reply cannot be read") from error
         if remark and not self.remark:
             self.remark = recorded(str(remark))[:_LONGEST_REMARK]
-            warnings.warn(f"{self.fmu.label}: {self.remark}", CosimWarning, stacklevel=5)
+            warnings.warn(f"{self.fmu.label}: {self.remark}", CosimWarning, stacklevel=4)
         return result
+
+    def _read(self, method: str, told: Any) -> Any:
+        """Return the result of a method, which is what it has to be; ValueError: it is not."""
+        if method == "linearise":
+            texts = {name: tuple(map(str, told[name])) for name in ("states", "warnings")}
+            return LinearModel(**{**told, **texts})
+        if method == "save_state":
+            return _SavedState(int(told), self._worker, self._freed_states)
+        outputs = (len(self.fmu.outputs),)
+        shapes = dict.fromkeys(("reset", "step", "outputs_at"), outputs)
+        shape = (shapes | {"feedthrough": (*outputs, len(self.fmu.inputs))}).get(method)
+        if shape is None or (told is None and method == "feedthrough"):
+            return None
+        if not isinstance(told, np.ndarray) or told.shape != shape:
+            raise ValueError("it has other outputs")
+        return told
+
+    def _number_of(self, state: object) -> int:
+        """Return the number of a state in the worker."""
+        if not isinstance(state, _SavedState) or state.worker is not self._worker:
+            raise ConfigError(f"{self.fmu.label}: the state to restore was not saved in this run")
+        return state.number
 
     def _end_unless_told(self, method: str, error: BaseException) -> None:
         """End a worker that cannot be talked to any more; raise FMUStepError if that is its own fault."""
@@ -233,15 +222,6 @@ class IsolatedSession:
     def _end(self) -> Ending:
         worker, self._worker = self._worker, None
         return worker.end() if worker is not None else Ending(None)
-
-
-def _nothing(told: Any) -> None:
-    """Read the result of what returns nothing."""
-
-
-def _linear_model(told: Any) -> LinearModel:
-    texts = {name: tuple(map(str, told[name])) for name in ("states", "warnings")}
-    return LinearModel(**{**told, **texts})
 
 
 class _SavedState:
@@ -261,7 +241,8 @@ def serve_session(channel: Channel, fmu: UnpackedFMU) -> None:
         received = request.receive(channel)
         if received < request.size or request.mark[0] != _STEP:
             method, arguments = pickle.loads(channel.receive(sys.maxsize, bytes(request.memory[:received])))
-            reply(channel, lambda: session.told(getattr(session, method)(*arguments)))  # noqa: B023 - at once
+            called = partial(session.call, getattr(_Service, method), *arguments)
+            reply(channel, lambda: session.told(called()))  # noqa: B023 - called at once
             continue
         try:
             answer.values[:] = session.step(request.values, request.scalars[1])

@@ -15,8 +15,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from ddpc_cosim.description import Signal, element
 from ddpc_cosim.fmu.buffers import Port, Shapes, layout
-from ddpc_cosim.fmu.description import FMUDescription, Signal, element
+from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.fmu.instance import Instance, Model, reference_array
 from ddpc_cosim.fmu.status import FATAL, CallError
 from ddpc_cosim.variables import FloatArray

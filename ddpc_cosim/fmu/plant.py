@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from numbers import Real
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -208,19 +206,19 @@ class FMUPlant(Plant):
         """
         arguments = parameters or {}, t0, self._stop_time
         try:
-            return self._session.reset(*arguments)
+            return self._session.call(FMUSession.reset, *arguments)
         except FMUImportError as error:
             fmu = self._fmu
             if not self._may_fall_back or fmu.interface.kind == "model-exchange" or not fmu.is_for_both:
                 raise
-            self._session.close()
+            self._session.end()
             with demanded(self._sandboxed):
                 self._fmu = for_model_exchange(fmu)
             reason = str(error).removeprefix(f"{fmu.label}: ")
             self._warnings = (*self.warnings, f"runs for Model Exchange: {reason}")
             self._session = self._open(self._fmu)
             self._step = self._session.step
-            return self._session.reset(*arguments)
+            return self._session.call(FMUSession.reset, *arguments)
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,)."""
@@ -228,15 +226,15 @@ class FMUPlant(Plant):
 
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, and inputs that are not driven, from the next step on."""
-        self._session.set_parameters(parameters)
+        self._session.call(FMUSession.set_parameters, parameters)
 
     def outputs_at(self, u: FloatArray) -> FloatArray:
         """Return the outputs now, shape (p,), at other inputs u, shape (m,)."""
-        return self._session.outputs_at(np.array(u, dtype=np.float64))
+        return self._session.call(FMUSession.outputs_at, np.array(u, dtype=np.float64))
 
     def feedthrough(self, u: FloatArray) -> FloatArray | None:
         """Return the FMU's derivatives of outputs by inputs at u, shape (p, m); None if it tells none."""
-        return self._session.feedthrough(np.array(u, dtype=np.float64))
+        return self._session.call(FMUSession.feedthrough, np.array(u, dtype=np.float64))
 
     @property
     def can_linearise(self) -> bool:
@@ -280,7 +278,7 @@ class FMUPlant(Plant):
         >>> plant.close()
         """
         held = None if u is None else np.array(u, dtype=np.float64)
-        model = self._session.linearise(held, derivatives)
+        model = self._session.call(FMUSession.linearise, held, derivatives)
         for warning in model.warnings:
             if warning not in self.warnings:
                 self._warnings += (warning,)
@@ -294,16 +292,16 @@ class FMUPlant(Plant):
 
     def save_state(self) -> object:
         """Return a copy of the FMU's state, for :meth:`restore_state` until the next reset."""
-        return self._session.save_state()
+        return self._session.call(FMUSession.save_state)
 
     def restore_state(self, state: object) -> None:
         """Go back to a saved state."""
-        self._session.restore_state(state)
+        self._session.call(FMUSession.restore_state, state)
 
     def close(self) -> None:
         """Terminate and free the FMU and remove its temporary folder."""
         try:
-            self._session.close()
+            self._session.end()
         finally:
             self._scratch.remove()
 
@@ -339,11 +337,3 @@ class FMUPlant(Plant):
             "fmu_tool": description.generation_tool,
             **told,
         }
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -6,22 +6,22 @@ Call order: ``reset`` once per run, then ``step`` with ``set_parameters``, ``sav
 
 import warnings
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TypeVar, TypeVarTuple
 from weakref import WeakValueDictionary
 
 import numpy as np
 
+from ddpc_cosim.description import Signal, choose_signals
 from ddpc_cosim.errors import ConfigError, CosimWarning, FMUImportError, FMUStepError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
 from ddpc_cosim.fmu.arithmetic import KeptArithmetic, is_usual, unusual_state
 from ddpc_cosim.fmu.buffers import Port, Shapes, StartValues
 from ddpc_cosim.fmu.co_simulation import CoSimulationRun, StepSizes
-from ddpc_cosim.fmu.description import FMUDescription, Interface, Signal, choose_interface, choose_signals
+from ddpc_cosim.fmu.description import FMUDescription, Interface, choose_interface
 from ddpc_cosim.fmu.description.reader import read_description
 from ddpc_cosim.fmu.fmi1 import Fmi1Model, Fmi1Slave
 from ddpc_cosim.fmu.fmi2 import Fmi2Model, Fmi2Slave
@@ -43,6 +43,8 @@ from ddpc_cosim.fmu.status import DISCARD, FATAL, CallError
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.variables import FloatArray
 
+T = TypeVar("T")
+Arguments = TypeVarTuple("Arguments")
 _SLAVES: dict[int, type[Slave]] = {1: Fmi1Slave, 2: Fmi2Slave, 3: Fmi3Slave}
 _MODELS: dict[int, type[Model]] = {1: Fmi1Model, 2: Fmi2Model, 3: Fmi3Model}
 _DEFAULT_TOLERANCE = 1e-6
@@ -187,25 +189,10 @@ def _starting_at(start: Mapping[str, float], signal: Signal) -> Signal:
     return replace(signal, variable=replace(variable, start=start.get(variable.name, variable.start)))
 
 
-_Method = TypeVar("_Method", bound=Callable[..., Any])
-
-
-def _keeps_arithmetic(method: _Method) -> _Method:
-    """Have this process compute after a method as it did before it, whatever the FMU does to that."""
-
-    @wraps(method)
-    def kept(self: "FMUSession", *args: Any) -> Any:
-        try:
-            with self._arithmetic:
-                return method(self, *args)
-        finally:
-            self._tell_change()
-
-    return cast("_Method", kept)
-
-
 class FMUSession:
     """One FMU in this process: what is behind the methods of :class:`FMUPlant`, which say what they raise.
+
+    Each but :meth:`step` is called by :meth:`call`, here or in another process.
 
     Parameters
     ----------
@@ -228,7 +215,19 @@ class FMUSession:
         self._ending: CallError | None = None
         self._arithmetic, self.remark = KeptArithmetic(), ""
 
-    @_keeps_arithmetic
+    def call(self, method: Callable[["FMUSession", *Arguments], T], *arguments: *Arguments) -> T:
+        """Call a method; a call of the FMU's that failed is raised as an error of the contract.
+
+        This process computes afterwards as it did before, whatever the FMU does to that.
+        """
+        try:
+            with self._arithmetic:
+                return method(self, *arguments)
+        except CallError as error:
+            raise self._failure(error) from error
+        finally:
+            self._tell_change()
+
     def reset(
         self, parameters: Mapping[str, ParameterValue], t0: float, stop_time: float | None
     ) -> FloatArray:
@@ -240,23 +239,20 @@ class FMUSession:
         fmu = self.fmu
         driven = [signal for signal in fmu.inputs if signal.variable.name not in fmu.start]
         values = StartValues(fmu.description, fmu.label, {**fmu.start, **parameters}, driven)
-        self.close()
+        self.end()
         self._time, self._ending = t0, None
         instance = self._instantiate()
-        with self._told():
-            values.set_structural(instance)
-            instance.initialize(
-                t0, stop_time, fmu.tolerance, lambda: values.set_before_initialization(instance)
-            )
-            instance.complete_initialization()
-            self._may_terminate = True
-            self._shapes = values.shapes
-            inputs = Port(instance, fmu.inputs, values.shapes)
-            outputs = Port(instance, fmu.outputs, values.shapes)
-            inputs.fetch()
-            self._run = _start_run(fmu, instance, inputs, outputs, t0)
-            values.check_taken(instance)
-            return self._run.outputs()
+        values.set_structural(instance)
+        instance.initialize(t0, stop_time, fmu.tolerance, lambda: values.set_before_initialization(instance))
+        instance.complete_initialization()
+        self._may_terminate = True
+        self._shapes = values.shapes
+        inputs = Port(instance, fmu.inputs, values.shapes)
+        outputs = Port(instance, fmu.outputs, values.shapes)
+        inputs.fetch()
+        self._run = _start_run(fmu, instance, inputs, outputs, t0)
+        values.check_taken(instance)
+        return self._run.outputs()
 
     def step(self, u: FloatArray, h: float) -> FloatArray:
         """Hold the inputs u, shape (m,), over h [s] and return the outputs at its end, shape (p,).
@@ -267,30 +263,33 @@ class FMUSession:
         run = self._run
         if run is None or self._ending is not None:
             run = self._started("step")
-        before = unusual_state()  # as every other method, with two calls less
+        before = unusual_state()  # as by `call`, with two calls less
         try:
             return run.step(u, h)
         except CallError as error:
-            if error.reached is not None and error.reached >= run.end_of_sample - _ONE_INSTANT * h:
-                with self._told():
-                    last = run.outputs()
-                    self._time, self._ending = run.end_of_sample, error
-                    return last
-            raise self._failure(error) from error
+            return self._last_outputs(run, h, error)
         finally:
             if before is not None or not is_usual():
                 self._arithmetic.put_back(before)
                 self._tell_change()
 
-    @_keeps_arithmetic
+    def _last_outputs(self, run: Run, h: float, error: CallError) -> FloatArray:
+        """Return the outputs where the FMU ended at the end of a step; raise the error if it did not."""
+        if error.reached is None or error.reached < run.end_of_sample - _ONE_INSTANT * h:
+            raise self._failure(error) from error
+        try:
+            last = run.outputs()
+        except CallError as fault:
+            raise self._failure(fault) from fault
+        self._time, self._ending = run.end_of_sample, error
+        return last
+
     def set_parameters(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Change tunable parameters, and inputs that are not driven, from the next step on."""
         run, fmu = self._started("set_parameters"), self.fmu
         values = StartValues(fmu.description, fmu.label, parameters, fmu.inputs, tunable_only=True)
-        with self._told():
-            run.change(values.set_during_run)
+        run.change(values.set_during_run)
 
-    @_keeps_arithmetic
     def linearise(self, u: FloatArray | None, derivatives: Derivatives) -> LinearModel:
         """Return the linear model about where the run is, with the inputs u, shape (m,), held from now on."""
         run, fmu = self._started("linearise"), self.fmu
@@ -306,28 +305,22 @@ class FMUSession:
         told = has_directional_derivatives(run.model, fmu.description, self._shapes)
         if derivatives == "directional" and not told:
             raise ConfigError(f"{fmu.label}: the FMU has no directional derivatives; differences do without")
-        with self._told():
-            if u is not None:
-                run.hold(u)
-            return linearise(
-                run.model,
-                fmu.inputs,
-                fmu.outputs,
-                self._shapes,
-                fmu.description,
-                directional=told and derivatives != "differences",
-            )
+        if u is not None:
+            run.hold(u)
+        return linearise(
+            run.model,
+            fmu.inputs,
+            fmu.outputs,
+            self._shapes,
+            fmu.description,
+            directional=told and derivatives != "differences",
+        )
 
-    @_keeps_arithmetic
     def outputs_at(self, u: FloatArray) -> FloatArray:
         """Return the outputs now with other inputs u, shape (m,)."""
         run = self._started("outputs_at")
-        try:
-            return run.at_inputs(u, run.outputs)
-        except CallError as error:
-            raise self._failure(error) from error
+        return run.at_inputs(u, run.outputs)
 
-    @_keeps_arithmetic
     def feedthrough(self, u: FloatArray) -> FloatArray | None:
         """Return the derivatives of the outputs by the inputs, shape (p, m), at u; None: not known."""
         run, fmu = self._started("feedthrough"), self.fmu
@@ -340,26 +333,21 @@ class FMUSession:
             return run.at_inputs(u, lambda: directional_derivatives(*arguments))
         except CallError as error:
             if error.code == FATAL:
-                raise self._failure(error) from error
+                raise
             return None
 
-    @_keeps_arithmetic
     def save_state(self) -> object:
         """Return a copy of the FMU's state, for :meth:`restore_state` of the same run."""
         run = self._started("save_state")
         if not self.fmu.interface.can_save_state:
             reason = "the FMU cannot save its state (canGetAndSetFMUstate is false)"
             raise ConfigError(f"{self.fmu.label}: {reason}")
-        with self._told():
-            return run.save_state()
+        return run.save_state()
 
-    @_keeps_arithmetic
     def restore_state(self, state: object) -> None:
         """Go back to a saved state of this run."""
         self._ending = None  # back to before it
-        run = self._started("restore_state")
-        with self._told():
-            run.restore_state(state)
+        self._started("restore_state").restore_state(state)
 
     @property
     def time(self) -> float:
@@ -371,7 +359,10 @@ class FMUSession:
         """What the FMU has logged last."""
         return tuple(self._instance.log.lines) if self._instance is not None else ()
 
-    @_keeps_arithmetic
+    def end(self) -> None:
+        """Call :meth:`close`."""
+        self.call(FMUSession.close)
+
     def close(self) -> None:
         """Terminate and free the FMU."""
         run, instance = self._run, self._instance
@@ -413,14 +404,6 @@ class FMUSession:
         self._instance = instance
         self._finalizer = weakref.finalize(self, _free, instance)
         return instance
-
-    @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Turn a call that failed into an error of the contract."""
-        try:
-            yield
-        except CallError as error:
-            raise self._failure(error) from error
 
     def _failure(self, error: CallError) -> FMUStepError:
         details = "; the FMU asks to terminate" if error.asks_to_terminate else ""

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ddpc_cosim.description import DescribedVariable
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.archive import UnpackLimits, unpack
-from ddpc_cosim.fmu.description import INTERFACES, Clock, FMUDescription, FMUVariable, Interface
+from ddpc_cosim.fmu.description import INTERFACES, Clock, FMUDescription, Interface, is_sampled
 from ddpc_cosim.fmu.description.defects import Defect, Findings, Kind, Severity
 from ddpc_cosim.fmu.description.reader import read_tolerantly
 from ddpc_cosim.inspection.binaries import Binaries, check_binaries
@@ -22,6 +23,7 @@ UNREADABLE = Kind("unreadable", Severity.ERROR, "the model description cannot be
 INVALID = Kind("invalid", Severity.WARNING, "found by the full validation")
 
 _NO_BINARIES = Binaries((), False, "")
+_NOTHING = FMUDescription("", "", "", {}, {})  # declared by what cannot be read
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,11 @@ class Inspection:
         return all(defect.severity is not Severity.ERROR for defect in self.defects)
 
     @property
+    def declared(self) -> FMUDescription:
+        """The description, of which nothing is left if it cannot be read."""
+        return self.description or _NOTHING
+
+    @property
     def inputs(self) -> tuple[Variable, ...]:
         """The numbers that a controller can drive; arrays element by element."""
         return self._signals("input")
@@ -67,38 +74,46 @@ class Inspection:
         return self._signals("output")
 
     @property
-    def parameters(self) -> tuple[FMUVariable, ...]:
+    def parameters(self) -> tuple[DescribedVariable, ...]:
         """The parameters that a study can set."""
-        variables = self.description.variables.values() if self.description else ()
+        variables = self.declared.variables.values()
         return tuple(v for v in variables if v.causality in ("parameter", "structuralParameter"))
 
     @property
     def states(self) -> tuple[Variable, ...]:
         """The continuous states that the description names."""
-        if self.description is None:
-            return ()
-        variables = self.description.variables
-        return tuple(variables[name].variable for name in self.description.states if name in variables)
+        variables = self.declared.variables
+        return tuple(variables[name].variable for name in self.declared.states if name in variables)
 
     @property
     def interfaces(self) -> tuple[Interface, ...]:
         """In which ways it can be run, the preferred one first."""
-        found = self.description.interfaces if self.description else {}
+        found = self.declared.interfaces
         return tuple(found[kind] for kind in INTERFACES if kind in found)
+
+    @property
+    def clocks(self) -> dict[Clock, bool]:
+        """Its clocks, and whether they tick here."""
+        preferred = self.declared.preferred
+        ticking = self.declared.ticking_clocks(preferred) if preferred else ()
+        return {clock: clock in ticking for clock in self.declared.clocks}
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether it is a sampled block, such as an exported controller."""
+        return is_sampled([*self.declared.signals("input")])
 
     @property
     def feedthrough(self) -> dict[str, tuple[str, ...] | None]:
         """The inputs on which each output depends without delay; None where the FMU does not say."""
-        if self.description is None:
-            return {}
-        inputs = {v.name for v in self.description.variables.values() if v.causality == "input"}
+        inputs = {v.name for v in self.declared.variables.values() if v.causality == "input"}
         return {
             output: None if names is None else tuple(name for name in names if name in inputs)
-            for output, names in self.description.dependencies.items()
+            for output, names in self.declared.dependencies.items()
         }
 
     def _signals(self, causality: str) -> tuple[Variable, ...]:
-        return tuple(s.variable for s in self.description.signals(causality)) if self.description else ()
+        return tuple(s.variable for s in self.declared.signals(causality))
 
 
 def inspect_fmu(
@@ -194,7 +209,7 @@ def as_data(inspection: Inspection) -> dict[str, Any]:
         "outputs": variables_as_data(inspection.outputs),
         "parameters": [_parameter(variable) for variable in inspection.parameters],
         "states": variables_as_data(inspection.states),
-        "clocks": [_clock(clock) for clock in description.clocks] if description else [],
+        "clocks": [_clock(clock) for clock in inspection.clocks],
         "direct_feedthrough": {
             output: None if inputs is None else list(inputs)
             for output, inputs in inspection.feedthrough.items()
@@ -274,7 +289,7 @@ def _clock(clock: Clock) -> dict[str, Any]:
     }
 
 
-def _parameter(parameter: FMUVariable) -> dict[str, Any]:
+def _parameter(parameter: DescribedVariable) -> dict[str, Any]:
     return {
         **_variable(parameter.variable),
         "type": parameter.type,

@@ -2,8 +2,9 @@
 
 import re
 
+from ddpc_cosim.description import DescribedVariable
 from ddpc_cosim.fmu.archive import is_file_name
-from ddpc_cosim.fmu.description import INTERFACES, FMUDescription, FMUVariable
+from ddpc_cosim.fmu.description import INTERFACES, FMUDescription
 from ddpc_cosim.fmu.description.defects import BAD_EXPERIMENT, Findings, Kind, Severity
 
 _C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -95,7 +96,7 @@ def _check_experiment(description: FMUDescription, findings: Findings) -> None:
 
 def _check_references(description: FMUDescription, findings: Findings) -> None:
     # References are per type in FMI 1.0 and 2.0 (enumerations are integers), and unique in FMI 3.0.
-    groups: dict[tuple[str, int], FMUVariable | list[FMUVariable]] = {}
+    groups: dict[tuple[str, int], DescribedVariable | list[DescribedVariable]] = {}
     for variable in description.variables.values():
         if variable.alias_of:
             continue
@@ -116,7 +117,7 @@ def _check_references(description: FMUDescription, findings: Findings) -> None:
             findings.add(ALIAS_UNITS, " and ".join(units))
 
 
-def _check_variable(variable: FMUVariable, description: FMUDescription, findings: Findings) -> None:
+def _check_variable(variable: DescribedVariable, description: FMUDescription, findings: Findings) -> None:
     name, unit = variable.name, variable.variable.unit
     if name != name.strip() or not name.isprintable():
         findings.add(ILLEGAL_NAME, repr(name))
@@ -132,7 +133,7 @@ def _check_variable(variable: FMUVariable, description: FMUDescription, findings
         findings.add(NEEDLESS_START, name)
 
 
-def _check_range(variable: FMUVariable, findings: Findings) -> None:
+def _check_range(variable: DescribedVariable, findings: Findings) -> None:
     name, low, high = variable.name, variable.variable.min, variable.variable.max
     start = variable.variable.start
     has_start = len((variable.start_text or "").split()) == 1  # not the values of an array

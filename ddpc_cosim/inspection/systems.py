@@ -144,7 +144,8 @@ def as_data(inspection: SystemInspection) -> dict[str, Any]:
         "system": system.name if system else None,
         "ssp_version": system.version if system else None,
         "default_experiment": {
-            key: getattr(system, key) if system else None for key in ("start_time", "stop_time", "step_size")
+            key: getattr(system.default_experiment, key) if system else None
+            for key in ("start_time", "stop_time", "step_size")
         },
         "parts": [
             {

@@ -50,6 +50,20 @@ class UnexpectedError(Exception):
     """What was called in a worker raised an error that is not of this project's family."""
 
 
+class LostWorkerError(Exception):
+    """A worker has not returned what it was asked for, and was ended.
+
+    Parameters
+    ----------
+    ending : Ending or None
+        How its process ended; None: it was not done in time.
+    """
+
+    def __init__(self, ending: Ending | None) -> None:
+        super().__init__("not done in time" if ending is None else str(ending))
+        self.ending = ending
+
+
 _ERRORS: dict[str, type[Any]] = {"": UnexpectedError} | {
     name: kind
     for name, kind in vars(errors).items()
@@ -273,6 +287,25 @@ class Worker:
         except BaseException:
             self.end()
             raise
+
+    def call(self, function: Callable[..., Any], *arguments: Any, seconds: float) -> Any:
+        """Have a worker that serves calls call a function within so many seconds; return its result.
+
+        Raises
+        ------
+        LostWorkerError
+            It has crashed, or was not done in time, and was ended.
+        CosimError, UnexpectedError
+            What the function raised.
+        """
+        try:
+            ask(self.channel, function, *arguments)
+            return result_of(self.channel.receive(LONGEST_REPLY, seconds=seconds))
+        except TimeoutError as error:
+            self.end()
+            raise LostWorkerError(None) from error
+        except (OSError, EOFError, ValueError) as error:
+            raise LostWorkerError(self.end()) from error
 
     def end(self) -> Ending:
         """End the process and all that it has forked; return how it ended, if it had not been ended before.

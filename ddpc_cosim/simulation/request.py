@@ -5,12 +5,13 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.csv_files import Column, CSVFile, plain_cells, read_table, split_unit
+from ddpc_cosim.description import PlantDescription, choose_signals
 from ddpc_cosim.errors import ConfigError, DataError
 from ddpc_cosim.loop_setup import end_time, whole_steps
 from ddpc_cosim.plant import FMIType, ParameterValue
@@ -19,12 +20,9 @@ from ddpc_cosim.signals import Interpolated, Steps, values_at
 from ddpc_cosim.simulation.golden import TIME, Golden
 from ddpc_cosim.study.cases import Case
 from ddpc_cosim.study.file_format.sections import PlantSection
-from ddpc_cosim.study.plants import PlantSpec, read_fmu
-from ddpc_cosim.variables import FloatArray, PlantVariables, Variable, converter
+from ddpc_cosim.study.plants import PlantSpec
+from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.spelling import did_you_mean
-
-if TYPE_CHECKING:
-    from ddpc_cosim.fmu.description import FMUDescription
 
 _INTERVALS, _DURATION, _MOST_SAMPLES = 500, 10.0, 1_000_000
 _MOST_LOCALS = 50
@@ -71,45 +69,19 @@ class _Faults(list[str]):
 
 
 class _Subject:
-    """A plant to simulate: what can be driven, set and recorded, and what its author had in mind."""
+    """A plant to simulate: what can be driven, set and recorded."""
 
-    def __init__(self, request: Request) -> None:
-        path = Path(request.plant)
-        is_file = path.suffix.lower() in (".fmu", ".ssp") or (bool(path.suffix) and path.is_file())
-        if is_file and not path.is_file():
-            raise ConfigError(f"{path}: no such file")
-        if request.fmi_type not in (allowed := get_args(FMIType)):
-            raise ConfigError(
-                f"fmi_type = {request.fmi_type!r} is not possible; allowed: {', '.join(allowed)}"
-            )
-        what = "name" if not is_file else "ssp" if path.suffix.lower() == ".ssp" else "fmu"
-        of_fmus = {"trace_calls": request.trace_calls, "fmi_type": request.fmi_type != "auto"}
-        if what == "ssp" and any(of_fmus.values()):
-            given = next(key for key, value in of_fmus.items() if value)
-            raise ConfigError(f"{path}: {given} is of one FMU, and this is a system of several")
-        named: dict[str, Any] = {what: request.plant}
-        section = PlantSection(**named, fmi_type=request.fmi_type)
-        self.label = path.name if is_file else request.plant
-        self.spec = PlantSpec.of(section, Path.cwd()).built()
-        self.variables: PlantVariables = self.spec.variables()
-        self.description: FMUDescription | None = read_fmu(Path(self.spec.fmu)) if self.spec.fmu else None
-
-    @property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """The sizes of arrays of numbers by name."""
-        known = self.description.variables.values() if self.description else ()
-        return {variable.name: variable.shape for variable in known if variable.shape and variable.is_numeric}
+    def __init__(self, label: str, spec: PlantSpec, description: PlantDescription) -> None:
+        self.label, self.spec, self.description = label, spec, description
 
     def holds(self, name: str) -> bool:
         """Whether an input changes only at rows of a file: all but continuous real ones."""
-        signal = self.description.signal(name) if self.description else None
-        return signal is not None and not (
-            signal.source.values == "real" and signal.source.variability == "continuous"
-        )
+        signal = self.description.signal(name)
+        return self.is_whole(name) or (signal is not None and signal.source.variability != "continuous")
 
     def is_whole(self, name: str) -> bool:
         """Whether the values of an input are integers."""
-        signal = self.description.signal(name) if self.description else None
+        signal = self.description.signal(name)
         return signal is not None and signal.source.values != "real"
 
     def readable(
@@ -122,16 +94,73 @@ class _Subject:
         ConfigError
             There are no such variables; all of them at once.
         """
-        notes = list[str]()
-        if self.description is None:
-            known = self.variables.outputs
-            unknown = [name for name in wanted or () if name not in known]
-            if unknown:
-                raise ConfigError([f'no output "{name}"; {did_you_mean(name, known)}' for name in unknown])
-            usual = self.variables.default_outputs or known
-            return [known[name] for name in dict.fromkeys(wanted or usual)], notes
-        from ddpc_cosim.fmu.description import choose_signals
+        known = self.description.outputs
+        unknown = [name for name in wanted or () if name not in known]
+        if unknown:
+            raise ConfigError([f'no output "{name}"; {did_you_mean(name, known)}' for name in unknown])
+        usual = self.description.default_outputs or known
+        return [known[name] for name in dict.fromkeys(wanted or usual)], []
 
+    def reasons(self) -> dict[str, str]:
+        """Return by variable why it is not recorded, if it is not chosen or cannot be."""
+        return dict.fromkeys(self.description.outputs, "not recorded")
+
+    def parameters(
+        self, values: Mapping[str, ParameterValue], driven: Sequence[str]
+    ) -> dict[str, ParameterValue]:
+        """Return parameters and start values in their units.
+
+        Raises
+        ------
+        ConfigError
+            There are no such ones, their units or values are not possible; all faults at once.
+        """
+        faults, converted = _Faults(), dict[str, ParameterValue]()
+        for name, value in values.items():
+            if (plain := faults.collect(self._value, name, value)) is not None:
+                converted[name] = plain
+        faults.collect(self._check_values, converted, driven)
+        if faults:
+            raise ConfigError(faults)
+        return converted
+
+    def _check_values(self, values: Mapping[str, ParameterValue], driven: Sequence[str]) -> None:
+        """Raise ConfigError for values that are not possible, as far as that is known before the run."""
+
+    def _parameter(self, name: str) -> Variable:
+        """Return the variable that a value is given for; one without a unit if it is not known."""
+        return self.description.parameters.get(name, Variable(name))
+
+    def _value(self, name: str, value: ParameterValue) -> ParameterValue:
+        """Return a value in the variable's own unit: a text may be a number with a unit."""
+        if value is None:
+            raise ConfigError(f"{self.label}: {name} = None is not possible; needed: a number or a text")
+        signal = self.description.signal(name)
+        if not isinstance(value, str) or (signal is not None and signal.source.values == "text"):
+            return value
+        match = _QUANTITY.fullmatch(value)
+        try:
+            number = float(match["number"]) if match else math.nan
+        except ValueError:
+            return value  # the name of an enumeration's value, or a boolean: what it can be, is checked later
+        if self.is_whole(name) and _INTEGER.fullmatch(value):
+            return int(value)  # to the last digit
+        if match is None or math.isnan(number):
+            raise ConfigError(f"{self.label}: {name} = {value!r} is not a number")
+        try:
+            return float(converter(self._parameter(name), match["unit"].strip())(number))
+        except ConfigError as error:
+            raise ConfigError(f"{self.label}: {name} = {value}: {error}") from error
+
+
+class _FMUSubject(_Subject):
+    """An FMU, of which more than outputs can be recorded, and whose values are checked before it runs."""
+
+    def readable(
+        self, wanted: Sequence[str] | None, golden: CSVFile | None
+    ) -> tuple[list[Variable], list[str]]:
+        """Return what is recorded, and what there is to say of the choice; errors as of any plant."""
+        notes = list[str]()
         if wanted is None:
             chosen, notes = self._default_outputs()
             compared = [split_unit(header)[0] for header in golden.header] if golden else []
@@ -139,14 +168,18 @@ class _Subject:
         _, signals = choose_signals(self.description, self.label, [], wanted)
         return [signal.variable for signal in signals], notes
 
+    def reasons(self) -> dict[str, str]:
+        """Return by variable why it is not recorded, if it is not chosen or cannot be."""
+        variables = self.description.variables.values()
+        return {v.name: "not recorded" if v.is_numeric else f"{v.type} is not a number" for v in variables}
+
     def _is_readable(self, name: str) -> bool:
         """Whether a name is that of a number which the FMU calculates or has."""
-        signal = self.description.signal(name) if self.description else None
+        signal = self.description.signal(name)
         return signal is not None and signal.source.is_numeric and signal.source.causality != "independent"
 
     def _default_outputs(self) -> tuple[list[str], list[str]]:
         description = self.description
-        assert description is not None
         declared = [signal.variable.name for signal in description.signals("output")]
         if declared:
             every = [v for v in description.variables.values() if v.causality == "output"]
@@ -164,50 +197,35 @@ class _Subject:
         some = f"the first {_MOST_LOCALS} of {len(found)}" if len(found) > _MOST_LOCALS else "all"
         return found[:_MOST_LOCALS], [f"the FMU has no outputs: local variables are recorded, {some}"]
 
-    def parameters(
-        self, values: Mapping[str, ParameterValue], driven: Sequence[str]
-    ) -> dict[str, ParameterValue]:
-        """Return parameters and start values in their units.
+    def _check_values(self, values: Mapping[str, ParameterValue], driven: Sequence[str]) -> None:
+        from ddpc_cosim.fmu.buffers import StartValues
 
-        Raises
-        ------
-        ConfigError
-            There are no such ones, their units or values are not possible; all faults at once.
-        """
-        faults, converted = _Faults(), dict[str, ParameterValue]()
-        for name, value in values.items():
-            if (plain := faults.collect(self._value, name, value)) is not None:
-                converted[name] = plain
-        if self.description is not None:
-            from ddpc_cosim.fmu.buffers import StartValues
+        signals = [s for s in map(self.description.signal, driven) if s is not None]
+        StartValues(self.description, self.label, values, signals)
 
-            signals = [s for s in map(self.description.signal, driven) if s is not None]
-            faults.collect(StartValues, self.description, self.label, converted, signals)
-        if faults:
-            raise ConfigError(faults)
-        return converted
+    def _parameter(self, name: str) -> Variable:
+        signal = self.description.signal(name)
+        return super()._parameter(name) if signal is None else signal.variable
 
-    def _value(self, name: str, value: ParameterValue) -> ParameterValue:
-        """Return a value in the variable's own unit: a text may be a number with a unit."""
-        if value is None:
-            raise ConfigError(f"{self.label}: {name} = None is not possible; needed: a number or a text")
-        signal = self.description.signal(name) if self.description else None
-        if not isinstance(value, str) or (signal is not None and signal.source.values == "text"):
-            return value
-        match = _QUANTITY.fullmatch(value)
-        try:
-            number = float(match["number"]) if match else math.nan
-        except ValueError:
-            return value  # the name of an enumeration's value, or a boolean: what it can be, is checked later
-        if self.is_whole(name) and _INTEGER.fullmatch(value):
-            return int(value)  # to the last digit
-        if match is None or math.isnan(number):
-            raise ConfigError(f"{self.label}: {name} = {value!r} is not a number")
-        variable = signal.variable if signal else self.variables.parameters.get(name, Variable(name))
-        try:
-            return float(converter(variable, match["unit"].strip())(number))
-        except ConfigError as error:
-            raise ConfigError(f"{self.label}: {name} = {value}: {error}") from error
+
+def _subject(request: Request) -> _Subject:
+    """Return the plant that a request names, ready to run."""
+    path = Path(request.plant)
+    is_file = path.suffix.lower() in (".fmu", ".ssp") or (bool(path.suffix) and path.is_file())
+    if is_file and not path.is_file():
+        raise ConfigError(f"{path}: no such file")
+    if request.fmi_type not in (allowed := get_args(FMIType)):
+        raise ConfigError(f"fmi_type = {request.fmi_type!r} is not possible; allowed: {', '.join(allowed)}")
+    what = "name" if not is_file else "ssp" if path.suffix.lower() == ".ssp" else "fmu"
+    of_fmus = {"trace_calls": request.trace_calls, "fmi_type": request.fmi_type != "auto"}
+    if what == "ssp" and any(of_fmus.values()):
+        given = next(key for key, value in of_fmus.items() if value)
+        raise ConfigError(f"{path}: {given} is of one FMU, and this is a system of several")
+    named: dict[str, Any] = {what: request.plant}
+    section = PlantSection(**named, fmi_type=request.fmi_type)
+    spec = PlantSpec.of(section, Path.cwd()).built()
+    label = path.name if is_file else request.plant
+    return (_FMUSubject if spec.fmu else _Subject)(label, spec, spec.variables())
 
 
 def prepare(request: Request) -> Prepared:
@@ -220,16 +238,16 @@ def prepare(request: Request) -> Prepared:
     CosimError
         The plant cannot be loaded.
     """
-    subject, faults = _Subject(request), _Faults()
+    subject, faults = _subject(request), _Faults()
     if not 0 < request.step_timeout < math.inf:
         faults.append(f"step_timeout = {request.step_timeout} is not possible; allowed: a finite number > 0")
     outputs, notes = faults.collect(subject.readable, request.outputs, request.golden) or ([], [])
     driven = faults.collect(_read_inputs, subject, request.inputs) or {} if request.inputs else {}
     values = faults.collect(subject.parameters, request.values, list(driven))
-    known = {v.name: v for v in (*outputs, *(subject.variables.inputs[name] for name in driven))}
+    known = {v.name: v for v in (*outputs, *(subject.description.inputs[name] for name in driven))}
     golden = None
     if request.golden is not None:
-        golden = faults.collect(Golden, request.golden, known, subject.shapes, _texts_of(subject))
+        golden = faults.collect(Golden, request.golden, known, subject.description.shapes, subject.reasons())
     times = faults.collect(_times, subject, request, driven, golden)
     if times is not None:
         start, step, count, chosen = times
@@ -271,7 +289,7 @@ def prepare(request: Request) -> Prepared:
         parameters=values or {},
         noise={},
         conditions=Conditions(inputs=driven),
-        undriven=tuple(subject.variables.inputs[name] for name in driven),
+        undriven=tuple(subject.description.inputs[name] for name in driven),
         step_timeout=request.step_timeout,
         id="simulation",
     )
@@ -286,8 +304,8 @@ def _read_inputs(subject: _Subject, file: CSVFile) -> dict[str, Steps]:
     ConfigError, DataError
         All that is wrong with its columns, or with its cells.
     """
-    known = subject.variables.inputs
-    file = plain_cells(file, subject.shapes)
+    known = subject.description.inputs
+    file = plain_cells(file, subject.description.shapes)
     given = [name for header in file.header if (name := split_unit(header)[0]) != TIME]
     faults = [
         f'{file.path}: column "{name}" is not an input; {did_you_mean(name, known)}'
@@ -324,23 +342,11 @@ def _impossible(
     return [f"{what} = {values[i]:g} at t = {time[i]:g} s is not possible; allowed: {needed}"]
 
 
-def _texts_of(subject: _Subject) -> dict[str, str]:
-    """Return the variables that cannot be recorded, with the reason, and those that could be."""
-    if subject.description is None:
-        return dict.fromkeys(subject.variables.outputs, "not recorded")
-    variables = subject.description.variables.values()
-    return {v.name: "not recorded" if v.is_numeric else f"{v.type} is not a number" for v in variables}
-
-
 def _times(
     subject: _Subject, request: Request, driven: Mapping[str, Steps], golden: Golden | None
 ) -> tuple[float, float, int, list[str]]:
     """Return start time, time between samples [s], number of intervals, and what was chosen."""
-    from ddpc_cosim.fmu.description import DefaultExperiment
-
-    coupled = subject.spec.coupled
-    experiment = DefaultExperiment(*coupled.experiment) if coupled else DefaultExperiment()
-    experiment = subject.description.default_experiment if subject.description else experiment
+    experiment = subject.description.default_experiment
     start, notes, faults = experiment.start_time or 0.0, list[str](), list[str]()
     stop, step = request.stop, request.step
     if stop is None and golden is not None and golden.time[-1] > start:
@@ -379,8 +385,7 @@ def _times(
 def _default_step(subject: _Subject, preferred: float | None, duration: float) -> tuple[float, list[str]]:
     if preferred and 0 < preferred <= duration and duration / preferred <= _MOST_SAMPLES:
         return preferred, []
-    step, interfaces = duration / _INTERVALS, subject.description.interfaces if subject.description else {}
-    fixed = next((interface.fixed_step for interface in interfaces.values() if interface.fixed_step), None)
+    step, fixed = duration / _INTERVALS, subject.description.fixed_step
     if fixed:
         step = fixed * max(1, round(step / fixed))
     return step, [f"step = {step:g} s, as the plant does not say"]

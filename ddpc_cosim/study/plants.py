@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
-from ddpc_cosim.coupling.specification import CoupledSpec, Experiment
+from ddpc_cosim.coupling.specification import CoupledSpec
+from ddpc_cosim.description import DefaultExperiment, PlantDescription, describe
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning, FMUImportError
 from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.plugins import hash_of_code, is_in_file, load_plugin, shown_name
@@ -26,9 +27,7 @@ from ddpc_cosim.safe_calls import (
     step_plant,
 )
 from ddpc_cosim.variables import (
-    DisplayUnit,
     FloatArray,
-    PlantVariables,
     Variable,
     names,
     with_display_units,
@@ -195,8 +194,8 @@ class PlantSpec:
     def _plugin(self) -> Any:
         return load_plugin("plants", self.name)
 
-    def variables(self) -> PlantVariables:
-        """Return the plant's variables, without building or running it.
+    def variables(self) -> PlantDescription:
+        """Return what the plant says about itself, without building or running it.
 
         Raises
         ------
@@ -215,8 +214,7 @@ class PlantSpec:
         except (Exception, SystemExit) as error:  # a third party's constructor can fail in any way
             raise ConfigError(f'plant "{self.name}": {type(error).__name__}: {error}') from error
         try:
-            inputs, outputs = ({v.name: v for v in group} for group in (plant.inputs, plant.outputs))
-            return PlantVariables(inputs, outputs, {})
+            return describe(plant.inputs, plant.outputs)
         finally:
             plant.close()
 
@@ -303,15 +301,16 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
     parameters = dict[str, ParameterValue]()
     connections = [one.connection for one in section.connections]
     connectors: tuple[Variable, ...] = ()
-    experiment: Experiment = (None, None, None)
+    experiment, understood = DefaultExperiment(), tuple[str, ...]()
     if section.ssp:
         from ddpc_cosim.coupling.ssp import read_ssp
 
         system = read_ssp(Path(section.ssp))
         connections = [one.connection for one in system.connections]
         connectors = (*system.inputs, *system.outputs)
-        experiment = (system.start_time, system.stop_time, system.step_size)
-        for warning in system.warnings:
+        experiment = system.default_experiment
+        understood = system.warnings
+        for warning in understood:
             warnings.warn(warning, CosimWarning, stacklevel=3)
         for one in system.parts:
             parts[one.name] = PlantSpec("", one.fmu, fmi_type=one.fmi_type, start=one.start)
@@ -337,7 +336,7 @@ def _coupled(section: "PlantSection") -> CoupledSpec:
     for name, own in given.items():
         parameters |= {f"{name}.{key}": value for key, value in own.parameters.items()}
     options |= {"steps": steps} if steps else {}
-    return CoupledSpec(parts, tuple(connections), connectors, options, parameters, experiment)
+    return CoupledSpec(parts, tuple(connections), connectors, options, parameters, experiment, understood)
 
 
 def content_of_plant(name: str) -> str:
@@ -385,49 +384,23 @@ def read_fmu(path: Path) -> "FMUDescription":
         return read_description(Path(folder), path.name)
 
 
-def _fmu_variables(description: "FMUDescription", label: str, fmi_type: FMIType) -> PlantVariables:
-    from ddpc_cosim.fmu.description import choose_interface, choose_signals
+def _fmu_variables(description: "FMUDescription", label: str, fmi_type: FMIType) -> PlantDescription:
+    from ddpc_cosim.fmu.description import describe_plant
 
-    choose_interface(description, fmi_type, label)
-    inputs, outputs = choose_signals(description, label, None, None)
-    for warning in description.warnings:
+    described = describe_plant(description, label, fmi_type)
+    for warning in described.warnings:
         warnings.warn(f"{label}: {warning}", CosimWarning, stacklevel=3)
-    settable = {v.name: v.variable for v in description.variables.values() if v.is_settable and not v.shape}
-    elements = {s.variable.name: s.variable for s in description.signals("parameter", "input")}
-    free = {s.variable.name for s in description.signals("input")}
-    tunable = {s.variable.name for s in description.signals("parameter") if s.source.is_tunable}
-    return PlantVariables(
-        inputs={s.variable.name: s.variable for s in description.signals("input")},
-        outputs={s.variable.name: s.variable for s in description.signals("output", "local")},
-        parameters=settable | elements,
-        tunable=frozenset(tunable | free),
-        default_inputs=names([signal.variable for signal in inputs]),
-        default_outputs=names([signal.variable for signal in outputs]),
-        display_units=description.display_units,
-    )
+    return described
 
 
-def _model_variables(model: Any) -> PlantVariables:
-    return PlantVariables(
-        {v.name: _variable(v) for v in model.inputs},
-        {v.name: _variable(v) for v in model.outputs},
-        {v.name: _variable(v) for v in model.parameters},
-        frozenset(v.name for v in model.parameters if v.variability == "tunable"),
-    )
-
-
-def _variable(variable: Any) -> Variable:
-    """Return a variable of a plant model as a variable of the contracts."""
-    shown = variable.display_unit
-    return Variable(
-        name=variable.name,
-        unit=variable.unit,
-        min=variable.min,
-        max=variable.max,
-        nominal=variable.nominal,
-        start=variable.start,
-        description=variable.description,
-        display_unit=DisplayUnit(shown.name, shown.factor, shown.offset) if shown else None,
+def _model_variables(model: Any) -> PlantDescription:
+    tunable = frozenset(v.name for v in model.parameters if v.variability == "tunable")
+    return describe(
+        model.inputs,
+        model.outputs,
+        model.parameters,
+        tunable,
+        DefaultExperiment(None, model.stop_time, None, model.step_size),
     )
 
 

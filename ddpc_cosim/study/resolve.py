@@ -9,6 +9,7 @@ from typing import Any
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.controller import Controller, Recording
 from ddpc_cosim.csv_files import forget_cells
+from ddpc_cosim.description import PlantDescription
 from ddpc_cosim.errors import ConfigError, ControllerError, CosimError, DataError, Place
 from ddpc_cosim.excitations import Excitation
 from ddpc_cosim.loop_setup import limits_error
@@ -32,7 +33,7 @@ from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.scenarios import Scenarios
 from ddpc_cosim.study.selection import SelectedSignals, check_parameters
 from ddpc_cosim.study.verdicts.judgement import set_aside
-from ddpc_cosim.variables import PlantVariables, Variable
+from ddpc_cosim.variables import Variable
 
 _MOST_LISTED = 8
 Limits = dict[str, tuple[float, float]]
@@ -129,7 +130,7 @@ class Known:
     """What has been found out about plants and controllers, for all problems of a study."""
 
     def __init__(self) -> None:
-        self._variables: list[tuple[PlantSpec, PlantVariables]] = []
+        self._variables: list[tuple[PlantSpec, PlantDescription]] = []
         self._in_time: dict[float, CallsInTime] = {}
         self.late: dict[str, str] = {}  # by type of controller, the call that has not returned in time
 
@@ -137,7 +138,7 @@ class Known:
         """Return what makes calls that have to return within so many seconds."""
         return self._in_time.setdefault(seconds, CallsInTime(seconds))
 
-    def variables(self, spec: PlantSpec) -> PlantVariables:
+    def variables(self, spec: PlantSpec) -> PlantDescription:
         """Return the variables of a plant, which is asked once."""
         found = next((variables for known, variables in self._variables if known == spec), None)
         if found is None:
@@ -342,7 +343,7 @@ class _Resolution:
             self.errors.add((*place, "seeds"), what, ("seeds",))
 
     @independent
-    def _plant(self, folder: Path) -> tuple[PlantSpec, PlantVariables] | None:
+    def _plant(self, folder: Path) -> tuple[PlantSpec, PlantDescription] | None:
         """Return the plant and its variables; None if there is none to check the study against."""
         section = self.study.plant
         what = ("name", "fmu", "ssp", "parts", "connections", "coupling")

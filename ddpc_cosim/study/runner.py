@@ -41,6 +41,7 @@ from ddpc_cosim.processes.sandbox import Sandbox, demanded, require as require_s
 from ddpc_cosim.processes.scratch import ScratchFolder, remove, remove_left_behind
 from ddpc_cosim.processes.worker import (
     LONGEST_REPLY,
+    LostWorkerError,
     UnexpectedError,
     Worker,
     ask,
@@ -529,13 +530,13 @@ def answer_of(case: Case, function: Callable[[Case], Any]) -> Any:
         worker = Worker(serve_calls, folder=folder, preload=preload, memory=memory, sandbox=sandbox)
         try:
             work = _working_directory(folder)
-            ask(worker.channel, _answer, function, case, around.modules, around.values, work)
-            return result_of(worker.channel.receive(LONGEST_REPLY, seconds=seconds))
-        except TimeoutError as error:
-            remedy = "raise loop.case_timeout if it needs longer"
-            raise CosimError(f"{case.name}: not done within {seconds:g} s; {remedy}") from error
-        except (OSError, EOFError, ValueError) as error:
-            raise CosimError(f"{case.name}: its process crashed: {worker.end()}") from error
+            surrounding = around.modules, around.values, work
+            return worker.call(_answer, function, case, *surrounding, seconds=seconds)
+        except LostWorkerError as error:
+            reason = f"its process crashed: {error}"
+            if error.ending is None:
+                reason = f"not done within {seconds:g} s; raise loop.case_timeout if it needs longer"
+            raise CosimError(f"{case.name}: {reason}") from error
         except UnexpectedError as error:
             raise CosimError(f"{case.name}: {error}") from error
         finally:

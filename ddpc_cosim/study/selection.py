@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar, cast
 
+from ddpc_cosim.description import PlantDescription
 from ddpc_cosim.errors import ConfigError, DataError, Place
 from ddpc_cosim.excitations import Excitation, MixedExcitation
 from ddpc_cosim.loop_setup import excitation_table
@@ -11,7 +12,7 @@ from ddpc_cosim.signals import Reference
 from ddpc_cosim.study.file_format.sections import RecordingSection, Study
 from ddpc_cosim.study.file_format.signal_sections import Excited, Experiment
 from ddpc_cosim.study.file_format.validation_errors import InvalidFieldError, ValidationErrors, independent
-from ddpc_cosim.variables import PlantVariables, Variable, converter
+from ddpc_cosim.variables import Variable, converter
 
 K = TypeVar("K", str, int)
 
@@ -41,13 +42,13 @@ class SelectedSignals:
     ----------
     study : Study
         Its sections.
-    variables : PlantVariables
+    variables : PlantDescription
         All variables of its plant.
     errors : ValidationErrors
         What was found before; what is found here is added.
     """
 
-    def __init__(self, study: Study, variables: PlantVariables, errors: ValidationErrors) -> None:
+    def __init__(self, study: Study, variables: PlantDescription, errors: ValidationErrors) -> None:
         self.study, self.variables, self.errors = study, variables, errors
         plant = study.plant
         self.inputs = self._select(_INPUTS, "input", plant.inputs, variables.inputs, variables.default_inputs)

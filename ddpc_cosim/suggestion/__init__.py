@@ -9,8 +9,10 @@ from time import monotonic
 
 import numpy as np
 
+from ddpc_cosim.description import PlantDescription, default_signals
 from ddpc_cosim.errors import ConfigError, CosimError, FMUImportError
-from ddpc_cosim.fmu.description import FMUDescription, choose_interface, default_signals
+from ddpc_cosim.fmu.co_simulation import StepSizes
+from ddpc_cosim.fmu.description import choose_interface, describe_plant
 from ddpc_cosim.fmu.description.defects import Severity
 from ddpc_cosim.fmu.library import compile_ahead
 from ddpc_cosim.fmu.plant import FMUPlant
@@ -113,13 +115,13 @@ def suggest_study(
             compile_ahead(file, tell)
     deadline = monotonic() + budget
     tell(f"reading {path.name}")
-    description = system.description if system else _runnable(path)
+    description, steps = (system.description, None) if system else _runnable(path)
     request = Request(at or {}, ranges or {}, sampling_time, duration, inputs, outputs)
-    request.check(description, path.name)
+    request.check(description, path.name, steps)
     driven, drives_too = _candidates(description, path.name, request, "input", _MOST_INPUT_CANDIDATES)
     read, reads_too = _candidates(description, path.name, request, "output", _MOST_OUTPUT_CANDIDATES)
     share = _STEP_TEST / 2 if system else _STEP_TEST  # it may take a second one
-    timing = replace(_timing(description, path.name, request), budget=share * budget)
+    timing = replace(_timing(description, request), budget=share * budget)
     tell(f"step test of {path.name}")
     open_plant: Callable[..., TestedPlant] = partial(
         system.open if system else partial(FMUPlant, path, isolated=True),
@@ -198,17 +200,19 @@ def _relative(fmu: Path, folder: Path) -> str:
         return fmu.resolve().as_posix()
 
 
-def _runnable(path: Path) -> FMUDescription:
-    """Return the description of an FMU of which nothing is known that would prevent it from running."""
+def _runnable(path: Path) -> tuple[PlantDescription, StepSizes]:
+    """Return what an FMU of which nothing is known that would prevent it from running is, and its steps."""
     inspection = inspect_fmu(path)
-    if inspection.description is None or not inspection.can_run:
+    if not inspection.can_run:
         errors = (str(defect) for defect in inspection.defects if defect.severity is Severity.ERROR)
         raise FMUImportError(f"{path.name}: {'; '.join(errors)}")
-    return inspection.description
+    declared = inspection.declared
+    steps = StepSizes(declared, choose_interface(declared, "auto", path.name), path.name)
+    return describe_plant(declared, path.name, "auto"), steps
 
 
 def _candidates(
-    description: FMUDescription, label: str, request: Request, causality: str, most: int
+    description: PlantDescription, label: str, request: Request, causality: str, most: int
 ) -> tuple[list[str], list[str]]:
     """Return the signals to try, and those that are left out because there are so many."""
     chosen = request.inputs if causality == "input" else request.outputs
@@ -227,13 +231,12 @@ def _candidates(
     return known[:most], known[most:]
 
 
-def _timing(description: FMUDescription, label: str, request: Request) -> Timing:
+def _timing(description: PlantDescription, request: Request) -> Timing:
     experiment = description.default_experiment
-    interface = choose_interface(description, "auto", label)
     stop = (experiment.stop_time or 0.0) - (experiment.start_time or 0.0)
     longest = _LONGEST_IN_STOP_TIMES * stop if stop > 0.0 else _LONGEST
-    if interface.fixed_step or not interface.variable_step:
-        step = interface.fixed_step or experiment.step_size or (stop / _STEPS if stop > 0.0 else _STEP)
+    if description.fixed_step or not description.variable_step:
+        step = description.fixed_step or experiment.step_size or (stop / _STEPS if stop > 0.0 else _STEP)
         blocks, fixed = _BLOCKS_OF_FIXED_STEPS, True
     else:
         step, blocks, fixed = stop / _FIRST_STEPS if stop > 0.0 else _FIRST_STEP, _BLOCKS, False

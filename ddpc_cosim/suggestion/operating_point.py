@@ -8,8 +8,8 @@ from time import monotonic
 
 import numpy as np
 
+from ddpc_cosim.description import Declarations
 from ddpc_cosim.errors import CosimError
-from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.fmu.plant import FMUPlant
 from ddpc_cosim.plant import ParameterValue
 from ddpc_cosim.suggestion import design
@@ -57,7 +57,7 @@ class Found:
 
 
 def find(
-    open_plant: Callable[..., TestedPlant], description: FMUDescription, request: Request, timing: Timing
+    open_plant: Callable[..., TestedPlant], description: Declarations, request: Request, timing: Timing
 ) -> Found:
     """Try the plant where it starts, and elsewhere if nothing happens there.
 
@@ -65,7 +65,7 @@ def find(
     ----------
     open_plant : callable
         Opens it; takes ``start``.
-    description : FMUDescription
+    description : Declarations
         What it says about itself.
     request, timing
         What is asked for, and what is known about time.
@@ -152,7 +152,7 @@ def _at(
         )
 
 
-def _parameters(description: FMUDescription, given: Mapping[str, ParameterValue]) -> Iterator[Variable]:
+def _parameters(description: Declarations, given: Mapping[str, ParameterValue]) -> Iterator[Variable]:
     """Yield the real parameters, with the values that they have in the study."""
     for signal in description.signals("parameter"):
         variable = signal.variable

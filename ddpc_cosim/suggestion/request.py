@@ -7,10 +7,10 @@ from functools import partial
 from numbers import Real
 from typing import Any
 
+from ddpc_cosim.description import Declarations, Signal, choose_signals, elements_of
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import StartValues
 from ddpc_cosim.fmu.co_simulation import StepSizes
-from ddpc_cosim.fmu.description import FMUDescription, Signal, choose_signals, elements_of
 from ddpc_cosim.loop_setup import limits_error, whole_steps
 from ddpc_cosim.plant import ParameterValue
 from fmu_plants.spelling import did_you_mean
@@ -39,15 +39,14 @@ class Request:
     inputs: Sequence[str] | None = None
     outputs: Sequence[str] | None = None
 
-    def check(self, description: FMUDescription, label: str) -> None:
-        """Raise ConfigError for everything that the FMU does not have or allow, all at once."""
+    def check(self, description: Declarations, label: str, steps: StepSizes | None = None) -> None:
+        """Raise ConfigError for everything that the plant, or an FMU with such steps, does not allow."""
         faults = [f"{label}: {fault}" for fault in (*self._range_faults(description), *self._time_faults())]
         checks: list[Callable[[], object]] = [
             partial(choose_signals, description, label, self.inputs, self.outputs),
             partial(StartValues, description, label, self.at, ()),
         ]
-        if not faults and self.sampling_time is not None and description.preferred is not None:
-            steps = StepSizes(description, description.preferred, label)
+        if not faults and self.sampling_time is not None and steps is not None:
             checks.append(partial(steps.substeps, self.sampling_time))
         for check in checks:
             try:
@@ -57,7 +56,7 @@ class Request:
         if faults:
             raise ConfigError(faults)
 
-    def start(self, description: FMUDescription) -> dict[str, float]:
+    def start(self, description: Declarations) -> dict[str, float]:
         """Return the levels of inputs at the operating point."""
         given = {name: signal for name in self.at if (signal := description.signal(name)) is not None}
         return {
@@ -66,12 +65,12 @@ class Request:
             if signal.source.causality == "input"
         }
 
-    def parameters(self, description: FMUDescription) -> dict[str, ParameterValue]:
+    def parameters(self, description: Declarations) -> dict[str, ParameterValue]:
         """Return the rest of the operating point: parameters and start values."""
         inputs = self.start(description)
         return {name: value for name, value in self.at.items() if name not in inputs}
 
-    def _range_faults(self, description: FMUDescription) -> Iterator[str]:
+    def _range_faults(self, description: Declarations) -> Iterator[str]:
         for name, pair in self.ranges.items():
             signal = description.signal(name)
             if fault := _unfit(description, name, signal) or _not_a_range(pair):
@@ -108,7 +107,7 @@ class Request:
                 yield str(error)
 
 
-def _unfit(description: FMUDescription, name: str, signal: Signal | None) -> str:
+def _unfit(description: Declarations, name: str, signal: Signal | None) -> str:
     """Return why a name is not that of an input or output; empty if it is."""
     variable = description.variables.get(name)
     if signal is None and variable is not None:

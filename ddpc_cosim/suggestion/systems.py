@@ -1,24 +1,19 @@
-"""An SSP archive for a step test: described as if it were one FMU, and opened as one plant."""
+"""An SSP archive for a step test: opened as one plant, whose parts exchange values often enough."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 
-from ddpc_cosim.coupling.specification import CoupledSpec
-from ddpc_cosim.coupling.ssp import read_ssp
 from ddpc_cosim.errors import ConfigError, FMUStepError
-from ddpc_cosim.fmu.description import DefaultExperiment, FMUDescription, FMUVariable, Interface
 from ddpc_cosim.plant import ParameterValue, Plant
 from ddpc_cosim.study.file_format.sections import PlantSection
-from ddpc_cosim.study.plants import PlantSpec, read_fmu
+from ddpc_cosim.study.plants import PlantSpec
 from ddpc_cosim.suggestion.request import Request
 from ddpc_cosim.suggestion.step_test import StepTest
-from ddpc_cosim.variables import FloatArray, Variable
+from ddpc_cosim.variables import FloatArray
 
 _WHOLE = 1e-9
 _FINEST = 256
@@ -56,8 +51,8 @@ class System:
 
     Attributes
     ----------
-    description : FMUDescription
-        Its signals and parameters, as one FMU would declare them.
+    description : PlantDescription
+        What it says about itself.
     exchange : float
         Longest time between two exchanges [s]; what the archive's maker suggests, or any.
     remarks : tuple of str
@@ -70,16 +65,13 @@ class System:
     """
 
     def __init__(self, path: Path) -> None:
-        system = read_ssp(path)
-        self.warnings = system.warnings
         self._spec = PlantSpec.of(
             PlantSection.model_validate({"ssp": str(path.resolve()), "coupling": _COUPLING}), Path()
         )
         self.files = tuple(Path(file) for file in self._spec.files)
         self._spec = self._spec.built()
-        parts = {part.name: read_fmu(Path(part.fmu)) for part in system.parts}
-        self.description = _described(path.stem, self._spec, parts)
-        self.exchange = system.step_size or math.inf
+        self.description = self._spec.variables()
+        self.exchange = self.description.default_experiment.step_size or math.inf
         self.remarks: tuple[str, ...] = ()
 
     def refine(self, open_plant: Callable[..., Any], found: Found, sampling_time: float) -> bool:
@@ -153,7 +145,7 @@ class OpenSystem(Plant):
 
     def __init__(self, plant: Plant, system: System) -> None:
         self.inputs, self.outputs, self._plant = plant.inputs, plant.outputs, plant
-        self.description, self.warnings = system.description, system.warnings
+        self.description, self.warnings = system.description, system.description.warnings
         self._count = system._count
 
     def plan(self, sampling_time: float, stop_time: float) -> None:
@@ -175,60 +167,3 @@ class OpenSystem(Plant):
     def close(self) -> None:
         """Close all parts."""
         self._plant.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-def _described(name: str, spec: PlantSpec, parts: Mapping[str, FMUDescription]) -> FMUDescription:
-    known, coupled = spec.variables(), spec.coupled
-    assert coupled is not None
-    connectors = {v.name: v for v in (*known.inputs.values(), *known.outputs.values()) if "." not in v.name}
-    variables = {name: _connector(v, is_input=name in known.inputs) for name, v in connectors.items()}
-    usual = {*known.default_inputs, *known.default_outputs}
-    for part, description in parts.items():
-        for one in _of_part(part, description, coupled):
-            is_signal = one.causality in ("input", "output") and one.name not in usual
-            variables[one.name] = replace(one, causality="local") if is_signal else one
-    interfaces = [interface for part in parts.values() if (interface := part.preferred) is not None]
-    fixed = [interface.fixed_step for interface in interfaces if interface.fixed_step]
-    start, stop, step = coupled.experiment
-    return FMUDescription(
-        fmi_version="2.0",
-        guid="",
-        model_name=name,
-        variables=variables,
-        interfaces={
-            "co-simulation": Interface(
-                "co-simulation",
-                "",
-                variable_step=all(interface.variable_step for interface in interfaces),
-                fixed_step=max(fixed, default=None),
-            )
-        },
-        default_experiment=DefaultExperiment(start, stop, None, step),
-        display_units=known.display_units,
-    )
-
-
-def _connector(variable: Variable, *, is_input: bool) -> FMUVariable:
-    causality = "input" if is_input else "output"
-    return FMUVariable(variable, 0, "Real", causality, "continuous", start_text=repr(variable.start))
-
-
-def _of_part(part: str, description: FMUDescription, coupled: CoupledSpec) -> Iterator[FMUVariable]:
-    """Yield the variables of a part by their full names, with the values that the system gives them."""
-    for one in description.variables.values():
-        full = f"{part}.{one.name}"
-        given = coupled.parameters.get(full)
-        variable = replace(one.variable, name=full)
-        text = one.start_text
-        if isinstance(given, int | float):
-            variable, text = replace(variable, start=float(given)), repr(given)
-        alias, derivative = (f"{part}.{name}" if name else "" for name in (one.alias_of, one.derivative_of))
-        yield replace(one, variable=variable, start_text=text, alias_of=alias, derivative_of=derivative)

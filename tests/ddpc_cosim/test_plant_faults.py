@@ -151,3 +151,12 @@ def test_a_plant_that_cannot_say_what_it_is_runs_all_the_same() -> None:
     trace = close_loop(Nameless())
     assert trace.completed
     assert trace.provenance["provenance"] == "raised OSError: no licence"
+
+
+def test_a_plant_is_closed_at_the_end_of_a_with_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever ends it; a plug-in needs no more than its `close`."""
+    closed = list[Plant]()
+    monkeypatch.setattr(Counter, "close", lambda plant: closed.append(plant))
+    with pytest.raises(ConfigError, match="cannot be computed without a step"), Counter() as plant:
+        plant.outputs_at(np.zeros(1))
+    assert closed == [plant]

@@ -13,6 +13,7 @@ from ddpc_cosim.coupling.ssp.connections import Connections, Link, Node
 from ddpc_cosim.coupling.ssp.documents import Component, Path_, Reader, step_size
 from ddpc_cosim.coupling.ssp.parameters import Parameters
 from ddpc_cosim.coupling.wiring import Connection
+from ddpc_cosim.description import DefaultExperiment
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.plant import FMIType, ParameterValue
 from ddpc_cosim.processes.scratch import ScratchFolder
@@ -86,10 +87,8 @@ class SSPSystem:
         From signal to signal.
     inputs, outputs : tuple of SSPConnector
         Connectors of the outermost system.
-    start_time, stop_time : float or None
-        Its default experiment [s].
-    step_size : float or None
-        What an annotation suggests [s].
+    default_experiment : DefaultExperiment
+        Its default experiment; the step size is what an annotation suggests.
     warnings : tuple of str
         What is not as it should be but was understood.
     """
@@ -100,9 +99,7 @@ class SSPSystem:
     connections: tuple[SSPConnection, ...]
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
-    start_time: float | None
-    stop_time: float | None
-    step_size: float | None
+    default_experiment: DefaultExperiment
     warnings: tuple[str, ...]
 
 
@@ -157,9 +154,9 @@ class _Reading:
             connections=tuple(map(self._connection, links)),
             inputs=tuple(self._inputs(links)),
             outputs=tuple(self._outputs(links)),
-            start_time=_time(times.get("startTime")),
-            stop_time=_time(times.get("stopTime")),
-            step_size=step_size(document),
+            default_experiment=DefaultExperiment(
+                _time(times.get("startTime")), _time(times.get("stopTime")), None, step_size(document)
+            ),
             warnings=tuple(dict.fromkeys(self._reader.warnings)),
         )
 

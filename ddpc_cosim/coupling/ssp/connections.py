@@ -12,7 +12,7 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 from ddpc_cosim.coupling.ssp.documents import Component, Path_, Reader, System, Transformation, Unit
-from ddpc_cosim.fmu.description import FMUVariable
+from ddpc_cosim.description import DescribedVariable
 from ddpc_cosim.fmu.description.variables import is_true
 from ddpc_cosim.plant import ParameterValue
 from fmu_plants.spelling import did_you_mean
@@ -265,7 +265,7 @@ class Connections:
         return {**element.connectors}
 
     @staticmethod
-    def _variable(component: Component, name: str) -> FMUVariable | None:
+    def _variable(component: Component, name: str) -> DescribedVariable | None:
         """Return the variable of an FMU that a connector stands for."""
         signal = component.description.signal(name)
         return signal.source if signal is not None else component.description.variables.get(name)

@@ -24,9 +24,9 @@ from ddpc_cosim.coupling.ssp.documents import (
     Unit,
     number,
 )
+from ddpc_cosim.description import DescribedVariable, element
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.fmu.buffers import StartValues
-from ddpc_cosim.fmu.description import FMUVariable, element
 from ddpc_cosim.fmu.description.variables import is_true
 from ddpc_cosim.plant import ParameterValue
 
@@ -302,7 +302,7 @@ def _float(value: ParameterValue) -> float:
     return float(value)
 
 
-def _element_names(variable: FMUVariable) -> Iterator[str]:
+def _element_names(variable: DescribedVariable) -> Iterator[str]:
     """Yield the names of an array's elements, in row-major order."""
     from itertools import product
 

@@ -14,18 +14,10 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
+from ddpc_cosim.description import DefaultExperiment, number
 from ddpc_cosim.errors import FMUImportError
 from ddpc_cosim.fmu.archive import MODEL_DESCRIPTION, RefusedError, XMLTree, read_xml
-from ddpc_cosim.fmu.description import (
-    INTERFACES,
-    Clock,
-    DefaultExperiment,
-    FMUDescription,
-    Interface,
-    InterfaceKind,
-    defects,
-    number,
-)
+from ddpc_cosim.fmu.description import INTERFACES, Clock, FMUDescription, Interface, InterfaceKind, defects
 from ddpc_cosim.fmu.description.defects import Findings, Severity
 from ddpc_cosim.fmu.description.variables import (
     VariableReader,

@@ -3,10 +3,9 @@
 import ctypes
 import math
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
-Values = Literal["real", "integer", "boolean", "text", "none"]
-"""What the values of a type are; ``none``: they cannot be exchanged."""
+from ddpc_cosim.description import Values
 
 
 class VariableType(NamedTuple):
@@ -72,8 +71,3 @@ def integer_range(name: str) -> tuple[int, int]:
     c_type = _VALUES[name].c_type
     signed, bits = c_type(-1).value < 0, 8 * ctypes.sizeof(c_type)
     return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
-
-
-def values_of(name: str) -> Values:
-    """Return what the values of a type are; the same in all FMI versions."""
-    return _VALUES[name].values

@@ -8,7 +8,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 from xml.etree.ElementTree import Element
 
-from ddpc_cosim.fmu.description import FMUVariable, defects, number
+from ddpc_cosim.description import DescribedVariable, number
+from ddpc_cosim.fmu.description import defects
 from ddpc_cosim.fmu.description.variable_types import TYPES, VariableType
 from ddpc_cosim.variables import DisplayUnit, Variable
 
@@ -198,10 +199,10 @@ class VariableReader:
         sizes = {integer(part.get("valueReference")) for e in written if e for part in e.parts}
         self.sizes = {e.reference: e for e in written if e and e.reference in sizes} if sizes else {}
 
-    def variables(self) -> dict[str, FMUVariable]:
+    def variables(self) -> dict[str, DescribedVariable]:
         """Return the variables that can be used by name, other names of them at the end."""
-        variables: dict[str, FMUVariable] = {}
-        aliases: dict[str, FMUVariable] = {}
+        variables: dict[str, DescribedVariable] = {}
+        aliases: dict[str, DescribedVariable] = {}
         self.entries.reverse()
         while self.entries:  # gives back their memory on the way
             entry = self.entries.pop()
@@ -256,7 +257,7 @@ class VariableReader:
             self.note(defects.UNKNOWN_TYPE, f'{name}: "{declared}"')
         return True
 
-    def _variable(self, entry: _Entry) -> FMUVariable | None:
+    def _variable(self, entry: _Entry) -> DescribedVariable | None:
         """Return a variable with everything resolved; None for an array that cannot be used."""
         name, traits = entry.name, entry.traits
         dimensions, shape = self._sizes(entry) if entry.parts else ((), ())
@@ -268,7 +269,7 @@ class VariableReader:
             self.note(kind, f"{name}: {what}")
         inherited = meaning.inherited.attributes
         nominal = entry.nominal if entry.nominal is not None else inherited.get("nominal")
-        return FMUVariable(
+        return DescribedVariable(
             variable=Variable(
                 name=name,
                 unit=meaning.unit,
@@ -290,6 +291,7 @@ class VariableReader:
             items=meaning.inherited.items,
             derivative_of=self._state(entry) if entry.derivative is not None else "",
             negated=self.major == 1 and traits.alias == "negatedAlias",
+            values=meaning.type.values,
         )
 
     def _meaning(self, traits: _Traits, has_start: bool) -> _Meaning:
@@ -408,7 +410,9 @@ class VariableReader:
             self.note(defects.BAD_DERIVATIVE, f'{entry.name}: "{entry.derivative}"')
         return state or ""
 
-    def _aliases(self, variable: FMUVariable, parts: Iterable[Element]) -> Iterator[tuple[str, FMUVariable]]:
+    def _aliases(
+        self, variable: DescribedVariable, parts: Iterable[Element]
+    ) -> Iterator[tuple[str, DescribedVariable]]:
         """Yield the other names of a variable (FMI 3.0)."""
         for alias in (part for part in parts if part.tag == "Alias"):
             name, own = alias.get("name"), variable.variable

@@ -6,7 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
-from fmus.builder import Fault, integrator_files, write_archive
+from fmus.builder import (
+    GAINED,
+    Fault,
+    V,
+    describe,
+    integrator_files,
+    model_library,
+    with_time,
+    write_archive,
+    write_fmu,
+)
 
 from ddpc_cosim import (
     ConfigError,
@@ -28,7 +38,7 @@ from fmu_plants.pendulum import MODEL as PENDULUM
 
 from .conftest import Exported
 from .oscillator import BACK, DISPLACEMENTS, FRONT, exact
-from .ssp_files import GAIN, component, connection, ssd, system, write_ssp
+from .ssp_files import GAIN, binding, component, connection, ssd, ssv, system, write_ssp
 
 MODULE = """
 import numpy as np
@@ -364,3 +374,46 @@ def test_an_archive_is_simulated_in_open_loop(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.to_numpy(), [[1.0, 1.0, 0.5], [1.5, 1.0, 1.0], [2.0, 2.0, 1.5]])
     with pytest.raises(ConfigError, match="trace_calls is of one FMU"):
         simulate(path, trace_calls=tmp_path / "calls.txt")
+
+
+def one_part(folder: Path, *variables: V, version: str = "2.0", **settings: str) -> Path:
+    """An archive of one FMU with these variables, whose gain the system gives."""
+    text = describe(version, "integrator", with_time(version, variables), **settings)
+    fmu = write_fmu(folder / "a.fmu", text, model_library(version))
+    part = component("a", "resources/a.fmu", "input u, output y", binding(ssv({"gain": 3.0})))
+    described = ssd(system("s", part), more='<ssd:DefaultExperiment startTime="0" stopTime="2"/>')
+    return write_ssp(folder / "one.ssp", described, {"resources/a.fmu": fmu.read_bytes()})
+
+
+def test_a_system_has_the_variables_of_its_parts_with_the_values_that_it_gives_them(tmp_path: Path) -> None:
+    one_part(tmp_path, *GAINED)
+    (case,) = cases(tmp_path, study({"ssp": "one.ssp", "outputs": ["a.y"], "isolated": False}))
+    described = case.plant.variables()
+    assert {name: described.variables[name].causality for name in ("a.u", "a.y", "a.gain", "a.hidden")} == {
+        "a.u": "input",
+        "a.y": "output",
+        "a.gain": "parameter",
+        "a.hidden": "local",
+    }
+    gain = described.variables["a.gain"]
+    assert (gain.variable.start, gain.start_text, gain.is_tunable) == (3.0, "3.0", True)
+    assert described.variables["a.on"].values == "boolean"
+    assert (described.default_experiment.start_time, described.default_experiment.stop_time) == (0.0, 2.0)
+    assert (described.default_inputs, described.default_outputs) == (("a.u",), ("a.y", "a.speed"))
+
+
+def test_inputs_of_a_part_that_are_not_continuous_hold_their_last_value(tmp_path: Path) -> None:
+    """As those of an FMU do that is simulated by itself."""
+    path = one_part(tmp_path, V("u", 0, causality="input", variability="discrete", start="0"), *GAINED[1:])
+    (tmp_path / "in.csv").write_text("time,a.u\n0,1\n1,2\n2,2\n", encoding="utf-8")
+    found = simulate(path, inputs=tmp_path / "in.csv", step=0.5)
+    assert found["a.u [1]"].tolist() == [1.0, 1.0, 2.0, 2.0, 2.0]
+    np.testing.assert_allclose(found["a.y [1]"], [0.0, 1.5, 3.0, 6.0, 9.0])
+
+
+def test_steps_that_nobody_asks_for_fit_those_of_the_parts(tmp_path: Path) -> None:
+    fixed = '<CoSimulation modelIdentifier="models" fixedInternalStepSize="0.25"/>'
+    reals = [variable for variable in GAINED if variable.type == "Real"]
+    found = simulate(one_part(tmp_path, *reals, version="3.0", interfaces=fixed))
+    np.testing.assert_allclose(found["time [s]"], 0.25 * np.arange(9))
+    assert found.attrs["notes"] == ["step = 0.25 s, as the plant does not say"]

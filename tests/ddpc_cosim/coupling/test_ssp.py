@@ -63,7 +63,8 @@ def test_parts_and_connections_of_a_system(read: Read, version: str) -> None:
     ]
     assert ways(found) == {("a.x", "b.u", 1, 0), ("push", "a.force", 1, 0), ("b.y", "out", 1, 0)}
     assert [(v.name, v.unit) for v in (*found.inputs, *found.outputs)] == [("push", "N"), ("out", "")]
-    assert (found.version, found.start_time, found.stop_time) == (version, 1.0, 3.0)
+    experiment = found.default_experiment
+    assert (found.version, experiment.start_time, experiment.stop_time) == (version, 1.0, 3.0)
 
 
 def test_the_ends_of_a_connection_tell_no_direction(read: Read) -> None:

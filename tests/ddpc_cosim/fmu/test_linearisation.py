@@ -12,7 +12,8 @@ from fmus.builder import LAG, V, describe, model_fmu, model_library, telling_fmu
 
 from ddpc_cosim import ConfigError, CosimWarning, FMUPlant, FMUStepError, LinearModel
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.fmu.description import FMUDescription, FMUVariable
+from ddpc_cosim.description import DescribedVariable
+from ddpc_cosim.fmu.description import FMUDescription
 from ddpc_cosim.fmu.linearisation import (
     contradicted,
     directional_derivatives,
@@ -265,8 +266,10 @@ def test_elements_of_arrays_are_directions_of_their_own() -> None:
             direction[start : start + len(seed)] = seed
             sensitivity[:] = (gain @ direction).tolist()
 
-    def array(name: str, reference: int, *shape: int) -> FMUVariable:
-        return FMUVariable(Variable(name), reference, "Float64", "local", "continuous", "", shape, shape)
+    def array(name: str, reference: int, *shape: int) -> DescribedVariable:
+        return DescribedVariable(
+            Variable(name), reference, "Float64", "local", "continuous", "", shape, shape
+        )
 
     variables = {v.name: v for v in (array("v", 1, 2, 2), array("w", 2), array("z", 7, 2))}
     description = FMUDescription("3.0", "", "arrays", variables, {})
