@@ -1,8 +1,6 @@
 """The files of one case: written in one move and sealed, accepted from a worker, read to the last byte."""
 
-import csv
 import hashlib
-import io
 import json
 import math
 import os
@@ -18,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ddpc_cosim.controller import Bounds
-from ddpc_cosim.csv_files import PARQUET, read_parquet, write_table
+from ddpc_cosim.csv_files import PARQUET, own_rows, read_parquet, write_table
 from ddpc_cosim.errors import ConfigError, CosimError, CosimWarning
 from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.processes.requests import held
@@ -53,7 +51,6 @@ DAMAGED = (
     AttributeError,
     StopIteration,
     RecursionError,
-    csv.Error,
 )
 
 
@@ -560,7 +557,7 @@ def _read_signals(content: bytes, storage: str) -> tuple[dict[str, FloatArray], 
     if storage == "parquet":
         numbers, texts = read_parquet(content)
         return numbers, texts["status"]
-    header, *rows = csv.reader(io.StringIO(content.decode(), newline=""))
+    header, rows = own_rows(content.decode())
     cells = list(zip(*rows, strict=True)) or [()] * len(header)
     columns = {name: np.array(column, dtype=float) for name, column in zip(header[:-1], cells, strict=False)}
     return columns, tuple(cells[-1])

@@ -13,6 +13,7 @@ from ddpc_cosim import StudyResults
 from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.verdicts.ranks import AverageRanks, Profile, profile_frame, ranks_frame
 from ddpc_cosim.study.verdicts.statistics import LEVEL, letters
+from ddpc_cosim.tables import Cell, Heading, Table
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, conditions
 from ddpc_reports.distances import Distances, distance_columns, distance_statements, distances
@@ -22,7 +23,7 @@ from ddpc_reports.figures.samples import column_name
 from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.shares import SHARE_NOTE, interval_words, share_words
 from ddpc_reports.tables.settings import value_text
-from ddpc_reports.tables.table import Cell, Column, Heading, Table, controller_table, number_cells
+from ddpc_reports.tables.table import Column, controller_table, number_cells
 from ddpc_reports.verdict import Statement, join_words, names, p_words, some_of
 
 _METRIC = "mean_abs_error"

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.verdicts.statistics import FEWEST, Difference, Sample, compare, describe
+from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
@@ -14,7 +15,7 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.numbers import MISSING, as_given
 from ddpc_reports.shares import SHARE, SHARE_NOTE, share_cells, share_interval
-from ddpc_reports.tables.table import Cell, Heading, Row, Table, interval_texts, number_cells
+from ddpc_reports.tables.table import interval_texts, number_cells
 from ddpc_reports.verdict import RANKED_BY, p_words
 
 _SAME = "the same on every seed"

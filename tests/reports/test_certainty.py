@@ -9,11 +9,11 @@ import pytest
 from scipy.stats import bootstrap, permutation_test
 
 from ddpc_cosim import Outcome, StudyResults, Trace
+from ddpc_cosim.tables import Row, Table
 from ddpc_reports.certainty import certainty_table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.numbers import MISSING
 from ddpc_reports.page import render_page
-from ddpc_reports.tables.table import Row, Table
 from ddpc_reports.verdict import across_statements
 
 from .synthetic import FORCE, SPEED, MakeResults, findings_of, make_trace

@@ -9,6 +9,7 @@ import pytest
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.study.file_format.sections import StudyHead
 from ddpc_cosim.study.problems import WholeStudy
+from ddpc_cosim.tables import Table
 from ddpc_reports import sections
 from ddpc_reports.across_problems import overall, overall_statements, overall_table
 from ddpc_reports.certainty import certainty_table
@@ -16,7 +17,6 @@ from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.page import render_page
 from ddpc_reports.shares import share_statements
-from ddpc_reports.tables.table import Table
 from ddpc_reports.verdict import Statement
 
 from .synthetic import MakeResults, findings_of, make_trace, ranked

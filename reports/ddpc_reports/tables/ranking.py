@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from ddpc_cosim.metrics import metric_name, metric_of, split_key
 from ddpc_cosim.study.verdicts.standings import Standings
+from ddpc_cosim.tables import Cell, Heading, Table
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
@@ -17,15 +18,7 @@ from ddpc_reports.comparison import (
 from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.shares import SHARE_NOTE, share_columns
 from ddpc_reports.tables.controllers import LIMITS, RESPONSE, meanings, metric_column
-from ddpc_reports.tables.table import (
-    Cell,
-    Column,
-    Heading,
-    Table,
-    controller_table,
-    interval_texts,
-    number_cells,
-)
+from ddpc_reports.tables.table import Column, controller_table, interval_texts, number_cells
 
 _RATIOS = (1.1, 1.25, 1.5, 2.0)
 """Ratios to the best of a column at which the tint of a cell changes."""

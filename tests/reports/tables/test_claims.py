@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from ddpc_cosim import StudyResults
+from ddpc_cosim.tables import Row, Table
 from ddpc_reports.tables.claims import claims_table
-from ddpc_reports.tables.table import Row, Table
 
 from ..synthetic import MakeResults, make_trace
 

@@ -14,13 +14,13 @@ from ddpc_cosim import StudyResults, Trace
 from ddpc_cosim.cli.summary import summary_table
 from ddpc_cosim.metrics import METRICS, Metric
 from ddpc_cosim.responses import Response
+from ddpc_cosim.tables import Row, Table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.tables.cases import cases_table
 from ddpc_reports.tables.controllers import (
     reproduction_statements,
     reproduction_table,
 )
-from ddpc_reports.tables.table import Row, Table
 from ddpc_reports.verdict import across_statements
 
 from ..synthetic import MakeResults, make_trace, ranked

@@ -11,12 +11,12 @@ from markupsafe import Markup
 
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.study.verdicts.standings import standings
+from ddpc_cosim.tables import Cell, Table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.embedding import Drawing
 from ddpc_reports.figures import figure, over_time
 from ddpc_reports.page import render_page
 from ddpc_reports.sections import gather
-from ddpc_reports.tables.table import Cell, Table
 
 from ..synthetic import MakeResults, make_trace, ranked
 
