@@ -7,8 +7,6 @@ in the column's unit: ``level [cm]``.
 A Parquet file has the same columns under the same headers, and may stand wherever a CSV file is read.
 """
 
-import csv
-import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -21,7 +19,7 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, DataError, MissingLibraryError
-from ddpc_cosim.texts import csv_text
+from ddpc_cosim.tables import csv_records, write_rows
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.spelling import did_you_mean
 
@@ -98,7 +96,7 @@ class CSVFile:
         self.header: tuple[str, ...] = ()
         self.rows, self.lines = list[list[str]](), list[int]()
         try:
-            for line, row in _records(text, delimiter=self.delimiter, skipinitialspace=True, strict=True):
+            for line, row in csv_records(text, delimiter=self.delimiter, skipinitialspace=True, strict=True):
                 self._take(row, line)
         except ValueError as error:
             raise DataError(f"{path}, {error}") from error
@@ -142,28 +140,6 @@ class CSVFile:
     def cells(self, index: int) -> list[str]:
         """Return the cells of a column."""
         return [row[index] for row in self.rows]
-
-
-def _records(text: str, **dialect: Any) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line on which each row ends, and its cells."""
-    reader = csv.reader(StringIO(text, newline=""), **dialect)
-    try:
-        for row in reader:
-            yield reader.line_num, row
-    except csv.Error as error:
-        raise ValueError(f"line {reader.line_num}: not a CSV file: {error}") from error
-
-
-def own_rows(text: str) -> tuple[list[str], list[list[str]]]:
-    """Return the header and the rows of a file that this program has written, cells as they stand.
-
-    Raises
-    ------
-    ValueError
-        It is not a CSV file, or empty.
-    """
-    header, *rows = (row for _, row in _records(text))
-    return header, rows
 
 
 def split_unit(header: str) -> tuple[str, str]:
@@ -272,32 +248,6 @@ def write_table(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping[st
 def _write_csv(file: TextIO, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> None:
     cells: list[Iterable[str]] = [map(repr, column.tolist()) for column in numbers.values()]
     write_rows(file, [*numbers, *texts], zip(*cells, *texts.values(), strict=True))
-
-
-def write_rows(file: TextIO, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a header and rows as CSV, cells as they stand."""
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-
-
-def table_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table as CSV for people and their programs.
-
-    A number is the shortest text that gives it again, NaN an empty cell, a truth ``true`` or ``false``; texts
-    are such that a spreadsheet does not take them for formulas.
-    """
-    file = StringIO(newline="")
-    write_rows(file, [*map(csv_text, header)], ([*map(_cell, row)] for row in rows))
-    return file.getvalue()
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return "" if math.isnan(value) else repr(value)
-    return csv_text(value) if isinstance(value, str) else str(value)
 
 
 def _write_parquet(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> None:

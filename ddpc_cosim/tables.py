@@ -4,14 +4,16 @@ CSV and notebook are here, as they need nothing else; the terminal's is in ``ddp
 the report's formats in ``ddpc_reports``.
 """
 
+import csv
 import html
 import math
 from base64 import b64encode
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from io import StringIO
+from typing import Any, TextIO
 
-from ddpc_cosim.csv_files import table_text
-from ddpc_cosim.texts import encodable, recorded
+from ddpc_cosim.texts import csv_text, encodable, recorded
 
 Raw = float | int | str
 _DASH = "\N{EN DASH}"
@@ -187,3 +189,57 @@ def plain_table(caption: str, header: Sequence[str], rows: Iterable[Sequence[obj
         text_headings(*header),
         tuple(Row(first, tuple(map(Cell, others))) for first, *others in texts),
     )
+
+
+def write_rows(file: TextIO, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a header and rows as CSV, cells as they stand."""
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+
+
+def table_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table as CSV for people and their programs.
+
+    A number is the shortest text that gives it again, NaN an empty cell, a truth ``true`` or ``false``; texts
+    are such that a spreadsheet does not take them for formulas.
+    """
+    file = StringIO(newline="")
+    write_rows(file, [*map(csv_text, header)], ([*map(_cell, row)] for row in rows))
+    return file.getvalue()
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return "" if math.isnan(value) else repr(value)
+    return csv_text(value) if isinstance(value, str) else str(value)
+
+
+def csv_records(text: str, **dialect: Any) -> Iterator[tuple[int, list[str]]]:
+    """Yield the line on which each row of a CSV file ends, and its cells.
+
+    Raises
+    ------
+    ValueError
+        It is not a CSV file, in words after the file's name.
+    """
+    reader = csv.reader(StringIO(text, newline=""), **dialect)
+    try:
+        for row in reader:
+            yield reader.line_num, row
+    except csv.Error as error:
+        raise ValueError(f"line {reader.line_num}: not a CSV file: {error}") from error
+
+
+def own_rows(text: str) -> tuple[list[str], list[list[str]]]:
+    """Return the header and the rows of a file that this program has written, cells as they stand.
+
+    Raises
+    ------
+    ValueError
+        It is not a CSV file, or empty.
+    """
+    header, *rows = (row for _, row in csv_records(text))
+    return header, rows

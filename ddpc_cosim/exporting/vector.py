@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from ddpc_cosim.controller import OK, Controller, Loop, Sample
-from ddpc_cosim.csv_files import write_rows
 from ddpc_cosim.safe_calls import ask_controller, clip_inputs, horizon_of, start_controller
+from ddpc_cosim.tables import write_rows
 from ddpc_cosim.trace import Trace
 from ddpc_cosim.variables import FloatArray, names
 from fmu_plants.export.sampled_block import SampledBlock

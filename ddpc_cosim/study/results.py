@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ddpc_cosim.csv_files import table_text
 from ddpc_cosim.errors import ConfigError, CosimError
 from ddpc_cosim.plugins import installed, load_plugin
 from ddpc_cosim.processes.requests import held
@@ -25,7 +24,7 @@ from ddpc_cosim.study.case_files import (
 )
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.verdicts.judgement import Run, judged, run_of
-from ddpc_cosim.tables import plain_table
+from ddpc_cosim.tables import plain_table, table_text
 from ddpc_cosim.texts import alike, encodable, printable, toml_tables
 from ddpc_cosim.trace import Trace
 from fmu_plants.files import write_atomically, write_through

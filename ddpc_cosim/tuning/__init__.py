@@ -16,7 +16,6 @@ from typing import Any, NamedTuple, Protocol, Self
 import tomli_w
 
 from ddpc_cosim.controller import Controller
-from ddpc_cosim.csv_files import table_text
 from ddpc_cosim.errors import ConfigError, MissingLibraryError
 from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.safe_calls import settings_of_other
@@ -32,6 +31,7 @@ from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, TRIALS_FILE, StudyResults, claim_folder
 from ddpc_cosim.study.runner import Progress, Selection, built_plants, run_missing, run_study
 from ddpc_cosim.study.verdicts.judgement import judged, run_of
+from ddpc_cosim.tables import table_text
 from ddpc_cosim.texts import encodable
 from ddpc_cosim.tuning.objectives import PREDICTION, Objective, Run, reference_spans
 from ddpc_cosim.tuning.search import (

@@ -18,7 +18,6 @@ ROOMS = {
 }
 # Modules that plug-ins may use besides the names of the package.
 PUBLIC_MODULES = {
-    "csv_files",
     "data_quality",
     "metrics",
     "plugins",
