@@ -14,21 +14,25 @@ from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, sp
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of
-from ddpc_cosim.study.verdicts.ranks import ranks_frame
+from ddpc_cosim.study.verdicts.ranks import RANKED, problems_frame, ranks_frame
+from ddpc_cosim.study.verdicts.sentences import (
+    best_rank_clause,
+    lead_clause,
+    ranks_differ_clause,
+    too_few_seeds_clause,
+)
 from ddpc_cosim.study.verdicts.shares import marked
 from ddpc_cosim.study.verdicts.standings import Standings, known_values, standings, summed
-from ddpc_cosim.study.verdicts.statistics import LEVEL
 from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_cosim.texts import printable
 
 _STEP = "solve_time_median [s]"
 _RANGE = "range"
-_RANKED_BY = "mean_abs_error"
 _VARIANTS_SHOWN = 2
 _NAME_PART = 0.4
 """Part of the window that names may take."""
 _SHORTEST_NAME = 10
-_LONGEST_SCENARIO, _LONGEST_TITLE = 30, 200
+_LONGEST_LABEL, _LONGEST_TITLE = 30, 200
 _MISSING = "-"
 
 
@@ -107,21 +111,12 @@ def _set(
 
 def overall_table(problems: Sequence[StudyResults], console: Console) -> RenderableType | None:
     """Return the controllers over all problems by average rank; None where fewer than two can be compared."""
-    import pandas as pd  # with one problem it is not needed
-
     found = {one.study.name: standings(one.study, one.cases) for one in problems}
-    runs = [
-        (problem, key, controller, scenario, seed, value)
-        for problem, own in found.items()
-        for key, by_controller in own.runs.items()
-        for controller, values in by_controller.items()
-        for (scenario, seed), value in values.items()
-    ]
-    if len({run[0] for run in runs}) < 2:
+    frame = problems_frame(found.values())
+    if frame is None:
         return None
-    frame = pd.DataFrame(runs, columns=["problem", "variant", "controller", "scenario", "seed", _RANKED_BY])
     try:
-        ranks = ranks_frame(frame.assign(failed=frame[_RANKED_BY].isna()), _RANKED_BY)
+        ranks = ranks_frame(frame, RANKED)
     except ConfigError:  # no run is shared by all
         return None
     if len(ranks.ranks) < 2:
@@ -136,10 +131,12 @@ def overall_table(problems: Sequence[StudyResults], console: Console) -> Rendera
         Heading("average rank"), "", "", lambda own: Cell(f"{ranks.ranks[own[0].controller]:.3g}")
     )
     columns = [average, *(_problem_column(name, own) for name, own in found.items() if own.order)]
-    apart = (
-        f"averages {ranks.critical_difference:.2g} apart differ" if ranks.p <= LEVEL else "none told apart"
-    )
-    lines = [f"ranks in {ranks.problems} problems, and their average: {apart}"]
+    labels = {name: own[0].label for name, own in of_controller.items()}
+    differ = ranks_differ_clause(ranks, lambda rank: f"{rank:.2g}")
+    lines = [
+        f"ranks in {ranks.problems} problems, and their average: {differ}",
+        best_rank_clause(ranks, labels).striptags(),
+    ]
     return _set("All problems", rows, columns, lines, console)
 
 
@@ -150,7 +147,7 @@ def _problem_column(name: str, found: Standings) -> _Column:
         own = standing.get(cases[0].controller)
         return Cell(_rank_words(own.text), failed=own.failed > 0) if own else Cell(_MISSING)
 
-    label = clipped(name, _LONGEST_SCENARIO)
+    label = clipped(name, _LONGEST_LABEL)
     return _Column(Heading(label), label, "", cell)
 
 
@@ -236,7 +233,7 @@ def _scenario_column(results: StudyResults, name: str, key: str, detail: str) ->
 
 def _scenario_label(results: StudyResults, name: str) -> str:
     section = results.study.scenarios.get(name)
-    return clipped((section.label if section else "") or name, _LONGEST_SCENARIO)
+    return clipped((section.label if section else "") or name, _LONGEST_LABEL)
 
 
 def _words(key: str) -> str:
@@ -267,27 +264,21 @@ def _lines(results: StudyResults, told: Findings, rows: Sequence[_Row]) -> list[
     values = ["medians"] * several + ([f"ranked by {how}"] if found.is_ranked else [])
     if what:
         lines.append(": ".join(filter(None, (", ".join(what), "; ".join(values)))))
-    if found.seeds > 1 and any(one.too_few_seeds for one in found.compared.values()):
-        few = "seeds are too few to test so many controllers against each other: it takes"
-        lines.append(f"{found.seeds_compared} {few} {found.seeds_needed}")
-    elif found.disagreements:
-        names = {row.cases[0].controller: row.name for row in rows if row.cases}
-        ahead = [
-            f"{' and '.join(names[one] for one in leaders) or 'none'} in {_scenario_label(results, scenario)}"
-            for scenario, leaders in found.leaders_by_scenario.items()
-        ]
-        lines.append(f"scenarios disagree, so there is no overall rank; ahead: {'; '.join(ahead)}")
-    elif found.tested and len(found.order) > 1 and all(one.rank == 1 for one in found.order):
-        differences = [one for of in found.compared.values() for one in of.differences.values()]
-        if told.lead is Lead.ALIKE:
-            lines.append("no difference between controllers matters")
-        elif any(one.told_apart for one in differences):
-            lines.append(f"{found.seeds} seeds tell no controller to be better by enough to matter")
-        else:
-            lines.append(f"{found.seeds} seeds tell no two controllers apart")
+    if told.lead not in (Lead.NOBODY, Lead.ONLY_ONE):
+        names = {row.cases[0].controller: _in_a_sentence(row.name) for row in rows if row.cases}
+        scenarios = {case.scenario: _scenario_label(results, case.scenario) for case in results.cases}
+        lines.append(lead_clause(told, names, scenarios).striptags())
+    if found.seeds > 1 and (few := too_few_seeds_clause(found.compared.values())):
+        lines.append(few)
     if any(0 < row.failed < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:
         lines.append("* of the other runs: some failed")
     return lines
+
+
+def _in_a_sentence(label: str) -> str:
+    """Return a label among others, in quotes where it holds a comma itself."""
+    text = clipped(label.strip(), _LONGEST_LABEL)
+    return f'"{text}"' if "," in text else text
 
 
 def _rows(results: StudyResults, told: Findings) -> list[_Row]:

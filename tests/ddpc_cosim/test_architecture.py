@@ -26,7 +26,7 @@ PUBLIC_MODULES = {
     "testing",
     "texts",
 }
-VERDICTS = ("claims", "findings", "judgement", "ranks", "shares", "standings", "statistics")
+VERDICTS = ("claims", "findings", "judgement", "ranks", "sentences", "shares", "standings", "statistics")
 PUBLIC_MODULES |= {f"study.verdicts.{name}" for name in VERDICTS}
 PUBLIC_MODULES |= {"study.file_format.sections", "study.file_format.sweeps"}
 

@@ -9,12 +9,13 @@ import pytest
 
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.metrics import MetricSettings
+from ddpc_cosim.study.verdicts.sentences import join_words
 from ddpc_cosim.tables import Table
 from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.page import render_page
 from ddpc_reports.tables.cases import cases_table
 from ddpc_reports.tables.controllers import limits_table, response_table
-from ddpc_reports.verdict import across_statements, join_words, limitations
+from ddpc_reports.verdict import across_statements, limitations
 
 from .synthetic import ANGLE, FORCE, SPEED, TORQUE, MakeResults, findings_of, make_trace, ranked
 

@@ -191,7 +191,7 @@ def test_where_scenarios_disagree_there_is_no_rank_and_a_line_says_who_leads_whe
     ]
     lines = printed(replace(calm, cases=(*calm.cases, *windy)))
     assert [rank for rank, _ in ranked(lines)] == ["", ""]
-    said = "scenarios disagree, so there is no overall rank; ahead: deepc in nominal; pid in windy"
+    said = "the scenarios disagree, so there is no overall rank: deepc leads in nominal; pid leads in windy"
     assert said in [line.strip() for line in lines]
 
 
@@ -207,8 +207,8 @@ def test_reference_points_are_marked_and_have_no_rank() -> None:
 @pytest.mark.parametrize(
     ("seeds", "words"),
     [
-        (12, "12 seeds tell no two controllers apart"),
-        (5, "5 seeds are too few to test so many controllers against each other: it takes 6"),
+        (12, "pid and deepc lead over 12 seeds and are not told apart"),
+        (5, "5 seeds are too few to test 2 controllers against each other: it takes 6"),
     ],
 )
 def test_where_the_seeds_tell_none_apart_a_line_says_so(seeds: int, words: str) -> None:
@@ -218,8 +218,8 @@ def test_where_the_seeds_tell_none_apart_a_line_says_so(seeds: int, words: str) 
 @pytest.mark.parametrize(
     ("absolute", "line"),
     [
-        (20.0, "no difference between controllers matters"),
-        (9.1, "12 seeds tell no controller to be better by enough to matter"),
+        (20.0, "deepc and pid lead over 12 seeds, and no difference between them matters"),
+        (9.1, "deepc and pid lead over 12 seeds and none of them is told to be better by enough to matter"),
     ],
 )
 def test_where_no_difference_matters_a_line_says_so(absolute: float, line: str) -> None:
