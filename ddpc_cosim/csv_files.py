@@ -7,7 +7,6 @@ in the column's unit: ``level [cm]``.
 A Parquet file has the same columns under the same headers, and may stand wherever a CSV file is read.
 """
 
-import csv
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -20,6 +19,7 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 
 from ddpc_cosim.errors import ConfigError, DataError, MissingLibraryError
+from ddpc_cosim.tables import csv_records, write_rows
 from ddpc_cosim.variables import FloatArray, Variable, converter
 from fmu_plants.spelling import did_you_mean
 
@@ -93,16 +93,13 @@ class CSVFile:
             raise DataError(f"{path}: is empty; needed: a header and one row per sample")
         unquoted = re.sub(r'"[^"]*"', "", first)
         self.delimiter = next((mark for mark in _DELIMITERS if mark in unquoted), ",")
-        reader = csv.reader(
-            StringIO(text, newline=""), delimiter=self.delimiter, skipinitialspace=True, strict=True
-        )
         self.header: tuple[str, ...] = ()
         self.rows, self.lines = list[list[str]](), list[int]()
         try:
-            for row in reader:
-                self._take(row, reader.line_num)
-        except csv.Error as error:
-            raise DataError(f"{path}, line {reader.line_num}: not a CSV file: {error}") from error
+            for line, row in csv_records(text, delimiter=self.delimiter, skipinitialspace=True, strict=True):
+                self._take(row, line)
+        except ValueError as error:
+            raise DataError(f"{path}, {error}") from error
 
     def _take(self, row: list[str], line: int) -> None:
         if not self.header:
@@ -249,10 +246,8 @@ def write_table(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping[st
 
 
 def _write_csv(file: TextIO, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> None:
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow([*numbers, *texts])
     cells: list[Iterable[str]] = [map(repr, column.tolist()) for column in numbers.values()]
-    writer.writerows(zip(*cells, *texts.values(), strict=True))
+    write_rows(file, [*numbers, *texts], zip(*cells, *texts.values(), strict=True))
 
 
 def _write_parquet(path: Path, numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> None:

@@ -1,9 +1,6 @@
 """Texts of others: names, descriptions and errors that go to a terminal, a table or a file."""
 
-import html
-import math
 import re
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -111,17 +108,3 @@ def recorded(text: object) -> str:
     return printable(encodable(words), _LONGEST_RECORDED, keep="\n")
 
 
-def html_table(caption: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table for a notebook, numbers with four digits; nothing of its texts acts on the page."""
-
-    def words(value: object) -> str:
-        if isinstance(value, float):
-            return "\u2013" if math.isnan(value) else f"{value:.4g}"
-        return html.escape(recorded(value))
-
-    def cells(values: Iterable[object], tag: str) -> str:
-        return "".join(f"<{tag}>{words(value)}</{tag}>" for value in values)
-
-    body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
-    head = f"<caption>{html.escape(recorded(caption))}</caption><tr>{cells(header, 'th')}</tr>"
-    return f"<table>{head}{body}</table>"

@@ -12,7 +12,8 @@ from ddpc_cosim.controller import OK, Bounds
 from ddpc_cosim.csv_files import write_table
 from ddpc_cosim.metrics import MetricSettings, compute_installed_metrics, compute_metrics
 from ddpc_cosim.responses import Actuation, Response, StepTimes, Tracking
-from ddpc_cosim.texts import html_table, printable
+from ddpc_cosim.tables import plain_table
+from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import FloatArray, Variable, names
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ class Trace:
         return printable(f"Trace({self.outcome}, {samples}, {signals})")
 
     def _repr_html_(self) -> str:
-        return html_table(repr(self), ("metric", "value"), self.metrics().items())
+        return plain_table(repr(self), ("metric", "value"), self.metrics().items()).html
 
     @property
     def completed(self) -> bool:

@@ -12,9 +12,8 @@ from typing import Any, Protocol, Self
 
 import click
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
+from ddpc_cosim.cli.output import terminal_table
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError
@@ -25,6 +24,7 @@ from ddpc_cosim.processes.sandbox import Sandbox, demanded, require
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.processes.worker import LostWorkerError, UnexpectedError, Worker, serve_calls
 from ddpc_cosim.safe_calls import CallsInTime
+from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
 from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
@@ -274,13 +274,9 @@ def _print(title: str, results: list[CheckResult]) -> None:
         for result in results:
             click.echo(f"{result.status}\t{result.name}\t{printable(result.reason)}".rstrip())
         return
-    table = Table(
-        title=Text(printable(title)), title_justify="left", title_style="bold", box=None, pad_edge=False
+    headings = (*text_headings("check", "result"), Heading("why", numeric=False, wraps=True))
+    rows = (
+        Row(result.name, (Cell(result.status, tone=_STYLE[result.status]), Cell(result.reason)))
+        for result in results
     )
-    table.add_column("check", no_wrap=True)
-    table.add_column("result", no_wrap=True)
-    table.add_column("why", overflow="fold")
-    for result in results:
-        status = Text(result.status.value, _STYLE[result.status])
-        table.add_row(result.name, status, Text(printable(result.reason)))
-    console.print(table)
+    console.print(terminal_table(Table("", title, headings, tuple(rows))))

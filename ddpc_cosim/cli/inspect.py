@@ -5,23 +5,21 @@ import math
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from shlex import quote
 
 import click
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
-from ddpc_cosim.cli.output import fitting
+from ddpc_cosim.cli.output import fitting, terminal_table
 from ddpc_cosim.coupling.ssp import SSPConnection
 from ddpc_cosim.description import DefaultExperiment, DescribedVariable
 from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Severity
 from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu, systems
 from ddpc_cosim.inspection.systems import SystemInspection, inspect_ssp
+from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import Variable
 
@@ -30,10 +28,10 @@ _LONGEST_CELL = 10_000
 _STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: ""}
 _HEADINGS = ("name", "unit", "start", "min", "max", "nominal", "more", "description")
 _IN_WORDS = ("unit", "more", "description", "values set")
-_NARROW, _LONGEST_NAME = 14, 30
+_LONGEST_NAME = 30
 _BYTES_PER_KILOBYTE = 1000
 
-Row = tuple[str, ...]
+Cells = tuple[str, ...]
 Inspected = Inspection | SystemInspection
 
 
@@ -43,8 +41,8 @@ class _Section:
 
     title: str
     singular: str
-    headings: Row
-    rows: Sequence[Row]
+    headings: Cells
+    rows: Sequence[Cells]
 
 
 def inspect_command(path: Path, *, as_json: bool, strict: bool, every: bool) -> int:
@@ -65,18 +63,13 @@ def inspect_command(path: Path, *, as_json: bool, strict: bool, every: bool) -> 
 
 
 def _print_tables(console: Console, inspection: Inspected, *, every: bool) -> None:
-    facts = Table(box=None, show_header=False, pad_edge=False)
-    facts.add_column(style="bold", no_wrap=True)
-    facts.add_column(overflow="fold")
-    for name, value in _facts(inspection):
-        facts.add_row(name, Text(printable(value, _LONGEST_CELL)))
-    console.print(facts, "")
+    facts = tuple(Row(name, (Cell(value),)) for name, value in _facts(inspection))
+    headings = (Heading("", numeric=False), Heading("", numeric=False, wraps=True))
+    console.print(terminal_table(Table("", "", headings, facts, kind="facts")), "")
     for section in _sections(inspection):
         if section.rows:
             shown = section.rows if every else section.rows[:_MOST_ROWS]
-            # Columns in which nothing stands only take room.
-            used = [i for i in range(len(section.headings)) if any(row[i] for row in section.rows)]
-            table, left_out = fitting(console, used, partial(_table, section, shown))
+            table, left_out = fitting(console, _table(section, shown), _LONGEST_NAME)
             console.print(table)
             if len(shown) < len(section.rows):
                 console.print(
@@ -93,24 +86,13 @@ def _print_tables(console: Console, inspection: Inspected, *, every: bool) -> No
         console.print("", Text(_next_step(inspection)), sep="\n")
 
 
-def _table(section: _Section, rows: Sequence[Row], columns: Sequence[int], narrow: bool) -> Table:
-    table = Table(
-        title=f"{section.title} ({len(section.rows)})",
-        title_justify="left",
-        title_style="bold",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
+def _table(section: _Section, rows: Sequence[Cells]) -> Table:
+    return Table(
+        "",
+        f"{section.title} ({len(section.rows)})",
+        tuple(Heading(title, numeric=False, wraps=title in _IN_WORDS) for title in section.headings),
+        tuple(Row(first, tuple(map(Cell, others))) for first, *others in rows),
     )
-    for i in columns:
-        heading = section.headings[i]
-        in_words = heading in _IN_WORDS
-        widest = _NARROW if in_words else _LONGEST_NAME
-        table.add_column(
-            heading, no_wrap=not in_words, overflow="ellipsis", max_width=widest if narrow else None
-        )
-    for row in rows:
-        table.add_row(*(Text(printable(row[i], _LONGEST_CELL)) for i in columns))
-    return table
 
 
 def _plain_lines(inspection: Inspected) -> Iterator[str]:
@@ -288,7 +270,7 @@ def _sections(inspection: Inspected) -> Iterator[_Section]:
     yield _Section("Clocks", "clock", ("name", "kind", "more"), rows)
 
 
-def _clock_row(clock: Clock, *, ticks: bool) -> Row:
+def _clock_row(clock: Clock, *, ticks: bool) -> Cells:
     words = "does not tick here" if clock.causality == "input" else ""
     if ticks:
         words = f"ticks every {clock.interval:g} s from {clock.shift:g} s on"
@@ -308,7 +290,7 @@ def _on_parameter(parameter: DescribedVariable) -> str:
     return f"{kind} {parameter.type}{size}"
 
 
-def _row(variable: Variable, more: str = "", start_text: str | None = None) -> Row:
+def _row(variable: Variable, more: str = "", start_text: str | None = None) -> Cells:
     shown = variable.display_unit
     unit = variable.unit or "1"
     return (

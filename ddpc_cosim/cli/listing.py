@@ -5,14 +5,12 @@ from collections.abc import Iterator, Sequence
 from typing import TypedDict
 
 import click
-from rich.table import Table
-from rich.text import Text
 
-from ddpc_cosim.cli.output import screen
+from ddpc_cosim.cli.output import screen, terminal_table
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.metrics import METRICS, describe_metric
 from ddpc_cosim.plugins import describe, installed, package_version
-from ddpc_cosim.texts import printable
+from ddpc_cosim.tables import Cell, Heading, Row, Table
 
 _BUILT_IN = "ddpc_cosim.metrics:METRICS"
 
@@ -38,7 +36,7 @@ def list_command(kinds: Sequence[str], *, as_json: bool) -> int:
     else:
         console = screen()
         for kind, entries in listed.items():
-            console.print(_table(kind, entries), "")
+            console.print(terminal_table(_table(kind, entries)), "")
     return 0 if all(entry["works"] for entries in listed.values() for entry in entries) else 1
 
 
@@ -52,14 +50,14 @@ def _entries(kind: str) -> Iterator[Entry]:
 
 
 def _table(kind: str, entries: Sequence[Entry]) -> Table:
-    table = Table(title=kind, title_justify="left", title_style="bold", box=None, pad_edge=False)
-    table.add_column("name", no_wrap=True)
-    table.add_column("what")
-    table.add_column("from", overflow="ellipsis")
+    headings = (
+        Heading("name", numeric=False),
+        Heading("what", numeric=False, wraps=True),
+        Heading("from", numeric=False, wraps=True),
+    )
+    rows = []
     for entry in entries:
-        origin = (
-            f"{entry['package']} ({entry['target']})" if entry["target"] != _BUILT_IN else entry["package"]
-        )
-        what = Text(printable(entry["what"]), style="" if entry["works"] else "red")
-        table.add_row(Text(printable(entry["name"])), what, Text(printable(origin)))
-    return table
+        target = f" ({entry['target']})" if entry["target"] != _BUILT_IN else ""
+        what = Cell(entry["what"], failed=not entry["works"])
+        rows.append(Row(entry["name"], (what, Cell(entry["package"] + target))))
+    return Table("", kind, headings, tuple(rows))

@@ -4,23 +4,22 @@ import io
 import os
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from ddpc_cosim.tables import Cell, Table
 from ddpc_cosim.texts import printable
 
 if TYPE_CHECKING:  # which takes a while to import
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Table as RichTable
 
 _WIDE, _UNLIMITED = 1000, 10_000
-_LONGEST = 20_000
-
-Column = TypeVar("Column")
+_LONGEST, _SHORTEST_HEADING = 20_000, 5
 
 
 class _WhileRead(io.FileIO):
@@ -85,23 +84,93 @@ def screen() -> "Console":
     return Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDE)
 
 
+def terminal_table(
+    table: Table,
+    *,
+    columns: Sequence[int] | None = None,
+    ruled: bool = False,
+    longest: int | None = None,
+) -> "RichTable":
+    """Return a table for the terminal.
+
+    Parameters
+    ----------
+    table : Table
+        Its caption stands above it; its notes are left out.
+    columns : sequence of int, optional
+        Those that are shown; default: in which anything stands.
+    ruled : bool
+        Whether there is a rule below the headings.
+    longest : int, optional
+        Letters of names where the window is narrow; sentences have half of them, and headings no more than
+        what stands below them. Default: as many as there are.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    shown = used_columns(table) if columns is None else columns
+    rich = RichTable(
+        title=Text(printable(table.caption), "bold") if table.caption else None,
+        title_justify="left",
+        box=SIMPLE_HEAD if ruled else None,
+        pad_edge=False,
+        show_header=any(heading.words for heading in table.headings),
+    )
+    cells = [[Cell(row.header, best=table.kind == "facts"), *row.cells] for row in table.rows]
+    for i in shown:
+        heading = table.headings[i]
+        lines = [text for text in (printable(heading.title), printable(heading.detail)) if text]
+        if longest and not heading.wraps:
+            texts = [row[i].text for row in cells if i < len(row)]
+            room = max([_SHORTEST_HEADING, *map(len, texts), *map(len, heading.detail.split())])
+            lines = [part for line in lines for part in wrapped(line, room)]
+        widest = longest // 2 if longest and heading.wraps else longest
+        rich.add_column(
+            Text("\n".join(lines)),
+            justify="right" if heading.numeric else "left",
+            vertical="top" if any(other.wraps for other in table.headings) else "bottom",
+            no_wrap=not heading.wraps,
+            overflow="fold" if heading.wraps else "ellipsis",
+            max_width=None if heading.numeric else widest,
+        )
+    for row in cells:
+        rich.add_row(*(Text(printable(row[i].text, _LONGEST), _style(row[i])) for i in shown if i < len(row)))
+    return rich
+
+
+def _style(cell: Cell) -> str:
+    return " ".join(filter(None, ("bold" * cell.best, "red" if cell.failed else cell.tone)))
+
+
+def used_columns(table: Table) -> list[int]:
+    """Return the places of the columns in which anything stands: others only take room."""
+    rows = [(row.header, *(cell.text for cell in row.cells)) for row in table.rows]
+    return [i for i in range(len(table.headings)) if any(row[i] for row in rows if i < len(row))]
+
+
 def fitting(
-    console: "Console", columns: Sequence[Column], table_of: Callable[[Sequence[Column], bool], "Table"]
-) -> tuple["Table", Sequence[Column]]:
-    """Return a table with as many of the first columns as fit, and the columns that are left out.
+    console: "Console", table: Table, longest: int, *, fewest: int = 1
+) -> tuple["RichTable", list[int]]:
+    """Return a table with as many of the first columns as fit, and the places of those that are left out.
 
     Parameters
     ----------
     console : rich.console.Console
         Where it is printed.
-    columns : sequence
-        What tells most comes first; that stays in any case.
-    table_of : callable
-        Takes columns, and whether their headings are to be narrow, and returns a table.
+    table : Table
+        What tells most comes first.
+    longest : int
+        Letters of names where the window is too narrow for all of it.
+    fewest : int
+        Of so many first columns those that are not empty stay in any case.
     """
     unlimited = console.options.update(width=_UNLIMITED)
-    for count, narrow in [(len(columns), False), *((n, True) for n in range(len(columns), 0, -1))]:
-        table = table_of(columns[:count], narrow)
-        if console.measure(table, options=unlimited).maximum <= console.width:
+    used = used_columns(table)
+    least = sum(i < fewest for i in used)
+    tries = [(len(used), None), *((count, longest) for count in range(len(used), least - 1, -1))]
+    for count, names in tries:
+        rich = terminal_table(table, columns=used[:count], ruled=True, longest=names)
+        if console.measure(rich, options=unlimited).maximum <= console.width:
             break
-    return table, columns[count:]
+    return rich, used[count:]

@@ -6,12 +6,8 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
-
 from ddpc_cosim.cli.init import assignments
-from ddpc_cosim.cli.output import say, screen
+from ddpc_cosim.cli.output import say, screen, terminal_table
 from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.csv_files import CSVFile
 from ddpc_cosim.errors import ConfigError, CosimWarning, DataError
@@ -20,6 +16,7 @@ from ddpc_cosim.plugins import load_plugin
 from ddpc_cosim.processes.sandbox import demanded
 from ddpc_cosim.simulation import Simulation, run
 from ddpc_cosim.simulation.request import Request, overwrites, prepare
+from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_cosim.texts import printable
 
 # A comma between names: those of indices are part of a name.
@@ -133,16 +130,12 @@ def _print(simulation: Simulation) -> None:
     if not simulation.completed:
         title += f" ({simulation.outcome})"
     say(title)
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("signal", no_wrap=True, overflow="ellipsis")
-    for heading in ("start", "min", "max", "end"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("unit")
     rows = [(v, simulation.y[:, i], "") for i, v in enumerate(simulation.outputs)]
     rows += [(v, simulation.u[:, i], " (input)") for i, v in enumerate(simulation.inputs)]
+    lines = []
     for variable, values, kind in rows:
         found = (values[0], values.min(), values.max(), values[-1]) if len(values) else ()
         cells = [f"{value:.6g}" for value in found] or ["-"] * 4
-        name = Text(printable(variable.name) + kind)
-        table.add_row(name, *cells, Text(printable(variable.unit or "1")))
-    screen().print(table)
+        lines.append(Row(variable.name + kind, tuple(map(Cell, [*cells, variable.unit or "1"]))))
+    (signal, unit), figures = text_headings("signal", "unit"), map(Heading, ("start", "min", "max", "end"))
+    screen().print(terminal_table(Table("", "", (signal, *figures, unit), tuple(lines)), ruled=True))

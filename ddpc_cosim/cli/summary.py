@@ -5,9 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from ddpc_cosim.cli.output import clipped, fitting, wrapped
@@ -16,20 +14,25 @@ from ddpc_cosim.metrics import all_metrics, headline, metric_name, metric_of, sp
 from ddpc_cosim.study.case_files import CaseResult
 from ddpc_cosim.study.results import METRICS_FILE, StudyResults
 from ddpc_cosim.study.verdicts.findings import Findings, Lead, findings_of
-from ddpc_cosim.study.verdicts.ranks import ranks_frame
+from ddpc_cosim.study.verdicts.ranks import RANKED, problems_frame, ranks_frame
+from ddpc_cosim.study.verdicts.sentences import (
+    best_rank_clause,
+    lead_clause,
+    ranks_differ_clause,
+    too_few_seeds_clause,
+)
 from ddpc_cosim.study.verdicts.shares import marked
 from ddpc_cosim.study.verdicts.standings import Standings, known_values, standings, summed
-from ddpc_cosim.study.verdicts.statistics import LEVEL
+from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_cosim.texts import printable
 
 _STEP = "solve_time_median [s]"
 _RANGE = "range"
-_RANKED_BY = "mean_abs_error"
 _VARIANTS_SHOWN = 2
 _NAME_PART = 0.4
 """Part of the window that names may take."""
-_SHORTEST_NAME, _SHORTEST_HEADING = 10, 5
-_LONGEST_SCENARIO, _LONGEST_TITLE = 30, 200
+_SHORTEST_NAME = 10
+_LONGEST_LABEL, _LONGEST_TITLE = 30, 200
 _MISSING = "-"
 
 
@@ -53,13 +56,12 @@ class _Row:
 
 @dataclass(frozen=True)
 class _Column:
-    """A column: its heading in two lines, what stands in a row, and what is missing where it is left out."""
+    """A column: its heading, what is missing where it is left out, and what stands in a row."""
 
-    title: str
-    detail: str
+    heading: Heading
     words: str
     key: str
-    cell: Callable[[Sequence[CaseResult]], Text]
+    cell: Callable[[Sequence[CaseResult]], Cell]
 
 
 def summary_table(results: StudyResults, console: Console, told: Findings | None = None) -> RenderableType:
@@ -73,39 +75,48 @@ def summary_table(results: StudyResults, console: Console, told: Findings | None
     scenarios = tuple(dict.fromkeys(case.scenario for case in results.cases))
     rows = _rows(results, told)
     columns = _metric_columns(results, keys) if len(scenarios) < 2 else _scenario_columns(results, keys)
-    columns = [one for one in columns if one.title != _RANGE or _has_values(one, rows)]
-    longest = max(int(_NAME_PART * console.width), _SHORTEST_NAME)
-    table, others = fitting(console, columns, partial(_table, rows, longest))
-    left_out = [column.words for column in others]
+    columns = [column for column in columns if column.words != _RANGE or _has_values(column, rows)]
+    lines = _lines(results, told, rows)
+    further: list[str] = []
     if len(scenarios) > 1:
-        of_metrics = (one.title for one in _metric_columns(results, keys) if one.key not in headline(keys))
-        left_out += dict.fromkeys(of_metrics)
-    return _set(_title(results), table, _lines(results, told, rows, left_out), console)
+        of_metrics = _metric_columns(results, keys)
+        further = [column.heading.title for column in of_metrics if column.key not in headline(keys)]
+    where = f": {results.folder / METRICS_FILE}"
+    return _set(_title(results), rows, columns, lines, console, further=further, where=where)
 
 
-def _set(title: str, table: Table, lines: Sequence[str], console: Console) -> RenderableType:
+def _set(
+    title: str,
+    rows: Sequence[_Row],
+    columns: Sequence[_Column],
+    lines: Sequence[str],
+    console: Console,
+    *,
+    further: Sequence[str] = (),
+    where: str = "",
+) -> RenderableType:
     """Return a table below its title, and above lines in which no word is broken."""
+    longest = max(int(_NAME_PART * console.width), _SHORTEST_NAME)
+    table = _table(rows, columns, longest)
+    given = len(table.headings) - len(columns)
+    shown, others = fitting(console, table, longest, fewest=given + 1)
+    left_out = dict.fromkeys([*(columns[i - given].words for i in others), *further])
+    if left_out:
+        lines = [*lines, f"not shown: {'; '.join(left_out)}{where}"]
+    if any(not row.cases for row in rows):
+        lines = [*lines, f"every setting{where}"]
     below = [line for text in lines for line in wrapped(printable(text), console.width)]
-    return Group(Text(title, style="bold"), table, *(Text(line, overflow="ignore") for line in below))
+    return Group(Text(title, style="bold"), shown, *(Text(line, overflow="ignore") for line in below))
 
 
 def overall_table(problems: Sequence[StudyResults], console: Console) -> RenderableType | None:
     """Return the controllers over all problems by average rank; None where fewer than two can be compared."""
-    import pandas as pd  # with one problem it is not needed
-
     found = {one.study.name: standings(one.study, one.cases) for one in problems}
-    runs = [
-        (problem, key, controller, scenario, seed, value)
-        for problem, own in found.items()
-        for key, by_controller in own.runs.items()
-        for controller, values in by_controller.items()
-        for (scenario, seed), value in values.items()
-    ]
-    if len({run[0] for run in runs}) < 2:
+    frame = problems_frame(found.values())
+    if frame is None:
         return None
-    frame = pd.DataFrame(runs, columns=["problem", "variant", "controller", "scenario", "seed", _RANKED_BY])
     try:
-        ranks = ranks_frame(frame.assign(failed=frame[_RANKED_BY].isna()), _RANKED_BY)
+        ranks = ranks_frame(frame, RANKED)
     except ConfigError:  # no run is shared by all
         return None
     if len(ranks.ranks) < 2:
@@ -116,27 +127,28 @@ def overall_table(problems: Sequence[StudyResults], console: Console) -> Rendera
             if case.scenario not in found[one.study.name].left_out:
                 of_controller.setdefault(case.controller, []).append(case)
     rows = [_Row(of_controller[name][0].label, of_controller[name]) for name in ranks.ranks]
-    average = _Column("average rank", "", "", "", lambda own: Text(f"{ranks.ranks[own[0].controller]:.3g}"))
-    columns = [average, *(_problem_column(name, own) for name, own in found.items() if own.order)]
-    longest = max(int(_NAME_PART * console.width), _SHORTEST_NAME)
-    table, others = fitting(console, columns, partial(_table, rows, longest))
-    apart = (
-        f"averages {ranks.critical_difference:.2g} apart differ" if ranks.p <= LEVEL else "none told apart"
+    average = _Column(
+        Heading("average rank"), "", "", lambda own: Cell(f"{ranks.ranks[own[0].controller]:.3g}")
     )
-    lines = [f"ranks in {ranks.problems} problems, and their average: {apart}"]
-    lines += [f"not shown: {'; '.join(column.words for column in others)}"] if others else []
-    return _set("All problems", table, lines, console)
+    columns = [average, *(_problem_column(name, own) for name, own in found.items() if own.order)]
+    labels = {name: own[0].label for name, own in of_controller.items()}
+    differ = ranks_differ_clause(ranks, lambda rank: f"{rank:.2g}")
+    lines = [
+        f"ranks in {ranks.problems} problems, and their average: {differ}",
+        best_rank_clause(ranks, labels).striptags(),
+    ]
+    return _set("All problems", rows, columns, lines, console)
 
 
 def _problem_column(name: str, found: Standings) -> _Column:
     standing = {one.controller: one for one in found.order}
 
-    def cell(cases: Sequence[CaseResult]) -> Text:
+    def cell(cases: Sequence[CaseResult]) -> Cell:
         own = standing.get(cases[0].controller)
-        return Text(_rank_words(own.text) if own else _MISSING, style="red" if own and own.failed else "")
+        return Cell(_rank_words(own.text), failed=own.failed > 0) if own else Cell(_MISSING)
 
-    label = clipped(name, _LONGEST_SCENARIO)
-    return _Column(label, "", label, "", cell)
+    label = clipped(name, _LONGEST_LABEL)
+    return _Column(Heading(label), label, "", cell)
 
 
 def _rank_words(text: str) -> str:
@@ -145,34 +157,30 @@ def _rank_words(text: str) -> str:
 
 
 def _has_values(column: _Column, rows: Sequence[_Row]) -> bool:
-    return any(column.cell(row.cases).plain != _MISSING for row in rows)
+    return any(column.cell(row.cases).text != _MISSING for row in rows)
 
 
-def _table(rows: Sequence[_Row], longest: int, columns: Sequence[_Column], narrow: bool) -> Table:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    add = partial(table.add_column, vertical="bottom", no_wrap=True)
+def _table(rows: Sequence[_Row], columns: Sequence[_Column], longest: int) -> Table:
+    headings = (Heading("rank"), Heading("controller", numeric=False), Heading("failed", "runs"))
     any_failed = any(row.failed for row in rows)
-    ranked = any(row.rank is not None for row in rows)
-    if ranked:
-        add("rank", justify="right")
-    add("controller", max_width=longest, overflow="ellipsis")
-    if any_failed:
-        add("failed\nruns", justify="right")
-    cells = [[column.cell(row.cases) for row in rows if row.cases] for column in columns]
-    for column, own in zip(columns, cells, strict=True):
-        room = max([_SHORTEST_HEADING, *map(len, own), *map(len, column.detail.split())])
-        texts = [text for text in (column.title, column.detail) if text]
-        lines = [line for text in texts for line in (wrapped(text, room) if narrow else [text])]
-        add(Text("\n".join(lines)), justify="right")
-    for row in rows:
-        if not row.cases:
-            table.add_row(*([""] if ranked else []), row.name)
-            continue
-        name = Text(clipped(row.name, longest), style="bold" if row.leads else "")
-        failed = Text(f"{row.failed}/{len(row.cases)}", style="red" if row.failed else "")
-        rank = [row.rank or ""] if ranked else []
-        table.add_row(*rank, name, *([failed] if any_failed else []), *(own.pop(0) for own in cells))
-    return table
+    return Table(
+        "",
+        "",
+        (*headings, *(column.heading for column in columns)),
+        tuple(
+            Row(
+                row.rank or "",
+                (
+                    Cell(clipped(row.name, longest), best=row.leads),
+                    Cell(f"{row.failed}/{len(row.cases)}" * any_failed, failed=row.failed > 0),
+                    *(column.cell(row.cases) for column in columns),
+                ),
+            )
+            if row.cases
+            else Row("", (Cell(row.name),))
+            for row in rows
+        ),
+    )
 
 
 def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]:
@@ -182,7 +190,9 @@ def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]
     others = [key for name in names for key in keys if split_key(key)[0] == name and key not in ranked]
     several = len({case.seed for case in results.cases}) > 1
     spreads = [
-        _Column(_RANGE, _detail(key), _RANGE, "", partial(_range, key=key)) for key in ranked if several
+        _Column(Heading(_RANGE, _detail(key)), _RANGE, "", partial(_range, key=key))
+        for key in ranked
+        if several
     ]
     own, more = [_metric_column(key) for key in ranked], [*map(_metric_column, others), step]
     # Of several outputs the ranges would leave no room for anything else.
@@ -190,12 +200,12 @@ def _metric_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]
 
 
 def _metric_column(key: str) -> _Column:
-    def cell(cases: Sequence[CaseResult]) -> Text:
+    def cell(cases: Sequence[CaseResult]) -> Cell:
         value = summed(cases, key)
         failed = any(case.failed for case in cases)
-        return Text(_micro(value) if key == _STEP else _number(value), style="red" if failed else "")
+        return Cell(_micro(value) if key == _STEP else _number(value), failed=failed)
 
-    return _Column(metric_name(key), "" if key == _STEP else _detail(key), _words(key), key, cell)
+    return _Column(Heading(metric_name(key), "" if key == _STEP else _detail(key)), _words(key), key, cell)
 
 
 def _scenario_columns(results: StudyResults, keys: Sequence[str]) -> list[_Column]:
@@ -209,21 +219,21 @@ def _scenario_columns(results: StudyResults, keys: Sequence[str]) -> list[_Colum
 
 
 def _scenario_column(results: StudyResults, name: str, key: str, detail: str) -> _Column:
-    def cell(cases: Sequence[CaseResult]) -> Text:
+    def cell(cases: Sequence[CaseResult]) -> Cell:
         own = [case for case in cases if case.scenario == name]
         failed = sum(case.failed for case in own)
         if own and failed == len(own):
-            return Text("failed", style="red")
-        return Text(_number(summed(own, key), 3) + ("*" if failed else ""), style="red" if failed else "")
+            return Cell("failed", failed=True)
+        return Cell(_number(summed(own, key), 3) + "*" * (failed > 0), failed=failed > 0)
 
     label = _scenario_label(results, name)
     words = " ".join(filter(None, (label, detail.partition(" [")[0])))
-    return _Column(label, detail, words, key, cell)
+    return _Column(Heading(label, detail), words, key, cell)
 
 
 def _scenario_label(results: StudyResults, name: str) -> str:
     section = results.study.scenarios.get(name)
-    return clipped((section.label if section else "") or name, _LONGEST_SCENARIO)
+    return clipped((section.label if section else "") or name, _LONGEST_LABEL)
 
 
 def _words(key: str) -> str:
@@ -242,9 +252,9 @@ def _title(results: StudyResults) -> str:
     return f"{clipped(results.study.title or results.study.name, _LONGEST_TITLE)} ({over})"
 
 
-def _lines(results: StudyResults, told: Findings, rows: Sequence[_Row], left_out: Sequence[str]) -> list[str]:
+def _lines(results: StudyResults, told: Findings, rows: Sequence[_Row]) -> list[str]:
     """Return what is to be said below the table."""
-    lines, where, found = [], results.folder / METRICS_FILE, told.standings
+    lines, found = [], told.standings
     keys = headline(dict.fromkeys(key for case in results.cases for key in case.metrics))
     what = dict.fromkeys(
         f"{_words(key)} [{split_key(key)[2]}]" if len(keys) == 1 else metric_name(key) for key in keys
@@ -254,31 +264,21 @@ def _lines(results: StudyResults, told: Findings, rows: Sequence[_Row], left_out
     values = ["medians"] * several + ([f"ranked by {how}"] if found.is_ranked else [])
     if what:
         lines.append(": ".join(filter(None, (", ".join(what), "; ".join(values)))))
-    if found.seeds > 1 and any(one.too_few_seeds for one in found.compared.values()):
-        few = "seeds are too few to test so many controllers against each other: it takes"
-        lines.append(f"{found.seeds_compared} {few} {found.seeds_needed}")
-    elif found.disagreements:
-        names = {row.cases[0].controller: row.name for row in rows if row.cases}
-        ahead = [
-            f"{' and '.join(names[one] for one in leaders) or 'none'} in {_scenario_label(results, scenario)}"
-            for scenario, leaders in found.leaders_by_scenario.items()
-        ]
-        lines.append(f"scenarios disagree, so there is no overall rank; ahead: {'; '.join(ahead)}")
-    elif found.tested and len(found.order) > 1 and all(one.rank == 1 for one in found.order):
-        differences = [one for of in found.compared.values() for one in of.differences.values()]
-        if told.lead is Lead.ALIKE:
-            lines.append("no difference between controllers matters")
-        elif any(one.told_apart for one in differences):
-            lines.append(f"{found.seeds} seeds tell no controller to be better by enough to matter")
-        else:
-            lines.append(f"{found.seeds} seeds tell no two controllers apart")
+    if told.lead not in (Lead.NOBODY, Lead.ONLY_ONE):
+        names = {row.cases[0].controller: _in_a_sentence(row.name) for row in rows if row.cases}
+        scenarios = {case.scenario: _scenario_label(results, case.scenario) for case in results.cases}
+        lines.append(lead_clause(told, names, scenarios).striptags())
+    if found.seeds > 1 and (few := too_few_seeds_clause(found.compared.values())):
+        lines.append(few)
     if any(0 < row.failed < len(row.cases) for row in rows) and len({c.scenario for c in results.cases}) > 1:
         lines.append("* of the other runs: some failed")
-    if left_out:
-        lines.append(f"not shown: {'; '.join(left_out)}: {where}")
-    if any(not row.cases for row in rows):
-        lines.append(f"every setting: {where}")
     return lines
+
+
+def _in_a_sentence(label: str) -> str:
+    """Return a label among others, in quotes where it holds a comma itself."""
+    text = clipped(label.strip(), _LONGEST_LABEL)
+    return f'"{text}"' if "," in text else text
 
 
 def _rows(results: StudyResults, told: Findings) -> list[_Row]:
@@ -328,11 +328,11 @@ def _place(cases: Sequence[CaseResult], key: str) -> tuple[int, float]:
     return sum(case.failed for case in cases), math.inf if math.isnan(value) else metric_of(key).rank(value)
 
 
-def _range(cases: Sequence[CaseResult], key: str) -> Text:
+def _range(cases: Sequence[CaseResult], key: str) -> Cell:
     values = known_values(cases, key)
     if len(values) < 2 or math.isclose(min(values), max(values), rel_tol=1e-9):
-        return Text(_MISSING)
-    return Text(f"{_number(min(values))} .. {_number(max(values))}")
+        return Cell(_MISSING)
+    return Cell(f"{_number(min(values))} .. {_number(max(values))}")
 
 
 def _number(value: float, digits: int = 4) -> str:

@@ -5,7 +5,6 @@ start on, roundings grow in it without a bound. Here the past of every sample is
 start, within which they cannot.
 """
 
-import csv
 import io
 from collections.abc import Callable, Iterator
 from copy import deepcopy
@@ -15,6 +14,7 @@ import numpy as np
 
 from ddpc_cosim.controller import OK, Controller, Loop, Sample
 from ddpc_cosim.safe_calls import ask_controller, clip_inputs, horizon_of, start_controller
+from ddpc_cosim.tables import write_rows
 from ddpc_cosim.trace import Trace
 from ddpc_cosim.variables import FloatArray, names
 from fmu_plants.export.sampled_block import SampledBlock
@@ -43,10 +43,8 @@ def vector_of(block: SampledBlock, make: Callable[[], Controller], loop: Loop, t
     """
     signals = (*block.measurements, *block.references, *block.controls)
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["start", *(variable.name for variable in signals), "fallback"])
-    for row in _rows(make, loop, trace):
-        writer.writerow([repr(float(value)) if isinstance(value, float) else value for value in row])
+    rows = ([repr(value) for value in row] for row in _rows(make, loop, trace))
+    write_rows(text, ["start", *(variable.name for variable in signals), "fallback"], rows)
     return text.getvalue()
 
 

@@ -20,7 +20,8 @@ from ddpc_cosim.plant import FMIType, ParameterValue, Plant
 from ddpc_cosim.processes.limits import told_of_limits
 from ddpc_cosim.processes.sandbox import demanded, entered, require
 from ddpc_cosim.processes.scratch import ScratchFolder
-from ddpc_cosim.texts import html_table, printable
+from ddpc_cosim.tables import plain_table
+from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import FloatArray, Variable, names, with_display_units
 from fmu_plants.spelling import did_you_mean
 
@@ -177,7 +178,8 @@ class FMUPlant(Plant):
             for kind, variables in kinds
             for v in variables
         ]
-        return html_table(repr(self), ("", "name", "unit", "start", "min", "max", "description"), rows)
+        header = ("", "name", "unit", "start", "min", "max", "description")
+        return plain_table(repr(self), header, rows).html
 
     def _shown_in(self, units: Mapping[str, str]) -> tuple[tuple[Variable, ...], tuple[Variable, ...]]:
         """Return inputs and outputs with the display units that are asked for."""

@@ -1,8 +1,6 @@
 """The files of one case: written in one move and sealed, accepted from a worker, read to the last byte."""
 
-import csv
 import hashlib
-import io
 import json
 import math
 import os
@@ -24,6 +22,7 @@ from ddpc_cosim.metrics import MetricSettings
 from ddpc_cosim.path_lengths import RANDOM
 from ddpc_cosim.processes.requests import held
 from ddpc_cosim.responses import Tracking
+from ddpc_cosim.tables import own_rows
 from ddpc_cosim.texts import recorded
 from ddpc_cosim.trace import Outcome, Trace
 from ddpc_cosim.variables import DisplayUnit, FloatArray, Variable
@@ -54,7 +53,6 @@ DAMAGED = (
     AttributeError,
     StopIteration,
     RecursionError,
-    csv.Error,
 )
 
 
@@ -569,7 +567,7 @@ def _read_signals(content: bytes, storage: str) -> tuple[dict[str, FloatArray], 
     if storage == "parquet":
         numbers, texts = read_parquet(content)
         return numbers, texts["status"]
-    header, *rows = csv.reader(io.StringIO(content.decode(), newline=""))
+    header, rows = own_rows(content.decode())
     cells = list(zip(*rows, strict=True)) or [()] * len(header)
     columns = {name: np.array(column, dtype=float) for name, column in zip(header[:-1], cells, strict=False)}
     return columns, tuple(cells[-1])

@@ -24,7 +24,8 @@ from ddpc_cosim.study.file_format.written import Table, controller_table, experi
 from ddpc_cosim.study.reading import read_file, resolve_file
 from ddpc_cosim.study.results import StudyResults
 from ddpc_cosim.study.runner import Progress, Selection, Update, run_study
-from ddpc_cosim.texts import html_table, printable
+from ddpc_cosim.tables import plain_table
+from ddpc_cosim.texts import printable
 from fmu_plants.files import write_atomically
 from fmu_plants.spelling import did_you_mean
 
@@ -534,7 +535,7 @@ class Study:
             (name, *(_table(sections, name).get(key, "") for key in ("type", "settings")))
             for name in sections
         ]
-        return html_table(repr(self), ("controller", "type", "settings"), rows)
+        return plain_table(repr(self), ("controller", "type", "settings"), rows).html
 
 
 def _table(tables: Table, key: str) -> Table:

@@ -1,7 +1,5 @@
 """The results of a study on disk, read back for reports and for people."""
 
-import csv
-import io
 import math
 import os
 from collections.abc import Callable, Iterable, Sequence
@@ -26,7 +24,8 @@ from ddpc_cosim.study.case_files import (
 )
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.verdicts.judgement import Run, judged, run_of
-from ddpc_cosim.texts import alike, csv_text, encodable, html_table, printable, toml_tables
+from ddpc_cosim.tables import plain_table, table_text
+from ddpc_cosim.texts import alike, encodable, printable, toml_tables
 from ddpc_cosim.trace import Trace
 from fmu_plants.files import write_atomically, write_through
 from fmu_plants.spelling import did_you_mean
@@ -175,7 +174,7 @@ class StudyResults:
             groups.setdefault((case.problem, case.label, case.scenario), []).append(case)
         rows = [(*key, len(cases), sum(case.failed for case in cases)) for key, cases in groups.items()]
         header = ("problem", "controller", "scenario", "cases", "failed")
-        return html_table(repr(self), header, rows)
+        return plain_table(repr(self), header, rows).html
 
     def frame(self) -> "pd.DataFrame":
         """Return one row per case: what it was, how it ended, and its metrics, a column each, as metrics.csv.
@@ -585,28 +584,25 @@ def write_metrics(results: StudyResults) -> None:
 def _metrics_table(study: "WholeStudy", cases: Sequence[CaseResult]) -> str:
     """Return ``metrics.csv``."""
     keys = list(dict.fromkeys(key for case in cases for key in case.metrics))
-    has_variants = any(one.variant_of for one in study.problems.values())
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    head = ["study", "problem", *(["variant"] if has_variants else []), "plant", "controller", "scenario"]
-    writer.writerow([*head, "seed", "outcome", "failed", "settles", *map(printable, keys)])
+    has_variants = any(problem.variant_of for problem in study.problems.values())
+    header = ["study", "problem", *["variant"] * has_variants, "plant", "controller", "scenario"]
+    header += ["seed", "outcome", "failed", "settles", *map(printable, keys)]
+    rows = []
     for case in cases:
-        values = [case.metrics.get(key, math.nan) for key in keys]
-        cells = ["" if math.isnan(value) else repr(value) for value in values]
-        one = study.problems[case.problem]
-        variant = [variant_words(one.varied)] if has_variants else []
-        what = [
-            study.head.name,
-            one.variant_of or case.problem,
-            *variant,
-            one.plant.label,
-            case.controller,
-            case.scenario,
-        ]
-        settles = "" if case.settles is None else _truth(case.settles)
-        writer.writerow([*map(csv_text, what), case.seed, case.outcome, _truth(case.failed), settles, *cells])
-    return file.getvalue()
-
-
-def _truth(value: bool) -> str:
-    return "true" if value else "false"
+        problem = study.problems[case.problem]
+        rows.append(
+            [
+                study.head.name,
+                problem.variant_of or case.problem,
+                *[variant_words(problem.varied)] * has_variants,
+                problem.plant.label,
+                case.controller,
+                case.scenario,
+                case.seed,
+                case.outcome,
+                case.failed,
+                "" if case.settles is None else case.settles,
+                *(case.metrics.get(key, math.nan) for key in keys),
+            ]
+        )
+    return table_text(header, rows)

@@ -5,8 +5,6 @@ tried next follows from the trials before alone. A tuning that was interrupted g
 trials once more; there is no other record of it that could contradict the cases.
 """
 
-import csv
-import io
 import json
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -33,6 +31,7 @@ from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 from ddpc_cosim.study.results import CASES_FOLDER, TRIALS_FILE, StudyResults, claim_folder
 from ddpc_cosim.study.runner import Progress, Selection, built_plants, run_missing, run_study
 from ddpc_cosim.study.verdicts.judgement import judged, run_of
+from ddpc_cosim.tables import table_text
 from ddpc_cosim.texts import encodable
 from ddpc_cosim.tuning.objectives import PREDICTION, Objective, Run, reference_spans
 from ddpc_cosim.tuning.search import (
@@ -430,48 +429,24 @@ def _trials_table(
     at_ends: Mapping[tuple[str, str], Sequence[str]],
     request: Request,
 ) -> str:
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
     figures = ["runs failed", *map(str, request.objectives)]
-    marks = ["not dominated", "chosen", *(f"held out: {figure}" for figure in figures)]
-    writer.writerow(
-        [
-            "problem",
-            "controller",
-            "trial",
-            "origin",
-            "runs",
-            "pruned",
-            *figures,
-            *marks,
-            "at ends",
-            "settings",
-        ]
-    )
+    header = ["problem", "controller", "trial", "origin", "runs", "pruned", *figures]
+    header += ["not dominated", "chosen", *(f"held out: {figure}" for figure in figures)]
+    header += ["at ends", "settings"]
+    rows = []
     for (problem, controller), tried in trials.items():
         whole, chosen = [trial for trial in tried if not trial.pruned], best(tried)
         given, found = held_out.get((problem, controller), (None, None))
         for number, trial in enumerate(tried):
             again = found if number == chosen else given if not number else None
-            values = ["" if trial.pruned else repr(value) for value in trial.values]
             on_front = not trial.pruned and not any(dominates(other, trial) for other in whole)
-            facts = (trial.pruned, on_front, number == chosen)
-            pruned, *words = ("true" if fact else "false" for fact in facts)
-            row = [
-                problem,
-                controller,
-                number,
-                trial.origin,
-                trial.runs,
-                pruned,
-                trial.failed,
-                *values,
-                *words,
-            ]
-            row += [again.failed, *map(repr, again.values)] if again else [""] * len(figures)
+            row = [problem, controller, number, trial.origin, trial.runs, trial.pruned, trial.failed]
+            row += ["" if trial.pruned else value for value in trial.values]
+            row += [on_front, number == chosen]
+            row += [again.failed, *again.values] if again else [""] * len(figures)
             ends = ", ".join(at_ends[problem, controller]) if number == chosen else ""
-            writer.writerow([*row, ends, json.dumps(trial.settings)])
-    return file.getvalue()
+            rows.append([*row, ends, json.dumps(trial.settings)])
+    return table_text(header, rows)
 
 
 def _tuned_study(

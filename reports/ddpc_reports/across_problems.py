@@ -4,17 +4,33 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.study.file_format.sections import Study
-from ddpc_cosim.study.verdicts.ranks import AverageRanks, Profile, profile_frame, ranks_frame
+from ddpc_cosim.study.verdicts.ranks import (
+    RANKED,
+    AverageRanks,
+    Profile,
+    problems_frame,
+    profile_frame,
+    ranks_frame,
+)
+from ddpc_cosim.study.verdicts.sentences import (
+    best_rank_clause,
+    italic,
+    join_words,
+    ranks_differ_clause,
+    sentence,
+    some_of,
+)
+from ddpc_cosim.study.verdicts.standings import standings
 from ddpc_cosim.study.verdicts.statistics import LEVEL, letters
+from ddpc_cosim.tables import Cell, Heading, Table
 from ddpc_cosim.texts import clipped
-from ddpc_reports.comparison import Condition, ControllerResults, conditions
+from ddpc_reports.comparison import ControllerResults, conditions
 from ddpc_reports.distances import Distances, distance_columns, distance_statements, distances
 from ddpc_reports.figures.charts import profile_chart, rank_chart
 from ddpc_reports.figures.figure import Figure, entry, one_chart
@@ -22,17 +38,15 @@ from ddpc_reports.figures.samples import column_name
 from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.shares import SHARE_NOTE, interval_words, share_words
 from ddpc_reports.tables.settings import value_text
-from ddpc_reports.tables.table import Cell, Column, Heading, Table, controller_table, number_cells
-from ddpc_reports.verdict import Statement, join_words, names, p_words, some_of
+from ddpc_reports.tables.table import Column, controller_table, number_cells
+from ddpc_reports.verdict import Statement, names, p_words
 
-_METRIC = "mean_abs_error"
-"""Stands for what a problem ranks by, its own cost or mean errors: of both, lower values are better."""
 _FACTOR, _WIDEST = 2.0, 20.0
 """The ratio that the table shows, and the largest that is drawn."""
 _POINTS = 300
 _NAMED = 3
 RANKS_NOTE = (
-    "Ranks by mean abs error or the problem's own cost: first comes the controller with fewer runs "
+    "Ranks by mean absolute error or the problem's own cost: first comes the controller with fewer runs "
     "that failed, of equal ones that with the better average rank over scenarios and signals. Group: "
     "controllers that share a letter are not told apart by Nemenyi's test at 5\u00a0%."
 )
@@ -75,35 +89,30 @@ class Overall:
 
 def overall(problems: Sequence[StudyResults]) -> Overall | None:
     """Compare the controllers over all problems; None where fewer than two of either can be compared."""
-    import pandas as pd
-
-    rows: list[dict[str, Any]] = []
     found: dict[str, ControllerResults] = {}
     failed: dict[str, tuple[int, int]] = {}
     left_out = []
-    for number, results in enumerate(problems):
+    for results in problems:
         everywhere = conditions(results)
         for one in (one for condition in everywhere for one in condition.controllers):
             found.setdefault(one.key, one)
         seen = [condition for condition in everywhere if not condition.all_failed]
         unseen = [f"{results.study.name}: {one.label}" for one in everywhere if one.all_failed]
         left_out += unseen if seen else [results.study.title or results.study.name]
-        for condition in seen:
-            rows += _rows_of(condition, number)
-            for one in condition.controllers:
-                so_far, runs = failed.get(one.key, (0, 0))
-                failed[one.key] = so_far + one.failed, runs + len(one.cases)
-    if len({row["problem"] for row in rows}) < 2:
+        for one in (one for condition in seen for one in condition.controllers):
+            so_far, runs = failed.get(one.key, (0, 0))
+            failed[one.key] = so_far + one.failed, runs + len(one.cases)
+    frame = problems_frame(standings(one.study, one.cases) for one in problems)
+    if frame is None:
         return None
-    frame = pd.DataFrame(rows)
-    ranks = ranks_frame(frame, _METRIC)
+    ranks = ranks_frame(frame, RANKED)
     if len(ranks.ranks) < 2:
         return None
     shown = {key: found[key] for key in ranks.ranks}
     others = [one for one in found.values() if one.key not in shown]
     far = distances(problems, [*shown.values(), *sorted(others, key=lambda one: one.is_point)])
     labels = {key: one.label for key, one in found.items()}
-    profile = profile_frame(frame, _METRIC)
+    profile = profile_frame(frame, RANKED)
     chosen = chosen_kinds([results.study for results in problems])
     return Overall(ranks.problems, left_out, shown, failed, ranks, profile, labels, far, chosen)
 
@@ -132,39 +141,13 @@ def chosen_kinds(problems: Iterable[Study]) -> dict[str, str]:
     }
 
 
-def _rows_of(condition: Condition, number: int) -> list[dict[str, Any]]:
-    """Return a row per run and signal that it is ranked by; each signal is a condition of its own."""
-    return [
-        {
-            "problem": number,
-            "controller": one.key,
-            "scenario": condition.scenario,
-            "variant": key,
-            "seed": case.seed,
-            "failed": case.failed,
-            _METRIC: case.metrics.get(key, math.nan),
-        }
-        for key in condition.headline
-        for one in condition.contenders
-        for case in one.cases
-    ]
-
-
 def overall_answer(found: Overall) -> Markup:
     """Return who has the best average rank, from whom it is told apart, and of whom the most runs failed."""
     ranks, order = found.ranks, [*found.controllers.values()]
-    first, alike = order[0], _alike(found)
-    name = (Markup("<i>{}</i>") if alike else Markup("<b>{}</b>")).format(first.label)
-    text = Markup("{} has the best average rank over {} problems, {}").format(
-        name, found.problems, significant(ranks.ranks[first.key], 3)
-    )
-    if alike:
-        shown = [
-            Markup("<i>{}</i> ({})").format(one.label, significant(ranks.ranks[one.key], 3)) for one in alike
-        ]
-        text += Markup(", but is not told apart from {}").format(some_of(shown))
+    first = order[0]
+    text = _best_rank(ranks, found.labels)
     if ranks.p <= LEVEL:
-        text += f"; ranks that are {significant(ranks.critical_difference, 2)} apart differ"
+        text += f"; {ranks_differ_clause(ranks, lambda rank: significant(rank, 2))}"
     text += "."
     if found.distances and (own := found.distances.overall.get(first.key)):
         points = names([one for one in found.distances.controllers if one.is_point])
@@ -181,16 +164,13 @@ def overall_answer(found: Overall) -> Markup:
         ]
         text += Markup(" Failed{}: {}.").format(" most" if failing[_NAMED:] else "", join_words(most))
     if found.left_out:
-        left_out = [Markup("<i>{}</i>").format(name) for name in found.left_out]
+        left_out = [italic(name) for name in found.left_out]
         text += Markup(" Not counted, as every controller fails there: {}.").format(some_of(left_out))
     return text
 
 
-def _alike(found: Overall) -> list[ControllerResults]:
-    """Return those that the problems do not tell apart from the one with the best average rank."""
-    first = next(iter(found.controllers))
-    unsure = {name for group in found.ranks.groups if first in group for name in group} - {first}
-    return [one for key, one in found.controllers.items() if key in unsure]
+def _best_rank(ranks: AverageRanks, labels: Mapping[str, str]) -> Markup:
+    return sentence(best_rank_clause(ranks, labels, significant(min(ranks.ranks.values()), 3)))
 
 
 def first_columns(found: Overall, order: Sequence[ControllerResults]) -> list[Column]:
@@ -208,31 +188,23 @@ def _failed_cells(found: Overall, controllers: Iterable[ControllerResults]) -> l
 
 def overall_statements(found: Overall) -> list[Statement]:
     """Say who has the best average rank, from whom it is told apart, and who is left out."""
-    ranks, order = found.ranks, [*found.controllers.values()]
-    first, alike = order[0], _alike(found)
-    text = Markup("Over {} problems, {} has the best average rank, {}").format(
-        found.problems,
-        (Markup("<i>{}</i>") if alike else Markup("<b>{}</b>")).format(first.label),
-        significant(ranks.ranks[first.key], 3),
-    )
-    if alike:
-        text += Markup("; the problems do not tell it apart from {}").format(some_of(names(alike)))
+    ranks = found.ranks
+    text = _best_rank(ranks, found.labels)
     if math.isnan(ranks.p):
         test = Markup(" It takes three controllers for a test.")
     else:
-        differ = f"ranks that are {significant(ranks.critical_difference, 3)} or more apart differ"
-        what = differ if ranks.p <= LEVEL else "none is found to differ"
-        test = Markup(" Friedman's test: p {}; {}.").format(p_words(ranks.p, "= "), what)
+        differ = ranks_differ_clause(ranks, lambda rank: significant(rank, 3))
+        test = Markup(" Friedman's test: p {}; {}.").format(p_words(ranks.p, "= "), differ)
     statements = [Statement("Ranks", text + "." + test)]
     if found.distances:
-        together = [one.key for one in order if one is first or one in alike]
+        together = [next(iter(ranks.ranks)), *ranks.level_with_first]
         statements += distance_statements(found.distances, together)
     if found.left_out:
-        where = join_words([Markup("<i>{}</i>").format(name) for name in found.left_out])
+        where = join_words([italic(name) for name in found.left_out])
         nothing = Markup("In {} every controller fails: nothing is ranked there.").format(where)
         statements.append(Statement("Left out", nothing))
     if ranks.left_out:
-        who = join_words([Markup("<i>{}</i>").format(found.labels[name]) for name in ranks.left_out])
+        who = join_words([italic(found.labels[name]) for name in ranks.left_out])
         some = Markup("{}: not in every problem, so not ranked over all.").format(who)
         statements.append(Statement("Not ranked", some))
     return statements

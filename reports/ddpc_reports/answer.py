@@ -2,20 +2,28 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_name, metric_of
 from ddpc_cosim.study.verdicts.findings import Findings, Lead
+from ddpc_cosim.study.verdicts.sentences import (
+    italic,
+    join_words,
+    lead_clause,
+    over_words,
+    sentence,
+    some_of,
+    too_few_seeds_clause,
+)
 from ddpc_cosim.study.verdicts.standings import Standing, Standings
-from ddpc_cosim.study.verdicts.statistics import Difference, compare, describe
+from ddpc_cosim.study.verdicts.statistics import Difference, compare
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal, metric_unit
 from ddpc_reports.fairness import told_of_plant
 from ddpc_reports.numbers import MINUS, apart, significant, with_unit
-from ddpc_reports.verdict import counted, formatter, join_words, names, p_words, some_of
+from ddpc_reports.verdict import formatter, p_words
 
 _NAMED = 3
 """Controllers that are named with their values where more share the first rank."""
@@ -36,145 +44,80 @@ def answer(results: StudyResults, seen: Sequence[Condition], told: Findings) -> 
     told : Findings
         What they show, over all scenarios that count.
     """
-    found = told.standings
+    ranking = told.standings
     who = {one.key: one for condition in seen for one in condition.controllers}
-    if told.lead is Lead.NOBODY:
-        return Markup("") if found.left_out else Markup("No controller competes here, so nothing is ranked.")
-    counting = [one for one in seen if one.scenario not in found.left_out]
-    labels = [Markup("<i>{}</i>").format(one.label) for one in seen if one.scenario in found.left_out]
+    if told.lead is Lead.NOBODY and ranking.left_out:
+        return Markup("")
+    clause = lead_clause(
+        told, {key: one.label for key, one in who.items()}, {one.scenario: one.label for one in seen}
+    )
+    counting = [one for one in seen if one.scenario not in ranking.left_out]
+    labels = [italic(one.label) for one in seen if one.scenario in ranking.left_out]
     offers = _offers(told, who, counting)
     parts = [
-        _lead(told, who, counting, offers),
-        _uneven(found),
-        _elsewhere(found, who, counting) if told.leaders else "",
-        _offered(found, who, offers),
+        sentence(clause) + _details(told, who, offers) + "." + _unsure(told),
+        "Not all ran in the same scenarios on the same seeds: differences are of what two share."
+        if ranking.is_uneven
+        else "",
+        _elsewhere(told, who, len(counting)) if told.leaders else "",
+        _offered(ranking, who, offers),
         _failing(told, who),
         Markup("Not counted, as every controller fails there: {}.").format(some_of(labels)) if labels else "",
     ]
     return Markup(" ").join(part for part in parts if part)
 
 
-def _over(found: Standings, counting: Sequence[Condition]) -> str:
-    """Say over what the medians are: ``over 6 scenarios and 10 seeds``."""
-    scenarios = f"{len(counting)} scenarios" if len(counting) > 1 else ""
-    if found.seeds > 1:
-        return "over " + " and ".join(filter(None, (scenarios, f"{found.seeds} seeds")))
-    return f"over {scenarios}, on one seed" if scenarios else "on the one seed that was run"
-
-
-def _lead(
-    told: Findings,
-    who: dict[str, ControllerResults],
-    counting: Sequence[Condition],
-    offers: Mapping[str, Sequence[str]],
+def _details(
+    told: Findings, who: dict[str, ControllerResults], offers: Mapping[str, Sequence[str]]
 ) -> Markup:
-    """Say who is ahead; where scenarios disagree, who leads where."""
-    found, over = told.standings, _over(told.standings, counting)
-    if told.lead is Lead.BY_SCENARIO:
-        return _by_scenario(found, who, counting)
-    if told.lead is Lead.ALL_FAIL:
-        return _all_fail_some(found, who)
-    leaders = [who[name] for name in told.leaders]
-    best = leaders[0]
-    if told.lead is Lead.ONLY_ONE:
-        text = Markup("There is nothing to compare <i>{}</i> with: {} {}.")
-        return text.format(best.label, _values(found, best.key), over)
-    if told.lead in (Lead.LEVEL, Lead.ALIKE):
-        return _level(told, leaders, over) + _unsure(found)
-    if told.lead is Lead.ONLY_SOUND:
-        text = Markup("<b>{}</b> alone has no failed run, {}: {}.")
-        return text.format(best.label, over, _values(found, best.key))
-    name = Markup("<b>{}</b>" if told.is_sure else "<i>{}</i>").format(best.label)
-    medians = "has the best median" if len(found.keys) == 1 else "has the best medians"
-    verb = "is ahead" if told.lead is Lead.AHEAD else medians
-    text = Markup("{} {} {}: {}").format(name, verb, over, _values(found, best.key))
-    if told.following and told.following not in offers:
-        label, behind = who[told.following].label, _behind(found, best.key, told.following)
-        text += Markup("; the next, <i>{}</i>, {}").format(label, behind)
-    return text + "." + _unsure(found)
-
-
-def _by_scenario(
-    found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]
-) -> Markup:
-    """Say who leads in which scenario, as no rank over all of them would be fair."""
-    where: dict[tuple[str, ...], list[Markup]] = {}
-    names_of = {one.scenario: Markup("<i>{}</i>").format(one.label) for one in counting}
-    for scenario, leaders in found.leaders_by_scenario.items():
-        where.setdefault(leaders, []).append(names_of[scenario])
-    parts = []
-    for leaders, scenarios in where.items():
-        bold = [Markup("<b>{}</b>").format(who[name].label) for name in leaders]
-        lead = "leads" if len(bold) == 1 else "lead together"
-        if not bold:
-            bold, lead = [Markup("no controller")], "is without a failed run"
-        parts.append(Markup("{} {} in {}").format(some_of(bold), lead, some_of(scenarios)))
-    text = "The scenarios disagree, so there is no overall rank: {}."
-    return Markup(text).format(Markup("; ").join(parts))
-
-
-def _uneven(found: Standings) -> Markup:
-    """Say that not all have the same runs; nothing where they have."""
-    own = next(iter(found.runs.values()), {})
-    if len({frozenset(runs) for runs in own.values()}) < 2:
+    """Go on from who is ahead with values: of those that lead, and of the next."""
+    ranking = told.standings
+    if not told.leaders:
         return Markup("")
-    return Markup("Not all ran in the same scenarios on the same seeds: differences are of what two share.")
+    if told.lead in (Lead.LEVEL, Lead.ALIKE):
+        return ": " + _of_leaders(told, [who[name] for name in told.leaders[:_NAMED]])
+    first = told.leaders[0]
+    text = ": " + _values(ranking, first)
+    if told.lead is Lead.ONLY_ONE:
+        return text + f" {over_words(ranking)}"
+    if told.following and told.following not in offers and told.lead is not Lead.ONLY_SOUND:
+        label, behind = who[told.following].label, _behind(ranking, first, told.following)
+        text += Markup("; the next, <i>{}</i>, {}").format(label, behind)
+    return text
 
 
-def _elsewhere(found: Standings, who: dict[str, ControllerResults], counting: Sequence[Condition]) -> Markup:
+def _elsewhere(told: Findings, who: dict[str, ControllerResults], scenarios: int) -> Markup:
     """Say in how many scenarios others are ahead of the leaders, and who; nothing where none is."""
-    others: dict[str, int] = {}
-    led = 0
-    for here in found.leaders_by_scenario.values():
-        led += bool({*here} & {*found.leaders})
-        for name in here if not {*here} & {*found.leaders} else ():
-            others[name] = others.get(name, 0) + 1
+    others, led = told.leads_elsewhere, told.scenarios_led
     if not others:
         return Markup("")
-    most = sorted(others, key=lambda name: -others[name])
-    named = [Markup("<i>{}</i> ({})").format(who[name].label, others[name]) for name in most]
-    it = "it leads" if len(found.leaders) == 1 else "one of them leads"
+    named = [italic(who[name].label) + f" ({count})" for name, count in others.items()]
+    it = "it leads" if len(told.leaders) == 1 else "one of them leads"
     do = "does" if len(named) == 1 else "do"
-    together = ", some together" if sum(others.values()) > len(counting) - led else ""
+    together = ", some together" if sum(others.values()) > scenarios - led else ""
     text = "Scenario by scenario {} in {} of {}; in the others {} {}{}."
-    return Markup(text).format(it, led or "none", len(counting), some_of(named), do, together)
+    return Markup(text).format(it, led or "none", scenarios, some_of(named), do, together)
 
 
-def _level(told: Findings, leaders: Sequence[ControllerResults], over: str) -> Markup:
-    """Say that several share the first rank, with their values and how far they are apart."""
-    found, shown = told.standings, leaders[:_NAMED]
-    more = len(leaders) - len(shown)
-    bold = [Markup("<b>{}</b>").format(one.label) for one in shown]
-    who = join_words([*bold, *([f"{more} more"] if more else [])])
-    if not found.tested:
-        return Markup("{} share the best medians {}: {}.").format(who, over, _values(found, shown[0].key))
-    if len(found.keys) > 1 or len(leaders) == 1:
-        values = [
-            Markup("<i>{}</i> {}").format(one.label, _values(found, one.key, brief=True)) for one in shown
-        ]
-        return Markup("No controller is significantly better than {} {}: {}.").format(
-            who, over, Markup("; ").join(values)
-        )
-    key = found.keys[0]
+def _of_leaders(told: Findings, shown: Sequence[ControllerResults]) -> Markup:
+    """Write the values of those that share the first rank, and how far they are apart."""
+    ranking = told.standings
+    if not ranking.tested:
+        return _values(ranking, shown[0].key)
+    if len(ranking.keys) > 1 or len(told.leaders) == 1:
+        values = [italic(one.label) + " " + _values(ranking, one.key, brief=True) for one in shown]
+        return Markup("; ").join(values)
+    key = ranking.keys[0]
     show = formatter(key, 3)
-    medians = join_words([show(found.samples[key][one.key].median) for one in shown])
+    medians = join_words([show(ranking.samples[key][one.key].median) for one in shown])
+    text = Markup("{} {}").format(metric_name(key), medians)
     if told.lead is Lead.ALIKE:
-        text = Markup(
-            "{} lead {}, and no difference between them matters: {} {}, in pairs less than {} apart."
-        )
-        least = with_unit(significant(found.relevant_differences[key], 2), metric_unit(key))
-        return text.format(who, over, metric_name(key), medians, least)
-    apart = [_difference(found, key, shown[0].key, one.key) for one in shown[1:]]
-    told_apart = any(
-        one is not None and one.told_apart
-        for one in (found.difference(key, *pair) for pair in combinations(told.leaders, 2))
-    )
-    how = "none of them is told to be better by enough to matter" if told_apart else "are not told apart"
-    text = Markup("{} lead {} and {}: {} {}").format(who, over, how, metric_name(key), medians)
-    words = join_words([_interval(one, key) + _why_alike(one) for one in apart])
-    return text + Markup(", paired {} from the first {}.").format(
-        "differences" if len(apart) > 1 else "difference", words
-    )
+        least = with_unit(significant(ranking.relevant_differences[key], 2), metric_unit(key))
+        return text + f", in pairs less than {least} apart"
+    differences = [ranking.above(key, shown[0].key, one.key) for one in shown[1:]]
+    noun = "differences" if len(differences) > 1 else "difference"
+    words = join_words([_interval(one, key) + _why_alike(one) for one in differences])
+    return text + Markup(", paired {} from the first {}").format(noun, words)
 
 
 def _why_alike(found: Difference) -> str:
@@ -203,14 +146,6 @@ def _ends(low: float, high: float, key: str) -> str:
     return f" [{' … '.join(apart(low, high))}]"
 
 
-def _difference(found: Standings, key: str, first: str, other: str) -> Difference:
-    """Return by how much another is above the first, in pairs of the same scenario and seed."""
-    runs, tested = found.runs[key], found.compared[key].differences
-    pair = tested.get((first, other)) or tested.get((other, first))
-    own = compare(runs[other], runs[first], metric_of(key).better)
-    return own._replace(corrected=pair.corrected) if pair else own
-
-
 def _interval(found: Difference, key: str) -> str:
     if not found.pairs:
         return "unknown, without a run of the same seed"
@@ -221,7 +156,7 @@ def _interval(found: Difference, key: str) -> str:
 
 def _behind(found: Standings, first: str, other: str) -> Markup:
     """Say how far a controller is behind the first: difference, interval, and that as a ratio."""
-    ratios = {key: _ratio(found, key, first, other) for key in found.keys}
+    ratios = {key: found.ratio(key, first, other) for key in found.keys}
     if len(ratios) > 1 and not any(map(math.isnan, ratios.values())):
         parts = [
             f"{_ratio_words(ratio, 'a factor of {}')} in {metric_signal(key)}"
@@ -232,16 +167,8 @@ def _behind(found: Standings, first: str, other: str) -> Markup:
     for key, ratio in ratios.items():
         times = "" if math.isnan(ratio) else f", {_ratio_words(ratio, 'a factor of {}')}"
         of = f" in {metric_signal(key)}" if len(found.keys) > 1 else ""
-        parts.append(f"{_interval(_difference(found, key, first, other), key)}{times}{of}")
+        parts.append(f"{_interval(found.above(key, first, other), key)}{times}{of}")
     return Markup("differs by {}").format(join_words(parts))
-
-
-def _ratio(found: Standings, key: str, first: str, other: str) -> float:
-    """Return one plus the difference of the pairs over the first's median; NaN if that is not above 0."""
-    runs = found.runs[key]
-    best = describe({run: value for run, value in runs[first].items() if run in runs[other]}).median
-    ratio = 1 + _difference(found, key, first, other).median / best if best > 0 else math.nan
-    return ratio if ratio >= 0 else math.nan
 
 
 def _ratio_words(ratio: float, factor: str) -> str:
@@ -253,16 +180,14 @@ def _ratio_words(ratio: float, factor: str) -> str:
     return factor.format(significant(ratio, 2))
 
 
-def _unsure(found: Standings) -> Markup:
+def _unsure(told: Findings) -> str:
     """Say why nothing could be tested; nothing where it was."""
-    if found.tested or len(found.order) < 2:
-        return Markup("")
+    found = told.standings
+    if found.tested or len(found.order) < 2 or told.lead in (Lead.ALL_FAIL, Lead.ONLY_SOUND):
+        return ""
     if found.seeds < 2:
-        return Markup(" How much that depends on the seed is not known.")
-    tested = max(len(one.order) for one in found.compared.values())
-    return Markup(" {} seeds are too few to test {} controllers against each other: it takes {}.").format(
-        found.seeds_compared, tested, found.seeds_needed
-    )
+        return " How much that depends on the seed is not known."
+    return f" {too_few_seeds_clause(found.compared.values())}."
 
 
 def _offers(
@@ -289,7 +214,7 @@ def _offered(
     """Say what those behind offer; nothing where they offer nothing."""
     parts = []
     for name, words in offers.items():
-        ratio = _ratio(found, found.keys[0], found.leaders[0], name)
+        ratio = found.ratio(found.keys[0], found.leaders[0], name)
         behind = "" if math.isnan(ratio) else f" ({_ratio_words(ratio, '{} times')})"
         parts.append(Markup("<i>{}</i>{} {}").format(who[name].label, behind, join_words(words)))
     return Markup("Behind, {}.").format(Markup("; ").join(parts)) if parts else Markup("")
@@ -350,11 +275,3 @@ def _failed_words(found: Standings, who: dict[str, ControllerResults], one: Stan
             show = with_unit(significant(gain.median, 3), metric_unit(key))
             text += ahead.format(who[first].label, show, _ends(gain.low, gain.high, key))
     return text
-
-
-def _all_fail_some(found: Standings, who: dict[str, ControllerResults]) -> Markup:
-    fewest = [one for one in found.order if one.rank == 1]
-    which = some_of(names([who[one.controller] for one in fewest]))
-    return Markup("No controller is without a failed run. Fewest failed: {} {} of {}.").format(
-        which, fewest[0].failed, counted(fewest[0].runs, "run")
-    )

@@ -4,7 +4,8 @@ import math
 from collections.abc import Sequence
 
 from ddpc_cosim.metrics import metric_of
-from ddpc_cosim.study.verdicts.statistics import FEWEST, Difference, Sample, compare, describe
+from ddpc_cosim.study.verdicts.statistics import FEWEST, Difference, Sample, describe
+from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
@@ -14,7 +15,7 @@ from ddpc_reports.comparison import (
 )
 from ddpc_reports.numbers import MISSING, as_given
 from ddpc_reports.shares import SHARE, SHARE_NOTE, share_cells, share_interval
-from ddpc_reports.tables.table import Cell, Heading, Row, Table, interval_texts, number_cells
+from ddpc_reports.tables.table import interval_texts, number_cells
 from ddpc_reports.verdict import RANKED_BY, p_words
 
 _SAME = "the same on every seed"
@@ -93,9 +94,8 @@ def _to_best(
     """Return the difference of a controller to the best; None of the best itself, or where there is none."""
     if best is None or one is best or one.is_point:
         return None
-    tested = condition.compared(key).differences.get((best.key, one.key))
-    found = compare(one.runs(key), best.runs(key), metric_of(key).better)
-    return found._replace(corrected=tested.corrected if tested else math.nan)
+    runs = {best.key: best.runs(key), one.key: one.runs(key)}
+    return condition.compared(key).above(best.key, one.key, runs, metric_of(key).better)
 
 
 def _shares(condition: Condition, key: str, order: Sequence[ControllerResults]) -> list[list[Cell]]:

@@ -219,22 +219,12 @@ class Condition:
 
     def not_told_apart(self, key: str) -> list[ControllerResults]:
         """Return those of a ranking that the seeds do not tell from its first; none if too few."""
-        compared = self.compared(key)
-        if len(self.seeds) < 2 or compared.too_few_seeds:
-            return []
-        first = compared.order[0] if compared.order else ""
-        alike = {
-            other
-            for (one, other), found in compared.differences.items()
-            if one == first and not found.told_apart
-        }
-        return [one for _, one in self.ranking(key) if one.key in alike]
+        level = self.compared(key).level_with_first if len(self.seeds) > 1 else ()
+        return [one for _, one in self.ranking(key) if one.key in level]
 
     def ahead_in_pairs(self, key: str) -> list[ControllerResults]:
         """Return those that the pairs tell to be better than the first of a ranking, despite its median."""
-        pairs = self.compared(key).differences.items()
-        order = self.compared(key).order
-        ahead = {other for (one, other), found in pairs if one == order[0] and found.told_worse}
+        ahead = self.compared(key).ahead_of_first
         return [one for one in self.controllers if one.key in ahead]
 
     def alike(
@@ -243,10 +233,7 @@ class Condition:
         """Return what says which of some members the seeds do not tell apart from one; None for one seed."""
         if len(self.seeds) < 2:
             return None
-        compared = self.compared(key)
-        differences = compared.differences.items()
-        apart = {pair for pair, found in differences if found.told_apart and not found.told_worse}
-        apart |= {(b, a) for a, b in apart}
+        apart = self.compared(key).behind
 
         def of(place: int) -> list[int]:
             first = members[place]

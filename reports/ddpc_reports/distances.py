@@ -11,8 +11,10 @@ from markupsafe import Markup
 from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import headline, metric_name, split_key
 from ddpc_cosim.study.file_format.sections import ReferencePoints
+from ddpc_cosim.study.verdicts.sentences import join_words, some_of
 from ddpc_cosim.study.verdicts.shares import describe_shares, floored, share_runs, shares_of
 from ddpc_cosim.study.verdicts.statistics import Runs, Sample, compare_all, describe
+from ddpc_cosim.tables import Heading, Table
 from ddpc_reports.comparison import ControllerResults
 from ddpc_reports.numbers import duration, significant, time_scale
 from ddpc_reports.shares import (
@@ -25,8 +27,8 @@ from ddpc_reports.shares import (
     share_interval,
     share_words,
 )
-from ddpc_reports.tables.table import Column, Heading, Table, controller_table, number_cells
-from ddpc_reports.verdict import Statement, by_signal, counted, join_words, names, some_of
+from ddpc_reports.tables.table import Column, controller_table, number_cells
+from ddpc_reports.verdict import Statement, by_signal, counted, names
 
 _NAMED = 3
 _STEP, _TRAVEL = "solve_time_median [s]", "total_variation"

@@ -8,9 +8,9 @@ from typing import Any
 from markupsafe import Markup
 
 from ddpc_cosim import StudyResults
+from ddpc_cosim.tables import Cell, Table
 from ddpc_cosim.texts import printable
 from ddpc_reports.sections import StudyPart, gather
-from ddpc_reports.tables.table import Cell, Table
 
 _TAG = re.compile(r"<[^>]*>")
 _MARKS = {"<b>": "**", "</b>": "**", "<i>": "*", "</i>": "*"}

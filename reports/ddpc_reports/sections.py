@@ -12,6 +12,7 @@ from markupsafe import Markup
 from ddpc_cosim import Outcome, ReportSection, StudyResults
 from ddpc_cosim.study.verdicts.findings import Findings, findings_of
 from ddpc_cosim.study.verdicts.standings import Standings
+from ddpc_cosim.tables import Table
 from ddpc_cosim.texts import clipped, without_folders
 from ddpc_reports.across_problems import (
     RANKS_NOTE,
@@ -60,7 +61,6 @@ from ddpc_reports.tables.ranking import (
 )
 from ddpc_reports.tables.reproduce import reproduce_tables
 from ddpc_reports.tables.settings import compact_seeds, family_tables, settings_tables, slug
-from ddpc_reports.tables.table import Table
 from ddpc_reports.third_parties import own_blocks, own_sections
 from ddpc_reports.tuning import front_figures, trials_tables
 from ddpc_reports.verdict import Statement, across_statements, findings, limitations

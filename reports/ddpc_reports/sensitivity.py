@@ -13,6 +13,7 @@ from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_of
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.verdicts.ranks import setting_effect
+from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_cosim.texts import clipped
 from ddpc_reports.comparison import (
     Condition,
@@ -26,7 +27,7 @@ from ddpc_reports.comparison import (
 from ddpc_reports.figures.charts import heat_chart
 from ddpc_reports.figures.figure import Figure, one_chart
 from ddpc_reports.numbers import as_given, percent, significant, with_unit
-from ddpc_reports.tables.table import Cell, Heading, Row, Table, number_cells, text_headings
+from ddpc_reports.tables.table import number_cells
 from ddpc_reports.verdict import Statement, by_signal, formatter
 
 _FAILING_SHOWN = 3

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from ddpc_cosim.metrics import metric_name
+from ddpc_cosim.study.verdicts.sentences import join_words
 from ddpc_cosim.study.verdicts.shares import FLOOR, NEGLIGIBLE
 from ddpc_cosim.study.verdicts.statistics import Sample
+from ddpc_cosim.tables import Cell, Heading
 from ddpc_reports.comparison import Condition, ControllerResults, metric_signal
 from ddpc_reports.numbers import MINUS, MISSING, fixed
-from ddpc_reports.tables.table import Cell, Column, Heading
-from ddpc_reports.verdict import Statement, by_signal, join_words, names
+from ddpc_reports.tables.table import Column
+from ddpc_reports.verdict import Statement, by_signal, names
 
 SHARE = "share of the way"
 SHARE_NOTE = (

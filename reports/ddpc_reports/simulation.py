@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from ddpc_cosim import FloatArray, Simulation, Variable
 from ddpc_cosim.plugins import write_atomically
+from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_reports.embedding import drawing, pack, stylesheet
 from ddpc_reports.figures.figure import Entry, Figure, View
 from ddpc_reports.figures.samples import level_title
@@ -18,7 +19,6 @@ from ddpc_reports.figures.time_charts import NARROW, WIDE, time_chart
 from ddpc_reports.numbers import as_given, significant, unit_symbol, with_unit
 from ddpc_reports.page import set_page
 from ddpc_reports.sections import Section, StudyPart
-from ddpc_reports.tables.table import Cell, Heading, Row, Table
 
 _MOST_DRAWN, _MOST_POINTS = 24, 2000
 _LINE = "c0"

@@ -9,10 +9,11 @@ from typing import Any
 
 from ddpc_cosim import CosimWarning, PluginError, ReportSection, ReportTable, StudyResults
 from ddpc_cosim.plugins import installed
+from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_cosim.texts import printable
 from ddpc_reports.embedding import Drawing
 from ddpc_reports.figures.figure import Figure, one_chart
-from ddpc_reports.tables.table import Cell, Heading, Row, Table, number_cells
+from ddpc_reports.tables.table import number_cells
 
 _LOADING = ("url", "href", "usermeta")
 """Keys of a specification by which a chart would load or lead to something outside of the page."""

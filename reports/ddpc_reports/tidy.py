@@ -1,7 +1,5 @@
 """The report as one tidy table in CSV: a row for each metric of a controller in a scenario."""
 
-import csv
-import io
 import math
 from collections.abc import Iterator, Sequence
 
@@ -10,7 +8,8 @@ from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.study.file_format.sweeps import variant_words
 from ddpc_cosim.study.verdicts.standings import standings, summed
 from ddpc_cosim.study.verdicts.statistics import describe
-from ddpc_cosim.texts import csv_text, encodable
+from ddpc_cosim.tables import table_text
+from ddpc_cosim.texts import encodable
 from ddpc_reports.comparison import conditions
 
 COLUMNS = (
@@ -25,12 +24,7 @@ Value = str | int | float
 
 def tidy_table(results: Sequence[StudyResults]) -> str:
     """Return the table as CSV; numbers in full, and an empty cell where there is none."""
-    file = io.StringIO(newline="")
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for row in tidy_rows(results):
-        writer.writerow([csv_text(one) if isinstance(one, str) else _number(one) for one in row])
-    return encodable(file.getvalue())
+    return encodable(table_text(COLUMNS, tidy_rows(results)))
 
 
 def tidy_rows(results: Sequence[StudyResults]) -> Iterator[tuple[Value, ...]]:
@@ -70,7 +64,3 @@ def _of_metric(key: str, cases: Sequence[CaseResult]) -> tuple[Value, ...]:
     ends = (min(known), max(known)) if known else (math.nan, math.nan)
     values = (summed(cases, key), found.median, *ends, found.low, found.high)
     return *split_key(key), metric_of(key).better, *map(float, values)
-
-
-def _number(value: int | float) -> str:
-    return "" if math.isnan(value) else repr(value)

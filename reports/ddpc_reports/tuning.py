@@ -1,6 +1,5 @@
 """The section on tuning: what the trials of each controller came to, and the front of two objectives."""
 
-import csv
 import json
 import math
 from collections.abc import Sequence
@@ -8,11 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ddpc_cosim import StudyResults
+from ddpc_cosim.tables import Cell, Heading, Row, Table, own_rows
 from ddpc_reports.comparison import metric_words
 from ddpc_reports.figures.charts import front_chart
 from ddpc_reports.figures.figure import Figure, one_chart
 from ddpc_reports.tables.settings import mapping_text
-from ddpc_reports.tables.table import Cell, Column, Heading, Row, Table, number_cells
+from ddpc_reports.tables.table import Column, number_cells
 from ddpc_reports.verdict import counted
 
 _FIGURES = "pruned", "not dominated"
@@ -49,8 +49,7 @@ def _read(results: StudyResults) -> tuple[list[str], list[_Search]]:
     """Return what the figures are, and the trials of each controller; nothing where none was tuned."""
     if not results.trials_file.is_file():
         return [], []
-    with results.trials_file.open(encoding="utf-8", newline="") as content:
-        head, *rows = csv.reader(content)
+    head, rows = own_rows(results.trials_file.read_text(encoding="utf-8"))
     first, last = (head.index(name) for name in _FIGURES)
     figures = head[first + 1 : last]
     found: dict[str, list[_Trial]] = {}

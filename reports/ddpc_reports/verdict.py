@@ -10,6 +10,7 @@ from markupsafe import Markup
 from ddpc_cosim import CaseResult
 from ddpc_cosim.data_quality import CANNOT_FOLLOW, references_beyond_limits
 from ddpc_cosim.metrics import metric_name, split_key
+from ddpc_cosim.study.verdicts.sentences import bold, italic, join_words, some_of, too_few_seeds_clause
 from ddpc_cosim.study.verdicts.statistics import Difference
 from ddpc_reports.comparison import (
     Condition,
@@ -28,9 +29,6 @@ _POOR = 3.0
 
 RANKED_BY = ("settled_error", "total_variation")
 """The metrics besides those of the ranking by which the verdict names a first."""
-
-_NAMED = 3
-"""Controllers that are named where the seeds do not tell more of them apart."""
 
 _SMALLEST_P = 0.001
 
@@ -226,7 +224,7 @@ def _each_signal(condition: Condition, keys: Sequence[str], topic: str) -> State
     over = f", medians over {seeds} seeds and ranges" if seeds > 1 else ""
     lines = [(metric_signal(key), _in_short(condition, key)) for key in keys]
     text = Markup("In {}{}:").format(metric_name(keys[0]), over) + by_signal(lines)
-    return Statement(topic, text + seeds_needed([condition], keys))
+    return Statement(topic, text + _too_few_seeds([condition], keys))
 
 
 def _in_short(condition: Condition, key: str) -> Markup:
@@ -378,13 +376,7 @@ def _seed_by_seed(winner: ControllerResults, second: ControllerResults, key: str
 def _first(condition: Condition, key: str, one: ControllerResults) -> Markup:
     """Set the name of the first of a ranking: in bold only if the seeds tell it apart from all others."""
     unsure = len(condition.seeds) > 1 and not condition.compared(key).tells_first
-    return (Markup("<i>{}</i>") if unsure else Markup("<b>{}</b>")).format(one.label)
-
-
-def some_of(parts: Sequence[Markup]) -> Markup:
-    """Join the first of some parts as in a sentence, and say how many more there are."""
-    more = len(parts) - _NAMED
-    return join_words([*parts[:_NAMED], *([f"{more} more"] if more > 0 else [])])
+    return (italic if unsure else bold)(one.label)
 
 
 def _told_apart(condition: Condition, key: str) -> Markup:
@@ -393,7 +385,7 @@ def _told_apart(condition: Condition, key: str) -> Markup:
     others = {b: found for (a, b), found in compared.differences.items() if a == compared.order[0]}
     if compared.too_few_seeds:
         words = _difference(next(iter(others.values())), key)
-        return Markup(" To the next: {}.").format(words) + seeds_needed([condition], [key])
+        return Markup(" To the next: {}.").format(words) + _too_few_seeds([condition], [key])
     if not unsure:
         tested = [found.corrected for found in others.values() if not found.constant]
         sure = f" (corrected p {p_words(max(tested), 'at most ')})" if tested else ""
@@ -424,17 +416,12 @@ def p_words(p: float, sign: str = "") -> str:
     return "< 0.001" if p < _SMALLEST_P else sign + significant(p, 2)
 
 
-def seeds_needed(conditions: Sequence[Condition], keys: Sequence[str]) -> Markup:
-    """Say that the seeds are too few to test so many controllers, and how many it takes; empty if not."""
-    found = [compared for one in conditions for key in keys if (compared := one.compared(key)).too_few_seeds]
-    if all(len(one.seeds) < 2 for one in conditions) or not found:
+def _too_few_seeds(conditions: Sequence[Condition], keys: Sequence[str]) -> Markup:
+    """Say that the seeds are too few to test so many controllers; empty if not, or of one seed."""
+    if all(len(condition.seeds) < 2 for condition in conditions):
         return Markup("")
-    seeds = max(compared.seeds for compared in found)
-    most = max(len(compared.order) for compared in found)
-    needed = max(compared.seeds_needed for compared in found)
-    return Markup(" {} seeds are too few to test {} controllers against each other: it takes {}.").format(
-        seeds, most, needed
-    )
+    clause = too_few_seeds_clause(condition.compared(key) for condition in conditions for key in keys)
+    return Markup(" {}.").format(clause) if clause else Markup("")
 
 
 def _constant(order: Sequence[ControllerResults], key: str) -> Markup:
@@ -461,15 +448,9 @@ def _leader(
     return text + _unsure_words(condition, key) + "."
 
 
-def join_words(parts: Sequence[str | Markup]) -> Markup:
-    """Join parts as in a sentence: ``a, b and c``."""
-    *head, last = parts
-    return Markup("{} and {}").format(Markup(", ").join(head), last) if head else Markup("{}").format(last)
-
-
 def names(controllers: Sequence[ControllerResults]) -> list[Markup]:
-    """Set names in italics: a label may itself hold commas."""
-    return [Markup("<i>{}</i>").format(one.label) for one in controllers]
+    """Set names that are mentioned."""
+    return [italic(one.label) for one in controllers]
 
 
 def by_signal(lines: Sequence[tuple[str, Markup]]) -> Markup:
@@ -520,16 +501,14 @@ def _winners(conditions: Sequence[Condition], key: str) -> Markup:
         order = condition.ranking(key)
         alike = _alike(order, formatter(key))
         if len(order) > 1 and len(alike) < len(order):
-            won.setdefault(tuple(one.label for one in alike), []).append(
-                Markup("<i>{}</i>").format(condition.label)
-            )
+            won.setdefault(tuple(one.label for one in alike), []).append(italic(condition.label))
     if not won:
         return Markup("There is no scenario in which two controllers without a failed run differ.")
     parts: list[Markup] = []
     for winners, where in won.items():
         verb = "share" if len(winners) > 1 else "has"
         claim = "" if parts else f" {verb} the smallest {metric_name(key)}"
-        who = join_words([Markup("<b>{}</b>").format(label) for label in winners])
+        who = join_words([bold(label) for label in winners])
         parts.append(Markup("{}{} in {}").format(who, claim, join_words(where)))
     among = ", of those without a failed run there" if some_failed else ""
     return Markup("{}{}.").format(Markup("; ").join(parts), among) + _unsure(conditions, key)
@@ -550,7 +529,7 @@ def _unsure(conditions: Sequence[Condition], key: str) -> Markup:
     ]
     if behind:
         text += Markup(" In pairs of the same seed others are ahead of it in {}.").format(join_words(behind))
-    return text + seeds_needed(conditions, [key])
+    return text + _too_few_seeds(conditions, [key])
 
 
 def limitations(conditions: Sequence[Condition]) -> list[str]:

@@ -17,8 +17,16 @@ ROOMS = {
     "ddpc_reports": ROOT / "reports" / "ddpc_reports",
 }
 # Modules that plug-ins may use besides the names of the package.
-PUBLIC_MODULES = {"data_quality", "metrics", "plugins", "responses", "testing", "texts"}
-VERDICTS = ("claims", "findings", "judgement", "ranks", "shares", "standings", "statistics")
+PUBLIC_MODULES = {
+    "data_quality",
+    "metrics",
+    "plugins",
+    "responses",
+    "tables",
+    "testing",
+    "texts",
+}
+VERDICTS = ("claims", "findings", "judgement", "ranks", "sentences", "shares", "standings", "statistics")
 PUBLIC_MODULES |= {f"study.verdicts.{name}" for name in VERDICTS}
 PUBLIC_MODULES |= {"study.file_format.sections", "study.file_format.sweeps"}
 

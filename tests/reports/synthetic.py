@@ -14,9 +14,9 @@ from ddpc_cosim.study.file_format.sections import Study
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.verdicts.judgement import judged
 from ddpc_cosim.study.verdicts.standings import standings
+from ddpc_cosim.tables import Table
 from ddpc_reports.comparison import Condition
 from ddpc_reports.tables.ranking import ranking_table
-from ddpc_reports.tables.table import Table
 from ddpc_reports.verdict import Part, Statement, findings
 
 SAMPLING_TIME = 0.1

@@ -9,6 +9,7 @@ import pytest
 from ddpc_cosim import Outcome, StudyResults, Trace
 from ddpc_cosim.study.file_format.sections import StudyHead
 from ddpc_cosim.study.problems import WholeStudy
+from ddpc_cosim.tables import Table
 from ddpc_reports import sections
 from ddpc_reports.across_problems import overall, overall_statements, overall_table
 from ddpc_reports.certainty import certainty_table
@@ -16,7 +17,6 @@ from ddpc_reports.comparison import Condition, conditions
 from ddpc_reports.distances import distance_maps
 from ddpc_reports.page import render_page
 from ddpc_reports.shares import share_statements
-from ddpc_reports.tables.table import Table
 from ddpc_reports.verdict import Statement
 
 from .synthetic import MakeResults, findings_of, make_trace, ranked
@@ -137,7 +137,7 @@ def test_over_problems_ranks_distances_and_costs(make_results: MakeResults) -> N
     assert f"in the median of 3 problems: Good {sorted(good)[1]:.0f} % (from" in told["Distance"]
     assert "; Fair 83 % (from failed in p2 to 84 % in p0); Poor failed." in told["Distance"]
     assert told["Which where"].startswith("p0: Good")
-    assert "Good a solve time median of 40.0 µs, no recording, 1" in told["Cost"]
+    assert "Good a median step time of 40.0 µs, no recording, 1" in told["Cost"]
     table = overall_table(found, "")
     assert [row.key for row in table.rows] == ["good", "fair", "poor", "ideal", "rest"]
     assert cells(table, "average rank")["ideal"] == "\N{EN DASH}"

@@ -74,6 +74,29 @@ class Findings:
         sure = (Lead.AHEAD, Lead.LEVEL, Lead.ALIKE, Lead.ONLY_SOUND, Lead.BY_SCENARIO)
         return self.lead in sure and (self.standings.tested or self.lead is Lead.ONLY_SOUND)
 
+    @property
+    def tells_leaders_apart(self) -> bool:
+        """Whether the seeds tell two of the leaders apart, by however little."""
+        pairs = combinations(self.leaders, 2)
+        found = (self.standings.difference(key, *pair) for pair in pairs for key in self.standings.keys)
+        return any(difference is not None and difference.told_apart for difference in found)
+
+    @property
+    def scenarios_led(self) -> int:
+        """In how many scenarios one of the leaders leads."""
+        return sum(bool({*names} & {*self.leaders}) for names in self.standings.leaders_by_scenario.values())
+
+    @property
+    def leads_elsewhere(self) -> dict[str, int]:
+        """By controller, in how many scenarios it leads that none of the leaders lead, the most first."""
+        others = Counter(
+            name
+            for leaders in self.standings.leaders_by_scenario.values()
+            if not {*leaders} & {*self.leaders}
+            for name in leaders
+        )
+        return dict(others.most_common())
+
 
 def findings_of(study: Study, cases: Iterable[CaseResult]) -> Findings:
     """Return what cases of one problem show."""

@@ -1,7 +1,7 @@
 """Statistics over problems: performance profiles and average ranks; and which settings matter."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -9,6 +9,7 @@ import scipy  # whose parts are imported when they are first used
 
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import metric_of
+from ddpc_cosim.study.verdicts.standings import Standings
 from ddpc_cosim.study.verdicts.statistics import LEVEL, Better, check_frame, groups
 from ddpc_cosim.variables import FloatArray
 
@@ -62,6 +63,13 @@ class AverageRanks(NamedTuple):
     critical_difference: float
     groups: tuple[tuple[str, ...], ...]
     left_out: tuple[str, ...] = ()
+
+    @property
+    def level_with_first(self) -> tuple[str, ...]:
+        """Those that the problems do not tell apart from the one with the best average rank."""
+        first = next(iter(self.ranks))
+        level = {name for group in self.groups if first in group for name in group} - {first}
+        return tuple(name for name in self.ranks if name in level)
 
 
 class SettingEffect(NamedTuple):
@@ -187,6 +195,28 @@ def setting_effect(settings: Sequence[object], values: FloatArray, better: Bette
             statistic = float(scipy.stats.kruskal(*(ranks[place == i] for i in range(len(levels)))).statistic)
             share = max(0.0, (statistic - len(levels) + 1) / (len(ranks) - len(levels)))
     return SettingEffect(runs, int(known.sum()), len(levels), correlation, share)
+
+
+RANKED = "mean_abs_error"
+"""Stands for what a problem ranks by, its own cost or mean errors: of both, lower values are better."""
+
+
+def problems_frame(found: Iterable[Standings]) -> "pd.DataFrame | None":
+    """Return the runs of several problems by what each ranks by; None of fewer than two with any.
+
+    Of several outputs each is a condition of its own.
+    """
+    import pandas as pd  # with one problem it is not needed
+
+    runs = [
+        (problem, key, controller, scenario, seed, value, math.isnan(value))
+        for problem, ranking in enumerate(found)
+        for key, by_controller in ranking.runs.items()
+        for controller, values in by_controller.items()
+        for (scenario, seed), value in values.items()
+    ]
+    columns = ["problem", "variant", "controller", "scenario", "seed", RANKED, "failed"]
+    return pd.DataFrame(runs, columns=columns) if len({run[0] for run in runs}) > 1 else None
 
 
 def profile_frame(frame: "pd.DataFrame", metric: str) -> Profile:

@@ -160,14 +160,10 @@ class Standings:
         return self.seeds > 1 and not any(one.too_few_seeds for one in self.compared.values())
 
     @property
-    def seeds_compared(self) -> int:
-        """How many seeds two controllers share, of those that share most."""
-        return max((one.seeds for one in self.compared.values()), default=0)
-
-    @property
-    def seeds_needed(self) -> int:
-        """Seeds from which on a controller that is ahead on each is told apart."""
-        return max((one.seeds_needed for one in self.compared.values()), default=0)
+    def is_uneven(self) -> bool:
+        """Whether not all controllers have the same runs."""
+        own = next(iter(self.runs.values()), {})
+        return len({frozenset(runs) for runs in own.values()}) > 1
 
     @cached_property
     def relevant_differences(self) -> dict[str, float]:
@@ -262,8 +258,21 @@ class Standings:
 
     def difference(self, key: str, a: str, b: str) -> Difference | None:
         """Return the difference of two controllers, whichever of them comes first; None if there is none."""
-        differences = self.compared[key].differences
-        return differences.get((a, b)) or differences.get((b, a))
+        return self.compared[key].between(a, b)
+
+    def above(self, key: str, first: str, other: str) -> Difference:
+        """Return by how much another is above the first, in pairs of the same scenario and seed."""
+        return self.compared[key].above(first, other, self.runs[key], metric_of(key).better)
+
+    def ratio(self, key: str, first: str, other: str) -> float:
+        """Return one plus that difference over the first's median of these runs; NaN if it is not above 0."""
+        runs = self.runs[key]
+        shared = {run: value for run, value in runs[first].items() if run in runs[other]}
+        median_of_first = describe(shared).median
+        if not median_of_first > 0:
+            return math.nan
+        ratio = 1 + self.above(key, first, other).median / median_of_first
+        return ratio if ratio >= 0 else math.nan
 
     @cached_property
     def _sound(self) -> list[str]:

@@ -10,7 +10,7 @@ differences of one seed may then change their signs together, which keeps how th
 """
 
 import math
-from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import combinations
@@ -174,6 +174,35 @@ class Comparisons:
         """Whether the pairs tell that the first is better than each other one."""
         first = [one for (name, _), one in self.differences.items() if name == self.order[0]]
         return not self.too_few_seeds and all(one.told_apart and not one.told_worse for one in first)
+
+    @cached_property
+    def level_with_first(self) -> frozenset[str]:
+        """Those that the pairs do not tell apart from the first; none where the seeds are too few."""
+        return frozenset() if self.too_few_seeds else self._to_first(lambda one: not one.told_apart)
+
+    @cached_property
+    def ahead_of_first(self) -> frozenset[str]:
+        """Those that the pairs tell to be better than the first, despite its median."""
+        return self._to_first(lambda one: one.told_worse)
+
+    def _to_first(self, chosen: Callable[[Difference], bool]) -> frozenset[str]:
+        pairs = self.differences.items()
+        return frozenset(other for (name, other), one in pairs if name == self.order[0] and chosen(one))
+
+    @cached_property
+    def behind(self) -> frozenset[tuple[str, str]]:
+        """Pairs that are told apart as their medians say, both ways round."""
+        pairs = [pair for pair, one in self.differences.items() if one.told_apart and not one.told_worse]
+        return frozenset([*pairs, *((b, a) for a, b in pairs)])
+
+    def between(self, a: str, b: str) -> Difference | None:
+        """Return the difference of two, whichever of them comes first; None if there is none."""
+        return self.differences.get((a, b)) or self.differences.get((b, a))
+
+    def above(self, first: str, other: str, runs: Mapping[str, Runs], better: Better) -> Difference:
+        """Return another less the first, one with failed runs too; p is corrected where they were tested."""
+        tested, found = self.between(first, other), compare(runs[other], runs[first], better)
+        return found._replace(corrected=tested.corrected) if tested else found
 
     @property
     def too_few_seeds(self) -> bool:

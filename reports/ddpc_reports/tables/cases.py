@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from ddpc_cosim import CaseResult, StudyResults
 from ddpc_cosim.metrics import metric_name, metric_of
+from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_cosim.texts import printable, without_folders
 from ddpc_reports.comparison import (
     STEP_TIMES,
@@ -18,15 +19,7 @@ from ddpc_reports.comparison import (
     shown_as,
 )
 from ddpc_reports.numbers import integer, time_scale
-from ddpc_reports.tables.table import (
-    Cell,
-    Column,
-    Heading,
-    Row,
-    Table,
-    controller_table,
-    number_cells,
-)
+from ddpc_reports.tables.table import Column, controller_table, number_cells
 
 _MOST_CASES = 1500
 """Cases that have a row each, of 650 bytes."""

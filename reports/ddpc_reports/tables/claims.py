@@ -4,9 +4,9 @@ from ddpc_cosim import StudyResults
 from ddpc_cosim.metrics import metric_name
 from ddpc_cosim.study.file_format.sections import ClaimSection
 from ddpc_cosim.study.verdicts.claims import check_claims
+from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_reports.comparison import labels, metric_signal
 from ddpc_reports.numbers import MISSING, as_given
-from ddpc_reports.tables.table import Cell, Heading, Row, Table
 
 
 def claims_table(results: StudyResults, prefix: str) -> Table | None:

@@ -9,6 +9,7 @@ from markupsafe import Markup
 from ddpc_cosim.metrics import all_metrics, metric_name, metric_of, split_key
 from ddpc_cosim.responses import StepTimes
 from ddpc_cosim.study.file_format.sections import PublishedMethod, Reproduction
+from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
@@ -29,16 +30,7 @@ from ddpc_reports.numbers import (
     time_scale,
     unit_symbol,
 )
-from ddpc_reports.tables.table import (
-    Cell,
-    Column,
-    Heading,
-    Row,
-    Table,
-    controller_table,
-    number_cells,
-    text_headings,
-)
+from ddpc_reports.tables.table import Column, controller_table, number_cells
 from ddpc_reports.verdict import Statement
 
 RESPONSE = ("rise_time", "settling_time", "overshoot", "anticipation", "settled_error", "rmse")

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from ddpc_cosim import judge_prediction
+from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_reports.comparison import Condition, ControllerResults, spread
 from ddpc_reports.numbers import MISSING, integer, significant
-from ddpc_reports.tables.table import Cell, Column, Heading, Row, Table, number_cells, text_headings
+from ddpc_reports.tables.table import Column, number_cells
 
 Values = Mapping[str, float]
 """What one run says of its data, by name."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ddpc_cosim import OK, CaseResult, Outcome, StudyResults
+from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_cosim.texts import NUMBER, alike, without_folders
 from ddpc_reports.comparison import labels
 from ddpc_reports.numbers import MISSING, as_given, computed, integer, with_unit
-from ddpc_reports.tables.table import Cell, Heading, Row, Table
 
 _READ = 200
 """Cases whose samples are read for the reasons of fallbacks: as many of each controller and scenario."""

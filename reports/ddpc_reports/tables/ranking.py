@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from ddpc_cosim.metrics import metric_name, metric_of, split_key
 from ddpc_cosim.study.verdicts.standings import Standings
+from ddpc_cosim.tables import Cell, Heading, Table
 from ddpc_reports.comparison import (
     Condition,
     ControllerResults,
@@ -17,15 +18,7 @@ from ddpc_reports.comparison import (
 from ddpc_reports.numbers import MISSING, significant
 from ddpc_reports.shares import SHARE_NOTE, share_columns
 from ddpc_reports.tables.controllers import LIMITS, RESPONSE, meanings, metric_column
-from ddpc_reports.tables.table import (
-    Cell,
-    Column,
-    Heading,
-    Table,
-    controller_table,
-    interval_texts,
-    number_cells,
-)
+from ddpc_reports.tables.table import Column, controller_table, interval_texts, number_cells
 
 _RATIOS = (1.1, 1.25, 1.5, 2.0)
 """Ratios to the best of a column at which the tint of a cell changes."""
@@ -130,8 +123,8 @@ def _terms_columns(ranked: Condition, order: Sequence[ControllerResults]) -> lis
     ahead = [float(traces[one.key].preview) if one.key in traces else math.nan for one in order]
     recorded = [float(max((case.recorded_samples for case in one.cases), default=0)) for one in order]
     return [
-        (Heading("sees ahead", "samples"), number_cells(ahead, better="")),
-        (Heading("learns from", "samples"), number_cells(recorded, better="")),
+        (Heading("preview", "samples"), number_cells(ahead, better="")),
+        (Heading("needs data", "samples"), number_cells(recorded, better="")),
     ]
 
 
@@ -164,7 +157,7 @@ def _notes(condition: Condition, found: Standings) -> tuple[str, ...]:
             f"Medians over {len(condition.seeds)} seeds; 95\u00a0% bootstrap interval of the median, where "
             "the seed changes anything."
         )
-    notes.append("Sees ahead: of the reference. Learns from: a recording, which the controller is handed.")
+    notes.append("Preview: of the reference. Needs data: a recording, which the controller is handed.")
     if others := [name for name in _others(condition.headline) if condition.keys(name)]:
         notes.append(meanings(others))
     return (*notes, *((SHARE_NOTE,) if condition.points else ()))

@@ -3,10 +3,10 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from ddpc_cosim import StudyResults
+from ddpc_cosim.tables import Cell, Row, Table, text_headings
 from ddpc_cosim.texts import without_folders
 from ddpc_reports.numbers import MISSING
 from ddpc_reports.tables.settings import compact_seeds, facts_table
-from ddpc_reports.tables.table import Cell, Row, Table, text_headings
 
 _VERSION, _CASES_RUN = " version", "cases run"
 _SAID = {"run again", "command", "system", "cpu", "date", "ddpc-cosim commit"}

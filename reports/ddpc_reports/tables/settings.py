@@ -22,11 +22,11 @@ from ddpc_cosim.study.file_format.sections import (
     RecordingSection,
     ScenarioSection,
 )
+from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_cosim.texts import without_folders
 from ddpc_reports.comparison import Condition, ControllerResults, indices, labels
 from ddpc_reports.figures.time_charts import Mark
 from ddpc_reports.numbers import MISSING, as_given, computed, unit_symbol, with_unit
-from ddpc_reports.tables.table import Cell, Heading, Row, Table, text_headings
 
 
 def settings_tables(results: StudyResults, condition: Condition | None, prefix: str) -> list[Table]:

@@ -107,8 +107,8 @@ def test_a_narrow_window_loses_columns_and_tells_which(width: int, count: int) -
     lines = printed(results(4), width)
     assert all(len(line) <= width for line in lines)
     text = " ".join(" ".join(lines).replace("\\", "/").split())
-    assert "mean abs error of angle [deg]: medians; ranked by" in text
-    columns = ["range", "settled error of angle", "max abs input of torque", "solve time median"]
+    assert "mean absolute error of angle [deg]: medians; ranked by" in text
+    columns = ["range", "settled error of angle", "peak input of torque", "median step time"]
     told = re.search("not shown: (.*?): out/metrics.csv", text)
     assert (told[1].split("; ") if told else []) == columns[len(columns) - count :]
     heads = " ".join(lines[: next(i for i, line in enumerate(lines) if "───" in line)]).split()
@@ -154,7 +154,7 @@ def test_of_several_scenarios_each_has_a_column() -> None:
     assert deepc[2] == "1/4"
     assert deepc[4].endswith("*")
     text = " ".join(" ".join(lines).split())
-    assert "not shown: range; settled error; max abs input; solve time median: " in text
+    assert "not shown: range; settled error; peak input; median step time: " in text
 
 
 def test_one_seed_needs_no_range() -> None:
@@ -191,7 +191,7 @@ def test_where_scenarios_disagree_there_is_no_rank_and_a_line_says_who_leads_whe
     ]
     lines = printed(replace(calm, cases=(*calm.cases, *windy)))
     assert [rank for rank, _ in ranked(lines)] == ["", ""]
-    said = "scenarios disagree, so there is no overall rank; ahead: deepc in nominal; pid in windy"
+    said = "the scenarios disagree, so there is no overall rank: deepc leads in nominal; pid leads in windy"
     assert said in [line.strip() for line in lines]
 
 
@@ -207,8 +207,8 @@ def test_reference_points_are_marked_and_have_no_rank() -> None:
 @pytest.mark.parametrize(
     ("seeds", "words"),
     [
-        (12, "12 seeds tell no two controllers apart"),
-        (5, "5 seeds are too few to test so many controllers against each other: it takes 6"),
+        (12, "pid and deepc lead over 12 seeds and are not told apart"),
+        (5, "5 seeds are too few to test 2 controllers against each other: it takes 6"),
     ],
 )
 def test_where_the_seeds_tell_none_apart_a_line_says_so(seeds: int, words: str) -> None:
@@ -218,8 +218,8 @@ def test_where_the_seeds_tell_none_apart_a_line_says_so(seeds: int, words: str) 
 @pytest.mark.parametrize(
     ("absolute", "line"),
     [
-        (20.0, "no difference between controllers matters"),
-        (9.1, "12 seeds tell no controller to be better by enough to matter"),
+        (20.0, "deepc and pid lead over 12 seeds, and no difference between them matters"),
+        (9.1, "deepc and pid lead over 12 seeds and none of them is told to be better by enough to matter"),
     ],
 )
 def test_where_no_difference_matters_a_line_says_so(absolute: float, line: str) -> None:
@@ -290,7 +290,7 @@ def test_where_every_run_failed_nothing_is_ranked_and_the_metric_has_its_name() 
     ]
     lines = printed(problems[0])
     assert [line.split()[0] for line in lines if "2/2" in line] == ["DeePC", "pid"]
-    assert lines[-1].strip() == "mean abs error of angle [deg]: medians"
+    assert lines[-1].strip() == "mean absolute error of angle [deg]: medians"
     assert overall_table(problems, Console(width=80)) is None
 
 

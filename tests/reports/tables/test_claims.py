@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from ddpc_cosim import StudyResults
+from ddpc_cosim.tables import Row, Table
 from ddpc_reports.tables.claims import claims_table
-from ddpc_reports.tables.table import Row, Table
 
 from ..synthetic import MakeResults, make_trace
 
@@ -66,7 +66,7 @@ def test_a_claim_stands_with_what_it_is_checked_by_and_its_runs(
     assert [heading.words for heading in table.headings] == ["Claim", "here it", "checked by", "runs"]
     (row,) = table.rows
     assert row.header == "So it is"
-    assert texts(row) == [verdict, f"mean abs error of angle: {checked_by}", runs]
+    assert texts(row) == [verdict, f"mean absolute error of angle: {checked_by}", runs]
     assert row.cells[0].failed == (verdict == "does not hold")
 
 

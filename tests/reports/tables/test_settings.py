@@ -20,13 +20,13 @@ from ddpc_cosim.study.file_format.sections import (
     Study,
 )
 from ddpc_cosim.study.problems import WholeStudy
+from ddpc_cosim.tables import Table
 from ddpc_reports.comparison import conditions
 from ddpc_reports.embedding import Drawing
 from ddpc_reports.figures import figure, over_time
 from ddpc_reports.page import render_page
 from ddpc_reports.tables import settings as settings_module
 from ddpc_reports.tables.settings import family_tables, settings_tables, value_text
-from ddpc_reports.tables.table import Table
 
 from ..synthetic import MakeResults, make_study, make_trace
 

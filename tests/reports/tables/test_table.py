@@ -4,9 +4,9 @@ from base64 import b64decode
 
 from markupsafe import Markup
 
+from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_reports.page import set_page
 from ddpc_reports.sections import Section, StudyPart
-from ddpc_reports.tables.table import Cell, Heading, Row, Table
 
 
 def test_a_text_is_no_formula_for_a_spreadsheet() -> None:

@@ -1,0 +1,146 @@
+"""What the findings say, in clauses: the one place of words on who is ahead.
+
+The terminal prints a clause as it is, without its marks; the page goes on with values and intervals. A
+clause begins with a small letter and has no full stop. Names are set in bold where the results are sure of
+them, else in italics: a label may itself hold commas.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from markupsafe import Markup
+
+from ddpc_cosim.study.verdicts.findings import Findings, Lead
+from ddpc_cosim.study.verdicts.ranks import AverageRanks
+from ddpc_cosim.study.verdicts.standings import Standings
+from ddpc_cosim.study.verdicts.statistics import LEVEL, Comparisons
+
+_NAMED = 3
+"""Controllers that are named where there are more."""
+
+Labels = Mapping[str, str]
+"""Of controllers or scenarios by name, what they are called in print."""
+
+
+def join_words(parts: Sequence[str | Markup]) -> Markup:
+    """Join parts as in a sentence: ``a, b and c``."""
+    *head, last = parts
+    return Markup("{} and {}").format(Markup(", ").join(head), last) if head else Markup("{}").format(last)
+
+
+def some_of(parts: Sequence[Markup]) -> Markup:
+    """Join the first of some parts as in a sentence, and say how many more there are."""
+    more = len(parts) - _NAMED
+    return join_words([*parts[:_NAMED], *([f"{more} more"] if more > 0 else [])])
+
+
+def italic(label: str) -> Markup:
+    """Set a name that is only mentioned."""
+    return Markup("<i>{}</i>").format(label)
+
+
+def bold(label: str) -> Markup:
+    """Set a name of which the results are sure."""
+    return Markup("<b>{}</b>").format(label)
+
+
+def sentence(clause: Markup) -> Markup:
+    """Return a clause as it begins a sentence; a name at its beginning stays as it is."""
+    return clause[:1].upper() + clause[1:]
+
+
+def lead_clause(told: Findings, controllers: Labels, scenarios: Labels) -> Markup:
+    """Say who is ahead, and in which way; of scenarios that disagree, who leads where."""
+    ranking = told.standings
+    if told.lead is Lead.NOBODY:
+        return Markup("no controller competes here, so nothing is ranked")
+    if told.lead is Lead.ALL_FAIL:
+        return _fewest_failed(ranking, controllers)
+    if told.lead is Lead.BY_SCENARIO:
+        return _by_scenario(ranking, controllers, scenarios)
+    over, (first, *_) = over_words(ranking), told.leaders
+    if told.lead is Lead.ONLY_ONE:
+        return Markup("there is nothing to compare {} with").format(italic(controllers[first]))
+    if told.lead is Lead.ONLY_SOUND:
+        return Markup("{} alone has no failed run, {}").format(bold(controllers[first]), over)
+    if told.lead in (Lead.LEVEL, Lead.ALIKE):
+        return _level(told, controllers, over)
+    name = (bold if told.is_sure else italic)(controllers[first])
+    medians = "has the best median" if len(ranking.keys) == 1 else "has the best medians"
+    return Markup("{} {} {}").format(name, "is ahead" if told.lead is Lead.AHEAD else medians, over)
+
+
+def over_words(ranking: Standings) -> str:
+    """Say over what the medians are: ``over 6 scenarios and 10 seeds``."""
+    count = len(ranking.by_scenario)
+    scenarios = f"{count} scenarios" if count else ""
+    if ranking.seeds > 1:
+        return "over " + " and ".join(filter(None, (scenarios, f"{ranking.seeds} seeds")))
+    return f"over {scenarios}, on one seed" if scenarios else "on the one seed that was run"
+
+
+def _level(told: Findings, controllers: Labels, over: str) -> Markup:
+    """Say that several share the first rank, and why."""
+    who = some_of([bold(controllers[name]) for name in told.leaders])
+    if not told.standings.tested:
+        return Markup("{} share the best medians {}").format(who, over)
+    if len(told.standings.keys) > 1 or len(told.leaders) == 1:
+        return Markup("no controller is significantly better than {} {}").format(who, over)
+    how = " and are not told apart"
+    if told.lead is Lead.ALIKE:
+        how = ", and no difference between them matters"
+    elif told.tells_leaders_apart:
+        how = " and none of them is told to be better by enough to matter"
+    return Markup("{} lead {}{}").format(who, over, how)
+
+
+def _by_scenario(ranking: Standings, controllers: Labels, scenarios: Labels) -> Markup:
+    """Say who leads in which scenario, as no rank over all of them would be fair."""
+    where: dict[tuple[str, ...], list[Markup]] = {}
+    for scenario, leaders in ranking.leaders_by_scenario.items():
+        where.setdefault(leaders, []).append(italic(scenarios[scenario]))
+    parts = []
+    for leaders, places in where.items():
+        who = [bold(controllers[name]) for name in leaders]
+        lead = "leads" if len(who) == 1 else "lead together"
+        if not who:
+            who, lead = [Markup("no controller")], "is without a failed run"
+        parts.append(Markup("{} {} in {}").format(some_of(who), lead, some_of(places)))
+    return Markup("the scenarios disagree, so there is no overall rank: {}").format(Markup("; ").join(parts))
+
+
+def _fewest_failed(ranking: Standings, controllers: Labels) -> Markup:
+    fewest = [standing for standing in ranking.order if standing.rank == 1]
+    who, runs = some_of([italic(controllers[standing.controller]) for standing in fewest]), fewest[0].runs
+    return Markup("no controller is without a failed run. Fewest failed: {} {} of {} {}").format(
+        who, fewest[0].failed, runs, "run" if runs == 1 else "runs"
+    )
+
+
+def too_few_seeds_clause(comparisons: Iterable[Comparisons]) -> str:
+    """Say that the seeds are too few to test so many controllers, and how many it takes; empty if not."""
+    few = [one for one in comparisons if one.too_few_seeds]
+    if not few:
+        return ""
+    seeds, controllers = max(one.seeds for one in few), max(len(one.order) for one in few)
+    needed = max(one.seeds_needed for one in few)
+    few_words = f"{seeds} seeds are too few to test {controllers} controllers against each other"
+    return f"{few_words}: it takes {needed}"
+
+
+def best_rank_clause(ranks: AverageRanks, controllers: Labels, rank: str = "") -> Markup:
+    """Say who has the best average rank, with that rank if given, and who is not told apart from it."""
+    first, level = next(iter(ranks.ranks)), ranks.level_with_first
+    name = (italic if level else bold)(controllers[first])
+    text = Markup("over {} problems, {} has the best average rank").format(ranks.problems, name)
+    text += f", {rank}" if rank else ""
+    if level:
+        others = some_of([italic(controllers[other]) for other in level])
+        text += Markup("; the problems do not tell it apart from {}").format(others)
+    return text
+
+
+def ranks_differ_clause(ranks: AverageRanks, value: Callable[[float], str]) -> str:
+    """Say how far apart average ranks have to be to differ, or that none is found to."""
+    if ranks.p <= LEVEL:
+        return f"ranks that are {value(ranks.critical_difference)} or more apart differ"
+    return "none is found to differ"
