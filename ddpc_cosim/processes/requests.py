@@ -57,10 +57,11 @@ def orderly_end(*, process_ends: bool = False) -> Iterator[None]:
 
     def not_raised(unraisable: Any) -> None:
         """Raise after all what was raised in a finalizer that could not be told from other code."""
-        if unraisable.exc_value is not None and unraisable.exc_value is _state.request:
-            _raise_in(_outside(sys._getframe().f_back))
-        else:
+        if _state.request is None:
             hook(unraisable)
+        elif unraisable.exc_value is _state.request:
+            _raise_in(_outside(sys._getframe().f_back))
+        # Else it is of what was half made when the request was raised.
 
     try:
         with held():
@@ -69,17 +70,23 @@ def orderly_end(*, process_ends: bool = False) -> Iterator[None]:
         yield
     finally:
         _state.commits += 1  # no call before it, in which a request could be raised
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-        if process_ends:
-            _handle(_ends_anyway)
-        sys.unraisablehook, _state.is_entered = hook, False
-        _state.commits -= 1
-        request, is_held, _state.is_held = _state.request, _state.is_held, False
-        if not process_ends:
-            _state.request = None  # and all that its traceback holds
-        if is_held and request is not None:
-            raise request
+        try:
+            for number, handler in reversed(
+                before.items()
+            ):  # Python's own of Ctrl-C, which may raise here, last
+                signal.signal(number, signal.SIG_DFL if handler is None else handler)
+            if process_ends:
+                _handle(_ends_anyway)
+        finally:
+            _state.is_entered = False
+            _state.commits -= 1
+            request, is_held, _state.is_held = _state.request, _state.is_held, False
+            if not process_ends:
+                _state.request = None  # and all that its traceback holds
+            if not (process_ends and request):
+                sys.unraisablehook = hook
+            if is_held and request is not None:
+                raise request
 
 
 def made() -> KeyboardInterrupt | None:

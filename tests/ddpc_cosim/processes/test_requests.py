@@ -161,6 +161,51 @@ def test_a_commit_is_done_as_a_whole() -> None:
     assert done == ["committed"]
 
 
+def test_a_request_on_leaving_leaves_everything_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    before, hook = (
+        [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)],
+        sys.unraisablehook,
+    )
+    restore = signal.signal
+
+    def restored_and_asked(number: int, handler: Any) -> Any:
+        found = restore(number, handler)
+        if number == signal.SIGINT and handler is signal.default_int_handler:
+            signal.raise_signal(number)
+        return found
+
+    with pytest.raises(KeyboardInterrupt), orderly_end():
+        monkeypatch.setattr(signal, "signal", restored_and_asked)
+    monkeypatch.undo()
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    assert sys.unraisablehook is hook
+    done.clear()
+    with pytest.raises(Terminated), orderly_end():
+        by_method()
+    assert done == ["finalized"]
+
+
+def test_what_was_half_made_when_a_request_came_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[Any] = []
+    monkeypatch.setattr("sys.unraisablehook", lambda unraisable: told.append(str(unraisable.exc_value)))
+
+    class HalfMade:
+        def __init__(self) -> None:
+            ask()
+            self.file = 1
+
+        def __del__(self) -> None:
+            done.append(str(self.file))
+
+    with orderly_end():
+        try:
+            HalfMade()
+        except Terminated as request:
+            request.__traceback__ = None  # which goes with what it holds
+        gc.collect()
+    assert told == []
+
+
 def test_other_errors_of_finalizers_are_told_as_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     class Faulty:
         def __del__(self) -> None:
@@ -236,8 +281,10 @@ class Silent:
     def finished(self, case: Case, result: CaseResult) -> None: ...
 
 
-# A socket or process of which nobody knows yet goes with a warning, and with it what is at the other end.
+# A socket or process of which nobody knows yet goes with a warning, and with it what is at the other end; so
+# does what was half made.
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("count", [5, pytest.param(200, marks=pytest.mark.slow)])
 def test_no_request_at_a_random_moment_of_a_run_is_lost(
     count: int, write_study: WriteStudy, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
