@@ -1,7 +1,7 @@
 """Metrics of one run: a registry that files, terminal and reports follow, so that one is added here alone.
 
 Keys read ``name.signal [unit]``; values are in the variables' display units, and NaN where there is none.
-In print a metric has one name, that of its key: :func:`metric_name`.
+In print a metric has one name, its label: :func:`metric_name`.
 """
 
 import math
@@ -23,7 +23,6 @@ from ddpc_cosim.variables import FloatArray
 
 _TRACE = "ddpc_cosim.trace.Trace"
 """The class that metrics of third parties are of; its module imports this one."""
-_ACRONYMS = {"iae", "ise", "itae", "itse", "mae", "mse", "rms", "rmse"}
 _OF_A_SIGNAL = ("difference", "value", "difference.s")
 
 
@@ -61,7 +60,7 @@ class Metric(Generic[Samples]):
         What it is computed from: a controlled output, an input, the whole run, or the controller's steps; a
         metric of a third party from the :class:`ddpc_cosim.Trace`.
     label : str
-        What its name stands for, where metrics are explained.
+        What it is called in print.
     description : str
         What it is, in one line.
     compute : callable
@@ -112,9 +111,12 @@ def split_key(key: str) -> tuple[str, str, str]:
 
 
 def metric_name(key: str) -> str:
-    """Return the name of a metric in print, from its key or name: "mean abs error", "RMSE", "RMS change"."""
-    words = split_key(key)[0].split("_")
-    return " ".join(word.upper() if word in _ACRONYMS else word for word in words)
+    """Return what a metric is called in sentences and tables, from its key or name: its label.
+
+    It begins with a small letter, but for an acronym. A metric that is installed no more has its own name.
+    """
+    label = metric_of(key).label
+    return label if label[1:2].isupper() else label[:1].lower() + label[1:]
 
 
 def headline(keys: Iterable[str]) -> tuple[str, ...]:
@@ -293,7 +295,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
     ),
     "sum_abs_error": Metric(
         Response,
-        "Absolute integral error",
+        "Sum of absolute errors",
         "sum of |reference - output| over the samples, as in the paper",
         lambda r: _total(r.magnitude),
         shown=(),
@@ -375,7 +377,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
     ),
     "bound_violation_max": Metric(
         Response,
-        "Largest bound violation",
+        "Constraint violation",
         "how far the output went beyond its limits",
         lambda r: _largest(r.beyond),
         over_seeds="largest",
@@ -383,7 +385,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
     ),
     "bound_violation_time": Metric(
         Response,
-        "Time beyond bounds",
+        "Time of constraint violation",
         "time of samples with the output beyond its limits",
         lambda r: float(np.count_nonzero(r.beyond)) * r.sampling_time,
         "s",
@@ -391,7 +393,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
     ),
     "max_abs_input": Metric(
         Actuation,
-        "Maximum absolute input",
+        "Peak input",
         "largest |input|",
         lambda a: _largest(a.magnitude),
         "value",
@@ -400,7 +402,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
     ),
     "max_abs_change": Metric(
         Actuation,
-        "Largest input change",
+        "Peak input change",
         "largest |change of the input| from sample to sample",
         lambda a: _largest(a.change),
         shown=(),
@@ -414,14 +416,14 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
     ),
     "total_variation": Metric(
         Actuation,
-        "Actuator travel",
+        "Total variation",
         "sum of |change of the input|",
         lambda a: float(a.change.sum()),
         shown=("report",),
     ),
     "time_at_bounds": Metric(
         Actuation,
-        "Time at input limits",
+        "Time in saturation",
         "time of samples with the input at a limit",
         lambda a: float(np.count_nonzero(a.at_limit)) * a.sampling_time,
         "s",
@@ -430,7 +432,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
     ),
     "cost": Metric(
         WholeRun,
-        "Quadratic cost",
+        "Cost",
         "sum over the samples of the weighted squares of errors, inputs and input changes",
         WholeRun.cost,
         "1",
@@ -453,7 +455,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
     ),
     "solve_time_p95": Metric(
         StepTimes,
-        "95 % step time",
+        "95th-percentile step time",
         "95th percentile of the wall-clock time of a controller step",
         lambda s: _percentile(s.times, 95),
         "s",
@@ -461,7 +463,7 @@ METRICS: dict[str, Metric[Response] | Metric[Actuation] | Metric[WholeRun] | Met
     ),
     "solve_time_p99": Metric(
         StepTimes,
-        "99 % step time",
+        "99th-percentile step time",
         "99th percentile of the wall-clock time of a controller step",
         lambda s: _percentile(s.times, 99),
         "s",

@@ -34,7 +34,7 @@ def methods(found: Overall) -> str:
     far = found.distances
     assert far is not None
     table = [
-        ["method", "average rank", "share of the way [95 % interval]", "failed runs", "step", "learns from"]
+        ["method", "average rank", "share of the way [95 % interval]", "failed runs", "step", "needs data"]
     ]
     for key, one in found.controllers.items():
         failed, runs = found.failed[key]

@@ -46,7 +46,7 @@ _FACTOR, _WIDEST = 2.0, 20.0
 _POINTS = 300
 _NAMED = 3
 RANKS_NOTE = (
-    "Ranks by mean abs error or the problem's own cost: first comes the controller with fewer runs "
+    "Ranks by mean absolute error or the problem's own cost: first comes the controller with fewer runs "
     "that failed, of equal ones that with the better average rank over scenarios and signals. Group: "
     "controllers that share a letter are not told apart by Nemenyi's test at 5\u00a0%."
 )

@@ -74,15 +74,15 @@ def test_keys_name_figure_signal_and_unit() -> None:
 @pytest.mark.parametrize(
     ("key", "name"),
     [
-        ("mean_abs_error.angle [deg]", "mean abs error"),
+        ("mean_abs_error.angle [deg]", "mean absolute error"),
         ("rmse.a_b [1]", "RMSE"),
         ("iae", "IAE"),
-        ("rms_change.torque [N.m]", "RMS change"),
-        ("solve_time_p95 [s]", "solve time p95"),
+        ("rms_change.torque [N.m]", "RMS input change"),
+        ("solve_time_p95 [s]", "95th-percentile step time"),
         ("third-party [J]", "third-party"),
     ],
 )
-def test_the_name_in_print_is_that_of_the_key(key: str, name: str) -> None:
+def test_the_name_in_print_is_the_label(key: str, name: str) -> None:
     assert metric_name(key) == name
 
 

@@ -51,7 +51,7 @@ def test_progress_is_drawn_in_place_and_the_table_stays(
     assert "cases to run" not in text
     assert "study (3 seeds)" in text
     table = text[text.index("study (3 seeds)") :]
-    assert "mean abs error of y [1]: medians" in table
+    assert "mean absolute error of y [1]: medians" in table
     assert "and 2 more: completed, failed: y ends 204 % of its task away" in table.splitlines()[-1]
 
 

@@ -88,7 +88,7 @@ def test_figures_of_the_paper_and_of_the_authors_programs(
 
 
 NAMES = {
-    "mean_abs_error.angle [deg]": "mean abs error of angle (°)",
+    "mean_abs_error.angle [deg]": "mean absolute error of angle (°)",
     "rmse.angle [deg]": "RMSE of angle (°)",
     "settled_error.angle [deg]": "settled error of angle (°)",
     "overshoot.angle [%]": "overshoot of angle (%)",

@@ -56,7 +56,7 @@ def test_one_that_is_told_apart_from_all_is_ahead_by_the_difference_of_the_pairs
     difference = median(b[seed] - a[seed] for seed in SEEDS)
     percent = 100 * difference / median(a.values())
     told = said(results)
-    assert told.startswith(f"a is ahead over 12 seeds: mean abs error {median(a.values()):.3g}° [")
+    assert told.startswith(f"a is ahead over 12 seeds: mean absolute error {median(a.values()):.3g}° [")
     assert re.search(rf"; the next, b, differs by \+{difference:.3g}° \[\d", told)
     assert f"], +{percent:.2g} %." in told
     assert "c" not in re.findall(r"\b[abc]\b", told)
@@ -112,7 +112,7 @@ def test_who_alone_has_no_failed_run_is_not_told_to_be_ahead(make_results: MakeR
     results = study(make_results, lag({"a": 0.9, "b": 0.3}), "a", "b")
     told = said(having(results, {"a": lambda s, n: 5.0, "b": lambda s, n: math.nan if n == 3 else 1.0}))
     assert told == (
-        "a alone has no failed run, over 12 seeds: mean abs error 5.00° [the same on every seed]. "
+        "a alone has no failed run, over 12 seeds: mean absolute error 5.00° [the same on every seed]. "
         "Failed: b 1 of 12 runs (in the others ahead of a by 4.00° [the same on every seed])."
     )
 
@@ -142,7 +142,7 @@ def test_of_many_that_lead_three_are_named(make_results: MakeResults) -> None:
     results = study(make_results, lag(dict.fromkeys(names, 0.5)), *names)
     same = having(results, dict.fromkeys(names, lambda s, n: 1.0))
     assert said(same) == (
-        "a, b, c and 2 more lead over 12 seeds, and no difference between them matters: mean abs error "
+        "a, b, c and 2 more lead over 12 seeds, and no difference between them matters: mean absolute error "
         "1.00°, 1.00° and 1.00°, in pairs less than 0.20° apart."
     )
 
@@ -151,7 +151,7 @@ def test_those_that_are_not_told_apart_lead_together(make_results: MakeResults) 
     lags = lag({"a": 0.5, "b": 0.5, "c": 0.9}, 0.1)
     results = study(make_results, lags, "c", "b", "a", metrics=ALL_MATTERS)
     told = said(results)
-    assert re.match(r"[ab] and [ab] lead over 12 seeds and are not told apart: mean abs error ", told)
+    assert re.match(r"[ab] and [ab] lead over 12 seeds and are not told apart: mean absolute error ", told)
     low, high = re.findall(r"\[([-\d.]+) … ([-\d.]+)\]", told)[0]
     assert float(low) < 0 < float(high)
 
@@ -161,7 +161,7 @@ def test_too_few_seeds_make_nobody_sure(make_results: MakeResults) -> None:
     assert "a has the best median over 3 seeds" in said(results)
     assert said(results).endswith("3 seeds are too few to test 2 controllers against each other: it takes 6.")
     alone = study(make_results, lag({"a": 0.3, "b": 0.5}), "a", "b", seeds=[4])
-    assert said(alone).startswith("a is ahead on the one seed that was run: mean abs error ")
+    assert said(alone).startswith("a is ahead on the one seed that was run: mean absolute error ")
     assert said(alone).endswith("How much that depends on the seed is not known.")
 
 
@@ -281,7 +281,7 @@ def test_leaders_that_are_told_apart_by_too_little_are_told_to_be_no_better_by_e
     told = said(having(results, {"a": lambda s, n: 2.0, "b": lambda s, n: 2.1 + 0.05 * n}))
     assert told.startswith(
         "a and b lead over 12 seeds and none of them is told to be better by enough to matter: "
-        "mean abs error 2.00° and 2.38°, paired difference from the first +0.375° ["
+        "mean absolute error 2.00° and 2.38°, paired difference from the first +0.375° ["
     )
 
 
@@ -318,7 +318,7 @@ def test_of_several_outputs_each_has_its_value(make_results: MakeResults) -> Non
 
     told = said(study(make_results, trace_of, "a", "b"))
     assert re.match(
-        r"a is ahead over 12 seeds: mean abs error [\d.]+° \[[\d. …]+\] of angle and [\d.]+ m/s", told
+        r"a is ahead over 12 seeds: mean absolute error [\d.]+° \[[\d. …]+\] of angle and [\d.]+ m/s", told
     )
     assert re.search(
         r"the next, b, differs by a factor of [\d.]+ in angle and a factor of [\d.]+ in speed\.", told
@@ -336,4 +336,4 @@ def test_names_are_text(make_results: MakeResults, name: str) -> None:
 
 def test_alone_nobody_is_ahead(make_results: MakeResults) -> None:
     told = said(study(make_results, lag({"a": 0.3}), "a"))
-    assert told.startswith("There is nothing to compare a with: mean abs error ")
+    assert told.startswith("There is nothing to compare a with: mean absolute error ")

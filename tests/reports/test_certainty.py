@@ -20,7 +20,7 @@ from .synthetic import FORCE, SPEED, MakeResults, findings_of, make_trace
 
 THREE = {key: {"type": key} for key in ("quick", "alike", "slow")}
 COST = "mean_abs_error.angle [deg]"
-GROUP = "mean abs error of angle / °"
+GROUP = "mean absolute error of angle / °"
 SEEDS = list(range(12))
 
 
@@ -186,4 +186,4 @@ def test_each_of_several_signals_and_scenarios_says_how_sure_it_is(make_results:
     assert len(re.findall("not told apart from (?:quick|slow)", said)) == 2
     ((_, across),) = across_statements(conditions(results))
     assert "The seeds do not tell the first apart in" in across
-    assert {row.group for row in table_of(results).rows} >= {"mean abs error of force / N"}
+    assert {row.group for row in table_of(results).rows} >= {"mean absolute error of force / N"}

@@ -325,7 +325,7 @@ def test_every_table_can_be_saved_as_csv(make_results: MakeResults, tmp_path: Pa
     text = base64.b64decode(files["cases.csv"].partition(",")[2]).decode()
     rows = list(csv.DictReader(io.StringIO(text)))
     expected = [case.metrics["mean_abs_error.angle [deg]"] for case in results.cases]
-    assert [float(row["mean abs error of angle (°)"]) for row in rows] == pytest.approx(expected)
+    assert [float(row["mean absolute error of angle (°)"]) for row in rows] == pytest.approx(expected)
 
 
 def test_a_metric_has_one_name_in_page_terminal_and_file(make_results: MakeResults, tmp_path: Path) -> None:

@@ -133,7 +133,7 @@ def test_one_setting_makes_a_strip_and_an_object_is_told_by_what_differs(results
 def test_the_page_has_the_section_only_with_sweeps(results: StudyResults, tmp_path: Path) -> None:
     page = render_page([results])
     assert 'id="s1-sensitivity"' in page
-    assert "Slow: mean abs error of angle in ° over a and b" in page
+    assert "Slow: mean absolute error of angle in ° over a and b" in page
     assert "Median over 3 seeds" in page
     assert 'id="s1-sensitivity"' not in render_page([make_results_in(tmp_path / "plain")])
 

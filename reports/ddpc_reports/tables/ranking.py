@@ -123,8 +123,8 @@ def _terms_columns(ranked: Condition, order: Sequence[ControllerResults]) -> lis
     ahead = [float(traces[one.key].preview) if one.key in traces else math.nan for one in order]
     recorded = [float(max((case.recorded_samples for case in one.cases), default=0)) for one in order]
     return [
-        (Heading("sees ahead", "samples"), number_cells(ahead, better="")),
-        (Heading("learns from", "samples"), number_cells(recorded, better="")),
+        (Heading("preview", "samples"), number_cells(ahead, better="")),
+        (Heading("needs data", "samples"), number_cells(recorded, better="")),
     ]
 
 
@@ -157,7 +157,7 @@ def _notes(condition: Condition, found: Standings) -> tuple[str, ...]:
             f"Medians over {len(condition.seeds)} seeds; 95\u00a0% bootstrap interval of the median, where "
             "the seed changes anything."
         )
-    notes.append("Sees ahead: of the reference. Learns from: a recording, which the controller is handed.")
+    notes.append("Preview: of the reference. Needs data: a recording, which the controller is handed.")
     if others := [name for name in _others(condition.headline) if condition.keys(name)]:
         notes.append(meanings(others))
     return (*notes, *((SHARE_NOTE,) if condition.points else ()))

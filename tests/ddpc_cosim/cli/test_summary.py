@@ -107,8 +107,8 @@ def test_a_narrow_window_loses_columns_and_tells_which(width: int, count: int) -
     lines = printed(results(4), width)
     assert all(len(line) <= width for line in lines)
     text = " ".join(" ".join(lines).replace("\\", "/").split())
-    assert "mean abs error of angle [deg]: medians; ranked by" in text
-    columns = ["range", "settled error of angle", "max abs input of torque", "solve time median"]
+    assert "mean absolute error of angle [deg]: medians; ranked by" in text
+    columns = ["range", "settled error of angle", "peak input of torque", "median step time"]
     told = re.search("not shown: (.*?): out/metrics.csv", text)
     assert (told[1].split("; ") if told else []) == columns[len(columns) - count :]
     heads = " ".join(lines[: next(i for i, line in enumerate(lines) if "───" in line)]).split()
@@ -154,7 +154,7 @@ def test_of_several_scenarios_each_has_a_column() -> None:
     assert deepc[2] == "1/4"
     assert deepc[4].endswith("*")
     text = " ".join(" ".join(lines).split())
-    assert "not shown: range; settled error; max abs input; solve time median: " in text
+    assert "not shown: range; settled error; peak input; median step time: " in text
 
 
 def test_one_seed_needs_no_range() -> None:
@@ -290,7 +290,7 @@ def test_where_every_run_failed_nothing_is_ranked_and_the_metric_has_its_name() 
     ]
     lines = printed(problems[0])
     assert [line.split()[0] for line in lines if "2/2" in line] == ["DeePC", "pid"]
-    assert lines[-1].strip() == "mean abs error of angle [deg]: medians"
+    assert lines[-1].strip() == "mean absolute error of angle [deg]: medians"
     assert overall_table(problems, Console(width=80)) is None
 
 

@@ -66,7 +66,7 @@ def test_a_claim_stands_with_what_it_is_checked_by_and_its_runs(
     assert [heading.words for heading in table.headings] == ["Claim", "here it", "checked by", "runs"]
     (row,) = table.rows
     assert row.header == "So it is"
-    assert texts(row) == [verdict, f"mean abs error of angle: {checked_by}", runs]
+    assert texts(row) == [verdict, f"mean absolute error of angle: {checked_by}", runs]
     assert row.cells[0].failed == (verdict == "does not hold")
 
 

@@ -50,7 +50,7 @@ def test_different_winners_are_named_with_their_scenarios(make_results: MakeResu
         for case in results.cases
     )
     (statement,) = across_statements(conditions(replace(results, cases=swapped)))
-    assert plain(statement.text) == "quick has the smallest mean abs error in calm; slow in Noisy."
+    assert plain(statement.text) == "quick has the smallest mean absolute error in calm; slow in Noisy."
 
 
 SEEDS = [7, 0, 1, 2]
@@ -82,12 +82,14 @@ def test_a_new_metric_needs_its_entry_in_the_registry_alone(
     results = make_results(seeds=[7, 0, 1, 2, 3, 4], scenarios=SCENARIOS)
     assert all("peak.angle [deg]" in case.metrics for case in results.cases)
     seen = conditions(results)
-    assert marked(ranked(seen[0]), "peak (°)") == ["quick"]
-    assert "peak of angle (°)" in [heading.words for heading in cases_table(results, seen, "x-").headings]
+    assert marked(ranked(seen[0]), "highest value (°)") == ["quick"]
+    assert "highest value of angle (°)" in [
+        heading.words for heading in cases_table(results, seen, "x-").headings
+    ]
     console = Console(width=200)
     with console.capture() as capture:
         console.print(summary_table(results, console))
-    assert "peak" in capture.get()
+    assert "highest value" in capture.get()
 
 
 @pytest.mark.parametrize(("better", "names"), [("low", ["quick"]), ("high", ["slow"]), ("", [])])
@@ -155,8 +157,9 @@ def test_samples_at_rest_that_the_publication_counts_have_a_row_of_their_own(
     reproduction = results.study.report.reproduction
     assert reproduction is not None
     own, counted = reproduction_table(conditions(results)[0], reproduction, "").rows
-    assert own.header == "sum abs error (Absolute error), from the first decision on"
-    assert counted.header == "sum abs error (Absolute error), 2 samples at rest counted too, as published"
+    assert own.header == "sum of absolute errors (Absolute error), from the first decision on"
+    at_rest = "2 samples at rest counted too, as published"
+    assert counted.header == f"sum of absolute errors (Absolute error), {at_rest}"
     assert [cell.text for cell in (own.cells[1], own.cells[6], own.cells[7])] == ["\N{EN DASH}"] * 3
     assert own.cells[3].raw == pytest.approx(costs(results, "printed")[0])
     (first, *_) = (case.trace() for case in results.cases if case.controller == "printed")

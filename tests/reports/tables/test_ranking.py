@@ -66,7 +66,7 @@ def test_the_ranked_table_has_ranks_medians_terms_and_failed_runs(make_results: 
         "slow": 2,
         "falling": 3,
     }
-    errors = column(table, "mean abs error (°)")
+    errors = column(table, "mean absolute error (°)")
     assert {key: cell.raw for key, cell in errors.items()} == {
         key: pytest.approx(median(of(results, key))) for key in LAGS
     }
@@ -77,10 +77,10 @@ def test_the_ranked_table_has_ranks_medians_terms_and_failed_runs(make_results: 
         "slow": ("0 of 12", False),
         "falling": ("1 of 12", True),
     }
-    assert {key: cell.raw for key, cell in column(table, "sees ahead (samples)").items()} == dict.fromkeys(
+    assert {key: cell.raw for key, cell in column(table, "preview (samples)").items()} == dict.fromkeys(
         LAGS, 5.0
     )
-    assert column(table, "learns from (samples)")["quick"].raw == 100.0
+    assert column(table, "needs data (samples)")["quick"].raw == 100.0
 
 
 def test_where_no_run_failed_nothing_is_said_of_it(make_results: MakeResults) -> None:
@@ -133,7 +133,7 @@ def test_numbers_beside_failed_runs_are_of_the_other_runs(make_results: MakeResu
     assert (cell.failures, cell.raw) == ("3 failed", pytest.approx(median(own)))
     assert float(cell.detail.split(" … ")[1]) == pytest.approx(max(own), rel=5e-3)
     table = ranked(conditions(make_results(trace_of, NAMES, seeds=SEEDS))[0])
-    assert column(table, "mean abs error (°)")["falling"].raw == pytest.approx(median(own))
+    assert column(table, "mean absolute error (°)")["falling"].raw == pytest.approx(median(own))
 
 
 def test_a_best_of_zero_is_tinted_and_all_others_are_far_from_it(make_results: MakeResults) -> None:
