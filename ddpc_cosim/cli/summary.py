@@ -145,7 +145,7 @@ def _problem_column(name: str, found: Standings) -> _Column:
 
     def cell(cases: Sequence[CaseResult]) -> Cell:
         own = standing.get(cases[0].controller)
-        return Cell(_rank_words(own.text), failed=own.failed > 0) if own else Cell(_MISSING)
+        return Cell(_rank_words(own.text) or _MISSING, failed=own.failed > 0) if own else Cell(_MISSING)
 
     label = clipped(name, _LONGEST_LABEL)
     return _Column(Heading(label), label, "", cell)

@@ -62,7 +62,7 @@ def test_who_leads_and_in_which_way(levels: dict[str, Any], how: dict[str, Any],
 def test_those_that_lead_together_are_not_told_apart_or_not_by_enough() -> None:
     level = found({"a": 1.0, "b": 1.05, "c": 9.0}, jitter=0.3)
     assert lead_clause(level, LABELS, SCENARIOS).endswith(" lead over 8 seeds and are not told apart")
-    near = found({"a": 1.0, "b": 1.1}, metrics={"relevant": {"absolute": 0.12}})
+    near = found({"a": 1.0, "b": 1.1}, metrics={"relevant": {"absolute": 0.112}})
     assert near.tells_leaders_apart
     assert "none of them is told to be better by enough to matter" in lead_clause(near, LABELS, SCENARIOS)
 
