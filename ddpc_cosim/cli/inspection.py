@@ -1,15 +1,11 @@
-"""``ddpc-cosim inspect``."""
+"""What ``ddpc-cosim inspect`` prints: tables on a terminal, elsewhere lines for grep and cut."""
 
-import json
 import math
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from shlex import quote
 
-import click
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
@@ -19,8 +15,8 @@ from ddpc_cosim.cli.output import fitting
 from ddpc_cosim.coupling.ssp import SSPConnection
 from ddpc_cosim.fmu.description import Clock, FMUDescription, FMUVariable, Interface, is_sampled
 from ddpc_cosim.fmu.description.defects import Defect, Severity
-from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu, systems
-from ddpc_cosim.inspection.systems import SystemInspection, inspect_ssp
+from ddpc_cosim.inspection import Inspection
+from ddpc_cosim.inspection.systems import SystemInspection
 from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import Variable
 
@@ -46,24 +42,8 @@ class _Section:
     rows: Sequence[Row]
 
 
-def inspect_command(path: Path, *, as_json: bool, strict: bool, every: bool) -> int:
-    """Print what an FMU or an SSP archive is; return 1 if a defect prevents it from running here."""
-    is_system = path.suffix.lower() == ".ssp"
-    inspection = inspect_ssp(path) if is_system else inspect_fmu(path, strict=strict)
-    if as_json:
-        data = as_data(inspection) if isinstance(inspection, Inspection) else systems.as_data(inspection)
-        # Part by part: as one text it would take more memory than all that it tells.
-        sys.stdout.writelines(json.JSONEncoder(indent=2, allow_nan=False).iterencode(data))
-        click.echo()
-    elif (console := Console()).is_terminal:
-        _print_tables(console, inspection, every=every)
-    else:
-        for line in _plain_lines(inspection):
-            click.echo(line)
-    return 0 if inspection.can_run else 1
-
-
-def _print_tables(console: Console, inspection: Inspected, *, every: bool) -> None:
+def print_tables(console: Console, inspection: Inspected, *, every: bool) -> None:
+    """Print facts, variables and defects as tables, long ones in part unless every row is wanted."""
     facts = Table(box=None, show_header=False, pad_edge=False)
     facts.add_column(style="bold", no_wrap=True)
     facts.add_column(overflow="fold")
@@ -112,7 +92,7 @@ def _table(section: _Section, rows: Sequence[Row], columns: Sequence[int], narro
     return table
 
 
-def _plain_lines(inspection: Inspected) -> Iterator[str]:
+def plain_lines(inspection: Inspected) -> Iterator[str]:
     """Yield one line per fact, variable and defect, with tabs between the columns: for grep and cut."""
     for name, value in _facts(inspection):
         yield _line(name, value)
