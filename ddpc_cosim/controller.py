@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from itertools import accumulate, pairwise
+from numbers import Integral
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self
@@ -332,10 +333,25 @@ class Controller(ABC):
     """A sampled controller.
 
     A subclass is a dataclass with keyword-only fields (``@dataclass(kw_only=True)``) made by
-    :func:`ddpc_cosim.setting`: they are its settings, checked here at construction. ``start`` is called once
-    per run and forgets everything learned before; ``step`` is called at every sample.
+    :func:`ddpc_cosim.setting`: they are its settings, checked here at construction. A run asks for these, in
+    this order:
+
+    1. ``uses_recording``, once, before anything runs; may be set.
+    2. ``horizon``, before and after ``start``, which does not change it; may be set.
+    3. ``start``, once; must be set. It forgets everything learned before.
+    4. ``settings``, once; need not be set in a dataclass.
+    5. ``knowledge``, once; may be set.
+    6. ``warnings``, once; may be set.
+    7. ``accepts_missing``, once, if the loop loses measurements; may be set.
+    8. ``step``, at every sample: n + 1 times for n sampling intervals; must be set.
+    9. ``diagnostics``, once, after the last sample, however the run ended; may be set.
+
+    Reading a study asks an object that is never started for ``settings``, ``uses_recording``, ``horizon``
+    and, where there is a recording, ``recording_length``; ``ddpc-cosim tune`` asks such a one for
+    ``settings_as``, and ``ddpc-cosim export-controller`` a started one for ``c_code``. These may be set, too.
     """
 
+    # These may be set: as attributes, which may be settings, or as properties.
     horizon: int = 1
     """How many future reference samples ``step`` wants; a subclass may make it a setting.
 
@@ -355,6 +371,16 @@ class Controller(ABC):
         counts such samples as fallbacks.
         """
         return False
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        """Let a class whose answer is fixed declare ``recording_length`` as an integer."""
+        super().__init_subclass__(**more)
+        if isinstance(samples := cls.__dict__.get("recording_length"), Integral):
+
+            def recording_length(self: Self, inputs: int, outputs: int, measurements: int) -> int:
+                return int(samples)
+
+            cls.recording_length = recording_length  # type: ignore[method-assign]
 
     def __new__(cls, *_: Any, **settings: Any) -> Self:
         """Make a controller; an unknown setting is told with the one that may be meant."""
@@ -388,7 +414,10 @@ class Controller(ABC):
         """Return the inputs for this sample, shape (m,), or an ``Action``."""
 
     def recording_length(self, inputs: int, outputs: int, measurements: int) -> int:
-        """Return the fewest samples of a recording that ``start`` can work with, for so many signals."""
+        """Return the fewest samples of a recording that ``start`` can work with, for so many signals.
+
+        Any integer type will do. A class whose answer is fixed sets an integer in place of the method.
+        """
         return 0
 
     def settings_as(

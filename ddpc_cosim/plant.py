@@ -18,14 +18,23 @@ FMIType = Literal["auto", "co-simulation", "model-exchange"]
 class Plant(ABC):
     """A sampled plant with zero-order hold at its inputs.
 
-    The co-simulation master calls, in this order: ``reset`` once per run, then ``step`` (with
-    ``set_parameters`` between two steps when an event asks for it), and ``close`` at the end. It announces
-    sampling and stop time by ``plan`` before ``reset``.
-    Subclasses set ``inputs`` (m variables) and ``outputs`` (p variables).
+    The co-simulation master calls, in this order:
+
+    1. ``plan``, once per run, before ``reset``; may be set.
+    2. ``reset``, once per run, at its start time; must be set. An experiment is a run of its own.
+    3. ``set_parameters``, at a sample at which an event asks for it; may be set.
+    4. ``step``, once per sampling interval: n times for the n + 1 samples of a run; must be set.
+    5. ``provenance``, once, after the last sample, however the run ended; may be set.
+    6. ``close``, once, after the last run, by whoever has opened the plant; may be set.
+
+    The other methods are called where a plant is a part of a coupled one, as far as it has them: none need be
+    set. ``inputs`` and ``outputs`` are read before the first run, and do not change.
     """
 
+    # Set these in all subclasses: m variables and p variables.
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
+    # These may be set.
     dependencies: Mapping[str, frozenset[str]] = MappingProxyType({})
     """For each output the inputs that it depends on without delay; one that is left out depends on none.
 

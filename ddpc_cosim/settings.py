@@ -7,10 +7,11 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, time
-from functools import lru_cache
+from functools import lru_cache, wraps
+from inspect import signature
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, ClassVar, TypeGuard
+from typing import Any, ClassVar, ParamSpec, TypeGuard, TypeVar
 
 import numpy as np
 
@@ -150,6 +151,35 @@ class SettingInfo:
         return abs(number) <= sys.float_info.max and number > self.above and self.low <= number <= self.high
 
 
+P = ParamSpec("P")
+T = TypeVar("T")
+_MEANT = {
+    "low": ("at_least", "ge", "lower", "min", "minimum"),
+    "high": ("at_most", "le", "max", "maximum", "upper"),
+    "above": ("greater_than", "gt", "more_than"),
+    "choices": ("allowed", "one_of", "options", "values"),
+    "doc": ("description", "help"),
+}
+"""Other words for keywords of :func:`setting`, which are not alike."""
+
+
+def _naming_keywords(function: Callable[P, T]) -> Callable[P, T]:
+    """Have an unknown keyword told with the one that may be meant."""
+    allowed = signature(function).parameters
+    meant = {word: keyword for keyword, words in _MEANT.items() for word in words}
+
+    @wraps(function)
+    def named(*arguments: P.args, **keywords: P.kwargs) -> T:
+        for word in keywords:
+            if word not in allowed:
+                hint = did_you_mean(meant.get(word, word), allowed)
+                raise TypeError(f"{function.__name__}() has no keyword {word}; {hint}")
+        return function(*arguments, **keywords)
+
+    return named
+
+
+@_naming_keywords
 def setting(
     default: Any = dataclasses.MISSING,
     *,

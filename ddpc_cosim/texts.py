@@ -106,5 +106,3 @@ def recorded(text: object) -> str:
     except (Exception, SystemExit) as error:
         words = f"{type(text).__name__} without words: they raise {type(error).__name__}"
     return printable(encodable(words), _LONGEST_RECORDED, keep="\n")
-
-

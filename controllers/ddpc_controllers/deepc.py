@@ -64,7 +64,20 @@ _UNEXPLAINED = 0.3
 
 @dataclass(kw_only=True)
 class BehavioralTracking(ScaledSignals):
-    """Predict with recorded windows, track the reference; a subclass says how windows are combined."""
+    """Predict with recorded windows, track the reference; a subclass says how windows are combined.
+
+    What a subclass sets, in the order of the calls:
+
+    1. ``_faults_between_settings``, once at construction; may be extended.
+    2. ``_stack``, once per start: the data, in the blocks of ``_layout``; may be set.
+    3. ``_sums_g``, wherever data are laid out: whether they have a row of ones; may be set.
+    4. ``_past_ridge``, once per start, for the test of the prediction; may be set.
+    5. ``_write_down``, once per start: the problem; must be set. ``_tracking_problem`` begins it.
+    6. ``_make_learner``, once per start: what lets the data follow the plant; may be set.
+    7. ``_make_law``, once per start: what solves the problem online; may be extended.
+
+    A step evaluates the law, and calls none of them.
+    """
 
     uses_recording: ClassVar[bool] = True
     accepts_missing: ClassVar[bool] = True

@@ -6,8 +6,13 @@ from contextlib import contextmanager
 
 from ddpc_cosim.processes.requests import Terminated, made
 
-INTERRUPTED, TERMINATED = 130, 143
+_INTERRUPTED, _TERMINATED = 130, 143
 _GOES_ON = "finished cases are kept; the same command goes on from there"
+
+
+def exit_code(request: KeyboardInterrupt) -> int:
+    """Return what a command exits with after a request to end."""
+    return _TERMINATED if isinstance(request, Terminated) else _INTERRUPTED
 
 
 @contextmanager
@@ -21,7 +26,9 @@ def told_when_asked_to_end() -> Iterator[None]:
         request = error if isinstance(error, KeyboardInterrupt) else made()
         if request is None:
             raise
-        is_terminated = isinstance(request, Terminated)
         if sys.stderr is not None:  # closed by whoever started this process
-            print(f"{'terminated' if is_terminated else 'interrupted'}: {_GOES_ON}", file=sys.stderr)
-        sys.exit(TERMINATED if is_terminated else INTERRUPTED)
+            print(
+                f"{'terminated' if isinstance(request, Terminated) else 'interrupted'}: {_GOES_ON}",
+                file=sys.stderr,
+            )
+        sys.exit(exit_code(request))

@@ -4,13 +4,16 @@ import io
 import os
 import shutil
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from ddpc_cosim.errors import CosimWarning
 from ddpc_cosim.tables import Cell, Table
 from ddpc_cosim.texts import printable
 
@@ -64,6 +67,16 @@ def harmless(text: str, *, err: bool = False, keep: str = "") -> str:
         return text
     width = shutil.get_terminal_size().columns
     return "\n".join(part for line in text.split("\n") for part in wrapped(line, width, indent="  ") or [""])
+
+
+@contextmanager
+def warnings_in_one_line() -> Iterator[None]:
+    """Print what is not quite right with a plant in one line each."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", CosimWarning)
+        yield
+    for message in dict.fromkeys(str(warning.message) for warning in caught):
+        say(f"warning: {message}", err=True)
 
 
 def wrapped(text: str, width: int, *, indent: str = "") -> list[str]:

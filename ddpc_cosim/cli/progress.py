@@ -1,6 +1,5 @@
 """What is shown of long work: in place on a terminal, elsewhere lines; at first every other second."""
 
-import ctypes
 import os
 import sys
 from collections.abc import Iterator
@@ -258,6 +257,8 @@ def _without_output() -> Iterator[None]:
 
 def _flush() -> None:
     """Write out what Python and C hold back of stdout."""
+    import ctypes  # which commands that show nothing do without
+
     for stream in (sys.stdout, sys.__stdout__):
         if stream is not None:
             stream.flush()

@@ -10,7 +10,7 @@ from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.exporting import block_of, write_block
 from ddpc_cosim.exporting.vector import SAMPLES, vector_of
 from ddpc_cosim.processes.sandbox import demanded, require
-from ddpc_cosim.study.cases import Case, cases_of_problems, controller_of, run_case, started
+from ddpc_cosim.study.cases import Case, cases_of, controller_of, run_case, started
 from ddpc_cosim.study.problems import WholeStudy
 from ddpc_cosim.study.resolve import ResolvedProblems, ResolvedStudy
 from ddpc_cosim.study.runner import Progress, answer_of, built_plants
@@ -74,7 +74,8 @@ def export_from_study(
     alone = replace(resolved, problems={one: resolved.problems[one]})
     with demanded(sandboxed):
         plant = built_plants(alone, progress)[one]
-    case = _case(alone.problem, plant, controller, within, study.seeds[0] if seed is None else seed)
+    single = _of_one_case(alone.problem, controller, within, study.seeds[0] if seed is None else seed)
+    (case,) = cases_of(single, plant)
     if case.late:
         raise ConfigError(f'controller "{controller}": {case.late}')
     if sandboxed:
@@ -88,7 +89,8 @@ def export_from_study(
         "case": case.id,
     }
     progress.prepare(f"starting {case.name}")
-    told = answer_of(case, partial(_block, name=path.stem, facts=facts, study=_alone(case, alone.problem)))
+    written = WholeStudy.of(single.study).toml().decode()
+    told = answer_of(case, partial(_block, name=path.stem, facts=facts, study=written))
     return write_block(_read(told), path, fmi_version, platforms, progress.prepare)
 
 
@@ -117,23 +119,16 @@ def _chosen(what: str, name: str | None, known: Iterable[str], *, only: bool = F
     return name
 
 
-def _case(resolved: ResolvedStudy, plant: Any, controller: str, scenario: str, seed: int) -> Case:
-    """Return one case, of all that the study has of a controller."""
-    cases = cases_of_problems({"": (resolved, plant)}, [seed])
-    (case,) = (case for case in cases if (case.controller, case.scenario) == (controller, scenario))
-    return case
-
-
-def _alone(case: Case, resolved: ResolvedStudy) -> str:
+def _of_one_case(resolved: ResolvedStudy, controller: str, scenario: str, seed: int) -> ResolvedStudy:
     """Return the study that is left when a case is all that is run."""
     study = resolved.study
     parts = {
-        "seeds": [case.seed],
-        "controllers": {case.controller: study.controllers[case.controller]},
-        "scenarios": {case.scenario: study.scenarios[case.scenario]},
+        "seeds": [seed],
+        "controllers": {controller: study.controllers[controller]},
+        "scenarios": {scenario: study.scenarios[scenario]},
         "report": type(study.report)(),
     }
-    return WholeStudy.of(study.model_copy(update=parts)).toml().decode()
+    return replace(resolved, study=study.model_copy(update=parts))
 
 
 def _block(case: Case, name: str, facts: dict[str, Any], study: str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ddpc_cosim import safe_calls
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.loop_setup import whole_steps
 from ddpc_cosim.plugins import plugin_names
@@ -510,5 +511,5 @@ def recording_length(controller: SuggestedController, inputs: int, outputs: int,
     """Return the fewest samples of a recording that a controller can learn from."""
     from ddpc_cosim.study.controller_plugins import make_controller
 
-    needed = make_controller(controller.type, controller.settings).recording_length
-    return needed(inputs, outputs, measurements)
+    made = make_controller(controller.type, controller.settings)
+    return safe_calls.recording_length(made, inputs, outputs, measurements)

@@ -7,6 +7,10 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
+from ddpc_cosim.cli.main import main
+
 HEAVY = {"pandas", "control", "scipy.signal", "sympy", "matplotlib", "vl_convert"}
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -61,13 +65,44 @@ def test_the_package(tmp_path: Path) -> None:
     assert not loaded & (HEAVY | {"numpy", "scipy", "pydantic", "fmpy"})
 
 
+LIGHT = HEAVY | {"numpy", "scipy", "pydantic", "fmpy", "rich"}
+SHOWN = """
+import contextlib, io
+from ddpc_cosim.cli.main import main
+shown = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
+with contextlib.redirect_stdout(shown), contextlib.suppress(SystemExit):
+    main({})
+shown.seek(0)
+assert "{}" in shown.read()
+"""
+
+
 def test_the_help_page(tmp_path: Path) -> None:
-    code = "import contextlib, io\nfrom ddpc_cosim.cli.main import main\n"
-    code += (
-        "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit): main(['--help'])"
-    )
-    loaded = modules_after(code, tmp_path)
-    assert not loaded & (HEAVY | {"numpy", "scipy", "pydantic", "fmpy", "rich"})
+    assert not modules_after(SHOWN.format(["--help"], "export-controller"), tmp_path) & LIGHT
+
+
+def test_the_help_page_of_every_command(tmp_path: Path) -> None:
+    code = "".join(SHOWN.format([name, "--help"], f"Usage: -c {name}") for name in sorted(main.commands))
+    assert not modules_after(code, tmp_path) & LIGHT
+
+
+def test_a_command_imports_no_other(tmp_path: Path) -> None:
+    loaded = modules_after(SHOWN.format(["diff", "--help"], "--rel"), tmp_path)
+    commands = {module for module in loaded if module.startswith("ddpc_cosim.cli.commands.")}
+    assert commands == {"ddpc_cosim.cli.commands.diff"}
+
+
+@pytest.mark.parametrize(
+    ("line", "completed"), [("ddpc-cosim ex", "export-controller"), ("ddpc-cosim run --o", "--out")]
+)
+def test_completion_in_a_shell(
+    line: str, completed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COMP_WORDS", line)
+    monkeypatch.setenv("COMP_CWORD", str(line.count(" ")))
+    monkeypatch.setenv("_DDPC_COSIM_COMPLETE", "bash_complete")
+    code = SHOWN.replace("main({})", 'main(prog_name="ddpc-cosim")').replace("{}", completed)
+    assert not modules_after(code, tmp_path) & LIGHT
 
 
 def test_what_runs_an_fmu(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ddpc_cosim.cli.main import Terminated, orderly_end
+from ddpc_cosim.processes.requests import Terminated, orderly_end
 from ddpc_cosim.processes.scratch import remove_left_behind
 
 from .fmu_faults.processes import Watch, descendants, heed_interrupts

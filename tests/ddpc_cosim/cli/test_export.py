@@ -3,7 +3,7 @@
 import fmpy
 import pytest
 
-from ddpc_cosim.cli.export import export_command
+from ddpc_cosim.cli.commands import export
 from ddpc_cosim.errors import ConfigError, CosimError, PluginError
 
 OWN_PLANT = """
@@ -28,6 +28,10 @@ class SYSTEM:
 """
 
 
+def export_command(*arguments):
+    assert export.export.main(list(map(str, arguments)), standalone_mode=False) == 0
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """An empty folder to be in, with a plant in a module of its own name; libraries are left empty."""
@@ -39,7 +43,7 @@ def folder(tmp_path, monkeypatch):
 
 def test_an_installed_plant_by_name(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    export_command("pendulum", "2.0", None)
+    export_command("pendulum")
     assert capsys.readouterr() == ("pendulum.fmu\n", "")
     assert fmpy.read_model_description("pendulum.fmu").fmiVersion == "2.0"
 
@@ -48,7 +52,7 @@ def test_an_installed_plant_by_name(tmp_path, monkeypatch, capsys):
     "target", ["plant_of_mine:MODEL", "plant_of_mine.py:MODEL", "./plant_of_mine.py:MODEL"]
 )
 def test_a_plant_of_the_user_s_own(folder, target):
-    export_command(target, "3.0", None)
+    export_command(target, "--fmi", "3.0")
     description = fmpy.read_model_description("tank.fmu")
     assert (description.fmiVersion, description.modelName) == ("3.0", "tank")
 
@@ -59,17 +63,17 @@ def test_a_file_elsewhere_may_import_what_stands_beside_it(folder, tmp_path_fact
     changed = OWN_PLANT.replace('name="tank"', "name=NAME")
     (elsewhere / "plant.py").write_text(f"from values_of_mine import NAME\n{changed}", encoding="utf-8")
     out = folder / "out.fmu"
-    export_command(f"{elsewhere / 'plant.py'}:MODEL", "2.0", out)
+    export_command(f"{elsewhere / 'plant.py'}:MODEL", "--out", out)
     assert fmpy.read_model_description(str(out)).modelName == "renamed"
 
 
 def test_a_state_space_model(folder):
-    export_command("plant_of_mine.py:SYSTEM", "2.0", None)
+    export_command("plant_of_mine.py:SYSTEM")
     assert fmpy.read_model_description("system.fmu").modelName == "system"
 
 
 def test_progress_goes_to_stderr(folder, capsys):
-    export_command("pendulum", "2.0", None, "linux-x86_64,linux-arm64")
+    export_command("pendulum", "--platforms", "linux-x86_64,linux-arm64")
     captured = capsys.readouterr()
     assert captured.out == "pendulum.fmu\n"
     assert captured.err.splitlines() == [
@@ -93,16 +97,16 @@ def test_progress_goes_to_stderr(folder, capsys):
 )
 def test_what_cannot_be_exported_is_refused(folder, target, error, message):
     with pytest.raises(error, match=message):
-        export_command(target, "2.0", None)
+        export_command(target)
     assert not list(folder.glob("*.fmu"))
 
 
 def test_a_file_that_fails_is_refused_with_its_error(folder):
     (folder / "broken.py").write_text("1 / 0", encoding="utf-8")
     with pytest.raises(PluginError, match=r"broken.py.* cannot be loaded: ZeroDivisionError"):
-        export_command("broken.py:MODEL", "2.0", None)
+        export_command("broken.py:MODEL")
 
 
 def test_an_unknown_platform_is_refused(folder):
     with pytest.raises(CosimError, match='no platform "amiga"; there are: all, '):
-        export_command("pendulum", "2.0", None, "amiga")
+        export_command("pendulum", "--platforms", "amiga")

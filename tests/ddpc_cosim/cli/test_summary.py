@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from ddpc_cosim import CaseResult, Outcome, StudyResults
-from ddpc_cosim.cli.run import show_results
+from ddpc_cosim.cli.results import show_results
 from ddpc_cosim.cli.summary import overall_table, summary_table
 from ddpc_cosim.metrics import METRICS
 from ddpc_cosim.study.file_format.sections import ReferencePoints, RelevantSection, ReportSection, Study

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ddpc_cosim import ConfigError, CoupledPlant
-from ddpc_cosim.cli.inspect import inspect_command
+from ddpc_cosim.cli.commands.inspect import inspect
 from ddpc_cosim.study.reading import read_study
 from ddpc_cosim.suggestion import suggest_study, write_study
 
@@ -54,7 +54,7 @@ def car(tmp_path: Path) -> Path:
 def test_inspect_shows_parts_connections_order_and_values(
     car: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert inspect_command(car, as_json=False, strict=False, every=False) == 0
+    assert inspect.main([str(car)], standalone_mode=False) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "system\ttest, SSP 2.0" in lines
     assert "order\tbody -> wheel" in lines
@@ -72,7 +72,7 @@ def test_inspect_as_data_has_loops(tmp_path: Path, capsys: pytest.CaptureFixture
     path = write_ssp(
         tmp_path / "l.ssp", ssd(system("s", *parts, connections=wires)), {"resources/gain.fmu": GAIN}
     )
-    assert inspect_command(path, as_json=True, strict=False, every=False) == 0
+    assert inspect.main([str(path), "--json"], standalone_mode=False) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["algebraic_loops"] == [["a.u", "a.y", "b.u", "b.y"]]
     assert [part["name"] for part in told["parts"]] == ["a", "b"]
@@ -81,7 +81,7 @@ def test_inspect_as_data_has_loops(tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_inspect_of_what_cannot_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_ssp(tmp_path / "bad.ssp", ssd(system("s", component("a", "resources/a.fmu"))), {})
-    assert inspect_command(path, as_json=False, strict=False, every=False) == 1
+    assert inspect.main([str(path)], standalone_mode=False) == 1
     told = capsys.readouterr().out
     assert "error\tinvalid-system\tthe system cannot run\tbad.ssp: " in told
     assert 'SystemStructure.ssd: a: no file "resources/a.fmu" in the archive' in told

@@ -3,6 +3,7 @@
 import json
 import tomllib
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,8 @@ from ddpc_cosim import (
     setting,
 )
 from ddpc_cosim.cli.main import main
-from ddpc_cosim.study.cases import cases_of, started
+from ddpc_cosim.study import cases
+from ddpc_cosim.study.cases import Case, cases_of, started
 from ddpc_cosim.study.reading import read_study
 
 _STEP = """
@@ -160,6 +162,23 @@ def test_the_fmu_has_the_signals_of_the_loop_and_what_it_was_made_from(folder: P
     first = Path("winner.fmu").read_bytes()
     assert export("p", "--fmi", "3.0", "--out", "winner.fmu").exit_code == 0
     assert Path("winner.fmu").read_bytes() == first
+
+
+def test_one_case_is_made_which_is_that_of_a_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    def hashed(case: Case, content: Mapping[str, Any]) -> Any:
+        made.append((case.controller, case.scenario))
+        return hash_of(case, content)
+
+    hash_of = cases._hash_of
+    monkeypatch.setattr(cases, "_hash_of", hashed)
+    result = export("idle", "--scenario", "noisy", "--seed", "4")
+    assert result.exit_code == 0, result.output
+    assert made == [("idle", "noisy")]
+    resolved = read_study("small.toml").problem
+    (case,) = cases_of(resolved, resolved.plant.built(), [4], "idle_noisy_seed4")
+    assert told(Path("idle.fmu"))["case"] == case.id
 
 
 def test_it_computes_what_the_controller_of_the_case_computes(folder: Path) -> None:

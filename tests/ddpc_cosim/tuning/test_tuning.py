@@ -245,7 +245,7 @@ def test_the_command_says_what_was_found_and_where(tmp_path: Path, monkeypatch: 
     assert how is not None
     assert how.source == "ddpc-cosim tune study.toml --trials 2 --objective rmse --seeds 7"
     assert run(["tune", "study.toml", "--trials", "0"]).exit_code == 2
-    monkeypatch.setattr("ddpc_cosim.cli.tune.find_spec", lambda name: None)
+    monkeypatch.setattr("ddpc_cosim.cli.commands.tune.find_spec", lambda name: None)
     lacking = run(["tune", "study.toml"])
     assert lacking.exit_code == 2
     assert 'tune needs Optuna: `pip install ".[tune]"` or `uv sync --extra tune`' in lacking.stderr

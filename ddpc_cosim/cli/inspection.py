@@ -1,14 +1,10 @@
-"""``ddpc-cosim inspect``."""
+"""What ``ddpc-cosim inspect`` prints: tables on a terminal, elsewhere lines for grep and cut."""
 
-import json
 import math
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from shlex import quote
 
-import click
 from rich.console import Console
 from rich.text import Text
 
@@ -17,8 +13,8 @@ from ddpc_cosim.coupling.ssp import SSPConnection
 from ddpc_cosim.description import DefaultExperiment, DescribedVariable
 from ddpc_cosim.fmu.description import Clock, FMUDescription, Interface
 from ddpc_cosim.fmu.description.defects import Defect, Severity
-from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu, systems
-from ddpc_cosim.inspection.systems import SystemInspection, inspect_ssp
+from ddpc_cosim.inspection import Inspection
+from ddpc_cosim.inspection.systems import SystemInspection
 from ddpc_cosim.tables import Cell, Heading, Row, Table
 from ddpc_cosim.texts import printable
 from ddpc_cosim.variables import Variable
@@ -45,24 +41,8 @@ class _Section:
     rows: Sequence[Cells]
 
 
-def inspect_command(path: Path, *, as_json: bool, strict: bool, every: bool) -> int:
-    """Print what an FMU or an SSP archive is; return 1 if a defect prevents it from running here."""
-    is_system = path.suffix.lower() == ".ssp"
-    inspection = inspect_ssp(path) if is_system else inspect_fmu(path, strict=strict)
-    if as_json:
-        data = as_data(inspection) if isinstance(inspection, Inspection) else systems.as_data(inspection)
-        # Part by part: as one text it would take more memory than all that it tells.
-        sys.stdout.writelines(json.JSONEncoder(indent=2, allow_nan=False).iterencode(data))
-        click.echo()
-    elif (console := Console()).is_terminal:
-        _print_tables(console, inspection, every=every)
-    else:
-        for line in _plain_lines(inspection):
-            click.echo(line)
-    return 0 if inspection.can_run else 1
-
-
-def _print_tables(console: Console, inspection: Inspected, *, every: bool) -> None:
+def print_tables(console: Console, inspection: Inspected, *, every: bool) -> None:
+    """Print facts, variables and defects as tables, long ones in part unless every row is wanted."""
     facts = tuple(Row(name, (Cell(value),)) for name, value in _facts(inspection))
     headings = (Heading("", numeric=False), Heading("", numeric=False, wraps=True))
     console.print(terminal_table(Table("", "", headings, facts, kind="facts")), "")
@@ -95,7 +75,7 @@ def _table(section: _Section, rows: Sequence[Cells]) -> Table:
     )
 
 
-def _plain_lines(inspection: Inspected) -> Iterator[str]:
+def plain_lines(inspection: Inspected) -> Iterator[str]:
     """Yield one line per fact, variable and defect, with tabs between the columns: for grep and cut."""
     for name, value in _facts(inspection):
         yield _line(name, value)

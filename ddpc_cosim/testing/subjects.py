@@ -1,4 +1,4 @@
-"""``ddpc-cosim check``: the conformance kit from the command line.
+"""What ``ddpc-cosim check`` checks: a plant or a controller by its name, or an FMU.
 
 Every check runs in a worker process, so that a subject that crashes or hangs fails one check and no more.
 """
@@ -10,25 +10,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, Self
 
-import click
-from rich.console import Console
-
-from ddpc_cosim.cli.output import terminal_table
-from ddpc_cosim.cli.progress import shown
 from ddpc_cosim.controller import Controller
 from ddpc_cosim.errors import ConfigError, CosimWarning, PluginError
 from ddpc_cosim.plant import Plant
-from ddpc_cosim.plugins import find_modules_in, load_plugin, load_target, plugin_names
+from ddpc_cosim.plugins import load_plugin, load_target, plugin_names
 from ddpc_cosim.processes.fork_server import Ending
-from ddpc_cosim.processes.sandbox import Sandbox, demanded, require
+from ddpc_cosim.processes.sandbox import Sandbox, demanded
 from ddpc_cosim.processes.scratch import ScratchFolder
 from ddpc_cosim.processes.worker import LostWorkerError, UnexpectedError, Worker, serve_calls
 from ddpc_cosim.safe_calls import CallsInTime
-from ddpc_cosim.tables import Cell, Heading, Row, Table, text_headings
 from ddpc_cosim.testing.check_results import CheckResult, CheckStatus, run_check
 from ddpc_cosim.testing.controllers import CONTROLLER_CHECKS, ControllerUnderTest
 from ddpc_cosim.testing.plants import PLANT_CHECKS, PlantUnderTest
-from ddpc_cosim.texts import DeepTablesError, printable, toml_tables
+from ddpc_cosim.texts import DeepTablesError, toml_tables
 from fmu_plants.spelling import did_you_mean
 
 _PRELOAD = (__name__,)
@@ -170,44 +164,47 @@ def _parse(settings: Sequence[str]) -> dict[str, Any]:
         raise ConfigError(f"--setting: not TOML: {error}; write text in quotes: 'name = \"text\"'") from error
 
 
-_STYLE = {CheckStatus.PASSED: "green", CheckStatus.FAILED: "red", CheckStatus.NOT_APPLICABLE: "dim"}
-
-
-def check_command(
-    subject: str,
-    sampling_time: float | None,
+def run_checks(
+    subject: Subject,
+    sampling_time: float,
     timeout: float,
-    settings: Sequence[str] = (),
+    prepare: Callable[[str], None],
+    begin: Callable[[str], None],
     *,
-    sandboxed: bool = False,
-) -> int:
-    """Check a plant or a controller and print a table; return 1 if a check failed."""
-    find_modules_in(Path.cwd())
-    if sandboxed:
-        require()
-    with shown(f"check {subject}") as progress:
-        found = find_subject(subject, settings, timeout)
-        step = sampling_time or _natural_step(found)
-        read: tuple[Path, ...] = ()
-        if isinstance(found, FMUSubject):
-            from ddpc_cosim.fmu.library import compile_ahead
+    sandboxed: bool,
+) -> list[CheckResult]:
+    """Run all checks of a subject, each in a worker; an FMU that cannot be opened fails once.
 
-            with demanded(sandboxed):  # part of no check's time
-                read += Path(found.path), *compile_ahead(Path(found.path), progress.prepare)
-        with ScratchFolder() as folder, _CheckWorker(folder, read if sandboxed else None) as worker:
-            results = []
-            if isinstance(found, FMUSubject):  # one that does not open fails once, and not in every check
-                results = [worker.check(found, _OPENS, step, timeout)]
-            if not results or results[0].status is CheckStatus.PASSED:
-                results = []
-                for name in found.check_names():
-                    progress(f"{subject}: {name}")
-                    results.append(worker.check(found, name, step, timeout))
-    _print(f"{subject}, steps of {step:g} s", results)
-    return 1 if any(result.status is CheckStatus.FAILED for result in results) else 0
+    Parameters
+    ----------
+    subject : Subject
+        What is checked.
+    sampling_time, timeout : float
+        Step size of the runs, and how long one check may take [s].
+    prepare, begin : callable
+        Are told in words what is compiled ahead, and of each check its name.
+    sandboxed : bool
+        Whether the checks run in a sandbox.
+    """
+    read: tuple[Path, ...] = ()
+    if isinstance(subject, FMUSubject):
+        from ddpc_cosim.fmu.library import compile_ahead
+
+        with demanded(sandboxed):  # part of no check's time
+            read = Path(subject.path), *compile_ahead(Path(subject.path), prepare)
+    with ScratchFolder() as folder, _CheckWorker(folder, read if sandboxed else None) as worker:
+        if isinstance(subject, FMUSubject):
+            opened = worker.check(subject, _OPENS, sampling_time, timeout)
+            if opened.status is not CheckStatus.PASSED:
+                return [opened]
+        results = []
+        for name in subject.check_names():
+            begin(name)
+            results.append(worker.check(subject, name, sampling_time, timeout))
+    return results
 
 
-def _natural_step(subject: Subject) -> float:
+def natural_step(subject: Subject) -> float:
     """Return the step size that an FMU suggests; 0.1 s where nothing does."""
     if not isinstance(subject, FMUSubject):
         return 0.1
@@ -266,17 +263,3 @@ def _run(subject: Subject, name: str, sampling_time: float) -> tuple[str, str]:
     warnings.simplefilter("ignore", CosimWarning)  # `inspect` shows them
     result = run_check(name, partial(subject.check, name, sampling_time))
     return result.status, result.reason
-
-
-def _print(title: str, results: list[CheckResult]) -> None:
-    console = Console()
-    if not console.is_terminal:
-        for result in results:
-            click.echo(f"{result.status}\t{result.name}\t{printable(result.reason)}".rstrip())
-        return
-    headings = (*text_headings("check", "result"), Heading("why", numeric=False, wraps=True))
-    rows = (
-        Row(result.name, (Cell(result.status, tone=_STYLE[result.status]), Cell(result.reason)))
-        for result in results
-    )
-    console.print(terminal_table(Table("", title, headings, tuple(rows))))

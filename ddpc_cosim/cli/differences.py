@@ -1,11 +1,9 @@
-"""``ddpc-cosim diff``: whether two folders of results say the same, as a gate for changes."""
+"""What two folders of results say differently."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ddpc_cosim.cli.output import say
 from ddpc_cosim.errors import ConfigError
 from ddpc_cosim.metrics import metric_of, split_key
 from ddpc_cosim.responses import StepTimes
@@ -14,31 +12,22 @@ from ddpc_cosim.study.results import StudyResults, load_results
 from ddpc_cosim.trace import Trace
 from ddpc_cosim.variables import FloatArray
 
-_MOST_LISTED = 20
 _SOLVE_TIME = "solve_time [s]"
 # Of a controller's steps; all else of them is time, which is never the same twice.
 _COUNTS = ("failures", "samples")
 
 
-def diff_command(folders: Sequence[Path], absolute: float, relative: float) -> int:
-    """Print how many cases agree and how others differ, and return the exit code."""
-    one, other = (_cases(load_results(folder)) for folder in folders)
-    common = [key for key in one if key in other]
+def compared(folders: tuple[Path, Path], absolute: float, relative: float) -> tuple[int, list[str]]:
+    """Return how many cases two folders of results have, and of each that differs in words how."""
+    first, second = (_cases(load_results(folder)) for folder in folders)
     lines = [
-        f"{one[key].id}: {difference}"
-        for key in common
-        if (difference := _difference(one[key], other[key], absolute, relative))
+        f"{case.id}: {difference}"
+        for key, case in first.items()
+        if key in second and (difference := _difference(case, second[key], absolute, relative))
     ]
-    agreeing = len(common) - len(lines)
-    for folder, mine, others in ((folders[0], one, other), (folders[1], other, one)):
-        lines += [f"{case.id}: only in {folder}" for key, case in mine.items() if key not in others]
-    total = len(one.keys() | other.keys())
-    print(f"{agreeing} of {total} cases agree within max({absolute:g}, {relative:g} of the larger value)")
-    for line in lines[:_MOST_LISTED]:
-        say(line)
-    if len(lines) > _MOST_LISTED:
-        print(f"and {len(lines) - _MOST_LISTED} more")
-    return 1 if lines else 0
+    for folder, cases, others in ((folders[0], first, second), (folders[1], second, first)):
+        lines += [f"{case.id}: only in {folder}" for key, case in cases.items() if key not in others]
+    return len(first.keys() | second.keys()), lines
 
 
 def _cases(results: StudyResults) -> dict[tuple[str, str, str, int], CaseResult]:

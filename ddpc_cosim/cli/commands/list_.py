@@ -2,17 +2,17 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from typing import TypedDict
+from typing import Literal, TypedDict, get_args
 
 import click
 
+from ddpc_cosim.cli.options import JSON, argument, command
 from ddpc_cosim.cli.output import screen, terminal_table
 from ddpc_cosim.cli.progress import shown
-from ddpc_cosim.metrics import METRICS, describe_metric
-from ddpc_cosim.plugins import describe, installed, package_version
 from ddpc_cosim.tables import Cell, Heading, Row, Table
 
 _BUILT_IN = "ddpc_cosim.metrics:METRICS"
+Kind = Literal["plants", "controllers", "studies", "metrics", "reports"]
 
 
 class Entry(TypedDict):
@@ -25,22 +25,26 @@ class Entry(TypedDict):
     works: bool
 
 
-def list_command(kinds: Sequence[str], *, as_json: bool) -> int:
-    """Print the plug-ins of some kinds; return 1 if one is broken."""
+@command
+def list_(kind: Kind | None = argument(None), as_json: bool = JSON) -> int:
+    """List what is installed, built-in and third-party; a broken plug-in is shown with its error."""
     listed: dict[str, list[Entry]] = {}
-    for kind in kinds:
-        with shown(f"loading {kind}"):
-            listed[kind] = list(_entries(kind))
+    for name in (kind,) if kind else get_args(Kind):
+        with shown(f"loading {name}"):
+            listed[name] = list(_entries(name))
     if as_json:
         click.echo(json.dumps(listed, indent=2))
     else:
         console = screen()
-        for kind, entries in listed.items():
-            console.print(terminal_table(_table(kind, entries)), "")
+        for name, entries in listed.items():
+            console.print(terminal_table(_table(name, entries)), "")
     return 0 if all(entry["works"] for entries in listed.values() for entry in entries) else 1
 
 
 def _entries(kind: str) -> Iterator[Entry]:
+    from ddpc_cosim.metrics import METRICS, describe_metric
+    from ddpc_cosim.plugins import describe, installed, package_version
+
     own = f"ddpc-cosim {package_version()}"
     for name, metric in METRICS.items() if kind == "metrics" else ():
         yield Entry(name=name, what=str(metric), package=own, target=_BUILT_IN, works=True)

@@ -1,0 +1,34 @@
+"""``ddpc-cosim diff``: whether two folders of results say the same, as a gate for changes."""
+
+from pathlib import Path
+
+from ddpc_cosim.cli.options import FiniteRange, PathType, argument, command, option
+from ddpc_cosim.cli.output import say
+
+_MOST_LISTED = 20
+_TOLERANCE = FiniteRange(min=0)
+
+
+@command
+def diff(
+    folders: tuple[Path, Path] = argument(type=PathType(), metavar="DIR_A DIR_B"),
+    absolute: float = option(1e-9, "Allowed difference.", name="--abs", type=_TOLERANCE, show_default=True),
+    relative: float = option(
+        1e-6,
+        "Allowed difference, relative to the larger value.",
+        name="--rel",
+        type=_TOLERANCE,
+        show_default=True,
+    ),
+) -> int:
+    """Compare two runs case by case; exit with 1 if one differs by more than both allow."""
+    from ddpc_cosim.cli.differences import compared
+
+    total, lines = compared(folders, absolute, relative)
+    agreeing = total - len(lines)
+    print(f"{agreeing} of {total} cases agree within max({absolute:g}, {relative:g} of the larger value)")
+    for line in lines[:_MOST_LISTED]:
+        say(line)
+    if len(lines) > _MOST_LISTED:
+        print(f"and {len(lines) - _MOST_LISTED} more")
+    return 1 if lines else 0

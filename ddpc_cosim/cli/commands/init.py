@@ -1,0 +1,85 @@
+"""``ddpc-cosim init``: a study for a supplied FMU, from what is tried on it."""
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+from ddpc_cosim.cli import options
+from ddpc_cosim.cli.options import assignments, command, option
+from ddpc_cosim.cli.output import say
+from ddpc_cosim.cli.progress import shown
+from ddpc_cosim.errors import ConfigError, CosimWarning
+
+
+@command
+def init(
+    fmu: Path = options.FMU,
+    out: Path = option(Path("study.toml"), "The study.", show_default=True),
+    inputs: tuple[str, ...] = option(
+        (), "Drive this input; may be repeated.", name="--input", metavar="NAME"
+    ),
+    outputs: tuple[str, ...] = option((), "Control this; may be repeated.", name="--output", metavar="NAME"),
+    at: tuple[str, ...] = option(
+        (), "Level of an input, or a parameter; may be repeated.", metavar="NAME=VALUE"
+    ),
+    ranges: tuple[str, ...] = option(
+        (),
+        "How far an input may go, or an output's setpoints; may be repeated.",
+        name="--range",
+        metavar="NAME=LO:HI",
+    ),
+    sampling_time: float | None = option(None, "Of the loop, in s [what the step test shows]."),
+    duration: float | None = option(None, "Of the loop, in s [what the step test shows]."),
+    force: bool = option(False, "Replace an existing file."),
+    step_timeout: float = options.STEP_TIMEOUT,
+    budget: float = option(
+        60.0,
+        "Seconds for step test and trial; what is not tried in them is told.",
+        type=options.POSITIVE,
+        show_default=True,
+    ),
+    sandbox: bool = options.SANDBOX,
+) -> int:
+    """Write a study for an FMU or an SSP, from a step test, with controllers that were tried on it."""
+    levels = assignments("--at", at, _number_or_text)
+    limits = assignments("--range", ranges, _limits)
+    if out.exists() and not force:  # before the step test, which may take a while
+        raise ConfigError(f"{out}: already exists; choose another --out, or --force to replace it")
+    with warnings.catch_warnings(), shown(f"init {fmu.name}") as progress:
+        from ddpc_cosim.suggestion import suggest_study, write_study
+
+        warnings.simplefilter("ignore", CosimWarning)  # they stand in the study
+        proposal = suggest_study(
+            fmu,
+            inputs=list(inputs) or None,
+            outputs=list(outputs) or None,
+            at=levels,
+            ranges=limits,
+            sampling_time=sampling_time,
+            duration=duration,
+            step_timeout=step_timeout,
+            budget=budget,
+            tell=progress,
+            sandbox=sandbox,
+        )
+        path = write_study(proposal, fmu, out, replace=force)
+    driven, controlled = (", ".join(v.name for v in s) for s in (proposal.inputs, proposal.outputs))
+    say(f"{path}: {controlled} by {driven}, every {proposal.sampling_time:g} s")
+    for line in proposal.comments.get("head", ()):
+        say(line)
+    say(f"run it: ddpc-cosim run {path}")
+    return 0
+
+
+def _number_or_text(text: str) -> float | str:
+    """Return a text as a number if it is one."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _limits(text: str) -> Any:
+    """Return a range as two numbers, or as what it is, which will be refused together with other faults."""
+    parts = [_number_or_text(part) for part in text.split(":")]
+    return tuple(parts) if len(parts) == 2 and not any(isinstance(part, str) for part in parts) else text

@@ -1,0 +1,37 @@
+"""``ddpc-cosim inspect``."""
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from ddpc_cosim.cli.options import FMU, JSON, command, option
+
+
+@command
+def inspect(
+    fmu: Path = FMU,
+    as_json: bool = JSON,
+    strict: bool = option(False, "FMPy's full validation too; slow with thousands of variables."),
+    every: bool = option(False, "Show every row of long lists.", name="--all"),
+) -> int:
+    """Show what an FMU or an SSP is, and what is wrong with it; exit with 1 if it cannot run here."""
+    from rich.console import Console
+
+    from ddpc_cosim.cli.inspection import plain_lines, print_tables
+    from ddpc_cosim.inspection import Inspection, as_data, inspect_fmu, systems
+
+    is_system = fmu.suffix.lower() == ".ssp"
+    inspection = systems.inspect_ssp(fmu) if is_system else inspect_fmu(fmu, strict=strict)
+    if as_json:
+        data = as_data(inspection) if isinstance(inspection, Inspection) else systems.as_data(inspection)
+        # Part by part: as one text it would take more memory than all that it tells.
+        sys.stdout.writelines(json.JSONEncoder(indent=2, allow_nan=False).iterencode(data))
+        click.echo()
+    elif (console := Console()).is_terminal:
+        print_tables(console, inspection, every=every)
+    else:
+        for line in plain_lines(inspection):
+            click.echo(line)
+    return 0 if inspection.can_run else 1
