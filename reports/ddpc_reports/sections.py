@@ -157,22 +157,22 @@ def gather(results: Sequence[StudyResults]) -> Gathered:
             spread = drawn if len(problems) > 1 else detailed
             sketched = {*drawn, *_first(seen, _MOST_SKETCHED)}
             every_case = len(problems) == 1 or len(one.cases) <= _MOST_CASES
-            room = _Room(drawn, sketched, spread, detailed, every_case)
+            budget = _PageBudget(drawn, sketched, spread, detailed, every_case)
             number = len(parts) + 1
             if len(problems) > 1:
-                parts.append(_overall_part(one, problems, seen, number, room))
+                parts.append(_overall_part(one, problems, seen, number, budget))
             for part, of_part in zip(problems, seen, strict=True):
                 variants = one.variants(part.study.name)
                 alone = len(problems) == 1
-                parts.append(_study_part(part, of_part, len(parts) + 1, data, room, variants, alone=alone))
+                parts.append(_study_part(part, of_part, len(parts) + 1, data, budget, variants, alone=alone))
     head = results[0].whole.head
     several = f"{len(results)} studies compared"
     title = clipped(head.title or head.name, _LONGEST_TITLE) if len(results) == 1 else several
     return Gathered(title, parts, data)
 
 
-class _Room(NamedTuple):
-    """What of a study the page has room for.
+class _PageBudget(NamedTuple):
+    """What of a study the page shows, so that it stays small.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def _overall_part(
     problems: Sequence[StudyResults],
     seen: Sequence[Sequence[Condition]],
     number: int,
-    room: _Room,
+    budget: _PageBudget,
 ) -> StudyPart:
     """Return what is to be said over all problems of a study."""
     prefix, head = f"s{number}-", results.whole.head
@@ -242,7 +242,7 @@ def _overall_part(
         places = [
             place
             for i, (part, of_part) in enumerate(zip(problems, seen, strict=True), start=number + 1)
-            for place in _places(part, of_part, f"s{i}-", room)
+            for place in _places(part, of_part, f"s{i}-", budget)
         ]
         answered = overall_answer(found)
         first = _in_their_place("Matrix", lambda: _tables(_overall_matrix(found, places, prefix)))
@@ -280,11 +280,13 @@ def _overall_matrix(found: Overall, places: Sequence[Place], prefix: str) -> Tab
     return matrix_table(places, rows, first_columns(found, rows), [RANKS_NOTE], prefix)
 
 
-def _places(results: StudyResults, seen: Sequence[Condition], prefix: str, room: _Room) -> list[Place]:
+def _places(
+    results: StudyResults, seen: Sequence[Condition], prefix: str, budget: _PageBudget
+) -> list[Place]:
     """Return the scenarios of a problem, each with where the page has its figures, or its problem's part."""
     title = clipped(results.study.title or results.study.name, _LONGEST_TITLE)
     return [
-        Place(title, one, f"#{prefix}{number}-responses" if one in room.sketched else f"#{prefix}study")
+        Place(title, one, f"#{prefix}{number}-responses" if one in budget.sketched else f"#{prefix}study")
         for number, one in enumerate(seen, start=1)
         if one.controllers
     ]
@@ -298,7 +300,7 @@ class _Part:
     seen: Sequence[Condition]
     prefix: str
     data: dict[str, dict[str, Packed]]
-    room: _Room
+    budget: _PageBudget
     variants: Sequence[StudyResults]
     alone: bool
     _over_time: dict[str, TimeFigures] = field(default_factory=dict)
@@ -321,7 +323,7 @@ class _Part:
     ) -> list[Block]:
         """Return the blocks of every condition that has any, below its label where there are several."""
         found: list[Block] = []
-        shown = self.room.detailed if shown is None else shown
+        shown = self.budget.detailed if shown is None else shown
         for place, condition in enumerate(self.seen, start=1):
             if condition not in shown:
                 continue
@@ -335,7 +337,7 @@ class _Part:
         if not condition.controllers:
             return []
         if place not in self._over_time:
-            sketched = condition not in self.room.drawn
+            sketched = condition not in self.budget.drawn
             drawn = self._over_time[place] = time_figures(condition, place, sketched=sketched)
             for name, columns in drawn.samples.items():
                 self.data[name] = {key: pack(column) for key, column in columns.items()}
@@ -353,7 +355,7 @@ class _Part:
         labels = {one.scenario: one.label for one in self.seen}
         return _tables(
             matrix_table(
-                _places(self.results, self.seen, self.prefix, self.room),
+                _places(self.results, self.seen, self.prefix, self.budget),
                 order,
                 rank_columns(self.standings, order),
                 rank_notes(self.standings, labels),
@@ -417,7 +419,7 @@ class _Part:
         return lambda _: own_blocks(own, self.results, f"{self.prefix}{anchor}-")
 
     def _drawn(self, kind: Kind) -> Callable[[str], list[Block]]:
-        return lambda title: self.each(title, partial(self.over_time, kind), self.room.sketched)
+        return lambda title: self.each(title, partial(self.over_time, kind), self.budget.sketched)
 
     def _each(self, blocks_of: Callable[[Condition, str], list[Block]]) -> Callable[[str], list[Block]]:
         return lambda title: self.each(title, blocks_of)
@@ -428,7 +430,7 @@ class _Part:
     def _spread(self, condition: Condition, prefix: str) -> list[Block]:
         said = [*share_statements(condition), *findings(condition, "distribution")]
         return [
-            *_figures(spread_figures(condition, prefix) if condition in self.room.spread else [], prefix),
+            *_figures(spread_figures(condition, prefix) if condition in self.budget.spread else [], prefix),
             *_statements(said),
             *_tables(certainty_table(condition, prefix)),
         ]
@@ -436,7 +438,7 @@ class _Part:
     def _step_times(self, condition: Condition, prefix: str) -> list[Block]:
         if not condition.controllers:
             return []
-        drawn = condition in self.room.spread
+        drawn = condition in self.budget.spread
         return [
             *_statements(findings(condition, "time")),
             *_tables(step_time_table(condition, prefix)),
@@ -460,16 +462,16 @@ class _Part:
         ]
 
     def _diagnostics(self) -> list[Block]:
-        detailed = [one for one in self.seen if one in self.room.detailed]
+        detailed = [one for one in self.seen if one in self.budget.detailed]
         return _tables(*diagnostics_tables(detailed, self.prefix))
 
     def _fairness(self) -> list[Block]:
-        notes = [*limitations(self.seen), *self.room.left_out(self.seen)]
+        notes = [*limitations(self.seen), *self.budget.left_out(self.seen)]
         return [*_statements(fairness_statements(self.results, self.seen)), ("notes", notes)]
 
     def _settings(self) -> list[Block]:
         first = self.seen[0] if self.seen else None
-        families = family_tables(first, self.prefix) if first and first in self.room.detailed else []
+        families = family_tables(first, self.prefix) if first and first in self.budget.detailed else []
         reproduction = self.results.study.report.reproduction if first else None
         return [
             *_tables(*settings_tables(self.results, first, self.prefix)),
@@ -478,7 +480,7 @@ class _Part:
         ]
 
     def _cases(self) -> list[Block]:
-        return _tables(cases_table(self.results, self.seen, self.prefix) if self.room.cases else None)
+        return _tables(cases_table(self.results, self.seen, self.prefix) if self.budget.cases else None)
 
 
 _FOLDED = ("settings", "cases")
@@ -491,13 +493,13 @@ def _study_part(
     seen: Sequence[Condition],
     number: int,
     data: dict[str, dict[str, Packed]],
-    room: _Room,
+    budget: _PageBudget,
     variants: Sequence[StudyResults],
     *,
     alone: bool,
 ) -> StudyPart:
     prefix = f"s{number}-"
-    part = _Part(results, seen, prefix, data, room, variants, alone)
+    part = _Part(results, seen, prefix, data, budget, variants, alone)
     said = in_its_place("Answer", lambda: answer(results, seen, part.findings))
     told = part.findings.remarks
     return StudyPart(

@@ -73,7 +73,7 @@ def limits_table(condition: Condition, prefix: str) -> Table | None:
         return None
     notes = meanings(LIMITS)
     if len(condition.seeds) > 1:
-        notes += " Over the seeds: bound violation max is the largest, the others are medians."
+        notes += " Over the seeds: the constraint violation is the largest, the others are medians."
     caption = "Limits and actuators, per controller"
     return controller_table(
         f"{prefix}limits", caption, condition.controllers, columns, (notes,), "limits.csv"
