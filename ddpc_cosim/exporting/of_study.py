@@ -127,13 +127,13 @@ def _case(resolved: ResolvedStudy, plant: Any, controller: str, scenario: str, s
 def _alone(case: Case, resolved: ResolvedStudy) -> str:
     """Return the study that is left when a case is all that is run."""
     study = resolved.study
-    parts = {
+    parts: dict[str, Any] = {
         "seeds": [case.seed],
         "controllers": {case.controller: study.controllers[case.controller]},
         "scenarios": {case.scenario: study.scenarios[case.scenario]},
         "report": type(study.report)(),
     }
-    return WholeStudy.of(study.model_copy(update=parts)).toml().decode()
+    return WholeStudy.of(replace(study, **parts)).toml().decode()
 
 
 def _block(case: Case, name: str, facts: dict[str, Any], study: str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 
+from ddpc_cosim.codec import read
 from ddpc_cosim.conditions import Conditions
 from ddpc_cosim.csv_files import Column, CSVFile, plain_cells, read_table, split_unit
 from ddpc_cosim.errors import ConfigError, DataError
@@ -88,7 +89,7 @@ class _Subject:
             given = next(key for key, value in of_fmus.items() if value)
             raise ConfigError(f"{path}: {given} is of one FMU, and this is a system of several")
         named: dict[str, Any] = {what: request.plant}
-        section = PlantSection(**named, fmi_type=request.fmi_type)
+        section = read(PlantSection, named | {"fmi_type": request.fmi_type})
         self.label = path.name if is_file else request.plant
         self.spec = PlantSpec.of(section, Path.cwd()).built()
         self.variables: PlantVariables = self.spec.variables()

@@ -9,6 +9,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
+from ddpc_cosim.codec import read
 from ddpc_cosim.coupling.specification import CoupledSpec
 from ddpc_cosim.coupling.ssp import read_ssp
 from ddpc_cosim.errors import ConfigError, FMUStepError
@@ -73,7 +74,7 @@ class System:
         system = read_ssp(path)
         self.warnings = system.warnings
         self._spec = PlantSpec.of(
-            PlantSection.model_validate({"ssp": str(path.resolve()), "coupling": _COUPLING}), Path()
+            read(PlantSection, {"ssp": str(path.resolve()), "coupling": _COUPLING}), Path()
         )
         self.files = tuple(Path(file) for file in self._spec.files)
         self._spec = self._spec.built()

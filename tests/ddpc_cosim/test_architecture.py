@@ -20,7 +20,7 @@ ROOMS = {
 PUBLIC_MODULES = {"data_quality", "metrics", "plugins", "responses", "testing", "texts"}
 VERDICTS = ("claims", "findings", "judgement", "ranks", "shares", "standings", "statistics")
 PUBLIC_MODULES |= {f"study.verdicts.{name}" for name in VERDICTS}
-PUBLIC_MODULES |= {"study.file_format.sections", "study.file_format.sweeps"}
+PUBLIC_MODULES |= {"codec", "conditions", "study.file_format.sections", "study.file_format.sweeps"}
 
 
 def modules(room: str) -> dict[str, Path]:
