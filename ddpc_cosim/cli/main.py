@@ -22,7 +22,7 @@ from ddpc_cosim.processes.requests import Terminated, orderly_end
 
 _STDOUT, _NOT_WRITTEN = 1, (errno.ENOSPC, errno.EFBIG, errno.EIO)
 FAILED, MISUSED = 1, 2
-_LISTED = ("plants", "controllers", "studies", "metrics", "reports")
+_LISTED = ("plants", "controllers", "studies", "metrics", "conditions", "reports")
 _FMI_TYPES = ("auto", "co-simulation", "model-exchange")
 
 
@@ -529,6 +529,16 @@ def export(plant: str, fmi: str, platforms: str | None, out: Path | None) -> Non
     from ddpc_cosim.cli.export import export_command
 
     export_command(plant, fmi, out, platforms)
+
+
+@main.command()
+def schema() -> None:
+    """Print the JSON Schema of study files, for editors; it knows what is installed here."""
+    import json
+
+    from ddpc_cosim.study.file_format.schema import study_schema
+
+    click.echo(json.dumps(study_schema(), indent=2))
 
 
 @main.command("export-controller")
